@@ -33,23 +33,13 @@ SERIAL_CHECKSUM_BYTES: dict[str, int] = {"sum8": 1, "xor": 1, "crc8": 1, "crc16-
 
 
 def checksums(kind: str, data: ByteArray, initial: int | None = None) -> IntArray:
-    """Checksum of each row.
+    """Checksum of each row of bytes, shape (n,).
 
-    Parameters
-    ----------
-    kind: ``sum8`` and ``xor``: of the bytes. ``crc8``: polynomial 0x07, from 0. ``crc8_sae_j1850`` (AUTOSAR
-        Crc_CalculateCRC8): 0x1D, from 0xFF, inverted; ``..._zero``: from 0, not inverted. ``crc8_autosar``
-        (Crc_CalculateCRC8H2F): 0x2F, from 0xFF, inverted. ``crc16-ccitt``: 0x1021, from 0xFFFF ("CCITT-FALSE").
-        ``crc16-modbus``: 0x8005 reflected, from 0xFFFF.
-    data: shape (n, m); the bytes of n frames.
-    initial: Start value, if another.
+    `kind`: ``sum8`` and ``xor``: of the bytes. ``crc8``: polynomial 0x07, from 0. ``crc8_sae_j1850`` (AUTOSAR
+    Crc_CalculateCRC8): 0x1D, from 0xFF, inverted; ``..._zero``: from 0, not inverted. ``crc8_autosar``
+    (Crc_CalculateCRC8H2F): 0x2F, from 0xFF, inverted. ``crc16-ccitt``: 0x1021, from 0xFFFF ("CCITT-FALSE").
+    ``crc16-modbus``: 0x8005 reflected, from 0xFFFF.
 
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-
-    Examples
-    --------
     >>> text = np.frombuffer(b"123456789", np.uint8)[None]
     >>> [hex(checksums(kind, text)[0]) for kind in ("crc8", "crc16-ccitt", "crc16-modbus")]
     ['0xf4', '0x29b1', '0x4b37']

@@ -8,14 +8,8 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def moment_ns(text: str, option: str = "--start") -> int:
-    """Nanoseconds UTC of the moment that an option was given.
+    """Nanoseconds UTC of the moment that an option was given; raises BadInput if it is no moment, or has no time zone.
 
-    Raises
-    ------
-    BadInput: If it is no moment, or has no time zone.
-
-    Examples
-    --------
     >>> moment_ns("2026-11-21T18:00:00+08:00")
     1795255200000000000
     """

@@ -1,6 +1,5 @@
-"""The state of a run and the documents that it sends: what a station's run and a run of simulated units share."""
+"""What a station's run and a run of simulated units share: the state in a small file, and the documents."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 from uuid import NAMESPACE_URL, UUID, uuid5
@@ -8,9 +7,10 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 from msgspec.structs import replace
 
-from ingest.state_file import write_state
+from stream.atomic_file import write_durably
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
+from stream.errors import StoreError
 from stream.events import AnyDocument, StreamTotal
 from stream.identity import Place, SampleKey, event_key, parse_key
 
@@ -22,26 +22,45 @@ Phase = Literal["starting", "running", "ending", "ended"]
 recorder has everything."""
 
 
+def read_state(path: Path, kind: type[State]) -> State | None:
+    """The state that a file keeps, None without a file; raises StoreError if it cannot be read as this kind."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.MsgspecError) as error:
+        raise StoreError(
+            f"{path} cannot be read: {error}; the run's samples are safe, but it cannot be resumed: give another --run"
+        ) from error
+
+
+def write_state(path: Path, state: State) -> State:
+    """Put a state in the place of the one before, which stays if it cannot be written (StoreError); returns it.
+
+    >>> import tempfile
+    >>> class Progress(msgspec.Struct):
+    ...     step: int
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = write_state(Path(folder) / "run.json", Progress(3))
+    ...     read_state(Path(folder) / "run.json", Progress)
+    Progress(step=3)
+    """
+    try:
+        write_durably(path, msgspec.json.format(msgspec.json.encode(state)) + b"\n")
+    except OSError as error:
+        raise StoreError(f"{path} cannot be written: {error}; free space or mend the disk, and start again") from error
+    return state
+
+
 class RunRecord(Generic[State]):
-    """Owner of a run's state: only its methods change it, and every change is on disk when they return.
+    """Owner of a run's state: only its methods change it, and every change is in `file` when they return.
 
-    Parameters
-    ----------
-    state: How far the run is.
-    file: Where that is kept.
-    spool: Keeps what is sent until it is recorded.
-    place: Site and station.
-
-    Raises
-    ------
-    StoreError: From every method that changes the state, if it cannot be written.
+    The `spool` keeps what is sent until it is recorded. Every method that changes the state raises StoreError if it
+    cannot be written.
     """
 
     def __init__(self, state: State, file: Path, spool: Spool, place: Place) -> None:
-        self.state = state
-        self.place = place
-        self._file = file
-        self._spool = spool
+        self.state, self.place, self._file, self._spool = state, place, file, spool
         self._sender: Sender | None = None
 
     @property
@@ -51,14 +70,13 @@ class RunRecord(Generic[State]):
 
     def _totals(self) -> tuple[StreamTotal, ...]:
         """Samples of every stream of the run."""
-        return tuple(sorted(self._stream_totals(), key=lambda total: (total.unit, total.signal, total.epoch)))
-
-    def _stream_totals(self) -> Iterator[StreamTotal]:
+        totals = []
         for stream, known in self._spool.streams.items():
             key = parse_key(stream.key)
             if isinstance(key, SampleKey) and known.appended:
                 epoch = str(UUID(stream.epoch))
-                yield StreamTotal(unit=key.unit, signal=key.signal, epoch=epoch, samples=known.appended)
+                totals.append(StreamTotal(unit=key.unit, signal=key.signal, epoch=epoch, samples=known.appended))
+        return tuple(sorted(totals, key=lambda total: (total.unit, total.signal, total.epoch)))
 
     def _save(self, **changes: Any) -> None:
         self.state = write_state(self._file, replace(self.state, **changes))

@@ -9,21 +9,10 @@ class StationClock:
     """Time of day at a station, in nanoseconds UTC.
 
     Whoever drives or reads instruments asks this clock and waits by it, so that a simulated station can run through a
-    day in minutes. At a speed of 1 it is the computer's clock.
+    day in minutes. At a speed of 1 it is the computer's clock. It shows `start_ns`, by default the time of day, at the
+    moment `origin_s` of `time.time()`, by default now; clocks of several processes agree if they share it. Raises
+    BadInput if the speed is not positive.
 
-    Parameters
-    ----------
-    speed: Seconds at the station in a second of the computer.
-    start_ns: What it shows at `origin_s`; by default the time of day.
-    origin_s: Moment of `time.time()` to which `start_ns` belongs; by default now. Clocks of several processes agree if
-        they share it.
-
-    Raises
-    ------
-    BadInput: If the speed is not positive.
-
-    Examples
-    --------
     >>> clock = StationClock(speed=1000.0, start_ns=0)
     >>> clock.sleep(0.5)
     >>> 0.5 <= clock.now_ns() / 1e9

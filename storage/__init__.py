@@ -11,9 +11,7 @@ if TYPE_CHECKING:
 def open_store(folder: "str | PathLike[str]", limits: "QueryLimits | None" = None) -> "OpenedStore":
     """Open a store to ask it in SQL from Python; see `storage.sql.opened.OpenedStore`.
 
-    Raises
-    ------
-    StoreError: If the folder is no store.
+    Raises a StoreError if the folder is no store.
     """
     from storage.sql.opened import OpenedStore
 

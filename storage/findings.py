@@ -11,25 +11,16 @@ KEPT_DAMAGED = "kept_damaged"
 class Severity(StrEnum):
     """How severe a finding is."""
 
-    DAMAGE = "damage"
-    """Something differs from what was written, or is missing."""
-    LOSS = "loss"
-    """Samples or documents are missing, and the log does not document it."""
-    UNFINISHED = "unfinished"
-    """An interrupted process left work to finish; nothing is lost."""
-    NOTE = "note"
-    """For information; the store is sound."""
+    DAMAGE = "damage"  # something differs from what was written, or is missing
+    LOSS = "loss"  # samples or documents are missing, and the log does not document it
+    UNFINISHED = "unfinished"  # an interrupted process left work to finish; nothing is lost
+    NOTE = "note"  # for information; the store is sound
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """One finding.
+    """One finding: `kind` for programs, in one word; `where`, a file or stream; `what`, a sentence for people.
 
-    Parameters
-    ----------
-    kind: For programs, in one word.
-    where: File or stream.
-    what: For people, in a sentence.
-    remedy: What `gyrofleet recover` would do, or a person should.
+    `remedy` is what `gyrofleet recover` would do, or a person should.
     """
 
     kind: str

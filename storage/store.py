@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Self
 from uuid import uuid4
 
-from storage.segments.disk import DISK
 from storage.store_marker import (
     MARKER,
     alone_in,
@@ -36,8 +35,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, identity: str) -> None:
-        self.folder = folder
-        self.identity = identity
+        self.folder, self.identity = folder, identity
         self.log = folder / "log"
         self.aside = folder / "log" / "aside"
         self.lake = folder / "lake"
@@ -47,9 +45,7 @@ class Store:
     def open(cls, folder: Path) -> Self:
         """Open an existing store.
 
-        Raises
-        ------
-        StoreError: If the folder is missing, is not a store, or was written by a newer gyrofleet.
+        Raises a StoreError if the folder is missing, is not a store, or was written by a newer gyrofleet.
         """
         marker = folder / MARKER
         try:
@@ -76,9 +72,7 @@ class Store:
     def create(cls, folder: Path) -> Self:
         """Open a store for writing; create it if the folder is empty or missing, or its creation was interrupted.
 
-        Raises
-        ------
-        StoreError: If the folder holds other files, or cannot be written.
+        Raises a StoreError if the folder holds other files, or cannot be written.
         """
         marker = folder / MARKER
         try:
@@ -148,10 +142,7 @@ class Store:
 class WriterLock:
     """Lock of the one process that writes a store: on ``writer.lock``, which names the holder, and on the log folder.
 
-    Parameters
-    ----------
-    role: Who writes, for the error message of other processes.
-    endpoint: Where the writer listens; empty if it does not.
+    `role` is who writes, for the error message of other processes; `endpoint` is where, empty if it does not listen.
     """
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
@@ -265,8 +256,3 @@ def check_outside(store: Store, path: Path) -> None:
         inside = target.relative_to(folder).parts
         if len(inside) < 2 or inside[0] not in _OUTPUT_FOLDERS:
             raise BadInput(f"{path} would lie among the files of the store {store.folder}; give a file elsewhere")
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable."""
-    DISK.sync_folder(folder)

@@ -7,29 +7,15 @@ from pathlib import Path
 
 
 def write_durably(
-    path: Path,
-    content: bytes,
-    *,
-    fresh: Path | None = None,
-    mode: int | None = None,
-    previous: Path | None = None,
+    path: Path, content: bytes, *, fresh: Path | None = None, mode: int | None = None, previous: Path | None = None,
     overwrite: bool = True,
-) -> None:
+) -> None:  # fmt: skip
     """Write a file that is on disk, with its name, when this returns; a crash leaves the old file or the new one.
 
-    Parameters
-    ----------
-    fresh: Temporary file on the same file system, by default ``PATH.part``.
-    mode: Permissions, if not the usual ones.
-    previous: Keep the file that is replaced under this name; a crash may leave it there alone.
-    overwrite: If not, a file that exists is a FileExistsError.
+    It is written to `fresh` on the same file system, by default ``PATH.part``, with the permissions `mode`. The file
+    that is replaced is kept as `previous`; a crash may leave it there alone. Unless `overwrite`, a file that exists
+    is a FileExistsError. After an OSError the old file is still there, under its name or `previous`.
 
-    Raises
-    ------
-    OSError: If it cannot be written; the old file is then still there, under its name or `previous`.
-
-    Examples
-    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "state.json"
@@ -65,8 +51,6 @@ def write_durably(
 def replacement(path: Path, fresh: Path | None = None) -> Iterator[Path]:
     """A temporary path to write to, which replaces `path` unless the block raises; not synced to disk.
 
-    Examples
-    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with replacement(Path(folder) / "table.csv") as fresh:

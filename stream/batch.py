@@ -28,6 +28,9 @@ INT64_MAX = np.iinfo(np.int64).max
 class SampleBatch:
     """Consecutive samples of one signal of one unit.
 
+    A BadInput is raised if the arrays do not fit together, a scale is not finite, or a number or name is beyond its
+    bounds.
+
     Parameters
     ----------
     epoch: Power-on of the source; `seq` counts within it.
@@ -41,12 +44,6 @@ class SampleBatch:
     irregular: True where the samples do not lie within a tenth of an interval of a grid of `dt_ns`.
     flags: shape (n,); set only where a sample of the batch has one.
 
-    Raises
-    ------
-    BadInput: If the arrays do not fit together, a scale is not finite, or a number or name is beyond its bounds.
-
-    Examples
-    --------
     >>> from uuid import UUID
     >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, "deg/s",
     ...                     counts=np.array([1, 2, 3], np.int32), scale=0.5)
@@ -120,15 +117,7 @@ class SampleBatch:
         return self.t0_ns + (len(self) - 1) * self.dt_ns
 
     def part(self, start: int, stop: int) -> "SampleBatch":
-        """Samples `start` to `stop` of the batch, as a batch; the arrays are views.
-
-        Examples
-        --------
-        >>> from uuid import UUID
-        >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10, "deg/s", values=np.array([1.0, 2.0, 3.0]))
-        >>> batch.part(1, 3).seq, batch.part(1, 3).t0_ns, batch.part(1, 3).values.tolist()
-        (1, 10, [2.0, 3.0])
-        """
+        """Samples `start` to `stop` of the batch, as a batch; the arrays are views."""
         return replace(
             self,
             seq=self.seq + start,

@@ -27,8 +27,6 @@ _NAMES = ("run", "unit", "signal")
 def beyond_bounds(document: msgspec.Struct) -> str | None:
     """What is out of bounds in a document, as a phrase; None if nothing is.
 
-    Examples
-    --------
     >>> from stream.events import RunResumed
     >>> beyond_bounds(RunResumed(run="r1", t_ns=0, gap_ns=10**9))
     >>> beyond_bounds(RunResumed(run="r1", t_ns=0, gap_ns=2**80))

@@ -27,17 +27,11 @@ class GridTracker:
     that is slightly slow or fast never causes holes, and a gap takes its true place in time.
     A sample whose time is not after that of the last one placed is left out.
 
-    Attributes
-    ----------
-    samples: Samples placed that hold a finite value.
-    missing: Slots up to the last one without a finite value: never sent, or NaN.
-    late: Samples left out because their time was not after that of the last one placed.
-    start_slot, start_ns: Of a continuation, the next slot and the last time of the tracker before it; else 0.
-    irregular: True once a batch on no grid has come. From then on every sample takes one slot, slots are unrelated to
-        time, and samples that were not sent are not detected.
+    `samples` were placed and hold a finite value; `missing` slots up to the last one hold none: never sent, or NaN;
+    `late` samples were left out. Of a continuation, `start_slot` and `start_ns` are the next slot and the last time of
+    the tracker before it, else 0. `irregular` is True once a batch on no grid has come: from then on every sample takes
+    one slot, slots are unrelated to time, and samples that were not sent are not detected.
 
-    Examples
-    --------
     >>> from uuid import UUID
     >>> def batch(t0_ns, n):
     ...     return SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, t0_ns, 10, "deg/s", values=np.zeros(n))
@@ -51,16 +45,10 @@ class GridTracker:
     """
 
     def __init__(self) -> None:
-        self.samples = 0
-        self.missing = 0
-        self.late = 0
+        self.samples = self.missing = self.late = 0
         self.irregular = False
-        self.dt_ns = 0
-        self.first_ns = 0
-        self.last_ns = 0
-        self.next_slot = 0
-        self.start_ns = 0
-        self.start_slot = 0
+        self.dt_ns = self.first_ns = self.last_ns = self.next_slot = 0
+        self.start_ns = self.start_slot = 0
 
     @property
     def sample_interval_s(self) -> float:
@@ -120,10 +108,8 @@ class GridTracker:
     def place(self, batch: SampleBatch) -> list[Piece]:
         """Slots of the samples of `batch` that are not late, as pieces without holes.
 
-        Raises
-        ------
-        EstimatorError: If the nominal interval differs from that of the first batch by more than 0.1 %, or the times
-            lie too far apart to be numbered.
+        Raises an EstimatorError if the nominal interval differs from that of the first batch by more than 0.1 %, or the
+        times lie too far apart to be numbered.
         """
         n, t0_ns = len(batch), batch.t0_ns
         if batch.dt_ns != self.dt_ns:

@@ -22,12 +22,7 @@ def completion(ctx: click.Context, shell: str) -> None:
 
 
 class ListedName(click.ParamType[str]):
-    """Text that the shell completes from a list.
-
-    Parameters
-    ----------
-    names: Gives the list when the shell asks.
-    """
+    """Text that the shell completes from the list that `names` gives when it asks."""
 
     name = "text"
 

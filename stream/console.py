@@ -38,13 +38,9 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 
 store_option = click.option(
-    "--store",
-    "folder",
-    type=click.Path(path_type=Path),
-    default=DEFAULT_STORE,
-    show_default=True,
+    "--store", "folder", type=click.Path(path_type=Path), default=DEFAULT_STORE, show_default=True,
     help="Folder of the store.",
-)
+)  # fmt: skip
 
 estimates_option = click.option(
     "--estimates",
@@ -78,8 +74,6 @@ class PlainConsole(Console):
 def shown_text(text: str) -> str:
     r"""Make control characters and marks of writing direction visible.
 
-    Examples
-    --------
     >>> print(shown_text("FOG\x1b[31m-1"))
     FOG\x1b[31m-1
     """
@@ -94,8 +88,6 @@ def styled(text: str, style: str) -> Text:
 def csv_text(text: str) -> str:
     """Put an apostrophe before text that a spreadsheet would take for a formula.
 
-    Examples
-    --------
     >>> csv_text("=1+1"), csv_text("-0.5"), csv_text("rate")
     ("'=1+1", '-0.5', 'rate')
     """
@@ -129,8 +121,6 @@ def json_text(value: Any) -> str:
 def counted(number: int, what: str) -> str:
     """Format a number with its noun.
 
-    Examples
-    --------
     >>> counted(1, "unit"), counted(2000, "unit")
     ('1 unit', '2,000 units')
     """

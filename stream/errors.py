@@ -8,8 +8,7 @@ expected, and what to do next.
 class GyrofleetError(Exception):
     """Base class of all errors that gyrofleet raises on purpose; the text is for people."""
 
-    exit_code = 1
-    """Exit code of a command that fails with it."""
+    exit_code = 1  # exit code of a command that fails with it
 
 
 class BadInput(GyrofleetError):

@@ -155,21 +155,16 @@ class SpecificationAction(StrEnum):
     ADDED = "added"
     REVISED = "revised"
     WITHDRAWN = "withdrawn"
-    SETTLED = "settled"
-    """A person accepts that documents before it are lost."""
+    SETTLED = "settled"  # a person accepts that documents before it are lost
 
 
 class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
     """A revision of a product specification is added or withdrawn, or a loss accepted; `run` is empty.
 
-    Parameters
-    ----------
-    action: The change; ``revised`` adds a revision of an existing name.
-    content: The TOML; empty where it is withdrawn.
-    previous: SHA-256 of the specification document before it in the store; empty in the first.
-    rejudges: Whether earlier records are judged again.
-    settles: Hashes of documents at which the chain is broken, which a person accepts.
-    store, seal: Identity of its store, and the seal: recorders of several stores may share one bus.
+    `content` is the TOML, empty where it is withdrawn. `previous` is the SHA-256 of the specification document before
+    it in the store, empty in the first. `rejudges` says whether earlier records are judged again; `settles` are hashes
+    of documents at which the chain is broken, which a person accepts. Recorders of several stores may share one bus:
+    `store` is the identity of its store, `seal` the seal.
     """
 
     action: SpecificationAction
@@ -198,12 +193,8 @@ class Limit(msgspec.Struct, frozen=True, kw_only=True):
 class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
     """Live limits that a run is judged by; with the planned duration it can be decided early.
 
-    Parameters
-    ----------
-    revision: Specifications that the limits are of, such as ``FOG-70-B``.
-    planned_s: Planned duration of what is judged, seconds.
-    unit: Unit that they apply to; every unit of the run where it is left out.
-    since_ns: Start of the record that is judged, which lasts `planned_s`; the whole run where it is left out.
+    `revision` has the specifications that the limits are of, such as ``FOG-70-B``. They apply to every unit of the run
+    where `unit` is left out, and to the whole run where `since_ns`, the start of a record of `planned_s`, is.
     """
 
     revision: str
@@ -398,29 +389,10 @@ class RunEnded(Document, frozen=True, kw_only=True, tag=True):
 
 
 AnyDocument = (
-    RunStarted
-    | StepStarted
-    | StepEnded
-    | PowerOn
-    | PowerOff
-    | UnitMounted
-    | NoteAdded
-    | StationStated
-    | CheckEntered
-    | SpecificationEntered
-    | LimitsApplied
-    | EstimatePublished
-    | NoiseFitted
-    | SpectralLinesFound
-    | EarlyDecision
-    | VerdictGiven
-    | ModelActivated
-    | CompensationStarted
-    | ResidualWatched
-    | RunResumed
-    | StoreNoted
-    | RunEnded
-)
+    RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitMounted | NoteAdded | StationStated | CheckEntered
+    | SpecificationEntered | LimitsApplied | EstimatePublished | NoiseFitted | SpectralLinesFound | EarlyDecision
+    | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched | RunResumed | StoreNoted | RunEnded
+)  # fmt: skip
 
 
 class EventMessage(msgspec.Struct, frozen=True, kw_only=True):
@@ -449,16 +421,7 @@ def encode_event(document: AnyDocument, epoch: str, seq: int) -> bytes:
 def decode_event(payload: bytes) -> EventMessage:
     """Read a document from its wire form.
 
-    Raises
-    ------
-    NewerSchema: If it was written by a newer gyrofleet.
-    WireError: If it is not a document.
-
-    Examples
-    --------
-    >>> note = NoteAdded(run="r1", t_ns=0, text="door opened")
-    >>> decode_event(encode_event(note, "e", 0)).document == note
-    True
+    Raises a NewerSchema if it was written by a newer gyrofleet, a WireError if it is not a document.
     """
     try:
         schema = _head_decoder.decode(payload).schema

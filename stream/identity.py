@@ -53,12 +53,8 @@ class EventKey(NamedTuple):
 def check_name(kind: str, name: str) -> str:
     """Return `name` if it can be part of a key expression; `kind`, such as ``unit``, is for the message.
 
-    Raises
-    ------
-    BadInput: If the name is empty, longer than 128 characters, or holds white space or one of ``/ * $ ? #``.
+    Raises a BadInput if the name is empty, longer than 128 characters, or holds white space or one of ``/ * $ ? #``.
 
-    Examples
-    --------
     >>> check_name("unit", "FOG-0231")
     'FOG-0231'
     """
@@ -73,8 +69,6 @@ def check_name(kind: str, name: str) -> str:
 def sample_key(place: Place, unit: str, signal: str) -> str:
     """Key expression of the samples of one signal.
 
-    Examples
-    --------
     >>> sample_key(Place("plant", "chamber-2"), "FOG-0231", "rate")
     'gyrofleet/plant/chamber-2/FOG-0231/rate'
     """
@@ -94,8 +88,6 @@ def event_key(place: Place) -> str:
 def parse_key(key: str) -> SampleKey | EstimateKey | EventKey:
     """The parts of a key expression; a BadInput if it is none of the three forms above.
 
-    Examples
-    --------
     >>> parse_key("gyrofleet/plant/chamber-2/event")
     EventKey(place=Place(site='plant', station='chamber-2'))
     """

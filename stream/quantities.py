@@ -32,12 +32,8 @@ def _registry() -> "pint.UnitRegistry[float]":
 def check_unit(text: str) -> str:
     """Return `text` if it is a unit of measure that pint can parse; an empty text means dimensionless, ``1``.
 
-    Raises
-    ------
-    UnknownUnit: If it is none; the message names similar units.
+    Raises a UnknownUnit if it is none; the message names similar units.
 
-    Examples
-    --------
     >>> check_unit("deg/s")
     'deg/s'
     """
@@ -56,8 +52,6 @@ def check_unit(text: str) -> str:
 def conversion(source: str, target: str) -> tuple[float, float]:
     """Factor and offset that convert a value from `source` to `target` units; an UnknownUnit if it is not possible.
 
-    Examples
-    --------
     >>> conversion("deg/s", "deg/h")
     (3600.0, 0.0)
     """
@@ -80,8 +74,6 @@ def is_angular_rate(text: str) -> bool:
 
     To pint angles are dimensionless, so that deg/s and Hz have one dimension: angles are recognised by name.
 
-    Examples
-    --------
     >>> is_angular_rate("rad/s"), is_angular_rate("Hz"), is_angular_rate("rpm"), is_angular_rate("mdps")
     (True, False, True, True)
     """
@@ -98,8 +90,6 @@ def report_unit(text: str) -> tuple[str, float]:
 
     Angular rates are reported in deg/h, everything else in its own unit.
 
-    Examples
-    --------
     >>> report_unit("deg/s"), report_unit("degC")
     (('deg/h', 3600.0), ('degC', 1.0))
     """
@@ -114,8 +104,6 @@ def result_factor(source: str, target: str) -> float:
 
     Here an angle has a dimension: Hz is not deg/h, and ppm not arcsec.
 
-    Examples
-    --------
     >>> result_factor("deg/sqrt(h)", "deg/sqrt(s)") * 60
     1.0
     >>> result_factor("deg/h", "Hz")
@@ -134,8 +122,6 @@ def result_factor(source: str, target: str) -> float:
 def check_result_unit(text: str) -> str:
     """Return `text` if it is a unit of a result: like `check_unit`, and ``sqrt(h)`` is allowed.
 
-    Examples
-    --------
     >>> check_result_unit("deg/sqrt(h)")
     'deg/sqrt(h)'
     """
@@ -162,3 +148,12 @@ def _powers(text: str) -> dict[str, float]:
 
 def _unit(text: str) -> pint.Unit:
     return _registry().parse_units("" if check_unit(text) == "1" else text)
+
+
+def format_unit(unit_of_measure: str | None) -> str:
+    """A unit of measure for display; empty for a dimensionless number.
+
+    >>> format_unit("deg/h/(degC/s)"), format_unit("1")
+    ('deg/h/(degC/s)', '')
+    """
+    return "" if unit_of_measure in (None, "", "1") else str(unit_of_measure)

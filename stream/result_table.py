@@ -19,13 +19,8 @@ class ResultTable(Table):
     It is framed where it fits; in less room the frame goes, then text wraps between words. Where a column would have
     to break a word, each row becomes a block of lines, one a column, as psql's expanded display does.
 
-    Parameters
-    ----------
-    headers: Column titles.
-    title, caption: Text above and below the table.
+    Its columns are titled by `headers`; `title` and `caption` stand above and below it.
 
-    Examples
-    --------
     >>> table = ResultTable("unit", "reason")
     >>> table.add_row("FOG-1", "2 rates needed, 1 seen")
     >>> Console(width=12).print(table)

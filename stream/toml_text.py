@@ -12,8 +12,6 @@ _LONG_KEY = re.compile(r"(?:[\w\"'-]{1,64}+[ \t]{0,4}+\.[ \t]{0,4}+){200}")
 def decode_toml(text: str | bytes, kind: type[T]) -> T:
     """Read TOML as `kind`; a msgspec.DecodeError if it is invalid, nested too deeply, or has numbers too long.
 
-    Examples
-    --------
     >>> decode_toml("a = " + "[" * 5000, dict[str, int])
     Traceback (most recent call last):
     msgspec.DecodeError: tables or lists are nested too deeply

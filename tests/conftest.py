@@ -11,14 +11,27 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from tests import free_ports as ports
 from tests.forked_commands import CommandServer
 
+# machines are loaded while tests run
+settings.register_profile("gyrofleet", deadline=None)
+settings.load_profile("gyrofleet")
 # tables are as wide as in a file, wherever the tests run
 os.environ.pop("COLUMNS", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m "not long"` is applied
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test with the mark `in_gate(*ids)`, mark the parameters of other ids as long."""
+    for item in items:
+        mark = item.get_closest_marker("in_gate")
+        if mark is not None and item.callspec.id not in mark.args:  # type: ignore[attr-defined]
+            item.add_marker("long")
 
 
 @pytest.fixture(scope="session")

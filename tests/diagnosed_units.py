@@ -7,12 +7,11 @@ import msgspec
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.reduction_notes import Note
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.report.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import significant_findings
-from analytics.loop.tracing.result.finding import EffectCoefficient, FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import EffectCoefficient, FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from analytics.loop.unit_reduction import GIVEN, ReducedUnit
 from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted

@@ -2,7 +2,8 @@
 
 What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
 files, signals and end; only the start, one to three seconds of importing, is that of the server
-(``python -P tests/forked_commands.py SOCKET``). A few tests start the installed program itself.
+(``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked from the command's, but
+where its time or memory is limited. A few tests start the installed program itself.
 """
 
 import array
@@ -15,7 +16,9 @@ import socket
 import subprocess
 import sys
 import tempfile
+import traceback
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 _PR_SET_CHILD_SUBREAPER = 36
@@ -26,6 +29,7 @@ _PARTS = 23
 _WANTED = (
     "analytics.evaluation.evaluation",
     "analytics.loop.tracing.diagnosis",
+    "analytics.metric_registry.registry",
     "ingest.importing.importer",
     "matplotlib.pyplot",
     "scipy.signal",
@@ -120,12 +124,45 @@ class ForkedProcess(subprocess.Popen[str]):
             os.close(given)
 
 
+class ForkedSqlProcess(subprocess.Popen[bytes]):
+    """The process of `storage.sql.child`, forked from one that has its libraries loaded."""
+
+    def _execute_child(self, *parts: Any) -> None:
+        assert len(parts) == _PARTS, f"Popen of Python {sys.version} hands {len(parts)} parts on, not {_PARTS}"
+        assert parts[0][-1] == "storage.sql.child", parts[0]
+        ends = (parts[10], parts[13], parts[15])
+        others = (parts[11], parts[12], parts[14])
+        self.pid = os.fork()
+        if self.pid == 0:
+            import numba
+
+            from storage.sql import child
+
+            vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
+            for number, end in enumerate(ends):
+                os.dup2(end, number)
+            for end in {*ends, *others} - {-1}:
+                os.close(end)
+            try:
+                child.main()
+            except BaseException:  # noqa: BLE001  printed as the interpreter would
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(1)
+        self._child_created = True
+        for end in ends:
+            os.close(end)
+
+
 def _serve(path: str) -> None:
+    import storage.sql.door
     from gyrofleet import front_door
     from stream.worker.compile_kernels import warm_up
 
     for name in _WANTED:
         importlib.import_module(name)
+    sys.modules["analytics.metric_registry.registry"].metrics()
     warm_up()
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(path)
@@ -143,6 +180,9 @@ def _serve(path: str) -> None:
                 line.close()
                 server.close()
                 _become(request, files)
+                if not {"--max-time", "--max-memory"}.intersection(request["arguments"]):
+                    forking = SimpleNamespace(**{**vars(subprocess), "Popen": ForkedSqlProcess})
+                    vars(storage.sql.door)["subprocess"] = forking
                 sys.argv = ["gyrofleet", *request["arguments"]]
                 front_door()
             os.waitpid(between, 0)

@@ -6,10 +6,9 @@ from uuid import UUID
 import numpy as np
 
 from analytics.loop.live.live_compensator import LiveCompensator, Out
-from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import InUse
-from analytics.loop.model.noise import ModelNoise
 from storage.store import Store
 from stream.batch import FloatArray, SampleBatch
 from stream.events import AnyDocument, ModelActivated, RunEnded, StreamTotal

@@ -14,10 +14,10 @@ import pytest
 DOCS = Path(__file__).parents[1] / "docs"
 BLOCK = re.compile(r"^```(python|sh|text)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 RUN = (
-    "tutorials/test-engineer.md",
-    "tutorials/quality-manager.md",
-    "tutorials/model-engineer.md",
     "tutorials/laboratory.md",
+    pytest.param("tutorials/test-engineer.md", marks=pytest.mark.long),
+    pytest.param("tutorials/quality-manager.md", marks=pytest.mark.long),
+    pytest.param("tutorials/model-engineer.md", marks=pytest.mark.long),
 )
 
 

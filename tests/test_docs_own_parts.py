@@ -58,6 +58,7 @@ def test_a_metric_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
     assert found["clause"] == "5.12.1 (19)"
 
 
+@pytest.mark.long
 def test_an_effect_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
     effects = house / "analytics" / "loop" / "effects"
     (effects / "ambient_pressure.py").write_text(block("own-effect.md", "python"), encoding="utf-8")

@@ -1,7 +1,6 @@
 """Estimates of plain arrays, without a store: Allan deviation and noise coefficients."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from analytics.curves.allan_curve import AllanCurve
+from analytics.curves.allan_curve import AllanCurve, curve_of_points
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
 from stream.errors import BadInput, EstimatorError, NotEnoughData
@@ -123,7 +122,8 @@ def allan_deviation(
         if isinstance(points, NoEstimate):
             raise NotEnoughData(points.reason.removeprefix("unit array, signal values: "))
         exact = 1e9 / (rate_hz * interval_ns)  # intervals count in whole nanoseconds
-        return _curve([msgspec.structs.replace(each, tau_s=each.tau_s * exact) for each in points], record, kind)
+        points = tuple(msgspec.structs.replace(each, tau_s=each.tau_s * exact) for each in points)
+        return deviation_curve(curve_of_points(("array", "values", ""), record, points, kind, "full"))
 
 
 def noise_fit(curve: DeviationCurve) -> NoiseFit:
@@ -203,21 +203,14 @@ def _interval_ns(rate_hz: float) -> int:
     return round(interval_ns)
 
 
-def _curve(points: Sequence[EstimatePoint], record: FullOverlap, kind: Deviation) -> DeviationCurve:
-    columns = {name: np.array([getattr(each, name) for each in points]) for name in ("tau_s", "lo", "hi", "edf", "n")}
-    values = np.array([each.value for each in points])
-    curve = AllanCurve(
-        unit="array",
-        signal="values",
-        run="",
-        unit_of_measure=record.unit_of_measure,
-        sample_interval_s=record.sample_interval_s,
-        samples=record.samples,
-        missing=record.missing,
-        adev=tuple(values.tolist()),
-        **{name: tuple(columns[name].tolist()) for name in ("tau_s", "lo", "hi", "edf")},
-        deviation=kind,
-        overlap="full",
-        plausible=tuple(each.plausible for each in points),
+def deviation_curve(curve: AllanCurve) -> DeviationCurve:
+    """The columns of a curve as arrays."""
+    columns = {name: np.array(getattr(curve, name)) for name in ("tau_s", "lo", "hi", "edf")}
+    return DeviationCurve(
+        deviation=np.array(curve.adev),
+        n=np.array(curve.windows, np.int64),
+        kind=curve.deviation,
+        unit_of_measure=curve.unit_of_measure,
+        curve=curve,
+        **columns,
     )
-    return DeviationCurve(deviation=values, kind=kind, unit_of_measure=record.unit_of_measure, curve=curve, **columns)

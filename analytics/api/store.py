@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from analytics.api.arrays import DeviationCurve
+from analytics.api.arrays import DeviationCurve, deviation_curve
 from ingest.moment import moment_ns
 from storage.sql.door import QueryLimits
 from storage.sql.opened import Answer, OpenedStore
@@ -142,15 +142,7 @@ class FleetStore:
         curve = allan_curve(
             self._catalog, unit, signal, run, points_per_octave=points_per_octave, deviation=Deviation(deviation)
         )
-        columns = {name: np.array(getattr(curve, name)) for name in ("tau_s", "lo", "hi", "edf")}
-        return DeviationCurve(
-            deviation=np.array(curve.adev),
-            n=np.array(curve.windows, np.int64),
-            kind=curve.deviation,
-            unit_of_measure=curve.unit_of_measure,
-            curve=curve,
-            **columns,
-        )
+        return deviation_curve(curve)
 
     def metrics(
         self,
@@ -273,6 +265,5 @@ def _moment_ns(moment: str | datetime | np.datetime64 | int | np.integer[Any] | 
     try:
         return operator.index(moment)
     except TypeError:
-        raise BadInput(
-            f"{name} is {moment!r}: a moment with a time zone, or whole nanoseconds UTC, are expected"
-        ) from None
+        asked = "a moment with a time zone, or whole nanoseconds UTC, are expected"
+        raise BadInput(f"{name} is {moment!r}: {asked}") from None

@@ -29,12 +29,9 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 @click.option("--run", type=RUN, help="Which run; by default the one with the longest record.")
 @store_option
 @click.option(
-    "--points-per-octave",
-    type=click.Choice(["1", "2", "4", "8"]),
-    default="1",
-    show_default=True,
+    "--points-per-octave", type=click.Choice(["1", "2", "4", "8"]), default="1", show_default=True,
     help="Averaging times in an octave.",
-)
+)  # fmt: skip
 @click.option("--tau", "taus", metavar="SECONDS,...", help="These averaging times, as 10,100,1000.")
 @click.option(
     "--deviation",
@@ -63,25 +60,11 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 @click.option("--step", "step_h", type=float, metavar="HOURS", help="Step of the rolling window, by default 1/8 of it.")
 @reporting
 def allan(
-    unit: str,
-    signal: str,
-    run: str | None,
-    folder: Path,
-    points_per_octave: str,
-    taus: str | None,
-    kind: str,
-    overlap: "Overlap | None",
-    resample_s: float | None,
-    plot_path: Path | None,
-    compare: tuple[str, ...],
-    limits_path: Path | None,
-    window_h: float | None,
-    step_h: float | None,
-    *,
-    fit: bool,
-    as_json: bool,
-) -> None:
-    """Allan deviation of a recorded signal, or another deviation, with 95 % confidence limits.
+    unit: str, signal: str, run: str | None, folder: Path, points_per_octave: str, taus: str | None, kind: str,
+    overlap: "Overlap | None", resample_s: float | None, plot_path: Path | None, compare: tuple[str, ...],
+    limits_path: Path | None, window_h: float | None, step_h: float | None, *, fit: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Allan deviation of a recorded signal, or another deviation, with 95 % confidence bounds.
 
     Drawn limits are those of a specification (`gyrofleet limits --help`) on allan_deviation and angle_random_walk.
     """
@@ -113,16 +96,9 @@ def allan(
 
         def curve_of(unit: str, run: str | None) -> "AllanCurve":
             return allan_curve(
-                catalog,
-                unit,
-                signal,
-                run,
-                points_per_octave=int(points_per_octave),
-                resample_s=resample_s,
-                deviation=deviation,
-                overlap=overlap,
-                taus_s=taus_s,
-            )
+                catalog, unit, signal, run, points_per_octave=int(points_per_octave), resample_s=resample_s,
+                deviation=deviation, overlap=overlap, taus_s=taus_s,
+            )  # fmt: skip
 
         curve = curve_of(unit, chosen_run(catalog, unit, signal, run))
         others = [curve_of(each, in_run) for each, in_run in _fleet(catalog, curve, compare)]
@@ -145,7 +121,7 @@ def chosen_run(catalog: "Catalog", unit: str, signal: str, run: str | None) -> s
     record = find_signal(catalog, unit, signal, run)
     if record.runs > 1:
         text = f"run {record.run}: the longest record of {record.runs} runs; --run chooses another"
-        notes().print(text, markup=False, soft_wrap=True)
+        notes().print(text, soft_wrap=True)
     return record.run
 
 
@@ -170,8 +146,7 @@ def _show(
     *,
     as_json: bool,
 ) -> None:
-    from analytics.curves.noise_coefficients import curve_document
-    from analytics.curves.noise_table import noise_table
+    from analytics.curves.noise_coefficients import curve_document, noise_table
     from stream.estimators.base import NoEstimate
 
     if as_json:
@@ -179,23 +154,18 @@ def _show(
         return
     results().print(_curve_table(curve))
     if isinstance(found, NoEstimate):
-        results().print(f"No noise coefficients (无噪声系数): {found.reason}", soft_wrap=True, markup=False)
+        results().print(f"No noise coefficients (无噪声系数): {found.reason}", soft_wrap=True)
     elif found is not None:
         results().print(noise_table(curve, found))
         if outliers is not None and outliers.is_worth_a_word:
             text = f"warning (警告): {outliers.sentence} (孤立离群值使N偏大)"
-            results().print(text, soft_wrap=True, markup=False)
+            results().print(text, soft_wrap=True)
 
 
 def _rolling(
-    folder: Path,
-    which: tuple[str, str, str | None],
-    hours: tuple[float, float | None],
-    points_per_octave: int,
-    plot_path: Path | None,
-    *,
-    as_json: bool,
-) -> None:
+    folder: Path, which: tuple[str, str, str | None], hours: tuple[float, float | None], points_per_octave: int,
+    plot_path: Path | None, *, as_json: bool,
+) -> None:  # fmt: skip
     from analytics.curves.rolling_allan import rolling_allan
     from storage.sql.catalog import Catalog
     from storage.store import Store
@@ -204,14 +174,10 @@ def _rolling(
     with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
         unit, signal, run = which
         surface = rolling_allan(
-            catalog,
-            unit,
-            signal,
-            chosen_run(catalog, unit, signal, run),
-            window_s=window_h * _SECONDS_PER_HOUR,
+            catalog, unit, signal, chosen_run(catalog, unit, signal, run), window_s=window_h * _SECONDS_PER_HOUR,
             step_s=(window_h / 8 if step_h is None else step_h) * _SECONDS_PER_HOUR,
             points_per_octave=points_per_octave,
-        )
+        )  # fmt: skip
     if plot_path is not None:
         from analytics.plots.rolling_plot import plot_rolling
 
@@ -256,9 +222,7 @@ def _curve_table(curve: "AllanCurve") -> ResultTable:
     )
     for title in ("tau s", f"deviation {curve.unit_of_measure}", "from", "to", "degrees of freedom", "noise α"):
         table.add_column(title, justify="right")
-    noises = curve.plausible or ((),) * len(curve.tau_s)
-    for row in zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, noises, strict=True):
-        tau_s, *values, edf, noise = row
-        exponents = " ".join(str(exponent) for exponent in noise)
-        table.add_row(f"{tau_s:g}", *(f"{value:.5g}" for value in values), f"{edf:,.1f}", exponents)
+    noises = [" ".join(map(str, noise)) for noise in curve.plausible] or [""] * len(curve.tau_s)
+    for tau_s, *values, edf, noise in zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, noises, strict=True):
+        table.add_row(f"{tau_s:g}", *(f"{value:.5g}" for value in values), f"{edf:,.1f}", noise)
     return table

@@ -16,13 +16,9 @@ if TYPE_CHECKING:
 @store_option
 @click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
 @click.option(
-    "--watch-every",
-    "watch_every_s",
-    type=click.FloatRange(min=1.0),
-    default=60.0,
-    show_default=True,
+    "--watch-every", "watch_every_s", type=click.FloatRange(min=1.0), default=60.0, show_default=True,
     help="Seconds between looks at runs that have been recorded, which may refuse a model.",
-)
+)  # fmt: skip
 @reporting
 def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_json: bool) -> None:
     """Take off what the live error models predict, as SIGNAL_compensated beside the raw signal, until stopped.
@@ -52,7 +48,7 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
         if as_json:
             print_json(document)
         else:
-            console.print(format_document(document), soft_wrap=True, markup=False)
+            console.print(format_document(document), soft_wrap=True)
 
     with (
         only_one(folder / "checkpoints" / "compensate.lock", "gyrofleet compensate"),
@@ -79,8 +75,6 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
 def format_document(document: "AnyDocument") -> str:
     """One line on a document for people.
 
-    Examples
-    --------
     >>> from stream.events import NoteAdded
     >>> format_document(NoteAdded(run="r1", t_ns=0, text="door opened"))
     'door opened'
@@ -89,17 +83,13 @@ def format_document(document: "AnyDocument") -> str:
 
     match document:
         case CompensationStarted():
-            return (
-                f"run {document.run}, unit {document.unit}: {document.compensated} by version {document.version} of "
-                "its error model"
-            )
+            model = f"version {document.version} of its error model"
+            return f"run {document.run}, unit {document.unit}: {document.compensated} by {model}"
         case ResidualWatched():
             if document.gain is None:
                 return f"{document.stretch}, unit {document.unit}: not watched: {document.reason}"
-            line = (
-                f"{document.stretch}, unit {document.unit}: version {document.version} gains {document.gain:.2f}, "
-                f"cusum {document.cusum:.2f} of {document.threshold:.2f}"
-            )
+            now = f"gains {document.gain:.2f}, cusum {document.cusum:.2f} of {document.threshold:.2f}"
+            line = f"{document.stretch}, unit {document.unit}: version {document.version} {now}"
             again = f"; refused: trace the unit anew with `gyrofleet diagnose --unit {document.unit}`"
             return line + (again if document.is_refused else "")
         case ModelActivated():

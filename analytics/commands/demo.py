@@ -23,12 +23,9 @@ _QUESTIONS = (
 @click.command("demo")
 @store_option
 @click.option(
-    "--hours",
-    type=click.FloatRange(min=0.1, max=1000),
-    default=6.0,
-    show_default=True,
+    "--hours", type=click.FloatRange(min=0.1, max=1000), default=6.0, show_default=True,
     help="Simulated length of the run.",
-)
+)  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
 @reporting
 def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
@@ -59,13 +56,11 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
         state = run_demo(folder, hours=hours, seed=seed)
     with Catalog(Store.open(folder)) as catalog:
         curves = stored_curves(catalog, state.run, "rate")
-        in_lake = catalog.rows(
-            "select coalesce(sum(samples), 0) from signals where run in (select unnest($runs))",
-            {"runs": [state.run, *state.cycles]},
-        )
+        sql = "select coalesce(sum(samples), 0) from signals where run in (select unnest($runs))"
+        ((in_lake,),) = catalog.rows(sql, {"runs": [state.run, *state.cycles]})
     sent = state.samples + state.cycle_samples
-    if in_lake[0][0] != sent:
-        raise NotFound(f"run {state.run}: {sent} samples were sent, the lake holds {in_lake[0][0]}")
+    if in_lake != sent:
+        raise NotFound(f"run {state.run}: {sent} samples were sent, the lake holds {in_lake}")
     plot = folder / "plots" / f"{state.run}-allan.png"
     plot.parent.mkdir(exist_ok=True)
     plot_allan(curves, plot, title=f"Simulated fleet, run {state.run}", limits=state.limits.live)
@@ -79,21 +74,15 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
 
 def _summary(state: "DemoState", folder: Path, plot: Path) -> dict[str, object]:
     return {
-        "run": state.run,
-        "store": str(folder),
-        "simulated": True,
-        "hours": state.duration_s / 3600,
-        "samples": state.samples,
-        "seconds": state.seconds,
-        "units": [view.verdict for view in state.units.values()],
-        "found": None if state.found is None else state.found.document(),
-        "plot": str(plot),
-    }
+        "run": state.run, "store": str(folder), "simulated": True, "hours": state.duration_s / 3600,
+        "samples": state.samples, "seconds": state.seconds, "units": [view.verdict for view in state.units.values()],
+        "found": None if state.found is None else state.found.document(), "plot": str(plot),
+    }  # fmt: skip
 
 
 def _print_found(state: "DemoState") -> None:
     """What the units' error models lack, in a sentence each, in both languages."""
-    from analytics.demo.demo_loop import DECLARED_MODEL
+    from analytics.demo.demo import DECLARED_MODEL
     from analytics.loop.report.verdict_sentence import verdict_sentence
     from analytics.loop.report.wording import Wording
 
@@ -105,13 +94,13 @@ def _print_found(state: "DemoState") -> None:
         if each.diagnosis.effects:
             for language in ("en", "zh"):
                 sentence = verdict_sentence(each.diagnosis, Wording(language))
-                console.print(f"{unit}: {sentence}", soft_wrap=True, markup=False)
+                console.print(f"{unit}: {sentence}", soft_wrap=True)
     verdicts = sorted({state.found.units[unit].diagnosis.verdict.replace("_", " ") for unit in silent})
     console.print(f"{', '.join(silent)}: {', '.join(verdicts)}\n", soft_wrap=True)
 
 
 def _print_next(state: "DemoState", folder: Path, plot: Path) -> None:
-    from analytics.demo.demo_loop import DECLARED_MODEL
+    from analytics.demo.demo import DECLARED_MODEL
     from ingest.simulator.demo_fleet import ODD_UNIT
 
     option = "" if str(folder) == "gyrofleet-data" else f" --store {folder}"
@@ -132,10 +121,8 @@ def _print_next(state: "DemoState", folder: Path, plot: Path) -> None:
     program = "gyrofleet" if shutil.which("gyrofleet") else sys.argv[0]
     console.print("\nAsk it:")
     for statement in _QUESTIONS:
-        console.print(f'  {program} sql "{statement}"{option}', soft_wrap=True, markup=False)
+        console.print(f'  {program} sql "{statement}"{option}', soft_wrap=True)
     console.print(f"  {program} allan --unit {worst} --signal rate --plot allan.png{option}", soft_wrap=True)
     console.print(
-        f'  {program} diagnose --unit {ODD_UNIT} --model "{DECLARED_MODEL}" --report found.html{option}',
-        soft_wrap=True,
-        markup=False,
+        f'  {program} diagnose --unit {ODD_UNIT} --model "{DECLARED_MODEL}" --report found.html{option}', soft_wrap=True
     )

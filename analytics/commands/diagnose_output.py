@@ -2,8 +2,15 @@
 
 from collections.abc import Mapping
 
-from analytics.loop.report.finding_sentences import alternative, evidence, separating_test
-from analytics.loop.report.fleet_sentences import fleet_rows, fleet_sentence, unit_rows
+from analytics.loop.report.finding_sentences import (
+    alternative,
+    evidence,
+    fleet_rows,
+    fleet_sentence,
+    separating_test,
+    unit_rows,
+)
+from analytics.loop.report.next_test_rows import afterwards, next_test_rows, next_test_sentence
 from analytics.loop.report.report_tables import TextTable, absent_rows, achieved, error_rows, gain_rows, noise_rows
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
@@ -18,30 +25,43 @@ def print_unit(found: UnitDiagnosis, language: Language) -> None:
     """Print the diagnosis of one unit: results on standard output, caveats and notes on standard error."""
     words, diagnosis, console = Wording(language, found.data.runs[0]), found.diagnosis, results()
     for text in diagnosis.losses:
-        console.print(f"{words.of('caveat', '局限')}: {words.text(text)}", markup=False)
+        console.print(f"{words.of('caveat', '局限')}: {words.text(text)}")
     console.print(styled(verdict_sentence(diagnosis, words), "bold"))
     for effect in (*diagnosis.by_size, *diagnosis.unreplicated):
-        console.print(f"\n{words.effect(effect)}: {words.coefficient(effect)}", markup=False)
+        console.print(f"\n{words.effect(effect)}: {words.coefficient(effect)}")
         for sentence in evidence(effect, diagnosis, words):
-            console.print(f"  {sentence}", markup=False)
+            console.print(f"  {sentence}")
         for other in effect.confounded:
-            console.print(f"  {words.of('or', '或')} {alternative(other, words)}", markup=False)
+            console.print(f"  {words.of('or', '或')} {alternative(other, words)}")
             test = separating_test(other, words)
-            console.print(f"     {words.of('separating test', '区分方法')}: {test}", markup=False)
+            console.print(f"     {words.of('separating test', '区分方法')}: {test}")
     if diagnosis.error is not None:
         console.print()
         for table in (error_rows(diagnosis.error, words), gain_rows(diagnosis.error, words)):
             if table.rows:
                 console.print(_rich(table))
         if (share := achieved(diagnosis.error, words)) is not None:
-            console.print(share, markup=False)
+            console.print(share)
     if diagnosis.noise is not None:
         console.print(_rich(noise_rows(diagnosis, words)))
         source = words.of("source of the declared noise", "已声明噪声的来源")
-        console.print(f"{source}: {words.text(found.data.noise_source)}", markup=False)
+        console.print(f"{source}: {words.text(found.data.noise_source)}")
     if diagnosis.detection_limits:
         console.print(_rich(absent_rows(diagnosis, words)))
+    _print_next_test(found, words)
     _print_remarks({found.unit: found}, words)
+
+
+def _print_next_test(found: UnitDiagnosis, words: Wording) -> None:
+    console, asked = results(), found.next_test
+    if asked is None:
+        if found.is_planned:
+            console.print(words.of("Next test: nothing is open.", "下一项试验：没有待判别的问题。"))
+        return
+    console.print(f"\n{next_test_sentence(asked, words)}")
+    if asked.plans:
+        console.print(_rich(next_test_rows(asked, words)))
+        console.print(afterwards(asked, words))
 
 
 def print_units(found: UnitsDiagnosis, language: Language) -> None:
@@ -50,14 +70,17 @@ def print_units(found: UnitsDiagnosis, language: Language) -> None:
     caveat = words.of("caveat", "局限")
     for unit, each in found.units.items():
         for text in each.diagnosis.losses:
-            console.print(f"{caveat} ({unit}): {words.text(text)}", markup=False)
+            console.print(f"{caveat} ({unit}): {words.text(text)}")
     if found.fleet is not None:
         console.print(styled(fleet_sentence(found.fleet, words), "bold"))
         for name, rows in found.fleet.by_unit.items():
             console.print(_rich(fleet_rows(name, rows, words)))
         for text in found.fleet.limits:
-            notes().print(f"{caveat}: {words.text(text)}", markup=False, soft_wrap=True)
+            notes().print(f"{caveat}: {words.text(text)}", soft_wrap=True)
     console.print(_rich(unit_rows(found, words)))
+    for unit, each in found.units.items():
+        if each.next_test is not None:
+            console.print(f"{unit}: {next_test_sentence(each.next_test, Wording(language, each.data.runs[0]))}")
     _print_remarks(found.units, words)
 
 
@@ -72,10 +95,9 @@ def _print_remarks(units: Mapping[str, UnitDiagnosis], words: Wording) -> None:
     for (is_caveat, text), of in sorted(owners.items(), key=lambda each: not each[0][0]):
         kind = words.of("caveat", "局限") if is_caveat else words.of("note", "说明")
         if len(units) > 1:
-            kind += (
-                f" ({', '.join(of) if len(of) <= _MOST_NAMED else words.of(f'{len(of)} units', f'{len(of)}个产品')})"
-            )
-        notes().print(f"{kind}: {text}", markup=False, soft_wrap=True)
+            whose = ", ".join(of) if len(of) <= _MOST_NAMED else words.of(f"{len(of)} units", f"{len(of)}个产品")
+            kind += f" ({whose})"
+        notes().print(f"{kind}: {text}", soft_wrap=True)
 
 
 def _rich(table: TextTable) -> ResultTable:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from stream.command_group import CommandGroup
 from stream.console import counted, notes, print_json, reporting, results, store_option
@@ -12,14 +13,15 @@ from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.specifications.chain import Chain
-    from storage.specifications.specification import SpecificationLimit
     from storage.specifications.validity import Period
     from storage.store import Store
     from stream.events import SpecificationEntered
 
 
 _NONE = "no specification; `gyrofleet limits add FILE` adds one"
-_by = click.option("--by", default=None, help="Who does it; by default the user of the system.")
+by_option = click.option(
+    "--by", callback=lambda _, __, by: by or getpass.getuser(), help="Who does it; by default the user of the system."
+)
 _rejudge = click.option(
     "--rejudge", "rejudges", is_flag=True, help="Judge what was recorded before anew, by what holds from now on."
 )
@@ -53,10 +55,10 @@ def limits() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @store_option
 @click.option("--reason", default="", help="Why, in free words.")
-@_by
+@by_option
 @_rejudge
 @reporting
-def add(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
+def add(file: Path, folder: Path, reason: str, by: str, *, rejudges: bool, as_json: bool) -> None:
     """Check a specification and enter it into the log as NAME-REVISION; a copy to read is in the folder products."""
     _enter(file, folder, reason, by, is_revision=False, rejudges=rejudges, as_json=as_json)
 
@@ -65,10 +67,10 @@ def add(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool
 @click.argument("file", type=click.Path(path_type=Path))
 @store_option
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
-@_by
+@by_option
 @_rejudge
 @reporting
-def revise(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
+def revise(file: Path, folder: Path, reason: str, by: str, *, rejudges: bool, as_json: bool) -> None:
     """Enter another revision of a specification that is there; it holds from its valid_from on."""
     _enter(file, folder, reason, by, is_revision=True, rejudges=rejudges, as_json=as_json)
 
@@ -77,38 +79,38 @@ def revise(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: b
 @click.argument("label", metavar="NAME-REVISION")
 @store_option
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
-@_by
+@by_option
 @_rejudge
 @reporting
-def withdraw(label: str, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
+def withdraw(label: str, folder: Path, reason: str, by: str, *, rejudges: bool, as_json: bool) -> None:
     """Take a revision out of force; the one before it holds again. Verdicts given by it stay."""
     from analytics.specifications.entering import withdraw_specification
     from storage.store import Store
 
-    document = withdraw_specification(Store.open(folder), label, by=_who(by), reason=reason, rejudges=rejudges)
+    document = withdraw_specification(Store.open(folder), label, by=by, reason=reason, rejudges=rejudges)
     if as_json:
         print_json(document)
         return
-    results().print(f"{label}: withdrawn by {document.by}: {reason}", markup=False)
+    results().print(f"{label}: withdrawn by {document.by}: {reason}")
     _print_rejudged(rejudges=rejudges)
 
 
 @limits.command("settle")
 @store_option
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
-@_by
+@by_option
 @reporting
-def settle(folder: Path, reason: str, by: str | None, *, as_json: bool) -> None:
+def settle(folder: Path, reason: str, by: str, *, as_json: bool) -> None:
     """Accept that specification documents are lost (`gyrofleet verify`): units are judged by those that are there."""
     from analytics.specifications.entering import settle_chain
     from storage.store import Store
 
-    breaks = settle_chain(Store.open(folder), by=_who(by), reason=reason)
+    breaks = settle_chain(Store.open(folder), by=by, reason=reason)
     if as_json:
         print_json({"settled": breaks})
         return
     for each in breaks:
-        results().print(f"settled: {each}", markup=False)
+        results().print(f"settled: {each}")
 
 
 @limits.command("history")
@@ -127,10 +129,9 @@ def history(folder: Path, *, as_json: bool) -> None:
     table = ResultTable("entered", "action", "specification", "by", "reason", "earlier runs")
     for link in links:
         each = link.document
-        what = link.label if each.name else ""
+        what, when = link.label if each.name else "", format_moment(each.t_ns) or ""
         rejudged = "judged anew" if each.rejudges else "keep their verdicts"
-        words = (format_moment(each.t_ns) or "", each.action.value, what, each.by, each.reason, rejudged)
-        table.add_row(*words)
+        table.add_row(when, each.action.value, what, each.by, each.reason, rejudged)
     results().print(table if links else _NONE)
 
 
@@ -153,9 +154,8 @@ def list_all(folder: Path, *, as_json: bool) -> None:
         table = ResultTable("specification", "revision", "valid", "limits", "products", "entered", "by")
         for each in periods:
             found, entry = each.specification, _entry(entered[each.specification.label])
-            counts = (str(len(found.limits)), ", ".join(found.products))
-            words = (found.name, found.revision, each.text, *counts, entry["entered"], entry["by"])
-            table.add_row(*words)
+            words = (found.name, found.revision, each.text, str(len(found.limits)), ", ".join(found.products))
+            table.add_row(*words, entry["entered"], entry["by"])
         results().print(table if periods else _NONE)
     warn_of_copies(store, chain)
 
@@ -178,14 +178,12 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
         click.echo(content, nl=False)
         return
     if as_json:
-        print_json({**_period_document(period), "limits": [_limit_document(each) for each in found.limits]})
+        print_json({**_period_document(period), "limits": [msgspec.structs.asdict(each) for each in found.limits]})
         return
-    table = ResultTable(title=f"{found.label}, {period.text}")
-    titles = ("特性", "限定", "产品", "下限", "上限", "单位")
-    for title in (
-        titles if language == "zh" else ("characteristic", "of", "product", "lower", "upper", "unit of measure")
-    ):
-        table.add_column(title, overflow="fold")
+    titles = ("characteristic", "of", "product", "lower", "upper", "unit of measure")
+    if language == "zh":
+        titles = ("特性", "限定", "产品", "下限", "上限", "单位")
+    table = ResultTable(*titles, title=f"{found.label}, {period.text}")
     for each in found.limits:
         of = each.subject.removeprefix(each.metric).strip(" ()")
         numbers = ("" if number is None else f"{number:g}" for number in (each.lower, each.upper))
@@ -200,42 +198,30 @@ def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
 
     chain = read_chain(store) if chain is None else chain
     for each in [*chain_findings(store, chain), *copy_findings(store, chain)]:
-        notes().print(f"warning: {each.where}: {each.what}; {each.remedy}", markup=False, soft_wrap=True)
+        notes().print(f"warning: {each.where}: {each.what}; {each.remedy}", soft_wrap=True)
 
 
-def _enter(
-    file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
-) -> None:
+def _enter(file: Path, folder: Path, reason: str, by: str, *, is_revision: bool, rejudges: bool, as_json: bool) -> None:
     from analytics.specifications.entering import add_specification
     from storage.specifications.validity import stored_specifications
     from storage.store import Store
 
     store = Store.create(folder)
-    found, is_new = add_specification(
-        store, file, by=_who(by), reason=reason, is_revision=is_revision, rejudges=rejudges
-    )
+    found, is_new = add_specification(store, file, by=by, reason=reason, is_revision=is_revision, rejudges=rejudges)
     if as_json:
         print_json(
             {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
         )
         return
     what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
-    results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}", markup=False)
+    results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}")
     if rejudges or (is_new and len(stored_specifications(store)) > 1):
         _print_rejudged(rejudges=rejudges)
 
 
 def _print_rejudged(*, rejudges: bool) -> None:
-    notes().print(
-        "What was recorded before is judged anew."
-        if rejudges
-        else "What was recorded before keeps its verdicts; with --rejudge it would be judged anew.",
-        soft_wrap=True,
-    )
-
-
-def _who(by: str | None) -> str:
-    return by or getpass.getuser()
+    after = "is judged anew." if rejudges else "keeps its verdicts; with --rejudge it would be judged anew."
+    notes().print(f"What was recorded before {after}", soft_wrap=True)
 
 
 def _entry(document: "SpecificationEntered") -> dict[str, str]:
@@ -256,7 +242,3 @@ def _period_document(period: "Period") -> dict[str, object]:
         "products": list(found.products),
         "limit_count": len(found.limits),
     }
-
-
-def _limit_document(limit: "SpecificationLimit") -> dict[str, object]:
-    return {name: getattr(limit, name) for name in limit.__struct_fields__}

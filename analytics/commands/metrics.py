@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 _SHOWN_ROWS = 500
 _SHOWN_REASONS = 5
 _NOTHING = 'no metric matches the selection; `gyrofleet sql "from unit_runs"` lists the tested units and runs'
-_LANGUAGES = click.Choice(["en", "zh"])
-
 language_option = click.option(
-    "--lang", "language", type=_LANGUAGES, default="en", show_default=True, help="Language of names and titles."
-)
+    "--lang", "language", type=click.Choice(["en", "zh"]), default="en", show_default=True,
+    help="Language of names and titles.",
+)  # fmt: skip
 
 
 def _metric_names() -> list[str]:
@@ -53,20 +52,10 @@ METRIC = ListedName(_metric_names)
 @language_option
 @reporting
 def metrics(
-    folder: Path,
-    units: tuple[str, ...],
-    lots: tuple[str, ...],
-    runs: tuple[str, ...],
-    ids: tuple[str, ...],
-    standards: tuple[str, ...],
-    since: str | None,
-    annex_unit: str | None,
-    csv_path: Path | None,
-    xlsx_path: Path | None,
-    language: str,
-    *,
-    as_json: bool,
-) -> None:
+    folder: Path, units: tuple[str, ...], lots: tuple[str, ...], runs: tuple[str, ...], ids: tuple[str, ...],
+    standards: tuple[str, ...], since: str | None, annex_unit: str | None, csv_path: Path | None,
+    xlsx_path: Path | None, language: str, *, as_json: bool,
+) -> None:  # fmt: skip
     """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
 
     Changed runs are reduced first; other values are read from the store. With --metric only these metrics are computed.
@@ -98,9 +87,9 @@ def metrics(
     if xlsx_path is not None:
         write_xlsx(rows, xlsx_path, language)
     for path in filter(None, (csv_path, xlsx_path)):
-        notes().print(f"{len(rows):,} rows written to {path}", markup=False)
+        notes().print(f"{len(rows):,} rows written to {path}")
     if not rows and (csv_path is not None or xlsx_path is not None):
-        notes().print(_NOTHING, markup=False)
+        notes().print(_NOTHING)
     if as_json:
         print_json(rows)
     elif csv_path is None and xlsx_path is None:
@@ -132,11 +121,10 @@ def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_jso
         print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row.document() for row in rows]})
         return
     in_chinese = language == "zh"
-    table = ResultTable(title=f"JJF 2014-2022 附录 A: {unit}" if in_chinese else f"JJF 2014-2022 annex A: {unit}")
-    for title in ("序号", "校准项目", "校准结果", "95 % 区间", "参数", "条款") if in_chinese else (
-        "no.", "characteristic", "result", "95 % interval", "parameters", "clause"
-    ):  # fmt: skip
-        table.add_column(title, overflow="fold")
+    titles = ("no.", "characteristic", "result", "95 % interval", "parameters", "clause")
+    if in_chinese:
+        titles = ("序号", "校准项目", "校准结果", "95 % 区间", "参数", "条款")
+    table = ResultTable(*titles, title=f"JJF 2014-2022 {'附录 A' if in_chinese else 'annex A'}: {unit}")
     for row in rows:
         name = row.characteristic.zh if in_chinese else row.characteristic.en
         if not row.results:
@@ -151,10 +139,9 @@ def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_jso
 def _print_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
     """Note the steps that no metric uses: how many, of which units, and why."""
     for reason, steps, units in unused[:_SHOWN_REASONS]:
-        notes().print(f"not judged: {counted(steps, 'step')} of {units}: {reason}", soft_wrap=True, markup=False)
-    if len(unused) > _SHOWN_REASONS:
-        more = len(unused) - _SHOWN_REASONS
-        notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all', markup=False)
+        notes().print(f"not judged: {counted(steps, 'step')} of {units}: {reason}", soft_wrap=True)
+    if (more := len(unused) - _SHOWN_REASONS) > 0:
+        notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all')
 
 
 def _print_table(table: ResultTable, count: int) -> None:
@@ -163,6 +150,5 @@ def _print_table(table: ResultTable, count: int) -> None:
         console.print(_NOTHING)
         return
     console.print(table)
-    shown = min(count, _SHOWN_ROWS)
-    more = "" if shown == count else f", the first {shown} shown; --csv, --xlsx or --json give all"
-    console.print(f"{count:,} row{'' if count == 1 else 's'}{more}")
+    more = "" if count <= _SHOWN_ROWS else f", the first {_SHOWN_ROWS} shown; --csv, --xlsx or --json give all"
+    console.print(f"{counted(count, 'row')}{more}")

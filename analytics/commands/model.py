@@ -1,6 +1,5 @@
 """The command `gyrofleet model`: versions of the units' error models, and which of them are in use."""
 
-import getpass
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -8,17 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
+from analytics.commands.limits import by_option
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results, status_line, store_option
-from stream.errors import BadInput
+from stream.errors import BadInput, NotFound
 
 if TYPE_CHECKING:
     from analytics.loop.model.model_registry import ModelVersion
     from analytics.loop.model.model_use import InUse, Uses
 
 _unit = click.option("--unit", type=UNIT, required=True, help="Which unit.")
-_by = click.option("--by", default=None, help="Who does it; by default the user of the system.")
 
 
 @click.group("model", cls=CommandGroup)
@@ -49,7 +49,7 @@ def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
         damaged += unreadable.values()
     _print_list(rows, unit, is_empty=not rows and not damaged, as_json=as_json)
     for why in damaged:
-        notes().print(f"warning: {why}", markup=False, soft_wrap=True)
+        notes().print(f"warning: {why}", soft_wrap=True)
     if damaged:
         sys.exit(1)
 
@@ -65,14 +65,14 @@ def _print_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool,
         notes().print(
             f"no version of the error model of {whose}: `gyrofleet model promote --unit {unit or 'UNIT'} --model TEXT` "
             "traces its runs and writes one",
-            markup=False,
             soft_wrap=True,
         )
         return
-    table = ResultTable("unit", "version", "stage", "verdict", "made", "by", "model")
+    titles = ("unit", "version", "stage", "verdict", "made", "by", "model")
+    table = ResultTable(*titles)
     for row in rows:
-        table.add_row(*(str(row[name]) for name in ("unit", "version", "stage", "verdict", "made", "by", "model")))
-    results().print(table, markup=False)
+        table.add_row(*(str(row[name]) for name in titles))
+    results().print(table)
 
 
 @model.command("show")
@@ -84,7 +84,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     """Show a version: its terms and coefficients, what it rests on, and how it was used."""
     import msgspec
 
-    from analytics.loop.model.model_registry import ModelRegistry
+    from analytics.loop.model.model_registry import ModelRegistry, no_version
     from analytics.loop.model.model_use import InUse, logged_documents, uses_of
     from analytics.loop.report.wording import measured
     from storage.store import Store
@@ -92,39 +92,39 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 
     store = Store.open(folder)
     registry = ModelRegistry(store)
-    version = _newest(registry.versions(unit), unit) if number is None else registry.version(unit, number)
+    if number is not None:
+        version = registry.version(unit, number)
+    elif found := registry.versions(unit):
+        version = found[-1]
+    else:
+        raise NotFound(no_version(unit))
     activations = logged_documents(store, (ModelActivated, ResidualWatched))
     use = uses_of(activations).get((version.unit, version.signal), InUse())
-    history = [
-        each
-        for each in activations
-        if isinstance(each, ModelActivated | ResidualWatched) and each.unit == unit and each.model == version.hash
-    ]
+    of_unit = [each for each in activations if isinstance(each, ModelActivated | ResidualWatched) and each.unit == unit]
+    history = [each for each in of_unit if each.model == version.hash]
     if as_json:
         content: dict[str, Any] = msgspec.to_builtins(version)
         print_json({"hash": version.hash, "stage": use.stage(version.hash).value, **content, "history": history})
         return
     console = results()
-    console.print(f"{unit} version {version.version}, {use.stage(version.hash).value}: {version.text}", markup=False)
+    console.print(f"{unit} version {version.version}, {use.stage(version.hash).value}: {version.text}")
     for label, value, error, per in zip(
         version.model.labels(), version.model.coefficients, version.model.errors, version.model.units, strict=False
     ):
-        console.print(f"  {label}: {measured(value, error)} +- {error:.2g} {per}", markup=False)
+        console.print(f"  {label}: {measured(value, error)} +- {error:.2g} {per}")
     confirmed = "confirmed by the held-out runs" if version.is_confirmed else "not confirmed by held-out runs"
     added = f"added {', '.join(version.added)}; {confirmed}" if version.added else "added nothing to the declared model"
     console.print(f"verdict {version.verdict}; {added}")
-    console.print(f"hash {version.hash}, parent {version.parent or 'none'}", markup=False)
-    console.print(f"made {_day(version.made_ns)} by {version.by} from {len(version.runs)} runs", markup=False)
+    console.print(f"hash {version.hash}, parent {version.parent or 'none'}")
+    console.print(f"made {_day(version.made_ns)} by {version.by} from {len(version.runs)} runs")
     for document in history:
         if isinstance(document, ModelActivated):
-            console.print(f"{_day(document.t_ns)} {document.stage}: {document.reason} ({document.by})", markup=False)
+            console.print(f"{_day(document.t_ns)} {document.stage}: {document.reason} ({document.by})")
         else:
             gained = f"not judged: {document.reason}" if document.gain is None else f"gain {document.gain:.2f}"
             refused = ", refused" if document.is_refused else ""
-            console.print(
-                f"{document.stretch}: {gained}, cusum {document.cusum:.2f} of {document.threshold:.2f}{refused}",
-                markup=False,
-            )
+            now = f"cusum {document.cusum:.2f} of {document.threshold:.2f}"
+            console.print(f"{document.stretch}: {gained}, {now}{refused}")
 
 
 @model.command("promote")
@@ -143,24 +143,12 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 @click.option("--run", "runs", type=RUN, multiple=True, help="Only this run; may be given several times.")
 @click.option("--shadow", is_flag=True, help="Only watch it; the live stream is compensated as before.")
 @click.option("--reason", default="", help="Why, in free words.")
-@_by
+@by_option
 @reporting
 def promote(
-    folder: Path,
-    unit: str,
-    number: int | None,
-    text: str | None,
-    signal: str | None,
-    block: str | None,
-    noise: str | None,
-    holdout: str,
-    runs: tuple[str, ...],
-    reason: str,
-    by: str | None,
-    *,
-    shadow: bool,
-    as_json: bool,
-) -> None:
+    folder: Path, unit: str, number: int | None, text: str | None, signal: str | None, block: str | None,
+    noise: str | None, holdout: str, runs: tuple[str, ...], reason: str, by: str, *, shadow: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Put an error model to use: what a trace of the unit's runs finds, or a version that is there already.
 
     What it adds to the declared model has to be confirmed by held-out runs before it goes live. Where the data cannot
@@ -170,7 +158,6 @@ def promote(
     gyrofleet model promote --unit FOG-0235 --model 'rate = bias + temperature'
     gyrofleet model promote --unit FOG-0235 --version 2 --shadow
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from analytics.commands.diagnose_options import block_seconds, holdout_of, noise_of
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
     from analytics.loop.model_promotion import check_usable, confounded_warning, promote_trace
@@ -186,27 +173,22 @@ def promote(
     if number is not None:
         version = ModelRegistry(store).version(unit, number)
         check_usable(version, stage)
-        activate(store, version, stage, reason=reason, by=_who(by))
+        activate(store, version, stage, reason=reason, by=by)
     else:
         question = Question(
-            model=text or "",
-            signal=signal,
-            block_s=None if block is None else block_seconds(block),
-            noise=None if noise is None else noise_of(noise),
-            holdout=holdout_of(holdout),
-            runs=runs or None,
-        )
+            model=text or "", signal=signal, block_s=None if block is None else block_seconds(block),
+            noise=None if noise is None else noise_of(noise), holdout=holdout_of(holdout), runs=runs or None,
+        )  # fmt: skip
         with status_line() as report:
-            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, on_progress=report)
+            version, _ = promote_trace(store, unit, question, stage, by=by, note=reason, on_progress=report)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
-        version_of_unit = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
-        document = {**version_of_unit, "text": version.text}
-        print_json({**document, "warnings": [warning] if warning else []})
+        document = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
+        print_json({**document, "text": version.text, "warnings": [warning] if warning else []})
         return
-    results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}", markup=False)
+    results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}")
     if warning:
-        notes().print(f"warning: {warning}", markup=False, soft_wrap=True)
+        notes().print(f"warning: {warning}", soft_wrap=True)
 
 
 @model.command("rollback")
@@ -215,9 +197,9 @@ def promote(
 @click.option("--signal", type=SIGNAL, default="rate", show_default=True, help="Which signal.")
 @click.option("--shadow", is_flag=True, help="Take out the version that is only watched.")
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
-@_by
+@by_option
 @reporting
-def rollback(folder: Path, unit: str, signal: str, reason: str, by: str | None, *, shadow: bool, as_json: bool) -> None:
+def rollback(folder: Path, unit: str, signal: str, reason: str, by: str, *, shadow: bool, as_json: bool) -> None:
     """Take the live version of a unit's error model out of use; the one before it takes its place, if there was one."""
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import InUse, Stage, enter_activations, read_uses, rollback_documents
@@ -228,17 +210,15 @@ def rollback(folder: Path, unit: str, signal: str, reason: str, by: str | None, 
     use = uses.get((unit, signal), InUse())
     stage = Stage.SHADOW if shadow else Stage.LIVE
     if (use.shadow if shadow else use.live) is None:
-        raise BadInput(
-            f"unit {unit}, signal {signal}: no version of its error model is {stage.value}; "
-            + _rollback_hint(use, uses, unit, signal)
-        )
-    documents = rollback_documents(ModelRegistry(store), use, stage, reason=reason, by=_who(by))
+        hint = _rollback_hint(use, uses, unit, signal)
+        raise BadInput(f"unit {unit}, signal {signal}: no version of its error model is {stage.value}; {hint}")
+    documents = rollback_documents(ModelRegistry(store), use, stage, reason=reason, by=by)
     enter_activations(store, documents)
     if as_json:
         print_json(documents)
         return
     for document in documents:
-        results().print(f"{unit}: version {document.version} is {document.stage}: {document.reason}", markup=False)
+        results().print(f"{unit}: version {document.version} is {document.stage}: {document.reason}")
 
 
 def _rollback_hint(use: "InUse", uses: "Uses", unit: str, signal: str) -> str:
@@ -253,33 +233,11 @@ def _rollback_hint(use: "InUse", uses: "Uses", unit: str, signal: str) -> str:
     return f"`gyrofleet model list --unit {unit}` shows its versions"
 
 
-def _newest(versions: "list[ModelVersion]", unit: str) -> "ModelVersion":
-    from analytics.loop.model.model_registry import no_version
-    from stream.errors import NotFound
-
-    if not versions:
-        raise NotFound(no_version(unit))
-    return versions[-1]
-
-
 def _row(version: "ModelVersion", use: "InUse") -> dict[str, Any]:
-    return {
-        "unit": version.unit,
-        "signal": version.signal,
-        "version": version.version,
-        "hash": version.hash,
-        "parent": version.parent,
-        "stage": use.stage(version.hash).value,
-        "verdict": version.verdict,
-        "made": _day(version.made_ns),
-        "by": version.by,
-        "model": version.text,
-    }
+    names = ("unit", "signal", "version", "hash", "parent")
+    row = {name: getattr(version, name) for name in names} | {"stage": use.stage(version.hash).value}
+    return row | {"verdict": version.verdict, "made": _day(version.made_ns), "by": version.by, "model": version.text}
 
 
 def _day(t_ns: int) -> str:
     return datetime.fromtimestamp(t_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%SZ")
-
-
-def _who(by: str | None) -> str:
-    return by or getpass.getuser()

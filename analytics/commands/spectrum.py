@@ -27,7 +27,7 @@ _FEW_ROWS = 4
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the density: FILE.png or FILE.svg.")
 @reporting
 def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: Path | None, *, as_json: bool) -> None:
-    """Power spectral density of a recorded signal, its sinusoidal lines and its humps, with 95 % confidence limits.
+    """Power spectral density of a recorded signal, its sinusoidal lines and its humps, with 95 % confidence bounds.
 
     A hump is a band wider than a line with more noise than a sum of power laws explains, as of a resonance.
     """
@@ -48,7 +48,8 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
     if found.lines:
         results().print(_line_table(found))
     else:
-        results().print(_no_line(found), soft_wrap=True, markup=False)
+        where = f"{found.unit} {found.signal}, run {found.run}"
+        results().print(f"No line stands out (无显著谱线) of {where}. {_tested(found)}", soft_wrap=True)
     if found.humps:
         results().print(_hump_table(found))
     results().print(_level_table(found))
@@ -87,10 +88,6 @@ def _hump_table(found: "SignalSpectrum") -> ResultTable:
     return table
 
 
-def _no_line(found: "SignalSpectrum") -> str:
-    return f"No line stands out (无显著谱线) of {found.unit} {found.signal}, run {found.run}. {_tested(found)}"
-
-
 def _tested(found: "SignalSpectrum") -> str:
     return (
         f"Searched from {found.searched_lo_hz:.4g} to {found.searched_hi_hz:.4g} Hz; "
@@ -108,8 +105,9 @@ def _level_table(found: "SignalSpectrum") -> ResultTable:
         f"({length_s:g} s){left_out}, half overlapping, Hann window; means over a tenth of a decade, lines left out; "
         f"limits: {found.confidence * 100:g} % confidence",
     )
-    titles = ("frequency Hz 频率", f"density {found.psd_unit}", "from", "to", f"line seen from {found.unit_of_measure}")
-    for title in titles:
+    for title in (
+        "frequency Hz 频率", f"density {found.psd_unit}", "from", "to", f"line seen from {found.unit_of_measure}"
+    ):  # fmt: skip
         table.add_column(title, justify="right")
     for frequency_hz in round_frequencies(found.frequency_hz[0], found.frequency_hz[-1]):
         band = np.array([frequency_hz / _HALF_BAND, frequency_hz * _HALF_BAND])
@@ -123,8 +121,6 @@ def _level_table(found: "SignalSpectrum") -> ResultTable:
 def round_frequencies(low_hz: float, high_hz: float) -> list[float]:
     """Powers of ten between two frequencies; with their threes where those are few.
 
-    Examples
-    --------
     >>> round_frequencies(0.006, 100.0)
     [0.01, 0.1, 1.0, 10.0, 100.0]
     >>> round_frequencies(0.002, 0.5)

@@ -12,7 +12,6 @@ from stream.errors import BadInput
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from analytics.trends.control_chart import IndividualsChart
     from analytics.trends.trend import Trend
 
 _NONE = "\N{EN DASH}"
@@ -48,37 +47,19 @@ _STATES = {
 @click.option("--since", help="Only values measured then or later: 2026-11-21, or with time and zone.")
 @click.option("--baseline", type=click.IntRange(min=8), help="Limits from this many first points; by default all.")
 @click.option(
-    "--sigma",
-    "spread",
-    type=click.Choice(["median_moving_range", "moving_range", "deviation"]),
-    default="median_moving_range",
-    show_default=True,
+    "--sigma", "spread", type=click.Choice(["median_moving_range", "moving_range", "deviation"]),
+    default="median_moving_range", show_default=True,
     help="How the limits are computed; outliers change the median least.",
-)
+)  # fmt: skip
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the charts: FILE.png or FILE.svg.")
 @language_option
 @reporting
 def trend(
-    metric: str | None,
-    named: str | None,
-    by: str | None,
-    folder: Path,
-    units: tuple[str, ...],
-    signal: str | None,
-    lot: str | None,
-    station: str | None,
-    fixture: str | None,
-    product: str | None,
-    standard: str | None,
-    parameters: tuple[str, ...],
-    since: str | None,
-    baseline: int | None,
-    spread: str,
-    plot_path: Path | None,
-    language: str,
-    *,
-    as_json: bool,
-) -> None:
+    metric: str | None, named: str | None, by: str | None, folder: Path, units: tuple[str, ...], signal: str | None,
+    lot: str | None, station: str | None, fixture: str | None, product: str | None, standard: str | None,
+    parameters: tuple[str, ...], since: str | None, baseline: int | None, spread: str, plot_path: Path | None,
+    language: str, *, as_json: bool,
+) -> None:  # fmt: skip
     """A metric over time: control charts, changes, drift, differences between stations, capability.
 
     The report at the end has a sentence on each significant result: since when, which group differs, by how much.
@@ -94,26 +75,20 @@ def trend(
     from analytics.trends.capability import specified_limits
     from analytics.trends.control_chart import Spread
     from analytics.trends.document import document
+    from analytics.trends.report import sentences
     from analytics.trends.series import Choice, read_series
     from analytics.trends.trend import trend_of
 
-    if metric is None:
-        metric = named
+    metric = named if metric is None else metric
     if metric is None or named not in {None, metric}:
         raise BadInput("name one metric, as `gyrofleet trend bias` or `gyrofleet trend --metric bias`")
     if plot_path is not None:
         check_suffix(plot_path)
     choice = Choice(
-        units=units,
-        signal=signal,
-        standard=None if standard is None else standard_named(standard),
-        parameters=_pairs(parameters),
-        lot=lot,
-        station=station,
-        fixture=fixture,
-        product=product,
+        units=units, signal=signal, standard=None if standard is None else standard_named(standard),
+        parameters=_pairs(parameters), lot=lot, station=station, fixture=fixture, product=product,
         since_ns=None if since is None else dated(since),
-    )
+    )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
         series = read_series(catalog, metric, choice)
         specification = specified_limits(catalog.store, series)
@@ -125,9 +100,12 @@ def trend(
     if as_json:
         print_json(document(found))
         return
-    _print_trend(found, language)
+    results().print(_chart_table(found, language))
+    results().print()
+    for sentence in sentences(found):
+        results().print(sentence.in_language(language), soft_wrap=True)
     if plot_path is not None:
-        notes().print(f"plot: {plot_path}", markup=False)
+        notes().print(f"plot: {plot_path}")
 
 
 def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
@@ -140,39 +118,27 @@ def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def _print_trend(found: "Trend", language: str) -> None:
-    from analytics.trends.report import sentences
-
-    results().print(_chart_table(found, language))
-    results().print()
-    for sentence in sentences(found):
-        results().print(sentence.in_language(language), soft_wrap=True, markup=False)
-
-
 def _chart_table(found: "Trend", language: str) -> ResultTable:
-    from analytics.evaluation.table import format_unit, name_of
-    from analytics.trends.words import NotComputed
+    from analytics.evaluation.table import name_of
+    from analytics.trends.words import NotComputed, figures
+    from stream.quantities import format_unit
 
     unit = format_unit(found.series.unit_of_measure)
     name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
-    title = f"{name} / {unit}" if unit else name
-    table = ResultTable(title=title)
+    table = ResultTable(title=f"{name} / {unit}" if unit else name)
     table.add_column(found.by or "")
     for title in _TITLES[language]:
         table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")
     order = sorted(found.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))
     for chart in order[:_SHOWN_ROWS]:
-        limits = [_NONE] * 4 if isinstance(chart.limits, NotComputed) else _numbers(chart.limits)
+        cells = [_NONE] * 4
+        if not isinstance(limits := chart.limits, NotComputed):
+            three = (limits.centre, limits.lower, limits.upper)
+            centre, lower, upper = (figures(each, limits.sigma / 10) for each in three)
+            cells = [centre, f"{limits.sigma:.3g}", lower, upper]
         met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
         state = _STATES[language][chart.in_control]
-        table.add_row(chart.name or _ALL[language], str(chart.series.value.size), *limits, state, met)
+        table.add_row(chart.name or _ALL[language], str(chart.series.value.size), *cells, state, met)
     if len(order) > _SHOWN_ROWS:
         table.caption = f"{len(order) - _SHOWN_ROWS} more; --json has all"
     return table
-
-
-def _numbers(limits: "IndividualsChart") -> list[str]:
-    from analytics.trends.words import figures
-
-    centre, lower, upper = (figures(each, limits.sigma / 10) for each in (limits.centre, limits.lower, limits.upper))
-    return [centre, f"{limits.sigma:.3g}", lower, upper]

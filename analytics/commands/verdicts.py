@@ -70,19 +70,15 @@ def verdicts(
         sys.exit(_FAILED)
 
 
-def _print(
-    found: "Verdicts", shares: list[dict[str, Any]], by: str | None, language: str, *, with_values: bool
-) -> None:
+def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: str, *, with_values: bool) -> None:
     console = results()
     if by:
         console.print(_yield_table(shares, by, language))
-        without = sum(row["no_data"] for row in shares)
-        if without:
+        if without := sum(row["no_data"] for row in shares):
             of = sum(row["units"] for row in shares)
+            text = f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
             console.print(
-                f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
-                if language == "en"
-                else f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
+                text if language == "en" else f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
             )
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
@@ -91,22 +87,18 @@ def _print(
         counts = Counter(row["verdict"] for row in found.units)
         summary = ", ".join(f"{n} {_verdict_text(name, language)}" for name, n in sorted(counts.items()))
         more = f" (the first {_SHOWN} shown; --json gives all)" if len(found.units) > _SHOWN else ""
-        console.print(
-            f"{counted(len(found.units), 'unit')}: {summary}{more}"
-            if language == "en"
-            else f"{len(found.units)} 个产品: {summary}{more}"
-        )
+        units = counted(len(found.units), "unit") if language == "en" else f"{len(found.units)} 个产品"
+        console.print(f"{units}: {summary}{more}")
     if found.pareto and not with_values:
         console.print(_pareto_table(found.pareto, language))
     for row in found.warnings:
         reason = row["reason_zh"] if language == "zh" else row["reason"]
-        notes().print(f"warning: unit {row['unit']}: {reason}", markup=False, soft_wrap=True)
+        notes().print(f"warning: unit {row['unit']}: {reason}", soft_wrap=True)
 
 
 def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
-    table = _table(
-        ("unit", "product", "lot", "verdict", "latest", "passed", "failed", "marginal", "no data", "reason"), language
-    )
+    counted_as = ("passed", "failed", "marginal", "no data")
+    table = _table(("unit", "product", "lot", "verdict", "latest", *counted_as, "reason"), language)
     for row in units:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
         why = _reasons_text(row, language) or row["reason"] or ""
@@ -128,7 +120,8 @@ def _reasons_text(row: dict[str, Any], language: str) -> str:
 
 
 def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
-    from analytics.evaluation.table import format_limits, format_number, format_parameters, format_unit
+    from analytics.evaluation.table import format_limits, format_number, format_parameters
+    from stream.quantities import format_unit
 
     table = _table(
         (
@@ -137,6 +130,7 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         ),
         language,
     )  # fmt: skip
+    several = "几次试验合计" if language == "zh" else "over several runs"
     for row in rows:
         half = None if row["lo"] is None else (row["hi"] - row["lo"]) / 4
         unit = format_unit(row["unit_of_measure"])
@@ -146,17 +140,11 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(
             _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
-            row["signal"], row["run"] or _several(row["runs"], language), value, interval,
+            row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
             f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
             row["reason"] or "",
         )  # fmt: skip
     return table
-
-
-def _several(runs: Iterable[str], language: str) -> str:
-    """What stands for the run of a value that rests on several."""
-    several = "几次试验合计" if language == "zh" else "over several runs"
-    return several if len(list(runs)) > 1 else ""
 
 
 def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:
@@ -181,10 +169,7 @@ def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
 
 
 def _table(titles: Iterable[str], language: str) -> ResultTable:
-    table = ResultTable()
-    for title in titles:
-        table.add_column(_ZH.get(title, title) if language == "zh" else title, overflow="fold")
-    return table
+    return ResultTable(*(_ZH.get(title, title) if language == "zh" else title for title in titles))
 
 
 def _name(metric: str, language: str) -> str:

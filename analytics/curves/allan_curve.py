@@ -17,6 +17,7 @@ from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.events import EstimatePoint
 
 Overlap = Literal["full", "strided"]
+_Estimator = AllanDeviation | FullOverlap
 
 FULL_AT_MOST = 1_000_000
 _TAU_TOLERANCE = 1e-3
@@ -24,36 +25,25 @@ _TAU_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviation of one signal over averaging time, or another deviation.
-
-    Parameters
-    ----------
-    unit_of_measure: Of `adev`, `lo` and `hi`.
-    samples, missing: Samples in the record, and missing from it.
-    tau_s: Averaging times, increasing.
-    adev, lo, hi: Deviation of the kind `deviation`, and its 95 % confidence bounds.
-    edf: Equivalent degrees of freedom.
-    plausible: Exponents of the plausible noises at each averaging time, see `EstimatePoint`; empty where unknown.
-    windows: Number of differences of each deviation; empty where unknown.
-    overlap: Windows at every sample, or at every 1/16 of the averaging time or closer.
-    """
+    """Allan deviation of one signal over averaging time, or another deviation."""
 
     unit: str
     signal: str
     run: str
-    unit_of_measure: str
+    unit_of_measure: str  # of `adev`, `lo` and `hi`
     sample_interval_s: float
     samples: int
     missing: int
-    tau_s: tuple[float, ...]
-    adev: tuple[float, ...]
+    tau_s: tuple[float, ...]  # averaging times, increasing
+    adev: tuple[float, ...]  # of the kind `deviation`, with its 95 % confidence bounds
     lo: tuple[float, ...]
     hi: tuple[float, ...]
-    edf: tuple[float, ...]
+    edf: tuple[float, ...]  # equivalent degrees of freedom
     deviation: Deviation = Deviation.OVERLAPPING_ALLAN
-    overlap: Overlap = "strided"
+    overlap: Overlap = "strided"  # windows at every sample, or at every 1/16 of the averaging time or closer
+    # exponents of the plausible noises at each averaging time, see `EstimatePoint`; empty where unknown
     plausible: tuple[tuple[int, ...], ...] = ()
-    windows: tuple[int, ...] = ()
+    windows: tuple[int, ...] = ()  # number of differences of each deviation; empty where unknown
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -67,13 +57,9 @@ class AllanCurve:
 
     def drawable(self) -> "AllanCurve":
         """Return the curve without the points that a logarithmic axis cannot show."""
-        rows = [
-            row
-            for row in zip(self.tau_s, self.adev, self.lo, self.hi, self.edf, strict=True)
-            if all(math.isfinite(x) and x > 0 for x in row[:4])
-        ]
-        columns = zip(*rows, strict=True) if rows else ((),) * 5
-        tau_s, adev, lo, hi, edf = (tuple(column) for column in columns)
+        columns = zip(self.tau_s, self.adev, self.lo, self.hi, self.edf, strict=True)
+        rows = [row for row in columns if all(math.isfinite(x) and x > 0 for x in row[:4])]
+        tau_s, adev, lo, hi, edf = zip(*rows, strict=True) if rows else ((),) * 5
         return replace(self, tau_s=tau_s, adev=adev, lo=lo, hi=hi, edf=edf, plausible=(), windows=())
 
     @property
@@ -95,19 +81,14 @@ class AllanCurve:
 
 
 def allan_curve(
-    catalog: Catalog,
-    unit: str,
-    signal: str,
-    run: str | None = None,
-    *,
-    points_per_octave: int = 1,
-    resample_s: float | None = None,
-    deviation: Deviation = Deviation.OVERLAPPING_ALLAN,
-    overlap: Overlap | None = None,
-    taus_s: Sequence[float] = (),
-    scratch: Path | None = None,
-) -> AllanCurve:
+    catalog: Catalog, unit: str, signal: str, run: str | None = None, *, points_per_octave: int = 1,
+    resample_s: float | None = None, deviation: Deviation = Deviation.OVERLAPPING_ALLAN, overlap: Overlap | None = None,
+    taus_s: Sequence[float] = (), scratch: Path | None = None,
+) -> AllanCurve:  # fmt: skip
     """Allan deviation of a signal in the store, or another deviation.
+
+    Raises NotFound if the store does not hold the signal, or holds too little of it; BadInput if another deviation than
+    the overlapping Allan deviation, or averaging times, are asked for with strides.
 
     Parameters
     ----------
@@ -119,11 +100,6 @@ def allan_curve(
         need it.
     taus_s: Averaging times, instead of those of `points_per_octave`; they need the full overlap.
     scratch: Folder of the sums of a long record during its evaluation with full overlap, 8 bytes a sample.
-
-    Raises
-    ------
-    NotFound: If the store does not hold the signal, or holds too little of it.
-    BadInput: If another deviation than the overlapping Allan deviation, or averaging times, are asked for with strides.
     """
     record = find_signal(catalog, unit, signal, run)
     if overlap is None:
@@ -147,15 +123,12 @@ def allan_curve(
 def _factor(tau_s: float, interval_s: float) -> int:
     factor = round(tau_s / interval_s) if interval_s > 0.0 else 1
     if factor < 1 or abs(factor * interval_s / tau_s - 1.0) > _TAU_TOLERANCE:
-        raise BadInput(
-            f"--tau {tau_s:g}: an averaging time is a whole number of sample intervals, here of {interval_s:g} s"
-        )
+        whole = f"a whole number of sample intervals, here of {interval_s:g} s"
+        raise BadInput(f"--tau {tau_s:g}: an averaging time is {whole}")
     return factor
 
 
-def _feed(
-    estimator: AllanDeviation | FullOverlap, catalog: Catalog, record: SignalRecord, resample_s: float | None
-) -> None:
+def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> None:
     means = None if resample_s is None else BlockMeans(resample_s)
     for batch in read_signal(catalog, record):
         block_means = batch if means is None else means.push(batch)
@@ -165,40 +138,38 @@ def _feed(
 
 def _curve(
     record: SignalRecord,
-    estimator: AllanDeviation | FullOverlap,
+    estimator: _Estimator,
     points: tuple[EstimatePoint, ...] | NoEstimate,
     deviation: Deviation,
     overlap: Overlap,
 ) -> AllanCurve:
     if isinstance(points, NoEstimate):
-        reason = points.reason.removeprefix(f"unit {record.unit}, signal {record.signal}: ")
-        raise NotFound(
-            f"unit {record.unit}, signal {record.signal}, run {record.run}: no {FORMS[deviation].name}: {reason}"
-        )
+        where = f"unit {record.unit}, signal {record.signal}"
+        reason = points.reason.removeprefix(f"{where}: ")
+        raise NotFound(f"{where}, run {record.run}: no {FORMS[deviation].name}: {reason}")
+    return curve_of_points((record.unit, record.signal, record.run), estimator, points, deviation, overlap)
+
+
+def curve_of_points(
+    of: tuple[str, str, str],
+    estimator: AllanDeviation | FullOverlap,
+    points: Sequence[EstimatePoint],
+    deviation: Deviation,
+    overlap: Overlap,
+) -> AllanCurve:
+    """The curve of a unit, signal and run from the points of an estimator."""
+    unit, signal, run = of
     return AllanCurve(
-        unit=record.unit,
-        signal=record.signal,
-        run=record.run,
-        unit_of_measure=estimator.unit_of_measure,
-        sample_interval_s=estimator.sample_interval_s,
-        samples=estimator.samples,
-        missing=estimator.missing,
-        adev=tuple(point.value for point in points),
+        unit=unit, signal=signal, run=run, unit_of_measure=estimator.unit_of_measure,
+        sample_interval_s=estimator.sample_interval_s, samples=estimator.samples, missing=estimator.missing,
+        adev=tuple(point.value for point in points), deviation=deviation, overlap=overlap,
         **{name: tuple(getattr(point, name) for point in points) for name in ("tau_s", "lo", "hi", "edf")},
-        deviation=deviation,
-        overlap=overlap,
-        plausible=tuple(point.plausible for point in points),
-        windows=tuple(point.n for point in points),
-    )
+        plausible=tuple(point.plausible for point in points), windows=tuple(point.n for point in points),
+    )  # fmt: skip
 
 
 def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
-    """The final live Allan curves of a run, one for each unit.
-
-    Raises
-    ------
-    NotFound: If there are none.
-    """
+    """The final live Allan curves of a run, one for each unit. Raises NotFound if there are none."""
     rows = catalog.rows(
         "select unit, unit_of_measure, sample_interval_s, samples, missing, "
         "list(tau_s order by tau_s), list(value order by tau_s), list(lo order by tau_s), list(hi order by tau_s), "

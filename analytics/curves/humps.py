@@ -7,14 +7,13 @@ import msgspec
 import numpy as np
 import scipy.optimize
 import scipy.special
+from numpy.typing import NDArray
 
 from stream.batch import FloatArray
 from stream.estimators.confidence import deviation_bounds
 
-LEAST_BINS = 16
-"""Bins of a cell: a line takes 9."""
-LEAST_EXCESS = 0.1
-"""Relative excess below which a hump is not reported: filters bend every spectrum a little."""
+LEAST_BINS = 16  # bins of a cell: a line takes 9
+LEAST_EXCESS = 0.1  # relative excess below which a hump is not reported: filters bend every spectrum a little
 _CELLS_AN_OCTAVE = 6
 _WIDEST = 12
 _MOST_HUMPS = 8
@@ -25,31 +24,23 @@ _NEIGHBOURS = (4.0 / 9.0, 1.0 / 36.0)
 
 
 class Hump(msgspec.Struct, frozen=True, kw_only=True):
-    """A band with excess noise.
-
-    Parameters
-    ----------
-    ratio, ratio_lo, ratio_hi: Mean density of the band over the fitted noise model, with confidence bounds.
-    rms, rms_lo, rms_hi: Root of the excess power, in the unit of the signal.
-    false_alarm_probability: Bound on the probability that noise of the model shows a hump this significant anywhere.
-    """
+    """A band with excess noise."""
 
     frequency_lo_hz: float
     frequency_hi_hz: float
-    ratio: float
+    ratio: float  # mean density of the band over the fitted noise model, with confidence bounds
     ratio_lo: float
     ratio_hi: float
-    rms: float
+    rms: float  # root of the excess power, in the unit of the signal, with confidence bounds
     rms_lo: float
     rms_hi: float
+    # bound on the probability that noise of the model shows a hump this significant anywhere
     false_alarm_probability: float
 
 
 def independent_bins(bins: int) -> float:
     """Number of independent bins that as many neighbours are equivalent to.
 
-    Examples
-    --------
     >>> independent_bins(1), round(independent_bins(2), 3), round(independent_bins(100), 1)
     (1.0, 1.385, 51.7)
     """
@@ -58,33 +49,19 @@ def independent_bins(bins: int) -> float:
 
 
 def find_humps(
-    frequency_hz: FloatArray,
-    psd: FloatArray,
-    edf: float,
-    *,
-    sample_interval_s: float,
-    false_alarm_probability: float,
+    frequency_hz: FloatArray, psd: FloatArray, edf: float, *, sample_interval_s: float, false_alarm_probability: float,
     confidence: float,
-) -> tuple[Hump, ...]:
+) -> tuple[Hump, ...]:  # fmt: skip
     """Humps of a one-sided density, lowest frequency first.
 
-    Parameters
-    ----------
-    frequency_hz, psd: Bins without those of lines, increasing.
-    edf: Equivalent degrees of freedom of a bin.
+    The bins, of `edf` equivalent degrees of freedom each, increase and are without those of lines. The model is sum a_k
+    s**k, s = sin(pi f sample_interval), k from -2 to 2 and a_k >= 0: for sampled quantization noise and random walk
+    this is exact. It is fitted to the means of cells of a sixth of an octave and 16 bins or more, weighted by their
+    degrees of freedom over the squared model. A band is any run of neighbouring cells, two octaves at most. D times its
+    mean ratio of density to model is compared with chi-square of D degrees of freedom, D the sum of its cells'; times
+    the number of bands (Bonferroni) that is the false-alarm probability, a bound since bands overlap and the fit
+    follows the data. The most significant band is left out of the next fit, until none is significant.
 
-    Notes
-    -----
-    The model is sum a_k s**k, s = sin(pi f sample_interval), k from -2 to 2 and a_k >= 0: for sampled quantization
-    noise and random walk this is exact. It is fitted to the means of cells of a sixth of an octave and 16 bins or more,
-    weighted by their degrees of freedom over the squared model. A band is any run of neighbouring cells,
-    two octaves at most. D times its mean ratio of density to model is compared with chi-square of D degrees of freedom,
-    D the sum of its cells'; times the number of bands (Bonferroni) that is the false-alarm probability, a bound since
-    bands overlap and the fit follows the data. The most significant band is left out of the next fit, until none is
-    significant.
-
-    Examples
-    --------
     >>> rng = np.random.default_rng(3)
     >>> f = np.arange(1, 2001) * 0.025
     >>> density = np.where((f > 10.0) & (f < 14.0), 2.0, 1.0) * rng.chisquare(40, 2000) / 40
@@ -138,13 +115,9 @@ def _joined(bands: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]
 
 
 def _hump(
-    frequency_hz: FloatArray,
-    freedom: FloatArray,
-    means: FloatArray,
-    model: FloatArray,
-    chance: float,
+    frequency_hz: FloatArray, freedom: FloatArray, means: FloatArray, model: FloatArray, chance: float,
     confidence: float,
-) -> Hump:
+) -> Hump:  # fmt: skip
     degrees = float(freedom.sum())
     ratio = float(freedom @ (means / model)) / degrees
     ratio_lo, ratio_hi = (ratio * bound**2 for bound in deviation_bounds(1.0, degrees, confidence))
@@ -152,16 +125,10 @@ def _hump(
     power = float(freedom @ model) / degrees * (frequency_hz[-1] - frequency_hz[0] + step_hz)
     rms, rms_lo, rms_hi = (math.sqrt(max(0.0, power * (each - 1.0))) for each in (ratio, ratio_lo, ratio_hi))
     return Hump(
-        frequency_lo_hz=float(frequency_hz[0]),
-        frequency_hi_hz=float(frequency_hz[-1]),
-        ratio=ratio,
-        ratio_lo=ratio_lo,
-        ratio_hi=ratio_hi,
-        rms=rms,
-        rms_lo=rms_lo,
-        rms_hi=rms_hi,
+        frequency_lo_hz=float(frequency_hz[0]), frequency_hi_hz=float(frequency_hz[-1]),
+        ratio=ratio, ratio_lo=ratio_lo, ratio_hi=ratio_hi, rms=rms, rms_lo=rms_lo, rms_hi=rms_hi,
         false_alarm_probability=chance,
-    )
+    )  # fmt: skip
 
 
 def _cells(frequency_hz: FloatArray) -> list[tuple[int, int]]:
@@ -177,9 +144,7 @@ def _cells(frequency_hz: FloatArray) -> list[tuple[int, int]]:
     return list(itertools.pairwise(edges))
 
 
-def _fitted(
-    columns: FloatArray, means: FloatArray, freedom: FloatArray, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> FloatArray:
+def _fitted(columns: FloatArray, means: FloatArray, freedom: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
     """The model in every cell, fitted to those kept."""
     model = np.maximum(means, 1e-300)
     for _ in range(_ROUNDS):

@@ -9,29 +9,21 @@ from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, read_signal
 from stream.batch import FloatArray
 
-FAR = 9.0
-"""Threshold, in standard deviations from the mean of the neighbours: in white noise 1 sample in 10^13."""
+FAR = 9.0  # threshold, in standard deviations from the mean of the neighbours: in white noise 1 sample in 10^13
 _CALM = 0.6
 _MOTION = 0.01
 _PER_MEDIAN = 1.4826
 _BESIDE = 3
-WORTH_A_WORD = 0.01
-"""Relative increase of N from which outliers are reported."""
+WORTH_A_WORD = 0.01  # relative increase of N from which outliers are reported
 
 
 @dataclass(frozen=True)
 class IsolatedOutliers:
-    """Isolated outliers of a signal.
-
-    Parameters
-    ----------
-    largest: The largest departure from the neighbours, in standard deviations of the noise between samples.
-    raise_n_by: Relative increase of N, as estimated from the Allan deviation.
-    """
+    """Isolated outliers of a signal."""
 
     count: int
-    largest: float
-    raise_n_by: float
+    largest: float  # the largest departure from the neighbours, in standard deviations of the noise between samples
+    raise_n_by: float  # relative increase of N, as estimated from the Allan deviation
 
     @property
     def is_worth_a_word(self) -> bool:
@@ -58,8 +50,6 @@ def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
     The noise is from the median difference between samples; a lasting change is no outlier, nor is the tail of a noise
     in which one sample in a hundred lies outside.
 
-    Examples
-    --------
     >>> noise = np.random.default_rng(1).standard_normal(10_000)
     >>> noise[5000] += 35.0
     >>> found = count_outliers([noise])

@@ -1,4 +1,4 @@
-"""Noise coefficients of a stored Allan curve: the fit, its terms, and their JSON."""
+"""Noise coefficients of a stored Allan curve: the fit, its terms, their JSON, and their table in two languages."""
 
 import dataclasses
 import math
@@ -23,9 +23,12 @@ from stream.estimators.noise.noise_model import (
 )
 from stream.events import EstimatePoint
 from stream.quantities import ANGULAR_RATE_UNIT
+from stream.result_table import ResultTable
 
 CONFIDENCE = 0.95
 MOST_MISFIT = 0.25
+_NOT_OBSERVABLE = "not observable (不可观测): at most"
+_NONE = "\N{EN DASH}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,14 +51,10 @@ class FittedTerm:
 
 @dataclasses.dataclass(frozen=True)
 class NoiseCoefficients:
-    """Noise coefficients of one signal, fitted to its Allan curve.
-
-    Parameters
-    ----------
-    normalised: Angle random walk by normalised bias stability (GJB 2426A-2004 5.12.5.4.1), or why there is none.
-    """
+    """Noise coefficients of one signal, fitted to its Allan curve."""
 
     fit: NoiseFit
+    # angle random walk by normalised bias stability (GJB 2426A-2004 5.12.5.4.1), or why there is none
     normalised: NoiseCoefficient | NoEstimate
 
     @property
@@ -80,12 +79,9 @@ class NoiseCoefficients:
 
         The ratio is 1 where the model lies within the bounds everywhere.
         """
-        columns = zip(
-            curve.tau_s, self.deviation(np.array(curve.tau_s)).tolist(), curve.adev, curve.lo, curve.hi, strict=True
-        )
-        outside = [
-            (tau_s, model / adev) for tau_s, model, adev, lo, hi in columns if not lo <= model <= hi and adev > 0
-        ]
+        model = self.deviation(np.array(curve.tau_s)).tolist()
+        columns = zip(curve.tau_s, model, curve.adev, curve.lo, curve.hi, strict=True)
+        outside = [(tau_s, y / adev) for tau_s, y, adev, lo, hi in columns if not lo <= y <= hi and adev > 0]
         return max(outside, key=lambda each: abs(math.log(each[1])), default=(curve.tau_s[0], 1.0))
 
     def agreeing(self, curve: AllanCurve) -> int:
@@ -121,8 +117,6 @@ def noise_coefficients(curve: AllanCurve, normalised: NoiseCoefficient | NoEstim
     NoEstimate where the signal is no angular rate, or the curve too short or zero throughout; `normalised` is that of
     the same signal, see `normalised_walk`.
 
-    Examples
-    --------
     >>> taus = tuple(0.1 * 2.0**k for k in range(16))
     >>> adev = tuple(60.0 * 0.01 / tau**0.5 for tau in taus)
     >>> curve = AllanCurve("FOG-1", "rate", "r1", "deg/h", 0.1, 100_000, 0, taus, adev, adev, adev,
@@ -165,3 +159,55 @@ def curve_document(
         "confidence": CONFIDENCE,
         "outliers": None if outliers is None else dataclasses.asdict(outliers),
     }
+
+
+def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> ResultTable:
+    """Table of the coefficients with their bounds; of one that is not observable, the upper bound."""
+    table = ResultTable(
+        title=f"Noise coefficients (噪声系数) of {curve.unit} {curve.signal}, run {curve.run}",
+        caption=f"IEEE 952-2020 annex C; limits: {CONFIDENCE * 100:g} % confidence; {_agreement(found, curve)}; "
+        "normalised (归一化法): GJB 2426A-2004 5.12.5.4.1, from the samples",
+    )
+    table.add_column("noise 噪声", overflow="fold")
+    for title in ("", "value", "from", "to", "unit", "remark 备注"):
+        table.add_column(title, justify="right" if title in {"value", "from", "to"} else "left")
+    for fitted in found.terms:
+        names, coefficient = fitted.term.names, fitted.coefficient
+        table.add_row(f"{names['en']} {names['zh']}", fitted.term.symbol, *_cells(coefficient))
+    markov = found.fit.markov
+    if markov is not None:
+        times = (markov.correlation_s, markov.correlation_lo_s, markov.correlation_hi_s)
+        table.add_row("Its correlation time 相关时间", "", *(f"{time_s:.4g}" for time_s in times), "s", "")
+    name = "Angle random walk, normalised 角度随机游走(归一化法)"
+    normalised = found.normalised
+    if isinstance(normalised, NoEstimate):
+        unit = found.fit.angle_random_walk.unit_of_measure
+        table.add_row(name, "RWC", _NONE, _NONE, _NONE, unit, normalised.reason)
+    else:
+        table.add_row(name, "RWC", *_cells(normalised))
+    return table
+
+
+def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
+    test = f"at the {SIGNIFICANCE:.0%} level (p = {found.fit.misfit_chance:.2g}"
+    if found.fit.misfit == 0.0:
+        return f"a test does not reject the sum of the terms {test}; 检验未拒绝模型)"
+    at_s, ratio = found.farthest(curve)
+    if not found.describes:
+        return (
+            f"these terms do not describe the curve (模型不适用), which departs from them by {found.fit.misfit:.0%}: "
+            "was the unit at rest? `gyrofleet spectrum` and --rolling show more"
+        )
+    return (
+        f"a test rejects the sum of the terms {test}, as for about {SIGNIFICANCE:.0%} of records of such noise; "
+        f"检验拒绝模型): estimated misfit (失配) {found.fit.misfit:.1%}; the model is {abs(ratio - 1):.0%} too "
+        f"{'high' if ratio > 1 else 'low'} at {at_s:g} s, {found.agreeing(curve)} of {len(curve.tau_s)} points agree "
+        "within their limits; the limits of the coefficients are widened for it"
+    )
+
+
+def _cells(coefficient: NoiseCoefficient) -> tuple[str, str, str, str, str]:
+    unit = coefficient.unit_of_measure
+    if not coefficient.observable:
+        return _NONE, _NONE, _NONE, unit, f"{_NOT_OBSERVABLE} {coefficient.hi:.3g}"
+    return f"{coefficient.value:#.4g}", f"{coefficient.lo:#.4g}", f"{coefficient.hi:#.4g}", unit, ""

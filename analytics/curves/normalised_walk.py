@@ -16,29 +16,22 @@ from stream.quantities import ANGULAR_RATE_UNIT, report_unit
 MOST_SLOTS = 2**24
 
 
-def normalised_walk(
-    catalog: Catalog, record: SignalRecord, *, confidence: float = 0.95
-) -> NoiseCoefficient | NoEstimate:
+def normalised_walk(catalog: Catalog, record: SignalRecord) -> NoiseCoefficient | NoEstimate:
     """Angle random walk by the normalised method (GJB 2426A-2004 5.12.5.4.1), from the samples of a record.
 
     In deg/sqrt(h); NoEstimate where the samples are no angular rate, lie on no grid or are too slow or too few.
 
-    Notes
-    -----
     Only the last 2**24 slots of the grid are used, 23 h at 200 Hz: the median over pieces of 30 s gains nothing from
     more, and memory stays bounded.
 
-    Examples
-    --------
     >>> record = SignalRecord("FOG-1", "temperature", "r1", "degC", 3600, False)
     >>> normalised_walk(None, record)  # the store is not read
     NoEstimate(reason='the signal is in degC: an angle random walk is of an angular rate, such as deg/s')
     """
     unit_of_measure, factor = report_unit(record.unit_of_measure)
     if unit_of_measure != ANGULAR_RATE_UNIT:
-        return NoEstimate(
-            f"the signal is in {unit_of_measure}: an angle random walk is of an angular rate, such as deg/s"
-        )
+        why = "an angle random walk is of an angular rate, such as deg/s"
+        return NoEstimate(f"the signal is in {unit_of_measure}: {why}")
     tracker = GridTracker()
     pieces: deque[tuple[int, FloatArray]] = deque()
     for batch in read_signal(catalog, record):
@@ -49,22 +42,17 @@ def normalised_walk(
         if tracker.sample_interval_s >= MOST_INTERVAL_S:
             pieces.clear()  # the method refuses it whatever the samples are: spare reading them
             break
-        while pieces and _stop(pieces[0]) <= tracker.next_slot - MOST_SLOTS:
+        while pieces and pieces[0][0] + len(pieces[0][1]) <= tracker.next_slot - MOST_SLOTS:
             pieces.popleft()
-    found = angle_random_walk_normalised(_joined(pieces), tracker.sample_interval_s, confidence=confidence)
+    found = angle_random_walk_normalised(_joined(pieces), tracker.sample_interval_s)
     return found if isinstance(found, NoEstimate) else found.coefficient
-
-
-def _stop(piece: tuple[int, FloatArray]) -> int:
-    first_slot, values = piece
-    return first_slot + len(values)
 
 
 def _joined(pieces: deque[tuple[int, FloatArray]]) -> FloatArray:
     """Values from the first to the last slot that is kept, NaN where there is none."""
     if not pieces:
         return np.empty(0)
-    stop = _stop(pieces[-1])
+    stop = pieces[-1][0] + len(pieces[-1][1])
     origin = max(pieces[0][0], stop - MOST_SLOTS)
     joined = np.full(stop - origin, np.nan)
     for first_slot, values in pieces:

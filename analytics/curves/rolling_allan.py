@@ -18,29 +18,19 @@ _SHOWN_ROWS = 40
 
 @dataclass(frozen=True)
 class RollingAllan:
-    """Dynamic Allan deviation: a row for each window, a column for each averaging time.
-
-    Parameters
-    ----------
-    unit, signal, run: Whose it is.
-    unit_of_measure: Of `adev`, `lo` and `hi`.
-    window_s, step_s: Length and step of the window.
-    start_h: Beginning of each window, hours since the first sample.
-    samples, missing: Samples in each window, and missing from it.
-    tau_s: Averaging times, increasing.
-    adev, lo, hi: shape (windows, taus); deviation and its 95 % bounds; None where a window is too short or has gaps.
-    """
+    """Dynamic Allan deviation: a row for each window, a column for each averaging time."""
 
     unit: str
     signal: str
     run: str
-    unit_of_measure: str
+    unit_of_measure: str  # of `adev`, `lo` and `hi`
     window_s: float
     step_s: float
-    start_h: tuple[float, ...]
+    start_h: tuple[float, ...]  # beginning of each window, hours since the first sample
     samples: tuple[int, ...]
     missing: tuple[int, ...]
-    tau_s: tuple[float, ...]
+    tau_s: tuple[float, ...]  # averaging times, increasing
+    # adev, lo, hi: shape (windows, taus); deviation and its 95 % bounds; None where a window is too short or has gaps
     adev: tuple[tuple[float | None, ...], ...]
     lo: tuple[tuple[float | None, ...], ...]
     hi: tuple[tuple[float | None, ...], ...]
@@ -67,22 +57,12 @@ class RollingAllan:
 
 
 def rolling_allan(
-    catalog: Catalog,
-    unit: str,
-    signal: str,
-    run: str | None = None,
-    *,
-    window_s: float,
-    step_s: float,
+    catalog: Catalog, unit: str, signal: str, run: str | None = None, *, window_s: float, step_s: float,
     points_per_octave: int = 1,
-) -> RollingAllan:
+) -> RollingAllan:  # fmt: skip
     """Overlapping Allan deviation of a signal in the store over a rolling window.
 
-    Parameters
-    ----------
-    run: Of which run; the longest record if omitted.
-    window_s, step_s: Length and step of the window, a whole number of steps.
-    points_per_octave: 1, 2, 4 or 8 averaging times an octave.
+    Without a run it is of the longest record; the window is a whole number of steps; `points_per_octave`: 1, 2, 4 or 8.
     """
     record = find_signal(catalog, unit, signal, run)
     rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)
@@ -105,23 +85,12 @@ def rolling_allan(
     taus_s = sorted({point.tau_s for curve in curves for point in curve})
     by_tau = [{point.tau_s: point for point in curve} for curve in curves]
     columns = {
-        name: tuple(
-            tuple(getattr(points[tau_s], name) if tau_s in points else None for tau_s in taus_s) for points in by_tau
-        )
+        name: tuple(tuple(getattr(each.get(tau_s), name, None) for tau_s in taus_s) for each in by_tau)
         for name in ("value", "lo", "hi")
     }
     return RollingAllan(
-        unit=unit,
-        signal=signal,
-        run=record.run,
-        unit_of_measure=rolling.unit_of_measure,
-        window_s=window_s,
-        step_s=step_s,
-        start_h=tuple((each.start_ns - first_ns) / 1e9 / _SECONDS_PER_HOUR for each in windows),
-        samples=tuple(each.samples for each in windows),
-        missing=tuple(each.missing for each in windows),
-        tau_s=tuple(taus_s),
-        adev=columns["value"],
-        lo=columns["lo"],
-        hi=columns["hi"],
-    )
+        unit=unit, signal=signal, run=record.run, unit_of_measure=rolling.unit_of_measure, window_s=window_s,
+        step_s=step_s, start_h=tuple((each.start_ns - first_ns) / 1e9 / _SECONDS_PER_HOUR for each in windows),
+        samples=tuple(each.samples for each in windows), missing=tuple(each.missing for each in windows),
+        tau_s=tuple(taus_s), adev=columns["value"], lo=columns["lo"], hi=columns["hi"],
+    )  # fmt: skip

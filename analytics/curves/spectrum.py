@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import scipy.special
+from numpy.typing import NDArray
 
 from analytics.curves.humps import Hump, find_humps, independent_bins
 from storage.sql.catalog import Catalog
@@ -39,44 +40,30 @@ class Level(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class SignalSpectrum:
-    """One-sided power spectral density of one signal of one run, with its lines and humps.
-
-    Parameters
-    ----------
-    unit_of_measure: Of the amplitudes of lines; ``deg/h`` for angular rates.
-    samples, missing: Samples in the record, and missing from it.
-    frequency_hz: Frequency of every bin, increasing in equal steps.
-    psd, lo, hi: Density of every bin and its confidence bounds, in `psd_unit`.
-    psd_unit: ``(deg/h)^2/Hz`` for angular rates.
-    edf: Equivalent degrees of freedom of a bin.
-    segments, segments_left_out: Segments averaged, and those with missing samples.
-    false_alarm_probability: Largest probability that a spectrum without any line shows one; the same for humps.
-    searched_lo_hz, searched_hi_hz: Band that was searched for lines: bins with neighbours on both sides.
-    lines, humps: Lowest frequency first.
-    """
+    """One-sided power spectral density of one signal of one run, with its lines and humps."""
 
     unit: str
     signal: str
     run: str
-    unit_of_measure: str
+    unit_of_measure: str  # of the amplitudes of lines; ``deg/h`` for angular rates
     sample_interval_s: float
     samples: int
     missing: int
-    frequency_hz: tuple[float, ...]
-    psd: tuple[float, ...]
+    frequency_hz: tuple[float, ...]  # frequency of every bin, increasing in equal steps
+    psd: tuple[float, ...]  # density of every bin, in `psd_unit`, with its confidence bounds
     lo: tuple[float, ...]
     hi: tuple[float, ...]
-    psd_unit: str
+    psd_unit: str  # ``(deg/h)^2/Hz`` for angular rates
     confidence: float
-    edf: float
+    edf: float  # equivalent degrees of freedom of a bin
     segments: int
-    segments_left_out: int
+    segments_left_out: int  # for missing samples
     segment_samples: int
     bin_width_hz: float
-    false_alarm_probability: float
-    searched_lo_hz: float
+    false_alarm_probability: float  # largest probability that a spectrum without any line shows one; the same for humps
+    searched_lo_hz: float  # band that was searched for lines: bins with neighbours on both sides
     searched_hi_hz: float
-    lines: tuple[SpectralLine, ...]
+    lines: tuple[SpectralLine, ...]  # lowest frequency first, as the humps
     humps: tuple[Hump, ...] = ()
 
     def __post_init__(self) -> None:
@@ -129,15 +116,9 @@ class SignalSpectrum:
 def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalSpectrum:
     """Power spectral density of a signal in the store, with its lines.
 
-    Parameters
-    ----------
-    run: Of which run; the longest record if omitted.
-
-    Notes
-    -----
-    Segments are as long as 8 of them allow, from 512 to 65,536 samples: long ones resolve lines and reach low
-    frequencies, and their mean has 16 degrees of freedom or more. A record that gaps cut into pieces shorter than that
-    is read again with segments half as long, until 8 are whole.
+    Without a run it is of the longest record. Segments are as long as 8 of them allow, from 512 to 65,536 samples: long
+    ones resolve lines and reach low frequencies, and their mean has 16 degrees of freedom or more. A record that gaps
+    cut into pieces shorter than that is read again with segments half as long, until 8 are whole.
     """
     record = find_signal(catalog, unit, signal, run)
     if record.irregular:
@@ -155,13 +136,7 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
 
 
 def segment_for(samples: int) -> int:
-    """Samples of a segment for a record of so many without a gap: a power of two.
-
-    Examples
-    --------
-    >>> [segment_for(n) for n in (100, 300, 1000, 7200, 60_000, 1_440_000)]
-    [128, 256, 512, 1024, 8192, 65536]
-    """
+    """Samples of a segment for a record of so many without a gap: a power of two."""
     averaged = 2 * samples // (_ENOUGH_SEGMENTS + 1)
     longest = max(averaged, min(samples, _SHORT_SEGMENT), FEWEST_SAMPLES)
     return min(LONGEST_SEGMENT, 1 << (longest.bit_length() - 1))
@@ -179,50 +154,29 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
     if isinstance(spectrum, NoEstimate) or isinstance(lines, NoEstimate):
         refused = spectrum if isinstance(spectrum, NoEstimate) else lines
         assert isinstance(refused, NoEstimate)
-        reason = refused.reason.removeprefix(f"unit {record.unit}, signal {record.signal}: ")
-        raise NotFound(
-            f"unit {record.unit}, signal {record.signal}, run {record.run}: no power spectral density: {reason}"
-        )
+        where = f"unit {record.unit}, signal {record.signal}"
+        reason = refused.reason.removeprefix(f"{where}: ")
+        raise NotFound(f"{where}, run {record.run}: no power spectral density: {reason}")
     lo_hz, hi_hz = spectral.searched_hz
     clear = _clear_of(lines, spectrum.density.size, spectral.bin_width_hz)
     humps = find_humps(
-        spectrum.frequency_hz[clear],
-        spectrum.density[clear],
-        spectrum.edf,
-        sample_interval_s=spectral.sample_interval_s,
-        false_alarm_probability=FALSE_ALARM_PROBABILITY,
+        spectrum.frequency_hz[clear], spectrum.density[clear], spectrum.edf,
+        sample_interval_s=spectral.sample_interval_s, false_alarm_probability=FALSE_ALARM_PROBABILITY,
         confidence=CONFIDENCE,
-    )
+    )  # fmt: skip
     return SignalSpectrum(
-        unit=record.unit,
-        signal=record.signal,
-        run=record.run,
-        unit_of_measure=spectral.unit_of_measure,
-        sample_interval_s=spectral.sample_interval_s,
-        samples=spectral.samples,
-        missing=spectral.missing,
-        frequency_hz=tuple(spectrum.frequency_hz.tolist()),
-        psd=tuple(spectrum.density.tolist()),
-        lo=tuple(spectrum.lo.tolist()),
-        hi=tuple(spectrum.hi.tolist()),
-        psd_unit=spectrum.unit_of_measure,
-        confidence=spectrum.confidence,
-        edf=spectrum.edf,
-        segments=spectrum.segments,
-        segments_left_out=spectral.segments_left_out,
-        segment_samples=spectral.segment_samples,
-        bin_width_hz=spectral.bin_width_hz,
-        false_alarm_probability=FALSE_ALARM_PROBABILITY,
-        searched_lo_hz=lo_hz,
-        searched_hi_hz=hi_hz,
-        lines=lines,
-        humps=humps,
-    )
+        unit=record.unit, signal=record.signal, run=record.run, unit_of_measure=spectral.unit_of_measure,
+        sample_interval_s=spectral.sample_interval_s, samples=spectral.samples, missing=spectral.missing,
+        frequency_hz=tuple(spectrum.frequency_hz.tolist()), psd=tuple(spectrum.density.tolist()),
+        lo=tuple(spectrum.lo.tolist()), hi=tuple(spectrum.hi.tolist()), psd_unit=spectrum.unit_of_measure,
+        confidence=spectrum.confidence, edf=spectrum.edf, segments=spectrum.segments,
+        segments_left_out=spectral.segments_left_out, segment_samples=spectral.segment_samples,
+        bin_width_hz=spectral.bin_width_hz, false_alarm_probability=FALSE_ALARM_PROBABILITY, searched_lo_hz=lo_hz,
+        searched_hi_hz=hi_hz, lines=lines, humps=humps,
+    )  # fmt: skip
 
 
-def _clear_of(
-    lines: Iterable[SpectralLine], bins: int, bin_width_hz: float
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _clear_of(lines: Iterable[SpectralLine], bins: int, bin_width_hz: float) -> NDArray[np.bool_]:
     """Bins that are not within 4 of a line."""
     clear = np.ones(bins, np.bool_)
     for line in lines:
@@ -234,8 +188,6 @@ def _clear_of(
 def with_error(value: float, half_width: float, digits: int = 2) -> str:
     """A value and its half width to so many digits of the latter.
 
-    Examples
-    --------
     >>> with_error(12.345678, 0.00123), with_error(50.0, 12.0), with_error(3.0, 0.0)
     ('12.3457 ± 0.0012', '50 ± 12', '3 ± 0')
     """

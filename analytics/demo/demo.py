@@ -1,20 +1,22 @@
-"""The demonstration: eight simulated gyros through the whole path, faster than real time."""
+"""The demonstration: eight simulated gyros through the whole path, and a diagnosis of their error models."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 
-from analytics.demo.demo_loop import cycle_names, send_cycle, trace_fleet
-from analytics.loop.unit_diagnosis import UnitsDiagnosis
+from analytics.loop.unit_diagnosis import UnitsDiagnosis, diagnose_units
+from analytics.loop.unit_reduction import Question
 from ingest.run.pipeline import EmbeddedPipeline
-from ingest.simulator.demo_fleet import cycle_runs, cycles_last_s, demo_fleet
+from ingest.simulator.demo_fleet import RUN_S, CycleRun, cycle_batches, cycle_runs, cycles_last_s, demo_fleet
 from ingest.simulator.physics.plan import Plan
 from ingest.simulator.station import PowerCycle, SimulatedStation
 from storage.specifications.live_limits import UnitLimits, unit_limits
 from storage.specifications.specification import parse_specification
+from storage.sql.catalog import Catalog
+from storage.store import Store
 from stream.batch import SampleBatch
 from stream.events import (
     AnyDocument,
@@ -35,6 +37,8 @@ from stream.identity import Place, event_key, sample_key
 from stream.quantities import report_unit
 
 PLACE = Place("simulated", "demo-station")
+DECLARED_MODEL = "rate = bias + scale_factor*input_rate + temperature"
+_NAME, _LOT = "gyrofleet demo", "DEMO-LOT-1"
 ESTIMATE_EVERY_S = 600.0
 _BEFORE_S = 3600.0
 _RATE_BATCH, _TEMPERATURE_BATCH = 1000, 60
@@ -72,42 +76,32 @@ class DemoState:
     cycle_samples: int = 0
     found: UnitsDiagnosis | None = None
 
-    def rate(self) -> float:
-        """Samples a second since the beginning."""
-        return self.samples / max(time.monotonic() - self.began, 1e-9)
+
+_Watcher = Callable[[DemoState], object]
 
 
 def demo_limits() -> UnitLimits:
-    """Limits of the demonstration's specification, which ships with the package.
-
-    Examples
-    --------
-    >>> [limit.characteristic for limit in demo_limits().live]
-    ['angle_random_walk', 'allan_deviation', 'bias_stability', 'bias_stability']
-    """
+    """Limits of the demonstration's specification, which ships with the package."""
     content = files("analytics.demo").joinpath("demo_limits.toml").read_bytes()
     found = unit_limits([parse_specification(content, "demo_limits.toml")], None, ["rate"])
     assert found is not None
     return found
 
 
-def run_demo(
-    folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], None] | None = None
-) -> DemoState:
+def run_demo(folder: Path, *, hours: float, seed: int, on_progress: _Watcher = lambda _: None) -> DemoState:
     """Simulate the fleet for so many hours, send it through bus, log, lake and estimators, and judge it.
 
-    `on_progress` is called several times a second, in the caller's thread.
-
-    Raises
-    ------
-    GyrofleetError: If any part of the path failed.
+    `on_progress` is called several times a second, in the caller's thread. Raises GyrofleetError if any part of the
+    path failed.
     """
     fleet = demo_fleet(seed)
     duration_s = hours * 3600.0
     began = datetime.now(UTC)
     t0_ns = (int(began.timestamp()) - round(duration_s)) * 10**9
     run = f"demo-{began:%Y%m%dT%H%M%SZ}"
-    state = DemoState(run, duration_s, demo_limits(), {unit: UnitView(unit) for unit in fleet.units})
+    limits = demo_limits()
+    state = DemoState(run, duration_s, limits, {unit: UnitView(unit) for unit in fleet.units})
+    shown_at = 0.0
 
     def on_document(document: AnyDocument) -> None:
         if isinstance(document, EarlyDecision):
@@ -117,81 +111,87 @@ def run_demo(
         elif isinstance(document, EstimatePublished) and document.signal == "rate":
             state.units[document.unit].estimates[document.estimator] = document
 
-    with EmbeddedPipeline(
-        folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document
-    ) as pipeline:
-        events = event_key(PLACE)
-        started = RunStarted(
-            run=run,
-            t_ns=t0_ns,
-            simulated=True,
-            source=f"simulated station, seed {seed}",
-            units=fleet.units,
-            procedure="static_bias",
-            lot="DEMO-LOT-1",
-        )
-        pipeline.send_event(events, started)
-        limits = state.limits
-        pipeline.send_event(
-            events, LimitsApplied(run=run, t_ns=t0_ns, revision=limits.label, limits=limits.live, planned_s=duration_s)
-        )
-        totals: dict[tuple[str, str], StreamTotal] = {}
-        shown_at = 0.0
-        end_ns = t0_ns + round(duration_s * 1e9)
-        station = SimulatedStation(fleet, run, batch=_RATE_BATCH, temperature_batch=_TEMPERATURE_BATCH)
-        # the short runs come before in time
-        for batch in station.batches(run, PowerCycle(len(cycle_runs(0)), t0_ns), end_ns):
-            if (batch.unit, batch.signal) not in totals and batch.signal == "rate":
-                power_on = PowerOn(run=run, t_ns=batch.t0_ns, unit=batch.unit, epoch=str(batch.epoch))
-                pipeline.send_event(events, power_on)
-            pipeline.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
-            totals[batch.unit, batch.signal] = StreamTotal(
-                unit=batch.unit, signal=batch.signal, epoch=str(batch.epoch), samples=batch.next_seq
-            )
-            _follow(state, batch, t0_ns)
-            if on_progress is not None and time.monotonic() - shown_at >= 0.1:
-                shown_at = time.monotonic()
-                on_progress(state)
-        _send_steps(pipeline, fleet.units, run, t0_ns, end_ns - station.dt_ns)
-        pipeline.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
-        state.phase = "completing the record"
-        if on_progress is not None:
+    def on_batch(batch: SampleBatch) -> None:
+        nonlocal shown_at
+        _follow(state, batch, t0_ns)
+        if time.monotonic() - shown_at >= 0.1:
+            shown_at = time.monotonic()
             on_progress(state)
-        pipeline.finish()
-    state.seconds = time.monotonic() - state.began
-    _close_the_loop(folder, fleet, state, t0_ns, on_progress)
-    state.phase = "done"
-    if on_progress is not None:
-        on_progress(state)
-    return state
-
-
-def _send_steps(pipeline: EmbeddedPipeline, units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> None:
-    """Send the step of each unit: at rest throughout the run."""
-    for unit in units:
-        step = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
-        pipeline.send_event(event_key(PLACE), step)
-        pipeline.send_event(event_key(PLACE), StepEnded(run=run, t_ns=last_ns, unit=unit, step_uid=step.uid))
-
-
-def _close_the_loop(
-    folder: Path, fleet: Plan, state: DemoState, t0_ns: int, on_progress: Callable[[DemoState], None] | None
-) -> None:
-    """Nine earlier short runs with temperature cycles and rates, and the diagnosis of each unit."""
 
     def report(phase: str) -> None:
         state.phase = phase
-        if on_progress is not None:
-            on_progress(state)
+        on_progress(state)
 
+    with EmbeddedPipeline(folder, _NAME, estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document) as pipeline:
+        applied = LimitsApplied(run=run, t_ns=t0_ns, revision=limits.label, limits=limits.live, planned_s=duration_s)
+        end_ns = t0_ns + round(duration_s * 1e9)
+        station = SimulatedStation(fleet, run, batch=_RATE_BATCH, temperature_batch=_TEMPERATURE_BATCH)
+        # the short runs come before in time
+        batches = station.batches(run, PowerCycle(len(cycle_runs(0)), t0_ns), end_ns)
+        steps = _steps(fleet.units, run, t0_ns, end_ns - station.dt_ns)
+        first = (_started(fleet, run, t0_ns, "static_bias"), applied)
+        _send_run(pipeline, PLACE, first, batches, steps, end_ns, on_batch)
+        report("completing the record")
+        pipeline.finish()
+    state.seconds = time.monotonic() - state.began
+    _close_the_loop(folder, fleet, state, t0_ns, report)
+    report("done")
+    return state
+
+
+def _started(fleet: Plan, run: str, t_ns: int, procedure: str) -> RunStarted:
+    source, units = f"simulated station, seed {fleet.seed}", fleet.units
+    return RunStarted(run=run, t_ns=t_ns, simulated=True, source=source, units=units, procedure=procedure, lot=_LOT)
+
+
+def _steps(units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> Iterator[AnyDocument]:
+    """The step of each unit: at rest throughout the run."""
+    for unit in units:
+        step = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
+        yield step
+        yield StepEnded(run=run, t_ns=last_ns, unit=unit, step_uid=step.uid)
+
+
+def _send_run(
+    pipeline: EmbeddedPipeline, place: Place, first: Sequence[AnyDocument], batches: Iterable[SampleBatch],
+    last: Iterable[AnyDocument], end_ns: int, on_batch: Callable[[SampleBatch], None] = lambda _: None,
+) -> int:  # fmt: skip
+    """Send the documents that begin a run, its samples, those that follow them, and its end; the number of samples."""
+    events, run = event_key(place), first[0].run
+    for document in first:
+        pipeline.send_event(events, document)
+    totals: dict[tuple[str, str], StreamTotal] = {}
+    for batch in batches:
+        unit, signal, epoch = batch.unit, batch.signal, str(batch.epoch)
+        if (unit, signal) not in totals and signal == "rate":
+            pipeline.send_event(events, PowerOn(run=run, t_ns=batch.t0_ns, unit=unit, epoch=epoch))
+        pipeline.send_batch(sample_key(place, unit, signal), batch)
+        totals[unit, signal] = StreamTotal(unit=unit, signal=signal, epoch=epoch, samples=batch.next_seq)
+        on_batch(batch)
+    for document in (*last, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values()))):
+        pipeline.send_event(events, document)
+    return sum(each.samples for each in totals.values())
+
+
+def _close_the_loop(folder: Path, fleet: Plan, state: DemoState, t0_ns: int, report: Callable[[str], None]) -> None:
+    """Nine earlier short runs with temperature cycles and rates, and the diagnosis of each unit."""
     runs = cycle_runs(t0_ns - round((cycles_last_s() + _BEFORE_S) * 1e9))
-    state.cycles = cycle_names(state.run, runs)
-    with EmbeddedPipeline(folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
+    state.cycles = tuple(f"{state.run}-{each.kind}-{each.number}" for each in runs)
+    with EmbeddedPipeline(folder, _NAME, estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
         for run, name in zip(runs, state.cycles, strict=True):
             report(f"short runs: {name}")
             state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name)
         pipeline.finish()
-    state.found = trace_fleet(folder, fleet.units, state.cycles, report)
+    question = Question(model=DECLARED_MODEL, runs=state.cycles)
+    with Catalog(Store.open(folder)) as catalog:
+        state.found = diagnose_units(catalog, fleet.units, question, on_progress=report)
+
+
+def send_cycle(pipeline: EmbeddedPipeline, place: Place, fleet: Plan, run: CycleRun, name: str) -> int:
+    """Send one of the short runs; the number of its samples."""
+    first = [_started(fleet, name, run.t0_ns, run.kind)]
+    end_ns = run.t0_ns + round(RUN_S * 1e9)
+    return _send_run(pipeline, place, first, cycle_batches(fleet, run, name), (), end_ns)
 
 
 def _follow(state: DemoState, batch: SampleBatch, t0_ns: int) -> None:

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from analytics.demo.demo import DemoState, UnitView
 from stream.estimators.decision.decision import Outcome
-from stream.events import Check, EarlyDecision, EstimatePublished, Limit, Verdict, VerdictGiven
+from stream.events import Check, EarlyDecision, Limit, Verdict, VerdictGiven
 from stream.worker.limit_checks import judge
 
 _WIDE = 140
@@ -55,7 +55,7 @@ def fleet_table(state: DemoState, width: int) -> Table:
     is_wide = width >= _WIDE
     table = Table(
         header_style="bold",
-        caption=f"values with their 95 % confidence limits; limits {state.limits.label}",
+        caption=f"values with their 95 % confidence bounds; limits {state.limits.label}",
         caption_justify="left",
         box=box.HEAVY_HEAD if is_wide else box.SIMPLE_HEAD,
         padding=(0, 1) if is_wide else (0, 1, 0, 0),
@@ -77,8 +77,6 @@ def fleet_table(state: DemoState, width: int) -> Table:
 def limit_title(limit: Limit) -> str:
     """Heading of a limit's column in two languages.
 
-    Examples
-    --------
     >>> limit_title(Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=0.8,
     ...     unit_of_measure="deg/h")).splitlines()
     ['Bias stability', '零偏稳定性 10 s', '<= 0.8 deg/h']
@@ -89,7 +87,7 @@ def limit_title(limit: Limit) -> str:
 
 
 def _row(view: UnitView, limits: Sequence[Limit]) -> list[RenderableType]:
-    checks = view.verdict.checks if view.verdict else [judge(limit, _estimates(view)) for limit in limits]
+    checks = view.verdict.checks if view.verdict else [judge(limit, list(view.estimates.values())) for limit in limits]
     return [
         view.unit,
         f"{view.samples:,}",
@@ -98,10 +96,6 @@ def _row(view: UnitView, limits: Sequence[Limit]) -> list[RenderableType]:
         *(_cell(check, view.decisions.get(check.limit), final=view.verdict is not None) for check in checks),
         _verdict(view.verdict),
     ]
-
-
-def _estimates(view: UnitView) -> list[EstimatePublished]:
-    return list(view.estimates.values())
 
 
 def _cell(check: Check, decision: EarlyDecision | None, *, final: bool) -> Text:

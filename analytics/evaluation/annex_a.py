@@ -44,9 +44,8 @@ bandwidth: 带宽: Bandwidth
 output_delay: 输出延迟时间: Output delay
 startup_time: 启动时间: Start-up time
 """
-CHARACTERISTICS = tuple(
-    Characteristic(zh, en, metric) for metric, zh, en in (line.split(": ") for line in _ROWS.splitlines())
-)
+_NAMES = (line.split(": ") for line in _ROWS.splitlines())
+CHARACTERISTICS = tuple(Characteristic(zh, en, metric) for metric, zh, en in _NAMES)
 
 
 class AnnexRow(NamedTuple):

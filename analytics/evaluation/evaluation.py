@@ -14,13 +14,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
-from analytics.metric_registry.header import BoundsSource
-from analytics.metric_registry.registry import Metric, metrics, parameters_text
+from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
 from analytics.metrics.scale_factor import keep_scale_fits
 from analytics.specifications.sql_tables import put_specifications
 from analytics.step_records import FOLDER
-from analytics.step_records.kept_file import read_kept, write_kept
-from analytics.step_records.step_table import Progress, step_means
+from analytics.step_records.step_table import Progress, read_kept, step_means, write_kept
 from storage.sql.catalog import Catalog, NotKept
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
@@ -33,19 +31,20 @@ _TOO_LITTLE = "the steps hold too little to compute it"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
 _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_uncertainty", "freedom")
-COLUMNS = pa.schema(
-    [
-        *((name, pa.string()) for name in _TEXTS),
-        ("value", pa.float64()),
-        ("unit_of_measure", pa.string()),
-        *((name, pa.float64()) for name in _NUMBERS),
-        ("n", pa.int64()),
-        ("parameters", pa.string()),
-        ("runs", pa.list_(pa.string())),
-        ("steps", pa.list_(pa.int64())),
-        *((name, pa.string()) for name in ("standard", "clause", "reason")),
-    ]
-)
+_TEXT, _REAL = pa.string(), pa.float64()
+COLUMNS = pa.schema({
+    **dict.fromkeys(_TEXTS, _TEXT), "value": _REAL, "unit_of_measure": _TEXT, **dict.fromkeys(_NUMBERS, _REAL),
+    "n": pa.int64(), "parameters": _TEXT, "runs": pa.list_(_TEXT), "steps": pa.list_(pa.int64()),
+    "standard": _TEXT, "clause": _TEXT, "reason": _TEXT,
+})  # fmt: skip
+# Hash of each unit's checks that were entered by hand, which may belong to no run; and of its products' numbers.
+_ENTERED = """
+select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents
+where kind = 'CheckEntered' group by unit
+"""
+_PRODUCTS = """
+select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit
+"""
 _STILL = "create or replace table internal.still_steps as from internal.standing_steps"
 # A total order, so that kept and recomputed rows make the same table.
 _SORTED = """
@@ -53,10 +52,9 @@ select * from unit_metrics
 order by metric, unit, signal nulls first, run nulls first, parameters nulls first, standard, clause, steps, runs,
   reason
 """
-_NO_SCALES = pa.schema(
-    [(name, pa.string()) for name in ("unit", "signal", "run", "output_unit")]
-    + [("value", pa.float64()), ("t_to_ns", pa.int64())]
-).empty_table()
+_NO_SCALES = pa.schema({
+    "unit": _TEXT, "signal": _TEXT, "run": _TEXT, "output_unit": _TEXT, "value": _REAL, "t_to_ns": pa.int64()
+}).empty_table()  # fmt: skip
 # In the metadata of the kept file: the fingerprint of each unit; for a unit with some metrics only, with their ids.
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
@@ -66,20 +64,15 @@ _PACKAGES = ("analytics.metrics", "analytics.methods", "analytics.metric_registr
 def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = ()) -> pa.Table:
     """Metrics of all units of a store; puts the tables ``step_means``, ``unit_metrics`` and the views of this package.
 
-    Parameters
-    ----------
-    progress: Called with how many of how many changed runs have been reduced.
-    wanted: Metrics that are needed, all if empty; of units that changed only these are computed.
-
-    Returns
-    -------
-    Table
-        `COLUMNS`. Values of units whose records and products have not changed are read from the kept file; recomputed
-        they are the same to the last bit. Metrics that are not wanted may be missing.
+    `progress` is called with how many of how many changed runs have been reduced. Of units that changed only the
+    `wanted` metrics are computed, all if empty. The columns are `COLUMNS`. Values of units whose records and products
+    have not changed are read from the kept file; recomputed they are the same to the last bit. Metrics that are not
+    wanted may be missing.
     """
     steps = step_means(catalog, progress)
     define_views(catalog, steps)
-    prints = _unit_fingerprints(steps, _entered(catalog), _products(catalog), _averaging_times(catalog, steps))
+    of_documents = (_marks(catalog, sql) for sql in (_ENTERED, _PRODUCTS))
+    prints = _unit_fingerprints(steps, *of_documents, _averaging_times(catalog, steps))
     table, marks = kept_metrics(catalog.kept)
     every = frozenset(metrics())
     needed = frozenset(wanted) or every
@@ -104,7 +97,12 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
     if stale or not is_same:
         for unit in stale:
             known[unit] = known.get(unit, frozenset()) | needed
-        _keep(catalog, table, {unit: _mark(mark, known[unit], every) for unit, mark in prints.items()})
+        marks = {
+            unit: mark if known[unit] >= every else f"{mark}:{','.join(sorted(known[unit]))}"
+            for unit, mark in prints.items()
+        }
+        if not catalog.frozen:
+            write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(marks)}))
     if is_partial and needed == every:  # else the evaluation has put those of all units
         keep_scale_fits(catalog)
         catalog.define(_STILL)
@@ -132,14 +130,12 @@ def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue; `COLUMNS`."""
     wanted = {metric.header.id: metric for metric in chosen}
-    every = metrics()
-    order = [_FIRST, *(each for each in wanted if each != _FIRST)] if _FIRST in every else list(wanted)
     tables = [COLUMNS.empty_table()]
-    for each in order:
-        if each not in wanted:
-            keep_scale_fits(catalog)
+    for each in dict.fromkeys([*([_FIRST] if _FIRST in metrics() else []), *wanted]):
+        if each in wanted:
+            tables.append(_values(catalog, metrics()[each]))
         else:
-            tables.append(_values(catalog, every[each]))
+            keep_scale_fits(catalog)
         if each == _FIRST:
             catalog.define(_STILL)
     return pa.concat_tables(tables)
@@ -172,10 +168,8 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     rows = metric.compute(catalog)
     if isinstance(rows, pa.Table):
         return rows
-    return pa.Table.from_pylist(
-        [{"runs": [row["run"]]} | dict(row) | {"parameters": parameters_text(row["parameters"])} for row in rows],
-        schema=COLUMNS,
-    )
+    found = [{"runs": [row["run"]], **row, "parameters": parameters_text(row["parameters"])} for row in rows]
+    return pa.Table.from_pylist(found, schema=COLUMNS)
 
 
 def _make_readable(columns: dict[str, pa.Array]) -> None:
@@ -183,10 +177,8 @@ def _make_readable(columns: dict[str, pa.Array]) -> None:
     parameters = columns["parameters"]
     unreadable = pc.fill_null(pc.match_substring_regex(parameters, _NO_JSON), False)
     if pc.any(unreadable).as_py():
-        mended = [
-            parameters_text(json.loads(text, parse_constant=lambda _: None))
-            for text in parameters.filter(unreadable).to_pylist()
-        ]
+        texts = parameters.filter(unreadable).to_pylist()
+        mended = [parameters_text(json.loads(text, parse_constant=lambda _: None)) for text in texts]
         columns["parameters"] = pc.replace_with_mask(parameters, unreadable, pa.array(mended, pa.string()))
 
 
@@ -223,35 +215,19 @@ def _rate_units(steps: pa.Table) -> pa.Table:
         with suppress(UnknownUnit):
             if is_angular_rate(unit):
                 found[unit] = conversion(unit, "deg/h")[0]
-    return pa.table(
-        {"unit_of_measure": pa.array(found.keys(), pa.string()), "deg_per_h": pa.array(found.values(), pa.float64())}
-    )
+    units, factors = pa.array(found.keys(), pa.string()), pa.array(found.values(), pa.float64())
+    return pa.table({"unit_of_measure": units, "deg_per_h": factors})
 
 
-def _entered(catalog: Catalog) -> dict[str, str]:
-    """Hash of each unit's checks that were entered by hand; they may belong to no run."""
-    found = catalog.rows(
-        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents "
-        "where kind = 'CheckEntered' group by unit"
-    )
-    return {str(unit): str(mark) for unit, mark in found}
-
-
-def _products(catalog: Catalog) -> dict[str, str]:
-    """Hash of the numbers of each unit's product in its runs."""
-    found = catalog.rows(
-        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit"
-    )
-    return {str(unit): str(mark) for unit, mark in found}
+def _marks(catalog: Catalog, sql: str) -> dict[str, str]:
+    return {str(unit): str(mark) for unit, mark in catalog.rows(sql)}
 
 
 def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:
     """The averaging times of the Allan deviation that limits name, which are those of every unit's values."""
-    found = catalog.rows(
-        "select string_agg(distinct key, ';' order by key) from internal.specification_parameters "
-        "where metric = 'allan_deviation'"
-    )
-    return {} if found[0][0] is None else dict.fromkeys(steps["unit"].unique().to_pylist(), str(found[0][0]))
+    sql = "select string_agg(distinct key, ';' order by key) from internal.specification_parameters "
+    ((keys,),) = catalog.rows(f"{sql} where metric = 'allan_deviation'")
+    return {} if keys is None else dict.fromkeys(steps["unit"].unique().to_pylist(), str(keys))
 
 
 def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, str]:
@@ -272,10 +248,6 @@ def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, 
     }
 
 
-def _mark(fingerprint: str, computed: frozenset[str], every: frozenset[str]) -> str:
-    return fingerprint if computed >= every else f"{fingerprint}:{','.join(sorted(computed))}"
-
-
 def _computed(mark: str, fingerprint: str | None, every: frozenset[str]) -> frozenset[str]:
     """Metrics of a unit that are kept and up to date."""
     kept, colon, names = mark.partition(":")
@@ -292,11 +264,6 @@ def kept_metrics(folder: Path) -> tuple[pa.Table, dict[str, str]]:
             known = dict(json.loads(table.schema.metadata[_PRINTS]))
             return table.replace_schema_metadata(None).cast(COLUMNS), known
     return COLUMNS.empty_table(), {}
-
-
-def _keep(catalog: Catalog, table: pa.Table, marks: Mapping[str, str]) -> None:
-    if not catalog.frozen:
-        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(marks)}))
 
 
 def row_of(row: Mapping[str, Any]) -> dict[str, Any]:

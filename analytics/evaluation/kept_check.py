@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from analytics.evaluation import evaluation
 from analytics.step_records import FOLDER, step_table
-from analytics.step_records.kept_file import hash_path, read_kept
+from analytics.step_records.step_table import hash_path, read_kept
 from storage.findings import KEPT_DAMAGED, Finding, Severity
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -22,11 +22,8 @@ _REMEDY = "move it to lake-aside; it is recomputed when it is next needed"
 def kept_findings(store: Store) -> list[Finding]:
     """Damage of the kept files, and values that do not follow from the lake; outdated ones are no finding."""
     paths = [store.folder / FOLDER / name for name in (step_table.FILE, evaluation.FILE)]
-    found = [
-        Finding(KEPT_DAMAGED, Severity.DAMAGE, str(path), "its content does not agree with its hash", _REMEDY)
-        for path in paths
-        if _is_damaged(path)
-    ]
+    damaged = "its content does not agree with its hash"
+    found = [_finding(path, damaged) for path in paths if _is_damaged(path)]
     steps, (metrics, prints) = step_table.kept_steps(store.folder), evaluation.kept_metrics(store.folder)
     if steps is None and not prints:
         return found
@@ -71,4 +68,8 @@ def _changed(path: Path, key: str, which: list[str]) -> list[Finding]:
         return []
     more = f" and {len(which) - 5} more" if len(which) > 5 else ""
     what = f"{key} {', '.join(which[:5])}{more}: the kept rows are not what recomputing gives"
-    return [Finding(KEPT_DAMAGED, Severity.DAMAGE, str(path), what, _REMEDY)]
+    return [_finding(path, what)]
+
+
+def _finding(path: Path, what: str) -> Finding:
+    return Finding(KEPT_DAMAGED, Severity.DAMAGE, str(path), what, _REMEDY)

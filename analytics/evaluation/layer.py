@@ -20,8 +20,7 @@ class MetricsLayer:
 
     tables = (
         "step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve", "unit_runs",
-        "metric_names", "specification_limits", "specification_history", "verdicts", "unit_verdicts", "yield_by",
-        "failure_pareto", "unit_warnings", "unused_steps",
+        "metric_names", "specification_limits", "specification_history", "unit_warnings", "unused_steps",
     )  # fmt: skip
     folder = FOLDER
     examples: ClassVar[dict[str, str]] = {
@@ -32,6 +31,33 @@ class MetricsLayer:
         "order by unit, temperature",
         "The fleet's 100 s bias stability": "select unit, value from unit_metrics "
         "where metric = 'bias_stability_averaged' and (parameters->>'$.average_s')::double = 100 order by value desc",
+    }
+
+    @property
+    def columns(self) -> "ColumnTexts":
+        """Descriptions of the columns of its tables."""
+        return _column_texts()
+
+    def fill(self, catalog: "Catalog") -> None:
+        """Bring the metrics up to date, and define the tables."""
+        from analytics.evaluation.evaluation import unit_metrics
+
+        unit_metrics(catalog, catalog.progress)
+        define_metric_tables(catalog)
+
+    def findings(self, store: "Store") -> "list[Finding]":
+        """Findings on the metrics that the store keeps."""
+        from analytics.evaluation.kept_check import kept_findings
+
+        return kept_findings(store)
+
+
+class VerdictsLayer:
+    """Verdicts on the metrics; apart from them, since their views take longer to define than all others."""
+
+    tables = ("verdicts", "unit_verdicts", "yield_by", "failure_pareto")
+    folder = FOLDER
+    examples: ClassVar[dict[str, str]] = {
         "Which units are not good, and why?": "select unit, metric, verdict, value, lower, upper, reason "
         "from verdicts where verdict <> 'PASS' order by unit, metric",
         "Yield of each lot": "select name as lot, units, passed, failed, yield, yield_lo, yield_hi from yield_by "
@@ -42,28 +68,38 @@ class MetricsLayer:
     @property
     def columns(self) -> "ColumnTexts":
         """Descriptions of the columns of its tables."""
-        from storage.sql.tables import read_texts
-
-        return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))
+        return _column_texts()
 
     def fill(self, catalog: "Catalog") -> None:
-        """Bring the metrics up to date, and define the tables."""
-        from analytics.evaluation.evaluation import unit_metrics
+        """Define the tables, after the metrics."""
+        from analytics.evaluation.evaluation import define_scripts
 
-        unit_metrics(catalog, catalog.progress)
-        define_tables(catalog)
+        catalog.rows("from unit_metrics limit 0")  # fills the layer of metrics
+        define_scripts(catalog, "verdict_tables")
 
-    def findings(self, store: "Store") -> "list[Finding]":
-        """Findings on the metrics that the store keeps."""
-        from analytics.evaluation.kept_check import kept_findings
-
-        return kept_findings(store)
+    def findings(self, store: "Store") -> "list[Finding]":  # noqa: ARG002
+        """None: what the store keeps is of the metrics."""
+        return []
 
 
 def define_tables(catalog: "Catalog") -> None:
     """Define the tables that use the step records and metrics of a catalogue, and the specifications of its store."""
     from analytics.evaluation.evaluation import define_scripts
+
+    define_metric_tables(catalog)
+    define_scripts(catalog, "verdict_tables")
+
+
+def define_metric_tables(catalog: "Catalog") -> None:
+    """Define those without verdicts."""
+    from analytics.evaluation.evaluation import define_scripts
     from analytics.specifications.sql_tables import put_names
 
     put_names(catalog)
     define_scripts(catalog, "tables")
+
+
+def _column_texts() -> "ColumnTexts":
+    from storage.sql.tables import read_texts
+
+    return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))

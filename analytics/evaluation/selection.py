@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from analytics.evaluation.evaluation import define_scripts, row_of, unit_metrics
 from analytics.metric_registry.registry import alike, check_metrics, metrics
+from analytics.specifications.verdicts import rows_of
 from ingest.moment import moment_ns
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, NotFound
@@ -23,19 +24,14 @@ _HAS_PARTIAL = "select 1 from information_schema.tables where table_name = 'part
 
 
 class Selection(NamedTuple):
-    """The selection; an empty part selects all.
-
-    Parameters
-    ----------
-    since_ns: Only values of a run that began at this moment or later.
-    """
+    """The selection; an empty part selects all."""
 
     units: tuple[str, ...] = ()
     lots: tuple[str, ...] = ()
     runs: tuple[str, ...] = ()
     metrics: tuple[str, ...] = ()
     standards: tuple[str, ...] = ()
-    since_ns: int | None = None
+    since_ns: int | None = None  # only values of a run that began at this moment or later
 
 
 @contextmanager
@@ -46,9 +42,8 @@ def evaluated(catalog: Catalog, names: Collection[str]) -> Iterator[None]:
         return
     with catalog.suspended_layers() as waiting:
         if any("unit_metrics" in layer.tables for layer in waiting):
-            has = (
-                {name for (name,) in catalog.rows(f"from internal.{_PARTIAL}")} if catalog.rows(_HAS_PARTIAL) else set()
-            )
+            is_partial = bool(catalog.rows(_HAS_PARTIAL))
+            has = {name for (name,) in catalog.rows(f"from internal.{_PARTIAL}")} if is_partial else set()
             if not has.issuperset(names):
                 unit_metrics(catalog, catalog.progress, has | set(names))
                 define_scripts(catalog, "tables", ["05_unit_runs.sql"])
@@ -59,10 +54,8 @@ def evaluated(catalog: Catalog, names: Collection[str]) -> Iterator[None]:
 def selected(catalog: Catalog, asked: Selection) -> list[Row]:
     """Selected values and reasons, as in `gyrofleet metrics --json`; only the named metrics are computed.
 
-    Raises
-    ------
-    NotFound: If a unit, lot or run is not in the store; the message names similar ones.
-    BadInput: If there is no such metric or standard.
+    Raises NotFound if a unit, lot or run is not in the store; the message names similar ones; BadInput if there is no
+    such metric or standard.
     """
     check_metrics(asked.metrics)
     standards = [standard_named(each) for each in asked.standards]
@@ -80,14 +73,13 @@ def selected(catalog: Catalog, asked: Selection) -> list[Row]:
             )
         sql = f"select m.* from unit_metrics m where {conditions} "  # noqa: S608
         ordered = f"{sql} order by m.unit, m.metric, m.signal, m.run, m.standard, m.parameters"
-        rows = [row_of(row) for batch in catalog.batches(ordered, given or None) for row in batch.to_pylist()]
-    narrow = (narrowed(row, standards) for row in rows)
-    return [row for row in narrow if row is not None]
+        rows = [row_of(row) for row in rows_of(catalog, ordered, given or None)]
+    return [narrow for row in rows if (narrow := narrowed(row, standards)) is not None]
 
 
 def _in_lists(
     columns: dict[str, Sequence[str]], since_ns: int | None = None, of: str = ""
-) -> tuple[str, dict[str, object]]:
+) -> tuple[str, dict[str, Any]]:
     """Condition that columns are among the given names and a run's date is known and not before a moment."""
     conditions = ["true"]
     given: dict[str, object] = {}
@@ -105,17 +97,12 @@ def _in_lists(
 def dated(text: str) -> int:
     """Nanoseconds UTC of the value of `--since`: a date (its first moment, UTC), or a moment with a time zone.
 
-    Raises
-    ------
-    BadInput: If it is neither.
+    Raises BadInput if it is neither.
 
-    Examples
-    --------
     >>> dated("2026-11-21") == dated("2026-11-21T08:00:00+08:00")
     True
     """
-    is_date = len(text) == len("2026-11-21")
-    return moment_ns(f"{text}T00:00:00Z" if is_date else text, "--since")
+    return moment_ns(f"{text}T00:00:00Z" if len(text) == len("2026-11-21") else text, "--since")
 
 
 def undated_runs(catalog: Catalog, asked: Selection) -> int:
@@ -146,12 +133,8 @@ def unused_steps(catalog: Catalog, asked: Selection) -> list[tuple[str, int, str
 def standard_named(text: str) -> str:
     """Name of a standard in the metrics, from the ways people write it.
 
-    Raises
-    ------
-    BadInput: If no metric is of that standard.
+    Raises BadInput if no metric is of that standard.
 
-    Examples
-    --------
     >>> standard_named("GJB 2426A-2004")
     'GJB2426A'
     """
@@ -201,6 +184,5 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
                     f"{kind} {name!r} has samples, but no completed step says what was measured: import its files "
                     "again with --procedure, as --procedure static_bias --position IRA_up for records at rest"
                 )
-            raise NotFound(
-                f"no completed step of {kind} {name!r} is in the store; {alike(name, known, f'{kind}s are')}"
-            )
+            similar = alike(name, known, f"{kind}s are")
+            raise NotFound(f"no completed step of {kind} {name!r} is in the store; {similar}")

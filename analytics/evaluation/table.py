@@ -10,9 +10,11 @@ from typing import Any
 
 from analytics.evaluation.selection import Row, clauses_of
 from analytics.metric_registry.registry import metrics
+from storage.specifications.specification import format_parameter
 from stream.atomic_file import replacement
 from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
+from stream.quantities import format_unit
 from stream.result_table import ResultTable
 
 COLUMNS = (
@@ -38,27 +40,19 @@ _MOST_DIGITS = 9
 
 
 def name_of(metric: str, language: str) -> str:
-    """A metric's name in ``en`` or ``zh``.
-
-    Examples
-    --------
-    >>> name_of("bias", "zh")
-    '零偏'
-    """
+    """A metric's name in ``en`` or ``zh``."""
     header = metrics()[metric].header
     return header.zh if language == "zh" else header.en
 
 
-def title_of(column: str, language: str) -> str:
-    """Title of a column."""
-    return (_ZH if language == "zh" else _EN).get(column, column)
+def _titles(columns: Iterable[str], language: str) -> list[str]:
+    titles = _ZH if language == "zh" else _EN
+    return [titles.get(column, column) for column in columns]
 
 
 def format_number(value: float | None, resolution: float | None = None) -> str:
     """A number rounded to two digits of its uncertainty.
 
-    Examples
-    --------
     >>> format_number(12.3456, 0.0123), format_number(1.5e-7, 2e-9), format_number(3.0), format_number(None)
     ('12.346', '1.500e-07', '3', '')
     """
@@ -76,29 +70,16 @@ def format_number(value: float | None, resolution: float | None = None) -> str:
 def format_parameters(parameters: Mapping[str, Any]) -> str:
     """Parameters on one line, without unknown ones, the procedure, which the run names, and ``room = false``.
 
-    Examples
-    --------
     >>> format_parameters({"procedure": "static_bias", "average_s": 100.0, "room": True, "axis": None})
     'average_s = 100, room = true'
     >>> format_parameters({"temperature": 25.0, "room": False})
     'temperature = 25'
     """
     return ", ".join(
-        f"{name} = {_format_parameter(each)}"
+        f"{name} = {format_parameter(each)}"
         for name, each in parameters.items()
         if each is not None and name != "procedure" and not (name == "room" and each is False)
     )
-
-
-def _format_parameter(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def format_clauses(row: Row) -> str:
-    """Standards and their clauses, such as ``GJB2426A 5.12.1 (19); JJF2014 7.2.13 (27)(28)``."""
-    return "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items())
 
 
 def interval_of(row: Row) -> str:
@@ -112,8 +93,6 @@ def interval_of(row: Row) -> str:
 def format_limits(row: Row) -> str:
     """Specification limits.
 
-    Examples
-    --------
     >>> format_limits({"lower": None, "upper": 0.5}), format_limits({"lower": -1.0, "upper": 1.0})
     ('<= 0.5', '-1 .. 1')
     """
@@ -125,10 +104,13 @@ def format_limits(row: Row) -> str:
 
 def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
     """Rows as a table for the screen, a section for each unit and run; a reason replaces a missing value."""
-    table = ResultTable(
-        *(title_of(each, language) for each in ("name", "signal", "value", "interval", "n", "parameters", "clause"))
-    )
-    for (unit, run), section in groupby(sorted(rows, key=_section), key=_section):
+    shown = ("name", "signal", "value", "interval", "n", "parameters", "clause")
+    table = ResultTable(*_titles(shown, language))
+
+    def of_section(row: Row) -> tuple[str, str]:
+        return row["unit"], row["run"] or ""
+
+    for (unit, run), section in groupby(sorted(rows, key=of_section), key=of_section):
         runs = run or ("几次试验合计" if language == "zh" else "over several runs")
         table.add_section()
         table.add_row(styled(unit, "bold").append(f"  {shown_text(runs)}", "default"))
@@ -140,23 +122,14 @@ def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
                 interval_of(row),
                 "" if row["n"] is None else f"{row['n']:,}",
                 format_parameters(row["parameters"]),
-                format_clauses(row),
+                "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items()),
             )
     return table
-
-
-def _section(row: Row) -> tuple[str, str]:
-    return row["unit"], row["run"] or ""
 
 
 def format_value(row: Row) -> str:
     """A value rounded by its uncertainty, with its unit."""
     return f"{format_number(row['value'], row['standard_uncertainty'])} {format_unit(row['unit_of_measure'])}".strip()
-
-
-def format_unit(unit_of_measure: str | None) -> str:
-    """A unit of measure for display; empty for a dimensionless number."""
-    return "" if unit_of_measure in (None, "", "1") else str(unit_of_measure)
 
 
 def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
@@ -183,7 +156,7 @@ def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
         with replacement(path) as fresh, xlsxwriter.Workbook(str(fresh), options) as book:
             sheet = book.add_worksheet("指标" if language == "zh" else "metrics")
             bold = book.add_format({"bold": True})
-            titles = [title_of(column, language) for column in ("name", *COLUMNS)]
+            titles = _titles(("name", *COLUMNS), language)
             sheet.write_row(0, 0, titles, bold)
             at = 0
             for at, row in enumerate(rows, 1):

@@ -4,12 +4,8 @@ from collections.abc import Iterable
 
 
 class Bilingual(str):
-    """An English text with its Chinese form.
+    """An English text with its Chinese form; msgspec encodes plain strings only: a document holds `str(text)`.
 
-    msgspec encodes plain strings only: a document holds `str(text)`.
-
-    Examples
-    --------
     >>> text = Bilingual("2 runs", "2次试验")
     >>> text, text.zh
     ('2 runs', '2次试验')
@@ -25,18 +21,11 @@ class Bilingual(str):
         return text
 
     def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
-        """For pickling."""
         return str(self), self.zh
 
 
 def chinese(text: str) -> str:
-    """The Chinese form of a text; of a text without one, the text itself.
-
-    Examples
-    --------
-    >>> chinese(Bilingual("2 runs", "2次试验")), chinese("FOG-0231")
-    ('2次试验', 'FOG-0231')
-    """
+    """The Chinese form of a text; of a text without one, the text itself."""
     return text.zh if isinstance(text, Bilingual) else text
 
 

@@ -1,24 +1,23 @@
 """From a trace to a version of the unit's error model."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import msgspec
 
-from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.effects.events import TURN_ON
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.loop.model.model_use import InUse, Stage, activate, read_uses
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
-from analytics.loop.unit_reduction import Question
+from analytics.loop.unit_reduction import Progress, Question, silent
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
 from stream.events import ModelActivated
 
-EVENTS = (LINE, JUMP, TURN_ON)
-"""Effects that no model predicts: a line has another phase in each run, a jump occurs once."""
+EVENTS = (LINE, JUMP, TURN_ON)  # no model predicts them: a line has another phase in each run, a jump occurs once
 
 
 def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, note: str = "") -> ModelVersion:
@@ -82,13 +81,11 @@ def promote_trace(
     *,
     by: str,
     note: str = "",
-    on_progress: Callable[[str], None] = lambda _: None,
+    on_progress: Progress = silent,
 ) -> tuple[ModelVersion, ModelActivated]:
     """Trace a unit's residual, write the model with the effects found as a new version, and put it to use.
 
-    Raises
-    ------
-    BadInput: If the trace has no model, or it must not go live; then nothing is written.
+    BadInput if the trace has no model, or it must not go live; then nothing is written.
     """
     with Catalog(store) as catalog:
         found = diagnose_units(catalog, [unit], question, on_progress=on_progress).units[unit]

@@ -1,13 +1,16 @@
 """From units of a store to diagnoses, one after the other or pooled."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.next_test.candidate_tests import StationBounds
+from analytics.loop.next_test.next_test import NextTest, next_test
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
-from analytics.loop.unit_reduction import Question, ReducedUnit, ReducedUnits, model_on, reduce_units
+from analytics.loop.unit_reduction import Progress, Question, ReducedUnit, ReducedUnits, model_on, reduce_units, silent
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
 
@@ -18,6 +21,8 @@ class UnitDiagnosis:
 
     data: ReducedUnit
     diagnosis: Diagnosis
+    next_test: NextTest | None = None  # of what the diagnosis leaves open, if it was asked for
+    is_planned: bool = False  # whether it was asked for
 
     @property
     def unit(self) -> str:
@@ -27,24 +32,20 @@ class UnitDiagnosis:
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
         notes = [{"what": note.what, "text": str(note.text), "channel": note.channel} for note in self.data.notes]
-        return {**self.diagnosis.document(), "noise_source": str(self.data.noise_source), "reduction": notes}
+        document = {**self.diagnosis.document(), "noise_source": str(self.data.noise_source), "reduction": notes}
+        if self.is_planned:
+            document["next_test"] = None if self.next_test is None else self.next_test.document()
+        return document
 
 
 @dataclass(frozen=True)
 class UnitsDiagnosis:
-    """The diagnoses of several units.
-
-    Parameters
-    ----------
-    failed: Why units could not be diagnosed.
-    own_findings: Findings significant among so many units (Benjamini and Hochberg).
-    fleet: All units pooled, if requested.
-    """
+    """The diagnoses of several units."""
 
     units: Mapping[str, UnitDiagnosis]
-    failed: Mapping[str, str]
-    own_findings: Mapping[str, tuple[str, ...]]
-    fleet: FleetDiagnosis | None = None
+    failed: Mapping[str, str]  # why units could not be diagnosed
+    own_findings: Mapping[str, tuple[str, ...]]  # significant among so many units (Benjamini and Hochberg)
+    fleet: FleetDiagnosis | None = None  # all units pooled, if requested
 
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
@@ -56,29 +57,37 @@ class UnitsDiagnosis:
         }
 
 
+def with_next_tests(
+    found: UnitsDiagnosis, models: Mapping[str, ErrorModel], bounds: Mapping[str, float], on_progress: Progress = silent
+) -> UnitsDiagnosis:
+    """The diagnoses with the next test of each unit, see `next_test`; `bounds` are fields of `StationBounds`."""
+    units = {}
+    for unit, each in found.units.items():
+        on_progress(f"planning the next test of {unit}")
+        runs = each.data.runs
+        planned = next_test(
+            each.diagnosis, runs, models[unit], declared_noise=each.data.noise,
+            bounds=StationBounds.of_runs(runs, **bounds), on_progress=on_progress,
+        )  # fmt: skip
+        units[unit] = replace(each, next_test=planned, is_planned=True)
+    return replace(found, units=units)
+
+
 def diagnose_units(
     catalog: Catalog,
     units: Sequence[str],
     question: Question,
     *,
     is_pooled: bool = False,
-    on_progress: Callable[[str], None] = lambda _: None,
+    on_progress: Progress = silent,
 ) -> UnitsDiagnosis:
     """Reduce and trace units of a store; see `reduce_units` and `trace_units`."""
-    return trace_units(
-        reduce_units(catalog, units, question, on_progress=on_progress),
-        question,
-        is_pooled=is_pooled,
-        on_progress=on_progress,
-    )
+    read = reduce_units(catalog, units, question, on_progress=on_progress)
+    return trace_units(read, question, is_pooled=is_pooled, on_progress=on_progress)
 
 
 def trace_units(
-    read: ReducedUnits,
-    question: Question,
-    *,
-    is_pooled: bool = False,
-    on_progress: Callable[[str], None] = lambda _: None,
+    read: ReducedUnits, question: Question, *, is_pooled: bool = False, on_progress: Progress = silent
 ) -> UnitsDiagnosis:
     """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises."""
     failed = dict(read.failed)
@@ -118,7 +127,7 @@ def _pooled(
     question: Question,
     failed: Mapping[str, str],
     held_out: Mapping[str, Sequence[str]],
-    on_progress: Callable[[str], None],
+    on_progress: Progress,
 ) -> UnitsDiagnosis:
     runs = {unit: data.runs for unit, data in units.items()}
     fleet = diagnose_fleet(
@@ -139,19 +148,14 @@ def _held_out_of_each(
     """Runs to hold out of each unit, and units of which these are all runs; each run must be in some unit."""
     if asked is None:
         return {}, ()
-    names = {name for data in units.values() for run in data.runs for name in _names_of(run)}
+    names = {name for data in units.values() for run in data.runs for name in (run.run, run.whole_run)}
     if not is_one and (strangers := sorted(set(asked) - names)):
         raise BadInput(f"run to hold out is not there in any unit: {', '.join(strangers)}")
     held: dict[str, tuple[str, ...]] = {}
     for unit, data in units.items():
-        own = [name for name in asked if is_one or any(name in _names_of(run) for run in data.runs)]
+        own = [name for name in asked if is_one or any(name in (run.run, run.whole_run) for run in data.runs)]
         held[unit] = held_out_runs(own, data.runs) or ()
     return held, tuple(unit for unit, own in held.items() if own and len(own) == len(units[unit].runs))
-
-
-def _names_of(run: RunBlocks) -> tuple[str, str]:
-    """The name of a run, and of the whole run if it is a power-on."""
-    return run.run, run.run.rpartition("#")[0] or run.run
 
 
 def held_out_runs(asked: Sequence[str] | None, runs: Sequence[RunBlocks]) -> tuple[str, ...] | None:
@@ -159,10 +163,9 @@ def held_out_runs(asked: Sequence[str] | None, runs: Sequence[RunBlocks]) -> tup
     if asked is None:
         return None
     names = [run.run for run in runs]
-    bases = {name: name.rpartition("#")[0] or name for name in names}
-    if strangers := sorted(set(asked) - set(names) - set(bases.values())):
+    if strangers := sorted(set(asked).difference(names, (run.whole_run for run in runs))):
+        there = ", ".join(names)
         raise BadInput(
-            f"unit {runs[0].unit}: run to hold out is not there: {', '.join(strangers)}; the runs are "
-            f"{', '.join(names)}"
+            f"unit {runs[0].unit}: run to hold out is not there: {', '.join(strangers)}; the runs are {there}"
         )
-    return tuple(name for name in names if name in asked or bases[name] in asked)
+    return tuple(run.run for run in runs if run.run in asked or run.whole_run in asked)

@@ -14,8 +14,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.stored_signals import usual_block_s
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
@@ -27,32 +26,21 @@ OWN_FITS = Bilingual("the unit's own Allan fits", "产品自身的Allan拟合")
 
 @dataclass(frozen=True)
 class Question:
-    """A question to a store about units.
+    """A question to a store about units."""
 
-    Parameters
-    ----------
-    model: The declared error model as text.
-    signal: By default the signal of the model.
-    block_s: Length of a block, seconds; by default 30, or the interval of the samples where that is longer.
-    noise: Declared; by default that of each unit's own Allan fits. Turn-on scatter that is not given is estimated.
-    holdout: Runs to hold out; by default the last third.
-    runs, since_ns: Limit the data to these runs, and to samples from that time on.
-    """
-
-    model: str
-    signal: str | None = None
-    block_s: float | None = None
+    model: str  # the declared error model as text
+    signal: str | None = None  # by default the signal of the model
+    block_s: float | None = None  # seconds; by default 30, or the interval of the samples where that is longer
+    # by default of each unit's own Allan fits; turn-on scatter not given is estimated
     noise: GivenNoise | ModelNoise | None = None
-    holdout: tuple[str, ...] | None = None
-    runs: tuple[str, ...] | None = None
-    since_ns: int | None = None
+    holdout: tuple[str, ...] | None = None  # runs to hold out; by default the last third
+    runs: tuple[str, ...] | None = None  # by default all
+    since_ns: int | None = None  # time of the first sample to use
 
     @property
     def signal_name(self) -> str:
         """The signal, as given or from the model; BadInput if neither names it, or they differ.
 
-        Examples
-        --------
         >>> Question("rate = bias + temperature").signal_name
         'rate'
         """
@@ -67,21 +55,14 @@ class Question:
 
 @dataclass(frozen=True)
 class ReducedUnit:
-    """A unit's runs as blocks, with notes on the reduction.
-
-    Parameters
-    ----------
-    noise, noise_source: Declared, or from the unit's own Allan fits; its source, or why there is none.
-    left_out: What was left out of the record, with its share.
-    turn_on_is_declared: Whether the turn-on scatter of `noise` was given, not estimated from these runs.
-    """
+    """A unit's runs as blocks, with notes on the reduction, and its declared noise or that of its own Allan fits."""
 
     runs: tuple[RunBlocks, ...]
     notes: tuple[Note, ...]
     noise: ModelNoise | None
-    noise_source: str
-    left_out: tuple[LeftOut, ...] = ()
-    turn_on_is_declared: bool = False
+    noise_source: str  # where the noise is from, or why there is none
+    left_out: tuple[LeftOut, ...] = ()  # of the record, with its share
+    turn_on_is_declared: bool = False  # else it was estimated from these runs
 
 
 @dataclass(frozen=True)
@@ -93,20 +74,23 @@ class ReducedUnits:
     failed: Mapping[str, str]
 
 
+Progress = Callable[[str], None]  # called with a sentence on each stage
+
+
+def silent(_: str) -> None:
+    """Progress that nobody reads."""
+
+
 def reduce_units(
-    catalog: Catalog, units: Sequence[str], question: Question, *, on_progress: Callable[[str], None] = lambda _: None
+    catalog: Catalog, units: Sequence[str], question: Question, *, on_progress: Progress = silent
 ) -> ReducedUnits:
     """Read units of a store as blocks; a single unit that cannot be read raises."""
     signal, block_s = question.signal_name, question.block_s
     if block_s is None:
         block_s = usual_block_s(catalog, units, signal, question.runs, BLOCK_S)
+    channels = re.findall(r"\bchannel:(\w+)", question.model)
     reducer = BlockReducer(
-        catalog,
-        signal,
-        block_s=block_s,
-        runs=question.runs,
-        since_ns=question.since_ns,
-        channels=re.findall(r"\bchannel:(\w+)", question.model),
+        catalog, signal, block_s=block_s, runs=question.runs, since_ns=question.since_ns, channels=channels
     )
     reduced: dict[str, ReducedUnit] = {}
     models: dict[str, ErrorModel] = {}
@@ -121,9 +105,7 @@ def reduce_units(
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
             _check_values(runs)
             noise, source, is_declared = _noise(catalog, runs, models[unit], question)
-            reduced[unit] = ReducedUnit(
-                runs, notes, noise, source, left_out=found.left_out, turn_on_is_declared=is_declared
-            )
+            reduced[unit] = ReducedUnit(runs, notes, noise, source, found.left_out, is_declared)
         except GyrofleetError as error:
             if len(units) == 1:
                 raise

@@ -6,15 +6,12 @@ from scipy import stats
 from stream.batch import FloatArray
 
 CONFIDENCE = 0.95
-TWO_SIDED = 1.959963984540054
-"""Standard normal quantile of two-sided 95 % bounds."""
+TWO_SIDED = 1.959963984540054  # standard normal quantile of two-sided 95 % bounds
 
 
 def t_bounds(value: FloatArray, standard_uncertainty: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bounds of a value with a normal error: value -+ t * u (JCGM 100:2008 G.3.2).
 
-    Examples
-    --------
     >>> lo, hi = t_bounds(np.array([10.0]), np.array([1.0]), np.array([1e9]))
     >>> float(round(hi[0], 2))
     11.96
@@ -35,8 +32,6 @@ def joint_half_widths(u: FloatArray, freedom: FloatArray, independent: int | Non
 def chi_square_bounds(value: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bounds of a standard deviation: value * sqrt(freedom/chi2) (NIST SP 1065 (45)).
 
-    Examples
-    --------
     >>> lo, hi = chi_square_bounds(np.array([1.0]), np.array([5.0]))
     >>> float(round(lo[0], 3)), float(round(hi[0], 3))
     (0.624, 2.453)

@@ -19,29 +19,20 @@ _MISFIT = 1e-3
 
 
 class DynamicResult(NamedTuple):
-    """A value, its standard uncertainty and the degrees of freedom of the uncertainty.
-
-    Parameters
-    ----------
-    misfit: Root of the mean square of what the model leaves: relative for a bandwidth, rad for a delay.
-    """
+    """A value, its standard uncertainty and the degrees of freedom of the uncertainty."""
 
     value: float
     standard_uncertainty: float
     freedom: float
-    misfit: float
+    misfit: float  # root of the mean square of what the model leaves: relative for a bandwidth, rad for a delay
 
 
 def first_order_bandwidth(response: Response) -> DynamicResult:
     """Bandwidth in Hz of the first-order lag that fits the gains, GJB 2426A-2004 (36)-(41).
 
-    Notes
-    -----
     G^2 = K_D^2 - T^2 (omega^2 G^2), linear least squares for K_D^2 and T^2, Bw = 1/(2 pi T). Where the gains depart
     from a first-order lag by more than their uncertainty, that of the bandwidth grows by as much.
 
-    Examples
-    --------
     >>> f = np.geomspace(10, 400, 12)
     >>> zeros = np.zeros(12)
     >>> lag = Response(f, 5 / np.hypot(1, f / 200), zeros, zeros, zeros, zeros + 9, zeros + 10)
@@ -49,13 +40,11 @@ def first_order_bandwidth(response: Response) -> DynamicResult:
     200.0
     """
     gain = response.gain
-    value = 1 / (2 * math.pi * time_constant(response.frequency_hz, gain))
-    found = _propagated(
-        lambda gains: 1 / (2 * math.pi * time_constant(response.frequency_hz, gains)),
-        gain,
-        response.gain_uncertainty,
-        response.freedom,
-    )
+
+    def solved(gains: FloatArray) -> float:
+        return 1 / (2 * math.pi * time_constant(response.frequency_hz, gains))
+
+    value, found = solved(gain), _propagated(solved, gain, response.gain_uncertainty, response.freedom)
     model = 1 / np.hypot(1, response.frequency_hz / value)
     model *= float(gain @ model) / float(model @ model)
     return _widened(value, found, 1 - model / gain, response.gain_uncertainty / gain, response, unknowns=2)
@@ -80,21 +69,14 @@ def time_constant(frequency_hz: FloatArray, gain: FloatArray) -> float:
 def crossing(response: Response, *, zero_gain: float | None = None, of_lowest: bool = False) -> DynamicResult:
     """Frequency in Hz at which the gain has come down to 1/sqrt(2), JJF 2014-2022 (42)(43), GJB 2426A-2004 (35).
 
-    Parameters
-    ----------
-    response: At three frequencies or more.
-    zero_gain: Gain at zero frequency, of which it is a share, and a further point of the curve; where it is not known
-        the curve's own is taken.
-    of_lowest: Whether it is a share of the gain at the lowest frequency, as in GJB.
+    At three frequencies or more. `zero_gain`: gain at zero frequency, of which it is a share, and a further point of
+    the curve; where it is not known the curve's own is taken. `of_lowest`: whether it is a share of the gain at the
+    lowest frequency, as in GJB.
 
-    Notes
-    -----
     The curve is 1/G^2 = c0 + c1 omega^2 + c2 omega^4, least squares with all points of one relative weight: lags of
     the first and of the second order have exactly this form. JJF leaves the curve open; both print 0.707. GJB's F_i/F_L
     takes the vibration to be of one rate amplitude at all frequencies: here each is divided by its own.
 
-    Examples
-    --------
     >>> f = np.geomspace(10, 400, 12)
     >>> zeros = np.zeros(12)
     >>> second = Response(f, 1 / np.sqrt(1 + (f / 200) ** 4), zeros, zeros, zeros, zeros + 9, zeros + 10)
@@ -155,8 +137,6 @@ def _curve(frequency_hz: FloatArray, gain: FloatArray, zero_gain: float | None) 
 def output_delay(response: Response) -> DynamicResult:
     """Delay T_d in seconds of a first-order lag with delay, GJB 2426A-2004 (42)-(46), JJF 2014-2022 (44)-(50).
 
-    Notes
-    -----
     -P_i - atan(omega_i T) = omega_i T_d, least squares through 0; T from the gains, as of `first_order_bandwidth`.
     P_i is the output's phase less that of the *rate*, which leads the angle by pi/2. Erratum: GJB (33) prints the rate
     with -pi/2, and with it (43) adds pi/2 where it is to be subtracted. An output of the other sign, and phases of more
@@ -200,14 +180,9 @@ def _propagated(
 
 
 def _widened(
-    value: float,
-    found: tuple[float, float],
-    residual: FloatArray,
-    uncertainty: FloatArray,
-    response: Response,
-    *,
+    value: float, found: tuple[float, float], residual: FloatArray, uncertainty: FloatArray, response: Response, *,
     unknowns: int,
-) -> DynamicResult:
+) -> DynamicResult:  # fmt: skip
     """The value; its uncertainty grown by the Birge ratio where the model leaves more than the scatter explains."""
     misfit = math.sqrt(float((residual**2).mean()))
     own, freedom = found

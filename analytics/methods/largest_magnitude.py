@@ -47,16 +47,11 @@ def largest_magnitudes(
 ) -> Iterator[dict[str, Any]]:
     """One row of a metric for each group of differences.
 
-    Parameters
-    ----------
-    rows: Differences in the order of their groups: `difference`, `u`, `freedom`, and a metric row's columns, with
-        `parameters`. A group whose rows have a `reason` has no value.
-    keys: Columns that identify the groups.
-    of: Column that names a difference in its group; that of the largest goes into the parameters.
-    signed: Whether a group of one difference keeps its sign.
+    `rows` stand in the order of their groups, which the columns `keys` identify: `difference`, `u`, `freedom`, and a
+    metric row's columns, with `parameters`. A group whose rows have a `reason` has no value. `of`: the column that
+    names a difference in its group; that of the largest goes into the parameters. `signed`: a group of one difference
+    keeps its sign.
 
-    Examples
-    --------
     >>> both = [{"unit": "U1", "axis": axis, "difference": d, "u": 0.1, "freedom": 1e6, "reason": None,
     ...          "parameters": {}} for axis, d in (("X", 1.0), ("Y", -2.0))]
     >>> (found,) = largest_magnitudes(both, ["unit"], of="axis")

@@ -11,6 +11,7 @@ from analytics.methods.confidence_bounds import CONFIDENCE
 
 KINDS = ("all", "run_to_run", "day_to_day", "within_day_component", "between_day_component")
 _TAIL = (1 - CONFIDENCE) / 2
+_Numbers = Sequence[float | None]
 
 
 class DeviationEstimate(NamedTuple):
@@ -34,16 +35,11 @@ _NOTHING, _UNKNOWN = Variance(0.0, 1e9), Variance(math.nan, math.nan)
 
 
 class MeansNoise(NamedTuple):
-    """What the values' own uncertainty adds to the variances of a one-way layout.
+    """What the values' own uncertainty adds to the variances of a one-way layout."""
 
-    Parameters
-    ----------
-    square, within, of_means: To the variance of all values, within the groups, and of the groups' means.
-    """
-
-    square: Variance = _UNKNOWN
-    within: Variance = _UNKNOWN
-    of_means: Variance = _UNKNOWN
+    square: Variance = _UNKNOWN  # to the variance of all values
+    within: Variance = _UNKNOWN  # to that within the groups
+    of_means: Variance = _UNKNOWN  # to that of the groups' means
 
 
 class ValuesNoise(NamedTuple):
@@ -57,36 +53,19 @@ _NO_NOISE = ValuesNoise()
 
 
 class Scatter(NamedTuple):
-    """Sums of a one-way layout.
-
-    Parameters
-    ----------
-    values: How many values.
-    square: Variance of all of them, NaN for one.
-    within, within_freedom: Variance within the groups, pooled, and its degrees of freedom; NaN and 0 where no group has
-        two.
-    groups: How many groups.
-    of_means: Variance of the groups' means, NaN for one.
-    size: Harmonic mean of the groups' sizes, NaN where there is none.
-    """
+    """Sums of a one-way layout."""
 
     values: int
-    square: float
-    within: float
+    square: float  # variance of all of them, NaN for one
+    within: float  # variance within the groups, pooled; NaN where no group has two
     within_freedom: int
     groups: int
-    of_means: float
-    size: float
+    of_means: float  # variance of the groups' means, NaN for one
+    size: float  # harmonic mean of the groups' sizes, NaN where there is none
 
 
 def scatter(values: Sequence[float], groups: Sequence[Hashable]) -> Scatter:
-    """Sums of values in groups.
-
-    Examples
-    --------
-    >>> scatter([1.0, 3.0, 5.0, 7.0], ["a", "a", "b", "b"])
-    Scatter(values=4, square=6.666666666666667, within=2.0, within_freedom=2, groups=2, of_means=8.0, size=2.0)
-    """
+    """Sums of values in groups."""
     by_group: dict[Hashable, list[float]] = {}
     for value, group in zip(values, groups, strict=True):
         by_group.setdefault(group, []).append(value)
@@ -95,14 +74,10 @@ def scatter(values: Sequence[float], groups: Sequence[Hashable]) -> Scatter:
     freedom = len(values) - len(parts)
     inside = math.fsum((value - mean) ** 2 for part, mean in zip(parts, means, strict=True) for value in part)
     return Scatter(
-        values=len(values),
-        square=_variance(values),
-        within=inside / freedom if freedom else math.nan,
-        within_freedom=freedom,
-        groups=len(parts),
-        of_means=_variance(means),
+        values=len(values), square=_variance(values), within=inside / freedom if freedom else math.nan,
+        within_freedom=freedom, groups=len(parts), of_means=_variance(means),
         size=len(parts) / math.fsum(1 / len(part) for part in parts) if parts else math.nan,
-    )
+    )  # fmt: skip
 
 
 def _variance(values: Sequence[float]) -> float:
@@ -112,11 +87,9 @@ def _variance(values: Sequence[float]) -> float:
     return math.fsum((value - mean) ** 2 for value in values) / (len(values) - 1)
 
 
-def pooled(uncertainties: Sequence[float | None], freedoms: Sequence[float | None]) -> list[float | None]:
+def pooled(uncertainties: _Numbers, freedoms: _Numbers) -> list[float | None]:
     """Uncertainties of equivalent records replaced by their pooled one, each weighted; unchanged where one is None.
 
-    Examples
-    --------
     >>> [round(each, 3) for each in pooled([1.0, 3.0], [99, 1])]
     [1.039, 1.039]
     """
@@ -127,57 +100,36 @@ def pooled(uncertainties: Sequence[float | None], freedoms: Sequence[float | Non
     return [math.sqrt(math.fsum(freedom * u * u for u, freedom in known) / weight)] * len(known)
 
 
-def means_noise(
-    uncertainties: Sequence[float | None], freedoms: Sequence[float | None], groups: Sequence[Hashable]
-) -> MeansNoise:
-    """What values with these standard uncertainties add to the variances of their groups, on average.
-
-    Examples
-    --------
-    >>> found = means_noise([1.0, 1.0, 1.0, 1.0], [9, 9, 9, 9], ["a", "a", "b", "b"])
-    >>> found.square, found.of_means
-    (Variance(value=1.0, freedom=36.0), Variance(value=0.5, freedom=36.0))
-    """
+def means_noise(uncertainties: _Numbers, freedoms: _Numbers, groups: Sequence[Hashable]) -> MeansNoise:
+    """What values with these standard uncertainties add to the variances of their groups, on average."""
     sizes = Counter(groups)
     own = [sizes[group] for group in groups]
     n, free = len(own), len(own) - len(sizes)
 
     def mean_square(weights: Sequence[float]) -> Variance:
-        parts = [
-            (weight * u * u, freedom or 1.0)
-            for weight, u, freedom in zip(weights, uncertainties, freedoms, strict=True)
-            if u is not None
-        ]
+        known = zip(weights, uncertainties, freedoms, strict=True)
+        parts = [(weight * u * u, freedom or 1.0) for weight, u, freedom in known if u is not None]
         if len(parts) < n or not n:
             return _UNKNOWN
         total = math.fsum(part for part, _ in parts)
         fourth = math.fsum(part * part / max(freedom, 1.0) for part, freedom in parts)
         return Variance(total, total * total / fourth if fourth else 1e9)
 
-    return MeansNoise(
-        square=mean_square([1 / n] * n) if n else _UNKNOWN,
-        within=mean_square([(1 - 1 / size) / free for size in own]) if free else _UNKNOWN,
-        of_means=mean_square([1 / (size * size * len(sizes)) for size in own]),
-    )
+    square = mean_square([1 / n] * n) if n else _UNKNOWN
+    within = mean_square([(1 - 1 / size) / free for size in own]) if free else _UNKNOWN
+    return MeansNoise(square, within, mean_square([1 / (size * size * len(sizes)) for size in own]))
 
 
 def beyond(observed: Variance, known: Variance, least: Variance | None = None) -> DeviationEstimate:
     """Root of what a variance holds beyond a part that was estimated elsewhere, 0 where that is all of it.
 
-    Parameters
-    ----------
-    observed: Sum of both parts; its estimate follows chi-square.
-    known: The part that is subtracted; NaN subtracts nothing.
-    least: The least that this part can be, for the upper bound; the same if omitted.
+    `observed`: sum of both parts; its estimate follows chi-square. `known`: the part that is subtracted; NaN subtracts
+    nothing. `least`: the least that this part can be, for the upper bound; the same if omitted.
 
-    Notes
-    -----
     sigma**2 = observed - known. The bounds are those of Tukey and Williams; they hold at least at their level also
     where what is left is nearly 0, and are those of chi-square where nothing is subtracted. Degrees of freedom by
     Satterthwaite.
 
-    Examples
-    --------
     >>> [round(each, 3) for each in beyond(Variance(1.0, 5), Variance(0.0, 1e9))]
     [1.0, 0.624, 2.453, 0.316, 5.0]
     >>> beyond(Variance(8.4, 6), Variance(9.1, 40)).lo
@@ -203,17 +155,9 @@ def beyond(observed: Variance, known: Variance, least: Variance | None = None) -
 def between(found: Scatter) -> DeviationEstimate:
     """Root of the variance between at least 2 groups, beyond what the scatter within them adds to their means.
 
-    Notes
-    -----
     With h the harmonic mean of the sizes, the variance of the groups' means is sigma_b**2 + sigma_w**2/h on average, so
     sigma_b**2 = var(means) - within/h, 0 where that is negative; with equal sizes it is the estimate of the analysis of
     variance (`beyond`; Thomas and Hultquist 1978).
-
-    Examples
-    --------
-    >>> found = between(scatter([1.0, 3.0, 5.0, 7.0], ["a", "a", "b", "b"]))
-    >>> round(found.value, 3), round(found.lo, 3), round(found.hi, 1)
-    (2.646, 0.0, 90.2)
     """
     of_means = Variance(found.of_means, found.groups - 1)
     return beyond(of_means, Variance(found.within / found.size, found.within_freedom))
@@ -224,11 +168,8 @@ def deviation_of(
 ) -> dict[str, Any]:
     """One of the `KINDS` of deviations: the columns of a `DeviationEstimate`, or a `reason`.
 
-    Parameters
-    ----------
-    found: At least 2 values in groups of days; in groups of runs where the days are not known.
-    what: What was measured, in the plural, as ``power-ons``.
-    noise: What the values' own noise adds; it is subtracted.
+    Of at least 2 values in groups of days; in groups of runs where the days are not known. `what`: what was measured,
+    in the plural, as ``power-ons``. What the values' own `noise` adds is subtracted.
     """
     days = "days" if is_dated else "runs"
     likely, least = noise
@@ -237,10 +178,9 @@ def deviation_of(
         return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
     if kind == "all":
         if found.groups > 1 and found.within_freedom:
-            return {
-                "reason": f"{found.values} {what} of {found.groups} {days}, several of one, which share its effect: "
-                "one deviation of all says neither; see run_to_run, day_to_day and their components"
-            }
+            several = f"{found.values} {what} of {found.groups} {days}, several of one, which share its effect"
+            other = "one deviation of all says neither; see run_to_run, day_to_day and their components"
+            return {"reason": f"{several}: {other}"}
         return beyond(Variance(found.square, found.values - 1), likely.square, least.square)._asdict()
     if kind != "day_to_day" and not found.within_freedom:
         return {"reason": f"each of the {found.values} {what} is of another day, 2 of one day are needed"}

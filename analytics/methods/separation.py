@@ -22,19 +22,12 @@ _GROUP = ("run", "unit", "signal", "procedure")
 
 
 class GyroReading(NamedTuple):
-    """Mean output of a gyro on a rate table over whole turns, input axis perpendicular to the table axis.
+    """Mean output of a gyro on a rate table over whole turns, input axis perpendicular to the table axis."""
 
-    Parameters
-    ----------
-    alpha_deg, beta_deg: Turn of the gyro in its fixture about the input axis, and of the fixture on the table, degrees.
-    rate_deg_per_s: Of the table, with its sign.
-    output: Mean output, in the unit of the scale factor's numerator.
-    """
-
-    alpha_deg: float
-    beta_deg: float
-    rate_deg_per_s: float
-    output: float
+    alpha_deg: float  # turn of the gyro in its fixture about the input axis
+    beta_deg: float  # turn of the fixture on the table
+    rate_deg_per_s: float  # of the table, with its sign
+    output: float  # mean output, in the unit of the scale factor's numerator
 
 
 class AccelerometerReading(NamedTuple):
@@ -54,43 +47,28 @@ class Angle(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """The separated angles.
+    """The separated angles."""
 
-    Parameters
-    ----------
-    angles: By name: of a gyro ``y0``, ``x0`` (table), ``y1`` (fixture), ``y2``, ``z2`` (the gyro's own); of an
-        accelerometer ``y2``, ``z2``.
-    gamma: hypot(y2, z2): the misalignment of the input axis. Its bounds are not below 0.
-    offset: Output at rest, V0; where each position has its own, their mean.
-    rms: Root of the mean square of the residuals, in the output's unit.
-    freedom: Readings less unknowns; 0 leaves no standard errors (NaN).
-    """
-
+    # by name: of a gyro ``y0``, ``x0`` (table), ``y1`` (fixture), ``y2``, ``z2`` (the gyro's own); of an accelerometer
+    # ``y2``, ``z2``
     angles: dict[str, Angle]
-    gamma: Angle
-    offset: float
-    rms: float
-    freedom: int
+    gamma: Angle  # hypot(y2, z2): the misalignment of the input axis. Its bounds are not below 0
+    offset: float  # output at rest, V0; where each position has its own, their mean
+    rms: float  # root of the mean square of the residuals, in the output's unit
+    freedom: int  # readings less unknowns; 0 leaves no standard errors (NaN)
 
 
 def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Separation:
     """Separate a gyro's misalignment, HIT 2012 (2)-(9).
 
-    Parameters
-    ----------
-    readings: At least the fixture positions (alpha, beta) = (0, 0), (0, 180), (180, 180), (90, 180), (0, 90) degrees,
-        each turned both ways; any number of speeds and repeats.
-    scale_factor: Output per deg/s, with its sign.
+    `readings`: at least the fixture positions (alpha, beta) = (0, 0), (0, 180), (180, 180), (90, 180), (0, 90) degrees,
+    each turned both ways; any number of speeds and repeats. `scale_factor`: output per deg/s, with its sign.
 
-    Notes
-    -----
     V = V0 - k y0 w cos(beta) + k x0 w sin(beta) - k y1 w + k z2 w sin(alpha) - k y2 w cos(alpha), k the scale factor, w
     the rate. Each position has a V0 of its own, as only the differences of both directions enter the closed forms: what
     differs between positions at rest is no error of these angles. Erratum: the table's signs hold; the prose after it
     drops some.
 
-    Examples
-    --------
     >>> places = [(0, 0), (0, 180), (180, 180), (90, 180), (0, 90)]
     >>> y2_rad = 100 / ARCSEC_PER_RAD
     >>> readings = [GyroReading(a, b, w, -w * y2_rad * math.cos(math.radians(a))) for a, b in places for w in (-20, 20)]
@@ -106,25 +84,18 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
         [-driven * np.cos(beta), driven * np.sin(beta), -driven, -driven * np.cos(alpha), driven * np.sin(alpha)],
         axis=1,
     )
-    return _separated(offsets, design, output, ("y0", "x0", "y1", "y2", "z2"), "gyro separation")
+    return _separated(offsets, design, output, ["y0", "x0", "y1", "y2", "z2"], "gyro separation")
 
 
 def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_factor: float) -> Separation:
     """Separate an accelerometer's misalignment by a tumble, HIT 2012 (10)-(13).
 
-    Parameters
-    ----------
-    readings: At 0, 90, 180 and 270 degrees, any number of repeats.
-    scale_factor: Output per g.
+    `readings`: at 0, 90, 180 and 270 degrees, any number of repeats. `scale_factor`: output per g.
 
-    Notes
-    -----
     V = V0 + k (y0 + z2 sin(beta) - y2 cos(beta)); V0 and the plumb line's error y0 stay together in `offset`. Closed
     forms: y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k. Erratum: the paper's mean gamma of 21.5 arcsec should
     read 21.1.
 
-    Examples
-    --------
     >>> outputs = {0: -0.001845, 180: -0.001911, 90: -0.001912, 270: -0.002175}
     >>> found = accelerometer_separation([AccelerometerReading(*each) for each in outputs.items()], 1.299)
     >>> round(found.angles["y2"].value, 1), round(found.angles["z2"].value, 1), round(found.gamma.value, 1)
@@ -133,12 +104,10 @@ def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_fac
     beta, output = np.array(readings, dtype=np.float64).T
     beta = np.radians(beta)
     design = np.stack([-scale_factor * np.cos(beta), scale_factor * np.sin(beta)], axis=1)
-    return _separated(np.ones((len(beta), 1)), design, output, ("y2", "z2"), "accelerometer separation")
+    return _separated(np.ones((len(beta), 1)), design, output, ["y2", "z2"], "accelerometer separation")
 
 
-def _separated(
-    offsets: FloatArray, columns: FloatArray, output: FloatArray, names: tuple[str, ...], what: str
-) -> Separation:
+def _separated(offsets: FloatArray, columns: FloatArray, output: FloatArray, names: list[str], what: str) -> Separation:
     design, constants = np.concatenate([offsets, columns], axis=1), offsets.shape[1]
     size = np.sqrt((design * design).sum(axis=0))
     rank = int(np.linalg.matrix_rank(design / np.where(size > 0, size, 1.0), tol=1e-6))
@@ -155,10 +124,8 @@ def _separated(
     covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(size, size)
     coefficients = solved / size
     t = float(stats.t.ppf((1 + CONFIDENCE) / 2, freedom)) if freedom else math.nan
-    angles = {
-        name: _angle(coefficients[at], math.sqrt(covariance[at, at]), t)
-        for at, name in enumerate(names, start=constants)
-    }
+    errors = np.sqrt(np.diag(covariance))
+    angles = {name: _angle(coefficients[at], errors[at], t) for at, name in enumerate(names, start=constants)}
     y2, z2 = (constants + names.index(each) for each in ("y2", "z2"))
     own = coefficients[[y2, z2]]
     gamma = float(np.hypot(*own))
@@ -184,13 +151,10 @@ def separation_rows(
 ) -> Iterator[dict[str, Any]]:
     """Rows of a separation metric: one for each angle, or one with the reason why there is none.
 
-    Parameters
-    ----------
-    statement: Gives `run, unit, signal, procedure, index, position, scale_source` of each step, and what `lack` and
-        `separate` take; in the order of the first four.
-    positions: The positions that the method names, by their words.
-    lack: What a group's steps lack besides positions, None if nothing.
-    separate: Solves a group; the message of its `BadInput` is the reason.
+    `statement` gives `run, unit, signal, procedure, index, position, scale_source` of each step, and what `lack` and
+    `separate` take; in the order of the first four. `positions`: those that the method names, by their words. `lack`:
+    what a group's steps lack besides positions, None if nothing. `separate` solves a group; the message of its
+    `BadInput` is the reason.
     """
     steps: list[dict[str, Any]] = catalog.reader(statement).read_all().to_pylist()
     for key, group in groupby(steps, lambda row: tuple(row[name] for name in _GROUP)):
@@ -211,10 +175,6 @@ def separation_rows(
 def _rows_of(found: Separation, words: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for name, angle in (found.angles | {"gamma": found.gamma}).items():
         yield {
-            "value": angle.value,
-            "lo": angle.lo,
-            "hi": angle.hi,
-            "standard_uncertainty": angle.standard_error,
-            "freedom": float(found.freedom),
-            "parameters": {"angle": name, **words, "rms": float(f"{found.rms:.4g}")},
-        }
+            "value": angle.value, "lo": angle.lo, "hi": angle.hi, "standard_uncertainty": angle.standard_error,
+            "freedom": float(found.freedom), "parameters": {"angle": name, **words, "rms": float(f"{found.rms:.4g}")},
+        }  # fmt: skip

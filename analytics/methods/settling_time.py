@@ -67,8 +67,6 @@ class Settled(NamedTuple):
 def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]:
     """Rows of a metric: each test of the procedures that match a regular expression, and the largest of a unit's tests.
 
-    Notes
-    -----
     The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where that
     is unknown, less the mean over the last quarter of the record (`reference` in the parameters). The time is that of
     the first sample after the last one outside the band: it is known to a sample interval. The bounds include the
@@ -81,8 +79,7 @@ def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]
     for run, group in groupby(tests, key=lambda test: test["run"]):
         of_run = list(group)
         series = _series(catalog, run, of_run)
-        for which, test in enumerate(of_run):
-            found.append(_row(test, bands.get((test["unit"], run)), series.get(which)))
+        found += [_row(each, bands.get((each["unit"], run)), series.get(at)) for at, each in enumerate(of_run)]
     yield from found
     for _, group in groupby(found, key=lambda row: (row["run"], row["unit"], row["signal"])):
         yield _largest(list(group))
@@ -131,10 +128,8 @@ def _lack(test: Mapping[str, Any], band: float | None, series: object) -> str | 
     if series is None:
         return "no sample between power-on and the end of the step"
     if test["deg_per_h"] is None:
-        return (
-            f"no scale factor for an output in {test['unit_of_measure']}: measure it or give the nominal one of the "
-            "product"
-        )
+        how = "measure it or give the nominal one of the product"
+        return f"no scale factor for an output in {test['unit_of_measure']}: {how}"
     return None
 
 
@@ -151,16 +146,9 @@ def _end_of(t_ns: IntArray, output: FloatArray) -> tuple[float, float, float]:
 def settling(error: FloatArray, time_s: FloatArray, band: float, u: float, noise: float) -> Settled | str:
     """First time from which an error stays within a band, or why there is none.
 
-    Parameters
-    ----------
-    error: Magnitudes.
-    time_s: Seconds after power-on.
-    band: In the error's unit.
-    u: Standard uncertainty of the reference of the error.
-    noise: Largest departure of a sample by noise.
+    `error`: magnitudes in the unit of the `band`, `time_s` after power-on. `u`: standard uncertainty of the reference
+    of the error. `noise`: largest departure of a sample by noise.
 
-    Examples
-    --------
     >>> settling(np.array([9.0, 5.0, 2.0, 0.5, 0.4, 0.5]), np.arange(6.0), 1.0, 0.0, 0.1).value
     3.0
     >>> settling(np.array([9.0, 5.0, 2.0]), np.arange(3.0), 1.0, 0.0, 0.1)
@@ -193,8 +181,7 @@ def _largest(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "steps": [step for row in rows for step in row["steps"]],
         "parameters": {"test": "largest", "tests": len(rows)},
     }
-    reason = next((row["reason"] for row in rows if row.get("reason") is not None), None)
-    if reason is not None:
+    if (reason := next((row["reason"] for row in rows if row.get("reason") is not None), None)) is not None:
         return row | {"reason": reason}
     largest = max(rows, key=lambda row: row["value"])
     bounds = {name: float(np.max([row[name] for row in rows])) for name in ("lo", "hi")}

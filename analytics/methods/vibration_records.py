@@ -3,14 +3,15 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from itertools import groupby
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from analytics.methods.dynamics import DynamicResult
-from analytics.methods.frequency_response import Response, SineRatio, response_of
-from analytics.methods.sine_fit import LEAST_PER_PERIOD, SineFit, fit_sine
+from analytics.methods.frequency_response import LEAST_PER_PERIOD, Response, SineFit, SineRatio, fit_sine, response_of
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput, UnknownUnit
@@ -46,26 +47,16 @@ where run = $run and unit = $unit and signal = $signal and t_ns between $first a
 
 
 class Vibration(NamedTuple):
-    """A gyro's test on an angular-vibration table.
+    """A gyro's test on an angular-vibration table."""
 
-    Parameters
-    ----------
-    words: ``run``, ``unit``, ``signal``, ``procedure``, ``position``, ``axis``.
-    steps: Steps that were evaluated, or all where none could be.
-    response: Gain per deg/s; of an output that is a rate, in deg/s.
-    reference: Signal that measured the vibration.
-    scale_factor, scale_run: The scale factor last measured before, output per deg/s, and its run.
-    reason: Why records, some or all, could not be evaluated.
-    """
-
-    words: Mapping[str, Any]
-    steps: list[int]
-    response: Response | None
-    reference: str
+    words: Mapping[str, Any]  # ``run``, ``unit``, ``signal``, ``procedure``, ``position``, ``axis``
+    steps: list[int]  # steps that were evaluated, or all where none could be
+    response: Response | None  # gain per deg/s; of an output that is a rate, in deg/s
+    reference: str  # signal that measured the vibration
     sample_rate_hz: float
-    scale_factor: float | None
+    scale_factor: float | None  # the one last measured before, output per deg/s, in the run `scale_run`
     scale_run: str | None
-    reason: str | None
+    reason: str | None  # why records, some or all, could not be evaluated
 
 
 class _Series(NamedTuple):
@@ -79,12 +70,14 @@ class _Series(NamedTuple):
         return (self.t_ns[part] - (first + last) // 2) / 1e9, self.values[part]
 
 
+@dataclass
 class _Reference:
     """The vibration of the table: a rate in deg/s, or an angle in deg; without a series, the commanded one."""
 
-    def __init__(self, name: str, series: _Series | None = None, *, is_angle: bool = False) -> None:
-        self.name, self.series, self.is_angle = name, series, is_angle
-        self._sines: dict[tuple[int, int, float], SineFit] = {}
+    name: str
+    series: _Series | None = None
+    is_angle: bool = False
+    _sines: dict[tuple[int, int, float], SineFit] = field(default_factory=dict)
 
     def sine(self, step: Mapping[str, Any]) -> SineFit:
         """Its sine in a step; all units on the table share it."""
@@ -105,13 +98,14 @@ def vibrations(catalog: Catalog) -> Iterator[Vibration]:
     out.
     """
     rows: list[dict[str, Any]] = catalog.reader(_STEPS).read_all().to_pylist()
-    for run, of_run in groupby(rows, lambda row: row["run"]):
+    test = itemgetter("signal", "procedure", "position", "axis")
+    for run, of_run in groupby(rows, itemgetter("run")):
         known: dict[tuple[str, str], _Reference] = {}
         steps_of_run = list(of_run)
-        for unit, of_unit in groupby(steps_of_run, lambda row: row["unit"]):
+        for unit, of_unit in groupby(steps_of_run, itemgetter("unit")):
             steps = list(of_unit)
             reference = _reference(catalog, run, unit, steps_of_run, known)
-            found = [_vibration(catalog, list(group), reference) for _, group in groupby(steps, _test)]
+            found = [_vibration(catalog, list(group), reference) for _, group in groupby(steps, test)]
             largest = max((_lowest_gain(each) for each in found), default=0.0)
             yield from (each for each in found if each.response is None or _lowest_gain(each) >= _ACROSS * largest)
 
@@ -139,34 +133,23 @@ def too_little_for(bandwidth_hz: float, vibration: Vibration) -> str | None:
     """What the clauses ask of a test for the measured bandwidth and it lacks; None if nothing."""
     assert vibration.response is not None
     highest_hz = float(vibration.response.frequency_hz[-1])
+    asked = None
     if highest_hz < _ALLOWANCE * 2 * bandwidth_hz:
-        return (
-            f"the highest frequency is {highest_hz:g} Hz, the clauses ask for twice the bandwidth, which comes out "
-            f"as {bandwidth_hz:.4g} Hz"
-        )
-    if vibration.sample_rate_hz < _ALLOWANCE * 20 * bandwidth_hz:
-        return (
-            f"sampled at {vibration.sample_rate_hz:.6g} Hz, the clauses ask for above 20 times the bandwidth, which "
-            f"comes out as {bandwidth_hz:.4g} Hz"
-        )
-    return None
+        asked = f"the highest frequency is {highest_hz:g} Hz, the clauses ask for twice the bandwidth"
+    elif vibration.sample_rate_hz < _ALLOWANCE * 20 * bandwidth_hz:
+        rate = f"{vibration.sample_rate_hz:.6g} Hz"
+        asked = f"sampled at {rate}, the clauses ask for above 20 times the bandwidth"
+    return None if asked is None else f"{asked}, which comes out as {bandwidth_hz:.4g} Hz"
 
 
 def vibration_row(
-    vibration: Vibration,
-    source: tuple[str, str],
-    parameters: Mapping[str, Any],
-    found: DynamicResult | None,
-    reason: str | None,
-    scale: float = 1.0,
-) -> dict[str, Any]:
+    vibration: Vibration, source: tuple[str, str], parameters: Mapping[str, Any], found: DynamicResult | None,
+    reason: str | None, scale: float = 1.0,
+) -> dict[str, Any]:  # fmt: skip
     """Row of a metric of such a test.
 
-    Parameters
-    ----------
-    source: Standard and clause.
-    parameters: Besides those that all metrics of such a test share.
-    scale: From the unit of `found` to that of the metric.
+    `source`: standard and clause. `parameters`: besides those that all metrics of such a test share. `scale`: from the
+    unit of `found` to that of the metric.
     """
     response, words = vibration.response, vibration.words
     shared = {
@@ -179,20 +162,12 @@ def vibration_row(
     }
     return {
         **{name: words[name] for name in ("unit", "signal", "run")},
-        "n": 0 if response is None else int(response.records.sum()),
-        "steps": vibration.steps,
+        "n": 0 if response is None else int(response.records.sum()), "steps": vibration.steps,
         "value": None if found is None or reason else found.value * scale,
         "standard_uncertainty": None if found is None else found.standard_uncertainty * scale,
-        "freedom": None if found is None else found.freedom,
-        "parameters": dict(parameters) | shared,
-        "standard": source[0],
-        "clause": source[1],
-        "reason": reason,
-    }
-
-
-def _test(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(row[name] for name in ("signal", "procedure", "position", "axis"))
+        "freedom": None if found is None else found.freedom, "parameters": dict(parameters) | shared,
+        "standard": source[0], "clause": source[1], "reason": reason,
+    }  # fmt: skip
 
 
 def _lowest_gain(vibration: Vibration) -> float:
@@ -241,15 +216,11 @@ def _vibration(catalog: Catalog, steps: list[dict[str, Any]], reference: _Refere
         reasons = ["no raw sample of the steps is in the store, and means of seconds hold no sine"]
     gaps = np.diff(series.t_ns)
     return Vibration(
-        words=words,
-        steps=used or [step["index"] for step in steps],
-        response=response_of(records) if records else None,
-        reference=reference.name,
-        sample_rate_hz=1e9 / float(np.median(gaps)) if len(gaps) else 0.0,
-        scale_factor=words["scale_factor"],
-        scale_run=words["scale_run"],
-        reason=reasons[0] if reasons else None,
-    )
+        words=words, steps=used or [step["index"] for step in steps],
+        response=response_of(records) if records else None, reference=reference.name,
+        sample_rate_hz=1e9 / float(np.median(gaps)) if len(gaps) else 0.0, scale_factor=words["scale_factor"],
+        scale_run=words["scale_run"], reason=reasons[0] if reasons else None,
+    )  # fmt: skip
 
 
 def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> SineRatio:

@@ -22,21 +22,13 @@ _MOST_STEPS = 400
 
 
 class Sequence(NamedTuple):
-    """Steps in order of time: the table turning, or at rest.
+    """Steps in order of time: the table turning, or at rest."""
 
-    Parameters
-    ----------
-    output, rate: shape (steps,); mean output of each, and the rate that was put in.
-    u, freedom: shape (steps,); standard uncertainty of the outputs from the noise within the steps, and its degrees of
-        freedom; NaN if unknown.
-    weights: shape (steps,); the zero is the sum of the outputs with these weights.
-    """
-
-    output: FloatArray
-    rate: FloatArray
-    u: FloatArray
+    output: FloatArray  # shape (steps,), as all; mean output of each
+    rate: FloatArray  # that was put in
+    u: FloatArray  # standard uncertainty of the outputs from the noise within the steps; NaN if unknown
     freedom: FloatArray
-    weights: FloatArray
+    weights: FloatArray  # shape (steps,); the zero is the sum of the outputs with these weights
 
 
 class Uncertainty(NamedTuple):
@@ -49,8 +41,6 @@ class Uncertainty(NamedTuple):
 def zero_uncertainty(steps: Sequence) -> Uncertainty | None:
     """Uncertainty of the zero against that of a much longer sequence; None where no step has an uncertainty.
 
-    Notes
-    -----
     output = zero + k*rate + noise within the step + scatter from step to step + drift. The drift has a power spectral
     density of 1/f from a 32nd of the sequence's own lowest frequency on: bias instability, and much like the effect of
     a creeping temperature. Steps are taken as equally spaced. For each share of scatter and drift the variance
@@ -112,21 +102,14 @@ class _Noises(NamedTuple):
 
 @lru_cache(maxsize=32)
 def _noises(n: int) -> _Noises:
-    drift = _drift(n)
+    # covariance of the means of a drift; neighbours differ by a variance of 2
+    frequency, lag = np.arange(1, 4 * _PERIODS * n) / (_PERIODS * n), np.arange(n)
+    of_lag = np.cos(2 * math.pi * lag[:, None] * frequency) @ (np.sinc(frequency) ** 2 / frequency)
+    of_lag /= of_lag[0] - of_lag[1]
+    drift = of_lag[np.abs(lag[:, None] - lag[None, :])]
     shares = [(0.0, 0.0), *((beyond, part) for beyond in _BEYOND for part in _DRIFTING)]
-    covariance = np.array(
-        [np.eye(n) * (1 + beyond * (1 - part)) + beyond * part * drift for beyond, part in shares], np.float64
-    )
+    mixed = [np.eye(n) * (1 + beyond * (1 - part)) + beyond * part * drift for beyond, part in shares]
+    covariance = np.array(mixed, np.float64)
     root = np.linalg.cholesky(covariance)
     log_det = 2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     return _Noises(covariance, np.linalg.inv(root), np.asarray(log_det, np.float64))
-
-
-def _drift(n: int) -> FloatArray:
-    """Covariance of the means of a drift; neighbours differ by a variance of 2."""
-    frequency = np.arange(1, 4 * _PERIODS * n) / (_PERIODS * n)
-    density = np.sinc(frequency) ** 2 / frequency
-    lag = np.arange(n)
-    covariance = np.cos(2 * math.pi * lag[:, None] * frequency) @ density
-    covariance /= covariance[0] - covariance[1]
-    return np.asarray(covariance[np.abs(lag[:, None] - lag[None, :])], np.float64)

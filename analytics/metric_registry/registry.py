@@ -1,19 +1,115 @@
-"""The registry of metrics: each file in `analytics/metrics` is one, found automatically."""
+"""The registry of metrics: each file in `analytics/metrics` is one, found automatically by its header."""
 
 import difflib
 import importlib
 import json
 import pkgutil
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping
+from enum import StrEnum
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from analytics.metric_registry.header import MetricError, MetricHeader, parse_header
 from storage.sql.catalog import Catalog
-from stream.errors import BadInput
+from stream.errors import BadInput, GyrofleetError
+
+_LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
+_SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{4})?\s+(?P<clause>.+?)\s*")
+
+
+class MetricError(GyrofleetError):
+    """The file of a metric is malformed."""
+
+
+class BoundsSource(StrEnum):
+    """Where the confidence bounds of a metric's values come from (header line `limits`)."""
+
+    T = "t"  # value +- t(freedom) * standard_uncertainty
+    CHI_SQUARE = "chi_square"  # a deviation whose square follows chi-square with `freedom`
+    GIVEN = "given"  # columns lo and hi of the statement
+
+
+class Clause(NamedTuple):
+    """A clause of a standard, such as ``GJB2426A`` and ``5.12.1 (19)``."""
+
+    standard: str
+    clause: str
+
+
+class MetricHeader(NamedTuple):
+    """The header of a metric."""
+
+    id: str  # the field's standard term
+    en: str
+    zh: str
+    unit: str  # unit of measure of the values
+    better: str  # ``lower``, ``higher`` or ``neither``
+    grain: str  # what one value belongs to, such as ``unit, signal, run``
+    parameters: tuple[str, ...]  # names of the values' parameters, which specification limits can select by
+    sources: tuple[Clause, ...]  # clauses
+    needs: str  # what must have been measured
+    limits: BoundsSource  # where the confidence bounds come from
+    equation: str  # as in the clause
+
+    @property
+    def standard(self) -> str:
+        """Its standards, such as ``GJB2426A, JJF2014``."""
+        return ", ".join(dict.fromkeys(each.standard for each in self.sources))
+
+    @property
+    def clause(self) -> str:
+        """Its clauses, in the order of the standards."""
+        return "; ".join(each.clause for each in self.sources)
+
+
+def parse_header(text: str, where: str) -> MetricHeader:
+    """Read the comment lines ``-- key: value`` at the head of a metric; `parameters` may take several lines.
+
+    >>> header = parse_header('''-- id: bias
+    ... -- en: Bias
+    ... -- zh: 零偏
+    ... -- unit: deg/h
+    ... -- better: neither
+    ... -- grain: unit, signal, run
+    ... -- parameters: earth_rate, position
+    ... -- source: GJB 2426A-2004 5.12.1 (19); JJF 2014-2022 7.2.13 (27)(28)
+    ... -- needs: a static step
+    ... -- limits: t
+    ... -- equation: B0 = mean(F)/K
+    ... select 1''', "bias.sql")
+    >>> header.standard, header.sources[1], header.parameters
+    ('GJB2426A, JJF2014', Clause(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'position'))
+    """
+    lines: dict[str, str] = {}
+    parameters: list[str] = []
+    for line in text.splitlines():
+        if not line.startswith("--"):
+            break
+        match = _LINE.fullmatch(line)
+        if match is not None and match[1] == "parameters":
+            parameters += [name.strip() for name in match[2].split(",")]
+        elif match is not None:
+            lines.setdefault(match[1], match[2])
+    texts = ("id", "en", "zh", "unit", "better", "grain", "needs", "equation")
+    if missing := [name for name in (*texts, "limits", "source") if name not in lines]:
+        raise MetricError(f"metric {where}: its header lacks {', '.join(missing)}")
+    if lines["better"] not in {"lower", "higher", "neither"} or lines["limits"] not in set(BoundsSource):
+        raise MetricError(f"metric {where}: better is lower, higher or neither; limits are {', '.join(BoundsSource)}")
+    sources = []
+    for each in lines["source"].split(";"):
+        if (match := _SOURCE.fullmatch(each)) is None:
+            raise MetricError(f"metric {where}: source {each!r} is not like 'GJB 2426A-2004 5.12.1 (19)'")
+        sources.append(Clause(match["standard"].replace(" ", ""), match["clause"]))
+    return MetricHeader(
+        **{name: lines[name] for name in texts},
+        sources=tuple(sources),
+        limits=BoundsSource(lines["limits"]),
+        parameters=tuple(parameters),
+    )
+
 
 Compute = Callable[[Catalog], pa.Table | Iterable[Mapping[str, Any]]]
 _PACKAGE = "analytics.metrics"
@@ -36,14 +132,9 @@ class Metric(NamedTuple):
 def metrics() -> Mapping[str, Metric]:
     """All metrics by id, in alphabetical order.
 
-    An SQL file is a metric by its header, a module by ``HEADER`` (the same lines as text) and ``compute``.
+    An SQL file is a metric by its header, a module by ``HEADER`` (the same lines as text) and ``compute``. Raises
+    MetricError if a file is malformed, or two have one id.
 
-    Raises
-    ------
-    MetricError: If a file is malformed, or two have one id.
-
-    Examples
-    --------
     >>> metrics()["bias"].header.unit
     'deg/h'
     """
@@ -74,8 +165,6 @@ def _from_modules() -> Iterable[Metric]:
 def parameters_text(parameters: Mapping[str, Any]) -> str:
     """Parameters as the JSON text of their column.
 
-    Examples
-    --------
     >>> parameters_text({"kind": "all", "power_ons": 6})
     '{"kind":"all","power_ons":6}'
     """
@@ -85,12 +174,8 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 def check_metrics(names: Iterable[str], where: str = "") -> None:
     """Refuse names of unknown metrics.
 
-    Raises
-    ------
-    BadInput: The message names similar metrics.
+    Raises BadInput the message names similar metrics.
 
-    Examples
-    --------
     >>> check_metrics(["biass"], "spec.toml: $.limit[0]")
     Traceback (most recent call last):
     stream.errors.BadInput: spec.toml: $.limit[0]: there is no metric 'biass'; did you mean bias?
@@ -104,8 +189,6 @@ def check_metrics(names: Iterable[str], where: str = "") -> None:
 def alike(name: str, known: Collection[str], else_: str) -> str:
     """Suggest a similar name; where there is none, list some known ones after the words `else_`.
 
-    Examples
-    --------
     >>> alike("FOG-O231", ["FOG-0230", "FOG-0231"], "there are")
     'did you mean FOG-0231?'
     """

@@ -24,9 +24,7 @@ HEADER = """\
 """
 _POSITIONS = {"beta0": 0.0, "beta90": 90.0, "beta180": 180.0, "beta270": 270.0}
 _STEPS = """
-with gyro as (
-  select distinct run, unit from internal.gyro_steps
-)
+with gyro as (select distinct run, unit from internal.gyro_steps)
 select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean, s.unit_of_measure, s.gravity_m_per_s2,
   regexp_extract(s.position, '^beta(-?[0-9.]+)$', 1)::double as beta,
   case when g.unit is null then p.scale_factor end as per_g,
@@ -59,7 +57,5 @@ def _per_g(row: Mapping[str, Any]) -> float:
     except UnknownUnit as error:
         if row["per_g"]:
             return float(row["per_g"])
-        raise BadInput(
-            f"no scale factor for an output in {measure}: give the nominal one of the product, per g, or import the "
-            "output in g_0"
-        ) from error
+        how = "give the nominal one of the product, per g, or import the output in g_0"
+        raise BadInput(f"no scale factor for an output in {measure}: {how}") from error

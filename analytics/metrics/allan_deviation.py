@@ -1,7 +1,10 @@
 """Allan deviation at the averaging times that specifications limit."""
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+import contextlib
+import itertools
+from collections.abc import Mapping
+from operator import itemgetter
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -49,58 +52,97 @@ _COLUMNS = pa.schema(
 
 
 def compute(catalog: Catalog) -> pa.Table:
-    """Rows of the metric: the samples of a step are read where a limit names an averaging time."""
+    """Rows of the metric: the samples of a signal are read once, where a limit names an averaging time."""
     rows = catalog.reader(_ASKED).read_all().to_pylist()
-    return pa.Table.from_pylist([_row(row) | _deviation(catalog, row) for row in rows], schema=_COLUMNS)
+    found: list[dict[str, Any]] = []
+    for (unit, signal, run), asked in itertools.groupby(rows, itemgetter("unit", "signal", "run")):
+        records = [_Record(row) for row in asked]
+        with contextlib.ExitStack() as opened:
+            pending = [opened.enter_context(record) for record in records if record.answer is None]
+            try:
+                for batch in read_signal(catalog, find_signal(catalog, unit, signal, run)) if pending else ():
+                    for record in pending:
+                        record.update(batch)
+            except GyrofleetError as error:  # as where raw rows were dropped
+                for record in pending:
+                    record.answer = {"reason": str(error)}
+            found += [record.head() | record.evaluate() for record in records]
+    return pa.Table.from_pylist(found, schema=_COLUMNS)
 
 
-def _row(row: Mapping[str, Any]) -> dict[str, Any]:
-    parameters = {name: row[name] for name in ("tau_s", "position", "repeat")}
-    parameters |= {"scale_factor": row["scale_source"], "remark": row["remark"]}
-    head = {name: row[name] for name in ("unit", "signal", "run", "n")}
-    return head | {"runs": [row["run"]], "steps": [row["index"]], "parameters": parameters_text(parameters)}
+class _Record:
+    """The evaluated part of a step, for one averaging time; its sums are held until the samples are past its end."""
 
+    def __init__(self, row: Mapping[str, Any]) -> None:
+        self.row = row
+        self.answer: dict[str, Any] | None = None if row["lack"] is None else {"reason": row["lack"]}
+        self._tau_s: float = row["tau_s"]
+        self._means = BlockMeans(self._tau_s / _BLOCKS)
+        self._overlap: FullOverlap | None = None
 
-def _deviation(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
-    if row["lack"] is not None:
-        return {"reason": row["lack"]}
-    tau_s = row["tau_s"]
-    factor = abs(row["deg_per_h"]) / report_unit(row["unit_of_measure"])[1]
-    try:
-        with FullOverlap() as record:
-            for batch in _blocks(_samples(catalog, row), tau_s):
-                record.update(batch)
-            interval_s = record.sample_interval_s
+    def head(self) -> dict[str, Any]:
+        """What it belongs to, and its parameters."""
+        row = self.row
+        parameters = {name: row[name] for name in ("tau_s", "position", "repeat")}
+        parameters |= {"scale_factor": row["scale_source"], "remark": row["remark"]}
+        head = {name: row[name] for name in ("unit", "signal", "run", "n")}
+        return head | {"runs": [row["run"]], "steps": [row["index"]], "parameters": parameters_text(parameters)}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._overlap is not None:
+            self._overlap.close()
+
+    def update(self, batch: SampleBatch) -> None:
+        """Take in what lies inside the step."""
+        if self.answer is not None:
+            return
+        times_ns = batch.time_array
+        inside = np.flatnonzero((times_ns >= self.row["t_from_ns"]) & (times_ns <= self.row["t_to_ns"]))
+        try:
+            if len(inside):
+                self._take(batch.part(int(inside[0]), int(inside[-1]) + 1))
+        except GyrofleetError as error:
+            self.answer = {"reason": str(error)}
+        if self._overlap is not None and times_ns[0] > self.row["t_to_ns"]:
+            self.evaluate()
+
+    def _take(self, batch: SampleBatch) -> None:
+        # means over a sixteenth of the averaging time, or the samples where that is too short for means
+        is_long = self._tau_s * 1e9 / _BLOCKS >= _LEAST_BLOCK * batch.dt_ns
+        found = self._means.push(batch) if is_long else batch
+        if found is not None:
+            self._overlap = self._overlap or FullOverlap()
+            self._overlap.update(found)
+
+    def evaluate(self) -> dict[str, Any]:
+        """Return the deviation, or the reason that there is none."""
+        if self.answer is None:
+            self.answer = self._deviation()
+            if self._overlap is not None:
+                self._overlap.close()
+        return self.answer
+
+    def _deviation(self) -> dict[str, Any]:
+        row, tau_s = self.row, self._tau_s
+        if self._overlap is None:
+            return {"reason": f"no mean over {tau_s / _BLOCKS:g} s has its samples"}
+        try:
+            interval_s = self._overlap.sample_interval_s
             most = max(1, round(tau_s / interval_s)) if interval_s else 1
             factors = [most, *(2**k for k in range(most.bit_length()) if 2**k < most)]
-            points = record.evaluate(Deviation.OVERLAPPING_ALLAN, factors=factors)
-    except GyrofleetError as error:
-        return {"reason": str(error)}
-    if isinstance(points, NoEstimate):
-        return {"reason": points.reason}
-    point = points[-1]
-    if abs(point.tau_s - tau_s) > _SAME_TAU * tau_s:
-        return {"reason": f"the record of {row['duration_s']:.0f} s has no Allan deviation at {tau_s:g} s"}
-    if point.value == 0:
-        return {"reason": "all samples are alike: the output is frozen, or its resolution too coarse to show noise"}
-    found = {name: getattr(point, name) * factor for name in ("value", "lo", "hi")}
-    return found | {"freedom": point.edf, "standard_uncertainty": found["value"] / (2 * point.edf) ** 0.5}
-
-
-def _samples(catalog: Catalog, row: Mapping[str, Any]) -> Iterator[SampleBatch]:
-    """The samples of the evaluated part of a step."""
-    for batch in read_signal(catalog, find_signal(catalog, row["unit"], row["signal"], row["run"])):
-        times_ns = batch.time_array
-        inside = np.flatnonzero((times_ns >= row["t_from_ns"]) & (times_ns <= row["t_to_ns"]))
-        if len(inside):
-            yield batch.part(int(inside[0]), int(inside[-1]) + 1)
-
-
-def _blocks(samples: Iterator[SampleBatch], tau_s: float) -> Iterator[SampleBatch]:
-    """Means over a sixteenth of the averaging time, or the samples where that is too short for means."""
-    means = BlockMeans(tau_s / _BLOCKS)
-    for batch in samples:
-        is_long = tau_s * 1e9 / _BLOCKS >= _LEAST_BLOCK * batch.dt_ns
-        found = means.push(batch) if is_long else batch
-        if found is not None:
-            yield found
+            points = self._overlap.evaluate(Deviation.OVERLAPPING_ALLAN, factors=factors)
+        except GyrofleetError as error:
+            return {"reason": str(error)}
+        if isinstance(points, NoEstimate):
+            return {"reason": points.reason}
+        point = points[-1]
+        if abs(point.tau_s - tau_s) > _SAME_TAU * tau_s:
+            return {"reason": f"the record of {row['duration_s']:.0f} s has no Allan deviation at {tau_s:g} s"}
+        if point.value == 0:
+            return {"reason": "all samples are alike: the output is frozen, or its resolution too coarse to show noise"}
+        factor = abs(row["deg_per_h"]) / report_unit(row["unit_of_measure"])[1]
+        found = {name: getattr(point, name) * factor for name in ("value", "lo", "hi")}
+        return found | {"freedom": point.edf, "standard_uncertainty": found["value"] / (2 * point.edf) ** 0.5}

@@ -11,7 +11,6 @@ from analytics.methods.confidence_bounds import TWO_SIDED, chi_square_bounds, de
 from analytics.metric_registry.registry import parameters_text
 from storage.sql.catalog import Catalog
 from storage.sql.reading import stored_between
-from stream.batch import FloatArray
 from stream.errors import NotFound
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
@@ -65,8 +64,8 @@ def compute(catalog: Catalog) -> pa.Table:
     table = catalog.reader(_ALLAN).read_all()
     value, freedom = table["value"].to_numpy(), np.nan_to_num(table["freedom"].to_numpy(), nan=1.0)
     lo, hi = chi_square_bounds(value, freedom)
-    own = {"lo": lo, "hi": hi, "standard_uncertainty": deviation_uncertainty(value, freedom)}
-    for name, numbers in own.items():
+    u = deviation_uncertainty(value, freedom)
+    for name, numbers in (("lo", lo), ("hi", hi), ("standard_uncertainty", u)):
         of_step = pa.array(numbers, pa.float64(), mask=np.isnan(numbers))
         column = pc.if_else(pc.is_null(table["freedom"]), table[name], of_step)
         table = table.set_column(table.schema.get_field_index(name), name, column)
@@ -87,32 +86,21 @@ def _short(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
     if row["n"] == 0:
         return {"reason": "no sample in the evaluated part of the step"}
     if row["deg_per_h"] is None:
-        return {
-            "reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it or give the nominal one "
-            "of the product"
-        }
+        how = "measure it or give the nominal one of the product"
+        return {"reason": f"no scale factor for an output in {row['unit_of_measure']}: {how}"}
     if row["irregular"]:
         return {"reason": "the samples lie on no grid, and means over 1 s of the normalised method need one"}
     try:
-        times_ns, values = stored_between(
-            catalog, row["unit"], row["signal"], row["run"], row["t_from_ns"], row["t_to_ns"]
-        )
+        which, window = (row["unit"], row["signal"], row["run"]), (row["t_from_ns"], row["t_to_ns"])
+        times_ns, values = stored_between(catalog, *which, *window)
     except NotFound as error:
         return {"reason": str(error)}
-    rates = _on_grid((times_ns - times_ns[0]) / 1e9 / row["sample_interval_s"], values * row["deg_per_h"])
+    slots = np.rint((times_ns - times_ns[0]) / 1e9 / row["sample_interval_s"]).astype(np.int64)
+    rates = np.full(int(slots[-1]) + 1, np.nan)
+    rates[slots] = values * row["deg_per_h"]
     walk = angle_random_walk_normalised(rates, row["sample_interval_s"])
     if isinstance(walk, NoEstimate):
         return {"reason": walk.reason}
     found = walk.coefficient
-    return {
-        "value": found.value, "lo": found.lo, "hi": found.hi,
-        "standard_uncertainty": (found.hi - found.lo) / (2 * TWO_SIDED),
-    }  # fmt: skip
-
-
-def _on_grid(place: FloatArray, values: FloatArray) -> FloatArray:
-    """Values at their places, NaN where one is missing."""
-    slots = np.rint(place).astype(np.int64)
-    grid = np.full(int(slots[-1]) + 1, np.nan)
-    grid[slots] = values
-    return grid
+    u = (found.hi - found.lo) / (2 * TWO_SIDED)
+    return {"value": found.value, "lo": found.lo, "hi": found.hi, "standard_uncertainty": u}

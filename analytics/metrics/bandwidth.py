@@ -53,8 +53,7 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 def _found(
     vibration: Vibration, find: Callable[[Response], DynamicResult], least_records: int
 ) -> tuple[DynamicResult | None, str | None]:
-    reason = unmet(vibration, least_records=least_records)
-    if reason is not None:
+    if (reason := unmet(vibration, least_records=least_records)) is not None:
         return None, reason
     assert vibration.response is not None
     try:

@@ -58,8 +58,6 @@ order by unit, signal, position, earth_rate, scope
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric.
 
-    Notes
-    -----
     The uncertainty of the biases, a component of the variance of their scatter, is subtracted; in the parameters
     ``scatter`` is that of the clause's equation, ``uncertainty_of_means`` the part subtracted. In records of a minute
     noise is most of the scatter, in those of an hour hardly any of it.
@@ -93,23 +91,18 @@ def _noise(row: Mapping[str, Any]) -> ValuesNoise:
     uncertainties, freedoms, durations = row["uncertainties"], row["freedoms"], row["durations"]
     if max(durations) <= _LIKE * min(durations):
         uncertainties = pooled(uncertainties, freedoms)
-    return ValuesNoise(
-        likely=means_noise(uncertainties, freedoms, row["days"]),
-        least=means_noise(row["of_white_noise"], freedoms, row["days"]),
-    )
+    days = row["days"]
+    return ValuesNoise(means_noise(uncertainties, freedoms, days), means_noise(row["of_white_noise"], freedoms, days))
 
 
 def _remark(row: Mapping[str, Any]) -> str | None:
     """Remark on short records and on power-ons that were not recorded."""
     remarks = []
-    short = [each for each in row["durations"] if each < LEAST_S]
-    if short:
+    if short := [each for each in row["durations"] if each < LEAST_S]:
         lengths = " to ".join(dict.fromkeys(f"{each:.0f}" for each in (min(short), max(short))))
-        remarks.append(
-            f"{len(short)} of {len(row['durations'])} records are of {lengths} s: the clauses ask for an hour as a rule"
-        )
-    assumed = [each for each in row["counted_by"] if each != "power-on"]
-    if assumed:
+        some = f"{len(short)} of {len(row['durations'])} records are of {lengths} s"
+        remarks.append(f"{some}: the clauses ask for an hour as a rule")
+    if assumed := [each for each in row["counted_by"] if each != "power-on"]:
         kinds = " or ".join(sorted(set(assumed)))
         remarks.append(f"{len(assumed)} power-ons are not recorded: each {kinds} is taken for one")
     return "; ".join(remarks) or None
@@ -129,9 +122,6 @@ def _standards(
         yield common | value
         return
     what = "days" if kind == "day_to_day" else "power-ons"
-    yield common | {
-        "reason": f"{n} {what} measured, the clause asks for {LEAST_GJB} or more",
-        "standard": "GJB2426A",
-        "clause": "5.12.3 (21)",
-    }
+    few = f"{n} {what} measured, the clause asks for {LEAST_GJB} or more"
+    yield common | {"reason": few, "standard": "GJB2426A", "clause": "5.12.3 (21)"}
     yield common | value | {"standard": "JJF2014", "clause": "7.2.15 (30)"}

@@ -36,8 +36,6 @@ order by run, unit, signal, "procedure", position, again, "index"
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric.
 
-    Notes
-    -----
     A maximum has no symmetric error: the limits are those of `largest_magnitudes`, over all points together. Standard
     uncertainty and freedom are those of the steepest point. The thermometer's own error is not in it.
     """

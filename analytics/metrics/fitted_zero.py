@@ -34,8 +34,6 @@ from scale_results('internal.scale_fits')
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric.
 
-    Notes
-    -----
     JJF 2014 subtracts no rest, so its F0 is the bias; GJB and JJF 1536 subtract F_r = (F_s + F_e)/2. F0/K is, to first
     order, a weighted sum of the outputs with the weights (d_j - c_j F0/K)/K. Its uncertainty allows for a zero that
     drifts during the test (`zero_uncertainty`).
@@ -65,13 +63,10 @@ def _zero(row: Mapping[str, Any], *, subtracts: bool) -> float | None:
 
 
 def _parameters(row: Mapping[str, Any], zero: float | None) -> dict[str, Any]:
-    temperature = row["temperature"]
+    temperature = None if row["temperature"] is None else round(row["temperature"], 2)
+    output = None if zero is None else zero * row["k"]
     words: dict[str, Any] = row["words"]
-    return words | {
-        "temperature": None if temperature is None else round(temperature, 2),
-        "output": None if zero is None else zero * row["k"],
-        "output_unit": row["output_unit"],
-    }
+    return words | {"temperature": temperature, "output": output, "output_unit": row["output_unit"]}
 
 
 def _uncertainty(row: Mapping[str, Any], zero: float, *, subtracts: bool) -> Uncertainty | None:
@@ -83,8 +78,8 @@ def _uncertainty(row: Mapping[str, Any], zero: float, *, subtracts: bool) -> Unc
         own = -taken_off.count(rest["index"]) / (2 * k)
         steps.append(rest | {"rate": 0.0, "weight": own})
     steps.sort(key=lambda each: each["index"])
-    columns = {
-        name: np.array([np.nan if each[name] is None else each[name] for each in steps], np.float64)
+    columns = (
+        np.array([np.nan if each[name] is None else each[name] for each in steps], np.float64)
         for name in ("output", "rate", "u", "freedom", "weight")
-    }
-    return zero_uncertainty(Sequence(*columns.values()))
+    )
+    return zero_uncertainty(Sequence(*columns))

@@ -45,13 +45,10 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
 def _lack(rows: Sequence[Mapping[str, Any]]) -> str | None:
     if rows[0]["deg_per_h"] is None:
-        return (
-            f"no scale factor for an output in {rows[0]['unit_of_measure']}: measure it or give the nominal one of the "
-            "product"
-        )
+        how = "measure it or give the nominal one of the product"
+        return f"no scale factor for an output in {rows[0]['unit_of_measure']}: {how}"
     for position in _POSITIONS:
-        signs = {row["input_rate"] > 0 for row in rows if row["position"] == position}
-        if len(signs) < 2:
+        if len({row["input_rate"] > 0 for row in rows if row["position"] == position}) < 2:
             return f"position {position} was turned one way only, the method turns it forwards and backwards"
     return None
 

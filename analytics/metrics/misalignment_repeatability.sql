@@ -9,15 +9,15 @@
 -- needs:     the misalignment in four positions, Q >= 7 times
 -- limits:    chi_square
 -- equation:  gamma_mr = sqrt(sum((gamma_i - mean(gamma))^2)/(Q - 1))
-with told as (
+with counted as (
   select *, count(*) over (partition by unit, signal, run) as in_run,
     bool_or(coalesce(starts_with("procedure", 'misalignment_repeat'), false)) over (partition by unit, signal, run)
       as is_test
   from internal.misalignments where positions = 4
 ), scoped as (
-  select *, run as scope from told where is_test or in_run > 1
+  select *, run as scope from counted where is_test or in_run > 1
   union all
-  select *, null as scope from told
+  select *, null as scope from counted
 ), gathered as (
   select unit, signal, scope,
     coalesce(list(arcmin order by t_from_ns, run, repeat) filter (lack is null), []) as gammas,

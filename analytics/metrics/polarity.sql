@@ -33,7 +33,7 @@ with turned as (
       when forwards is null then 'no record of a positive rate, the clause asks for both directions (5.7.3)'
       when backwards is null then 'no record of a negative rate, the clause asks for both directions (5.7.3)'
       when abs(forwards - backwards) <= coalesce(u * student_quantile(0.001, freedom), 0) then
-        format('the outputs {:g} and {:g} {} at +{:g} and -{:g} deg/s cannot be told apart',
+        format('the outputs {:g} and {:g} {} at +{:g} and -{:g} deg/s cannot be distinguished',
           forwards, backwards, unit_of_measure, rate, rate)
     end as lack
   from compared

@@ -81,11 +81,9 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
 
 def _row(step: Mapping[str, Any], readings: _Readings) -> dict[str, Any]:
-    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "n": 0, "steps": [step["index"]]} | {
-        "parameters": {"supply": step["supply"], "step": step["step"]}
-    }
-    reason = _lack(step, readings)
-    if reason is not None:
+    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "n": 0, "steps": [step["index"]]}
+    row |= {"parameters": {"supply": step["supply"], "step": step["step"]}}
+    if (reason := _lack(step, readings)) is not None:
         return row | {"reason": reason}
     power, t_ns = watts(*readings["supply_voltage"], *readings["supply_current"])
     if not len(power):
@@ -111,24 +109,19 @@ def _lack(step: Mapping[str, Any], readings: _Readings) -> str | None:
     return None
 
 
-def watts(
-    voltage_ns: IntArray, voltage: FloatArray, current_ns: IntArray, current: FloatArray
-) -> tuple[FloatArray, IntArray]:
+def watts(volt_ns: IntArray, volts: FloatArray, amp_ns: IntArray, amps: FloatArray) -> tuple[FloatArray, IntArray]:
     """Each voltage times the current read nearest to it, at most an interval of the currents away; with the times.
 
-    Examples
-    --------
     >>> power, t_ns = watts(np.array([0, 10, 90]), np.array([5.0, 6.0, 5.0]), np.array([1, 11, 21]),
     ...                     np.array([0.1, 0.2, 0.3]))
     >>> power.round(3).tolist(), t_ns.tolist()
     ([0.5, 1.2], [0, 10])
     """
-    after = np.clip(np.searchsorted(current_ns, voltage_ns), 1, max(len(current_ns) - 1, 1))
-    last = len(current_ns) - 1
-    after = np.minimum(after, last)
+    last = len(amp_ns) - 1
+    after = np.minimum(np.clip(np.searchsorted(amp_ns, volt_ns), 1, max(last, 1)), last)
     before = np.maximum(after - 1, 0)
-    is_before = voltage_ns - current_ns[before] <= current_ns[after] - voltage_ns
+    is_before = volt_ns - amp_ns[before] <= amp_ns[after] - volt_ns
     nearest = np.where(is_before, before, after)
-    most_ns = float(np.median(np.diff(current_ns))) if last else float(np.iinfo(np.int64).max)
-    near = np.abs(current_ns[nearest] - voltage_ns) <= most_ns
-    return voltage[near] * current[nearest[near]], voltage_ns[near]
+    most_ns = float(np.median(np.diff(amp_ns))) if last else float(np.iinfo(np.int64).max)
+    near = np.abs(amp_ns[nearest] - volt_ns) <= most_ns
+    return volts[near] * amps[nearest[near]], volt_ns[near]

@@ -35,7 +35,7 @@ with judged as (
     max(rate_up_to) filter (surely_meets) as lo,
     list(rate_up_to order by rate_up_to) filter (surely_fails) as failing
   from deviating group by all
-), told as (
+), bounded as (
   select f.*, r.value, r.lo, list_filter(r.failing, lambda rate: rate > r.value)[1] as hi,
     coalesce(f.lack, case
       when f.product is null then 'no product is named for the unit, so no limit of its nonlinearity is known'
@@ -59,4 +59,4 @@ select
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.9' else '7.2.2' end as clause,
   missing as reason
-from told
+from bounded

@@ -63,7 +63,9 @@ _BASES = {
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric, one for each standard: they differ in the base rate, checked where the threshold is known."""
     for row in catalog.reader(_SQL).read_all().to_pylist():
-        found = _value(row)
+        found = {"reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it before"}
+        if row["is_scaled"]:
+            found = within_half_both_ways(row["compared"], "increment")
         common = {name: row[name] for name in ("unit", "signal", "run", "n", "steps")}
         parameters = {"repeat": row["repeat"], "base_rate_deg_per_h": row["base_rate"]}
         common["parameters"] = parameters | {"scale_factor": row["scale_source"]}
@@ -79,13 +81,5 @@ def _unsuitable(row: Mapping[str, Any], standard: str) -> dict[str, Any] | None:
     ratio = row["base_rate"] / row["expected_threshold"]
     if least * (1 - 1e-3) <= ratio <= most * (1 + 1e-3):
         return None
-    return {
-        "reason": f"the base rate is {ratio:.3g} times the expected threshold of {row['expected_threshold']:g} deg/h, "
-        f"the clause asks for {words}"
-    }
-
-
-def _value(row: Mapping[str, Any]) -> dict[str, Any]:
-    if not row["is_scaled"]:
-        return {"reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it before"}
-    return within_half_both_ways(row["compared"], "increment")
+    threshold = f"the expected threshold of {row['expected_threshold']:g} deg/h"
+    return {"reason": f"the base rate is {ratio:.3g} times {threshold}, the clause asks for {words}"}

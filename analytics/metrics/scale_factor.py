@@ -40,13 +40,8 @@ with formed as (
   from internal.scale_fits f join lacking l using (run, unit, signal, steps)
   where isfinite(f.k)
 )
-select
-  unit, signal, run,
-  case when lack is null then k end as value,
-  k_unit as unit_of_measure,
-  u_k as standard_uncertainty,
-  freedom_k as freedom,
-  n,
+select unit, signal, run, case when lack is null then k end as value, k_unit as unit_of_measure,
+  u_k as standard_uncertainty, freedom_k as freedom, n,
   to_json(struct_insert(words, temperature := round(temperature, 2), rates := n_points,
     largest_rate_deg_per_s := largest_rate, remark := remark))::varchar as parameters,
   [run] as runs, steps, standard, clause, lack as reason

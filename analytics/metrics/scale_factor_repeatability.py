@@ -64,8 +64,6 @@ order by unit, signal, output_unit, scope, standard
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric: a row for each kind and standard.
 
-    Notes
-    -----
     The kinds are those of the bias repeatability, of the relative scale factors K_i/mean(K). ``run_to_run`` is the
     deviation within a day, pooled over days; ``day_to_day`` that of the means of days. The uncertainty of the K_i is
     not subtracted: most of it is nonlinearity, which is the same in all.

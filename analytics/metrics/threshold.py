@@ -3,8 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from analytics.methods.half_error import within_half_both_ways
-from analytics.methods.slow_turn import turns
+from analytics.methods.half_error import turns, within_half_both_ways
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -67,8 +66,6 @@ _CLAUSES = {"indexing_head": "5.10.4.2 (16)", "slow_turn": "5.10.4.3 (17)"}
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric.
 
-    Notes
-    -----
     ``parameters.method`` is ``rate_table`` (GJB method 1, JJF 2014), ``indexing_head`` (2) or ``slow_turn`` (3).
 
     Erratum: GJB (15) divides by the output F; meant is the theoretical output K Omega, as JJF 2014 (17) has it: else an

@@ -1,9 +1,8 @@
 """A plot of Allan deviations, for a data sheet or a report: PNG or SVG."""
 
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -11,7 +10,6 @@ from matplotlib.figure import Figure
 
 from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.noise_coefficients import NoiseCoefficients
-from analytics.plots.allan_fit_marks import draw_fit
 from analytics.plots.allan_marks import (
     FLEET,
     INK,
@@ -19,12 +17,13 @@ from analytics.plots.allan_marks import (
     SOFT,
     EndName,
     LimitMark,
+    draw_fit,
     draw_limit,
     draw_slopes,
     limit_marks,
     write_names,
 )
-from analytics.plots.figure_file import check_suffix, logarithmic_grid, write_figure
+from analytics.plots.figure_file import check_suffix, logarithmic_grid, widened, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
 from stream.events import Limit
@@ -68,29 +67,17 @@ _NAME_LENGTH = 16
 
 
 def plot_allan(
-    curves: Sequence[AllanCurve],
-    path: Path,
-    *,
-    title: str | None = None,
-    limits: Iterable[Limit] = (),
-    chosen: str | None = None,
-    found: NoiseCoefficients | None = None,
-    language: Language = "en+zh",
-) -> None:
+    curves: Sequence[AllanCurve], path: Path, *, title: str | None = None, limits: Iterable[Limit] = (),
+    chosen: str | None = None, found: NoiseCoefficients | None = None, language: Language = "en+zh",
+) -> None:  # fmt: skip
     """Draw Allan deviations over averaging time into a file.
 
-    Parameters
-    ----------
-    curves: One or several, all in one unit of measure.
-    title: Title; by default the unit (or how many), signal and run.
-    limits: Those on the Allan deviation and on the angle random walk (at 1 s) are marked, for the signal of the curves;
-        others, such as on the bias stability, are no points of this plot and are left out.
-    chosen: The unit to emphasise, the others in grey behind it.
-    found: Noise fitted to the curve of `chosen`, or to the only one: drawn over it, with its terms and a legend.
-    language: Of the labels. Chinese needs a font for it; where none is installed, labels are English.
+    The curves are all in one unit of measure. Of the limits those on the Allan deviation and on the angle random walk
+    (at 1 s) are marked, for the signal of the curves; others, such as on the bias stability, are no points of this
+    plot. `chosen`: the unit to emphasise, the others in grey behind it. `found`: noise fitted to the curve of `chosen`,
+    or to the only one: drawn over it, with its terms and a legend. `language`: of the labels; Chinese needs a font for
+    it, and where none is installed, labels are English.
 
-    Notes
-    -----
     Holds no global state of matplotlib: calls may run in several threads.
     """
     check_suffix(path)
@@ -116,13 +103,9 @@ def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurv
 
 
 def _figure(
-    curves: list[AllanCurve],
-    limits: list[Limit],
-    title: str | None,
-    chosen: str | None,
-    language: Language,
+    curves: list[AllanCurve], limits: list[Limit], title: str | None, chosen: str | None, language: Language,
     found: NoiseCoefficients | None = None,
-) -> Figure:
+) -> Figure:  # fmt: skip
     wanted = [part for part in language.split("+") if part == "en" or chinese_font() is not None] or ["en"]
     words = _WORDS[wanted[0]]
     figure = Figure(figsize=(8.2, 5.4), facecolor="white")
@@ -151,9 +134,8 @@ def _figure(
     bare = curves[0].bare_names[_LANGUAGES.index(wanted[0])]
     axes.set_ylabel(words["deviation"].format(name=bare, unit=curves[0].unit_of_measure), color=INK, fontsize=10)
     figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)
-    what = "  \N{MIDDLE DOT}  ".join(
-        _WORDS[part]["what"].format(overlapping=curves[0].names[_LANGUAGES.index(part)]) for part in wanted
-    )
+    names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
+    what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
     figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
     shown = [curve for curve in curves if chosen in (None, curve.unit)]
     figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
@@ -163,12 +145,8 @@ def _figure(
 
 def _crowd(curves: list[AllanCurve], marks: list[LimitMark]) -> list[tuple[float, float]]:
     """Points to keep clear of; a limit with its text weighs as much as many points of a curve."""
-    points = [
-        (tau_s, y)
-        for curve in curves
-        for line in (curve.adev, curve.lo, curve.hi)
-        for tau_s, y in zip(curve.tau_s, line, strict=True)
-    ]
+    lines = [(curve.tau_s, line) for curve in curves for line in (curve.adev, curve.lo, curve.hi)]
+    points = [point for taus_s, line in lines for point in zip(taus_s, line, strict=True)]
     return points + [(mark.tau_s, mark.deviation) for mark in marks for _ in range(20)]
 
 
@@ -179,18 +157,11 @@ def _scales(axes: Axes, curves: list[AllanCurve], marks: list[LimitMark]) -> Non
     # an upper limit at one or two degrees of freedom is ten times the value and would press the rest flat
     high = [min(hi, 3 * y) for curve in curves for hi, y in zip(curve.hi, curve.adev, strict=True)]
     high += [1.3 * y for _, y, _ in marks]
-    bottom, top = min(low) / 1.25, max(high) * 1.25
     axes.set(xscale="log", yscale="log")
-    axes.set_xlim(_at_least_a_decade(min(tau_s) / 1.4, max(tau_s) * 1.4))
-    axes.set_ylim(_at_least_a_decade(bottom, top))
+    axes.set_xlim(widened(min(tau_s) / 1.4, max(tau_s) * 1.4, 20.0))
+    axes.set_ylim(widened(min(low) / 1.25, max(high) * 1.25, 20.0))
     axes.set_axisbelow(True)
     logarithmic_grid(axes)
-
-
-def _at_least_a_decade(low: float, high: float) -> tuple[float, float]:
-    """Widen a range that might hold no power of ten to label."""
-    stretch = math.sqrt(max(1.0, 20.0 * low / high))
-    return low / stretch, high * stretch
 
 
 def _colour(i: int, curve: AllanCurve, chosen: str | None) -> str:
@@ -206,16 +177,10 @@ def _curve(axes: Axes, curve: AllanCurve, i: int, total: int, chosen: str | None
         axes.plot(curve.tau_s, curve.adev, color=colour, linewidth=0.8)
         return
     axes.fill_between(curve.tau_s, curve.lo, curve.hi, color=colour, alpha=0.22 if bold else 0.07, linewidth=0)
-    axes.plot(
-        curve.tau_s,
-        curve.adev,
-        color=colour,
-        linewidth=2.0 if bold else 1.25,
-        marker=_MARKERS[i % len(_MARKERS)] if chosen is None else "o",
-        markersize=4.2 if bold else 3.4,
-        markeredgewidth=0.5,
-        markeredgecolor="white",
-    )
+    marker = _MARKERS[i % len(_MARKERS)] if chosen is None else "o"
+    width, size = (2.0, 4.2) if bold else (1.25, 3.4)
+    edge: dict[str, Any] = {"markeredgewidth": 0.5, "markeredgecolor": "white"}
+    axes.plot(curve.tau_s, curve.adev, color=colour, linewidth=width, marker=marker, markersize=size, **edge)
 
 
 def _name(curve: AllanCurve, curves: list[AllanCurve]) -> str:
@@ -228,13 +193,11 @@ def _name(curve: AllanCurve, curves: list[AllanCurve]) -> str:
 
 
 def _title(curves: list[AllanCurve], chosen: str | None) -> str:
-    units = {curve.unit for curve in curves}
-    runs = {curve.run for curve in curves}
+    units, runs = {curve.unit for curve in curves}, {curve.run for curve in curves}
     who = chosen or (curves[0].unit if len(units) == 1 else f"{len(units)} units")
     signals = ", ".join(sorted({curve.signal for curve in curves}))
-    return f"{who}  \N{MIDDLE DOT}  {signals}  \N{MIDDLE DOT}  " + (
-        f"run {curves[0].run}" if len(runs) == 1 else f"{len(runs)} runs"
-    )
+    which = f"run {curves[0].run}" if len(runs) == 1 else f"{len(runs)} runs"
+    return f"{who}  \N{MIDDLE DOT}  {signals}  \N{MIDDLE DOT}  {which}"
 
 
 def _record(curves: list[AllanCurve], words: dict[str, str]) -> str:

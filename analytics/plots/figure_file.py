@@ -49,11 +49,15 @@ def logarithmic_grid(axes: Axes, most_decades: int = 99) -> None:
         spine.set_color(FLEET)
 
 
+def widened(low: float, high: float, least_ratio: float) -> tuple[float, float]:
+    """Widen a range that might hold too few powers of ten to label."""
+    stretch = math.sqrt(max(1.0, least_ratio * low / high))
+    return low / stretch, high * stretch
+
+
 def power_of_ten(value: float) -> str:
     """A power of ten as people write it.
 
-    Examples
-    --------
     >>> power_of_ten(0.01), power_of_ten(100.0), power_of_ten(1e5)
     ('0.01', '100', '10⁵')
     """

@@ -11,16 +11,9 @@ LATIN_FONT = "DejaVu Sans"
 NOT_DRAWABLE = "\N{WHITE SQUARE}"
 
 _CHINESE_FONTS = (
-    "Noto Sans CJK SC",
-    "Noto Sans SC",
-    "Source Han Sans SC",
-    "WenQuanYi Micro Hei",
-    "WenQuanYi Zen Hei",
-    "Droid Sans Fallback",
-    "Microsoft YaHei",
-    "SimHei",
-    "PingFang SC",
-)
+    "Noto Sans CJK SC", "Noto Sans SC", "Source Han Sans SC", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei",
+    "Droid Sans Fallback", "Microsoft YaHei", "SimHei", "PingFang SC",
+)  # fmt: skip
 
 
 @lru_cache(maxsize=1)
@@ -64,8 +57,6 @@ def set_fonts(figure: Figure) -> None:
 def drawable(text: str, families: tuple[str, ...]) -> str:
     r"""Return `text` with a square for every character that none of the fonts can draw.
 
-    Examples
-    --------
     >>> drawable("τ = 1 s\n\x07", (LATIN_FONT,))
     'τ = 1 s □'
     """

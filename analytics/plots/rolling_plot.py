@@ -24,9 +24,8 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
     check_suffix(path)
     values = np.array([[np.nan if cell is None or cell <= 0.0 else cell for cell in row] for row in surface.adev])
     if np.isnan(values).all():
-        raise BadInput(
-            f"unit {surface.unit}, signal {surface.signal}: no deviation above 0 to draw; the output is constant"
-        )
+        where = f"unit {surface.unit}, signal {surface.signal}"
+        raise BadInput(f"{where}: no deviation above 0 to draw; the output is constant")
     is_chinese = chinese_font() is not None
     figure = Figure(figsize=(8.2, 5.4), facecolor="white")
     FigureCanvasAgg(figure)
@@ -35,14 +34,9 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     norm = LogNorm(low, max(high, low * _LEAST_SPREAD))
     taus_s = np.array(surface.tau_s)
-    image = axes.pcolormesh(
-        _edges(middles_h, surface.step_s / _SECONDS_PER_HOUR),
-        np.exp(_edges(np.log(taus_s), np.log(2.0))),
-        values.T,
-        norm=norm,
-        cmap="viridis",
-        rasterized=True,
-    )
+    columns = _edges(middles_h, surface.step_s / _SECONDS_PER_HOUR)
+    rows = np.exp(_edges(np.log(taus_s), np.log(2.0)))
+    image = axes.pcolormesh(columns, rows, values.T, norm=norm, cmap="viridis", rasterized=True)
     if min(values.shape) >= 2 and high > low * _LEAST_SPREAD:
         levels = np.geomspace(low, high, 10)[1:-1]
         axes.contour(middles_h, taus_s, values.T, levels=levels, colors="white", linewidths=0.6, alpha=0.7)
@@ -59,9 +53,8 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
     title = f"{surface.unit} {surface.signal}, run {surface.run}"
     figure.text(0.095, 0.945, title, fontsize=13, fontweight="bold", color=INK)
     what = "Rolling Allan deviation" + ("  ·  动态 Allan 标准差" if is_chinese else "")
-    window = (
-        f"{what}; windows of {surface.window_s / _SECONDS_PER_HOUR:g} h every {surface.step_s / _SECONDS_PER_HOUR:g} h"
-    )
+    window_h, step_h = (each / _SECONDS_PER_HOUR for each in (surface.window_s, surface.step_s))
+    window = f"{what}; windows of {window_h:g} h every {step_h:g} h"
     figure.text(0.095, 0.893, window, fontsize=8.5, color=SOFT)
     set_fonts(figure)
     write_figure(figure, path)

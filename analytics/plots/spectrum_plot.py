@@ -12,7 +12,7 @@ from matplotlib.markers import CARETDOWN
 
 from analytics.curves.spectrum import Level, SignalSpectrum, with_error
 from analytics.plots.allan_marks import FLEET, INK, SOFT
-from analytics.plots.figure_file import check_suffix, logarithmic_grid, write_figure
+from analytics.plots.figure_file import check_suffix, logarithmic_grid, widened, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
 from stream.estimators.spectral_density import FIRST_BIN
@@ -34,8 +34,6 @@ _SECONDS_PER_HOUR = 3600.0
 def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
     """Draw a power spectral density into a file, PNG or SVG.
 
-    Notes
-    -----
     Every bin is drawn lightly; boldly the mean over a twentieth of a decade without the bins of lines, with its limits.
     """
     check_suffix(path)
@@ -84,7 +82,7 @@ def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
     low = min(max(level.lo, level.psd / _MOST_OVER) for level in levels)
     axes.set(xscale="log", yscale="log")
     axes.set_xlim(spectrum.frequency_hz[0] / 1.15, spectrum.frequency_hz[-1] * 1.15)
-    axes.set_ylim(_two_decades(low / 2.0, high * (2.5 if spectrum.lines else 1.3)))
+    axes.set_ylim(widened(low / 2.0, high * (2.5 if spectrum.lines else 1.3), 100.0))
     axes.set_axisbelow(True)
     logarithmic_grid(axes, most_decades=12)
 
@@ -103,18 +101,9 @@ def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> No
         while any(abs(x - other) < _NUMBER_WIDTH and -8.0 < top - y - height < 9.0 for other, top in taken):
             height += 1.0
         taken.append([x, y + height])
-        axes.annotate(
-            str(named.index(line) + 1),
-            points[i],
-            (0, height),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            color=_LINE,
-            fontsize=8,
-            fontweight="bold",
-            zorder=6,
-        )
+        above: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontweight": "bold"}
+        number = str(named.index(line) + 1)
+        axes.annotate(number, points[i], (0, height), color=_LINE, fontsize=8, zorder=6, **above)
 
 
 def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
@@ -155,14 +144,7 @@ def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
         f"{spectrum.missing:,} missing; {spectrum.segments:,} segments, resolution {spectrum.bin_width_hz:.3g} Hz"
     )
     if not spectrum.lines:
-        band = f"{spectrum.searched_lo_hz:.3g} to {spectrum.searched_hi_hz:.3g} Hz"
-        record += f"; no line stands out from {band}"
+        record += f"; no line stands out from {spectrum.searched_lo_hz:.3g} to {spectrum.searched_hi_hz:.3g} Hz"
     if spectrum.humps:
         record += "; shaded: humps"
     figure.text(_LEFT, 0.022, record, fontsize=7.5, color=SOFT)
-
-
-def _two_decades(low: float, high: float) -> tuple[float, float]:
-    """Widen a range that might hold less than two powers of ten to label."""
-    stretch = math.sqrt(max(1.0, 100.0 * low / high))
-    return low / stretch, high * stretch

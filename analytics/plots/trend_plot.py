@@ -46,18 +46,13 @@ def plot_trend(trend: Trend, path: Path) -> None:
             _draw_chart(each, chart, trend)
             each.set_title(chart.name, loc="left", fontsize=8.5, color=INK, pad=3)
         _name_axis(axes[-1], trend.series, is_chinese=is_chinese)
-    _end_with_the_data(figure, trend.series)
+    t = _times(trend.series)
+    margin = 0.02 * float(np.ptp(t)) or 0.5
+    for each in figure.axes:
+        each.set_xlim(float(t.min()) - margin, float(t.max()) + margin)
     _write_title(figure, trend, len(order) - len(shown), is_chinese=is_chinese)
     set_fonts(figure)
     write_figure(figure, path)
-
-
-def _end_with_the_data(figure: Figure, series: MetricSeries) -> None:
-    """Limit the time axes to the values of the series."""
-    t = _times(series)
-    margin = 0.02 * float(np.ptp(t)) or 0.5
-    for axes in figure.axes:
-        axes.set_xlim(float(t.min()) - margin, float(t.max()) + margin)
 
 
 def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -> None:

@@ -1,7 +1,6 @@
 """Tables behind the verdicts in SQL: limits, their parameters, unit factors, and names of metrics."""
 
 import json
-from collections.abc import Sequence
 from contextlib import suppress
 
 import msgspec
@@ -15,59 +14,24 @@ from storage.sql.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import result_factor
 
-_LIMITS = pa.schema(
-    [
-        ("limit_id", pa.int64()),
-        ("specification", pa.string()),
-        ("revision", pa.string()),
-        ("from_ns", pa.int64()),
-        ("until_ns", pa.int64()),
-        ("known_from_ns", pa.int64()),
-        ("known_until_ns", pa.int64()),
-        ("valid", pa.string()),
-        ("revisions", pa.int64()),
-        ("metric", pa.string()),
-        ("subject", pa.string()),
-        ("parameters", pa.string()),
-        ("parameter_count", pa.int64()),
-        ("product", pa.string()),
-        ("signal", pa.string()),
-        ("standard", pa.string()),
-        ("lower", pa.float64()),
-        ("upper", pa.float64()),
-        ("unit_of_measure", pa.string()),
-    ]
-)
-_PARAMETERS = pa.schema(
-    [("limit_id", pa.int64()), ("metric", pa.string()), ("path", pa.string()), ("key", pa.string())]
-)
-_PRODUCTS = pa.schema(
-    [
-        ("product", pa.string()),
-        ("specification", pa.string()),
-        ("from_ns", pa.int64()),
-        ("known_from_ns", pa.int64()),
-        ("known_until_ns", pa.int64()),
-        ("scale_factor_unit", pa.string()),
-        *((name, pa.float64()) for name in Product.__struct_fields__ if name != "scale_factor_unit"),
-    ]
-)
-_HISTORY = pa.schema(
-    [
-        ("t_ns", pa.int64()),
-        ("action", pa.string()),
-        ("specification", pa.string()),
-        ("revision", pa.string()),
-        ("entered_by", pa.string()),
-        ("reason", pa.string()),
-        ("rejudges", pa.bool_()),
-        ("content", pa.string()),
-        ("sha256", pa.string()),
-        ("previous", pa.string()),
-    ]
-)
-_PROBLEMS = pa.schema([("problem", pa.string())])
-_FACTORS = pa.schema([("source", pa.string()), ("target", pa.string()), ("factor", pa.float64())])
+_TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
+_LIMITS = pa.schema({
+    "limit_id": _WHOLE, "specification": _TEXT, "revision": _TEXT, "from_ns": _WHOLE, "until_ns": _WHOLE,
+    "known_from_ns": _WHOLE, "known_until_ns": _WHOLE, "valid": _TEXT, "revisions": _WHOLE, "metric": _TEXT,
+    "subject": _TEXT, "parameters": _TEXT, "parameter_count": _WHOLE, "product": _TEXT, "signal": _TEXT,
+    "standard": _TEXT, "lower": _REAL, "upper": _REAL, "unit_of_measure": _TEXT,
+})  # fmt: skip
+_PARAMETERS = pa.schema({"limit_id": _WHOLE, "metric": _TEXT, "path": _TEXT, "key": _TEXT})
+_PRODUCTS = pa.schema({
+    "product": _TEXT, "specification": _TEXT, "from_ns": _WHOLE, "known_from_ns": _WHOLE, "known_until_ns": _WHOLE,
+    "scale_factor_unit": _TEXT,
+} | dict.fromkeys((name for name in Product.__struct_fields__ if name != "scale_factor_unit"), _REAL))  # fmt: skip
+_HISTORY = pa.schema({
+    "t_ns": _WHOLE, "action": _TEXT, "specification": _TEXT, "revision": _TEXT, "entered_by": _TEXT, "reason": _TEXT,
+    "rejudges": pa.bool_(), "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
+})  # fmt: skip
+_PROBLEMS = pa.schema({"problem": _TEXT})
+_FACTORS = pa.schema({"source": _TEXT, "target": _TEXT, "factor": _REAL})
 _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause", "parameters", "needs", "equation")
 
 
@@ -87,13 +51,18 @@ def put_specifications(catalog: Catalog) -> None:
         for limit in each.period.specification.limits if not chain.breaks else ():
             parameters += _parameter_rows(len(limits), limit)
             limits.append(_limit_row(len(limits), limit, each))
-    catalog.put("limit_editions", pa.Table.from_pylist(limits, schema=_LIMITS))
-    catalog.put("specification_limits", _limits_now(limits))
-    catalog.put("specification_parameters", pa.Table.from_pylist(parameters, schema=_PARAMETERS))
-    catalog.put("product_editions", pa.Table.from_pylist(products, schema=_PRODUCTS))
-    catalog.put("specification_history", _history(chain))
     problems = [{"problem": f"the chain of specification documents is broken: {each.what}"} for each in chain.breaks]
-    catalog.put("specification_problems", pa.Table.from_pylist(problems, schema=_PROBLEMS))
+    now = [row for row in limits if row["known_until_ns"] == NEVER]
+    for name, rows, schema in (
+        ("limit_editions", limits, _LIMITS),
+        ("specification_parameters", parameters, _PARAMETERS),
+        ("product_editions", products, _PRODUCTS),
+        ("specification_history", _history(chain), _HISTORY),
+        ("specification_problems", problems, _PROBLEMS),
+    ):
+        catalog.put(name, pa.Table.from_pylist(rows, schema=schema))
+    limits_now = pa.Table.from_pylist(now, schema=_LIMITS)
+    catalog.put("specification_limits", limits_now.drop_columns(["known_from_ns", "known_until_ns"]))
 
 
 def put_names(catalog: Catalog) -> None:
@@ -103,67 +72,33 @@ def put_names(catalog: Catalog) -> None:
 
 
 def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> dict[str, object]:
-    period = edition.period
-    return {
-        "limit_id": limit_id,
-        "specification": period.specification.name,
-        "revision": period.specification.revision,
-        "from_ns": period.from_ns,
-        "until_ns": period.until_ns,
-        "known_from_ns": edition.known_from_ns,
-        "known_until_ns": edition.known_until_ns,
-        "valid": period.text,
-        "revisions": edition.revisions,
-        "metric": limit.metric,
-        "subject": limit.subject,
+    period, specification = edition.period, edition.period.specification
+    names = ("metric", "subject", "product", "signal", "standard", "lower", "upper", "unit_of_measure")
+    return {name: getattr(limit, name) for name in names} | {
+        "limit_id": limit_id, "specification": specification.name, "revision": specification.revision,
+        "from_ns": period.from_ns, "until_ns": period.until_ns, "known_from_ns": edition.known_from_ns,
+        "known_until_ns": edition.known_until_ns, "valid": period.text, "revisions": edition.revisions,
         "parameters": json.dumps(limit.parameters, sort_keys=True, ensure_ascii=False),
         "parameter_count": len(limit.parameters),
-        "product": limit.product,
-        "signal": limit.signal,
-        "standard": limit.standard,
-        "lower": limit.lower,
-        "upper": limit.upper,
-        "unit_of_measure": limit.unit_of_measure,
-    }
-
-
-def _limits_now(rows: Sequence[dict[str, object]]) -> pa.Table:
-    """The limits known now."""
-    now = pa.Table.from_pylist([row for row in rows if row["known_until_ns"] == NEVER], schema=_LIMITS)
-    return now.drop_columns(["known_from_ns", "known_until_ns"])
+    }  # fmt: skip
 
 
 def _product_rows(edition: Edition) -> list[dict[str, object]]:
+    period = edition.period
+    known = {"known_from_ns": edition.known_from_ns, "known_until_ns": edition.known_until_ns}
+    shared = {"specification": period.specification.name, "from_ns": period.from_ns} | known
+    products = period.specification.products.items()
+    return [{"product": name, **shared, **msgspec.structs.asdict(numbers)} for name, numbers in products]
+
+
+def _history(chain: Chain) -> list[dict[str, object]]:
+    names = ("t_ns", "reason", "rejudges", "content", "previous")
     return [
-        {
-            "product": name,
-            "specification": edition.period.specification.name,
-            "from_ns": edition.period.from_ns,
-            "known_from_ns": edition.known_from_ns,
-            "known_until_ns": edition.known_until_ns,
-            **msgspec.structs.asdict(numbers),
-        }
-        for name, numbers in edition.period.specification.products.items()
-    ]
-
-
-def _history(chain: Chain) -> pa.Table:
-    rows = [
-        {
-            "t_ns": link.document.t_ns,
-            "action": link.document.action.value,
-            "specification": link.document.name,
-            "revision": link.document.revision,
-            "entered_by": link.document.by,
-            "reason": link.document.reason,
-            "rejudges": link.document.rejudges,
-            "content": link.document.content,
-            "sha256": link.hash,
-            "previous": link.document.previous,
-        }
+        {name: getattr(link.document, name) for name in names}
+        | {"action": link.document.action.value, "specification": link.document.name, "sha256": link.hash}
+        | {"revision": link.document.revision, "entered_by": link.document.by}
         for link in chain.links
     ]
-    return pa.Table.from_pylist(rows, schema=_HISTORY)
 
 
 def _parameter_rows(limit_id: int, limit: SpecificationLimit) -> list[dict[str, object]]:
@@ -195,10 +130,7 @@ def _factors(catalog: Catalog) -> pa.Table:
 
 def _names() -> pa.Table:
     headers = [metric.header for metric in metrics().values()]
-    columns = {
-        "metric": [each.id for each in headers],
-        "unit_of_measure": [each.unit for each in headers],
-        "parameters": [", ".join(each.parameters) for each in headers],
-    }
+    columns = {"metric": [each.id for each in headers], "unit_of_measure": [each.unit for each in headers]}
+    columns |= {"parameters": [", ".join(each.parameters) for each in headers]}
     columns |= {name: [str(getattr(each, name)) for each in headers] for name in _NAMES if name not in columns}
     return pa.table({name: pa.array(columns[name], pa.string()) for name in _NAMES})

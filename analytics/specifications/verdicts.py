@@ -12,20 +12,12 @@ Group = Literal["lot", "station", "fixture", "day"]
 
 
 class Verdicts(NamedTuple):
-    """Verdicts of units, as rows of the tables of the catalogue.
+    """Verdicts of units, as rows of the tables of the catalogue."""
 
-    Parameters
-    ----------
-    units: ``unit_verdicts``: one row for each unit, its worst verdict.
-    verdicts: Each value against its limit.
-    pareto: ``failure_pareto``: what units fail by; of the whole store.
-    warnings: ``unit_warnings``: units that probably have two names.
-    """
-
-    units: list[Row]
-    verdicts: list[Row]
-    pareto: list[Row]
-    warnings: list[Row]
+    units: list[Row]  # ``unit_verdicts``: one row for each unit, its worst verdict
+    verdicts: list[Row]  # each value against its limit
+    pareto: list[Row]  # ``failure_pareto``: what units fail by; of the whole store
+    warnings: list[Row]  # ``unit_warnings``: units that probably have two names
 
     @property
     def has_failure(self) -> bool:
@@ -36,10 +28,7 @@ class Verdicts(NamedTuple):
 def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: bool = True) -> Verdicts:
     """Verdicts of these units, or of all; `with_values` asks for each value too, of which a fleet has many.
 
-    Raises
-    ------
-    NotFound: If the store does not have one of them.
-    BadInput: If a specification in the store is not right.
+    Raises NotFound if the store does not have one of them; BadInput if a specification in the store is not right.
     """
     known = rows_of(catalog, "select * from unit_verdicts")
     names = [row["unit"] for row in known]
@@ -47,20 +36,14 @@ def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: boo
         if unit not in names:
             raise NotFound(f"nothing was measured of unit {unit!r}; {alike(unit, names, 'units are')}")
     asked = set(units) if units else set(names)
-    values = []
-    if with_values:
-        values = rows_of(
-            catalog,
-            "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
-            "order by unit, metric, signal, t_ns, run, subject, standard, parameters",
-            {"units": sorted(asked)},
-        )
-    return Verdicts(
-        [row for row in known if row["unit"] in asked],
-        values,
-        rows_of(catalog, "select * from failure_pareto"),
-        [row for row in rows_of(catalog, "select * from unit_warnings") if not units or row["unit"] in asked],
+    sql = (
+        "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
+        "order by unit, metric, signal, t_ns, run, subject, standard, parameters"
     )
+    values = rows_of(catalog, sql, {"units": sorted(asked)}) if with_values else []
+    warnings = [row for row in rows_of(catalog, "select * from unit_warnings") if not units or row["unit"] in asked]
+    pareto = rows_of(catalog, "select * from failure_pareto")
+    return Verdicts([row for row in known if row["unit"] in asked], values, pareto, warnings)
 
 
 def yield_by(catalog: Catalog, group: Group) -> list[Row]:

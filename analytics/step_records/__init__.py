@@ -1,4 +1,3 @@
 """Step records, the input of every metric: one for each signal of each step of each unit."""
 
-FOLDER = "metrics"
-"""Folder in a store in which records and metrics are kept."""
+FOLDER = "metrics"  # folder in a store in which records and metrics are kept

@@ -18,23 +18,15 @@ SECOND_NS = 1_000_000_000
 SHORT_NS = 10 * SECOND_NS
 _ROWS_AT_ONCE = 5_000_000
 
-COLUMNS = pa.schema(
-    [
-        *((name, pa.string()) for name in ("run", "unit", "signal")),
-        ("t_from_ns", pa.int64()),
-        ("t_to_ns", pa.int64()),
-        ("unit_of_measure", pa.string()),
-        ("n", pa.int64()),
-        *((name, pa.float64()) for name in ("mean", "sd", "sd_freedom", "standard_uncertainty", "freedom")),
-        *((name, pa.float64()) for name in ("n_effective", "white", "flicker", "walk")),
-        *(
-            (f"{name}_{average}s", pa.int64() if name == "n" else pa.float64())
-            for average in (1, 10, 100)
-            for name in ("n", "sd", "freedom")
-        ),
-        ("reason", pa.string()),
-    ]
-)
+_TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
+_AVERAGES = {
+    f"{name}_{s}s": kind for s in (1, 10, 100) for name, kind in (("n", _WHOLE), ("sd", _REAL), ("freedom", _REAL))
+}
+COLUMNS = pa.schema({
+    "run": _TEXT, "unit": _TEXT, "signal": _TEXT, "t_from_ns": _WHOLE, "t_to_ns": _WHOLE, "unit_of_measure": _TEXT,
+    "n": _WHOLE, "mean": _REAL, "sd": _REAL, "sd_freedom": _REAL, "standard_uncertainty": _REAL, "freedom": _REAL,
+    "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, **_AVERAGES, "reason": _TEXT,
+})  # fmt: skip
 
 
 class _EvaluatedSignal(NamedTuple):
@@ -97,16 +89,9 @@ def _signals(catalog: Catalog, run: str) -> Iterator[_EvaluatedSignal]:
         {"run": run},
     ):
         yield _EvaluatedSignal(
-            unit,
-            signal,
-            unit_of_measure,
-            round((interval_s or 0.0) * 1e9),
-            bool(irregular),
-            samples,
-            kept_raw,
-            abs(scale) if is_counts and scale else 0.0,
-            tuple(windows.get(unit, everywhere)),
-        )
+            unit, signal, unit_of_measure, round((interval_s or 0.0) * 1e9), bool(irregular), samples, kept_raw,
+            abs(scale) if is_counts and scale else 0.0, tuple(windows.get(unit, everywhere)),
+        )  # fmt: skip
 
 
 def _groups(signals: list[_EvaluatedSignal], *, is_raw: bool) -> Iterator[list[_EvaluatedSignal]]:
@@ -151,11 +136,11 @@ def _fetched(
     names = [table[name].combine_chunks().dictionary_encode() for name in ("unit", "signal")]
     codes = [np.asarray(each.indices) for each in names]
     edges = np.flatnonzero(np.r_[True, (np.diff(codes[0]) != 0) | (np.diff(codes[1]) != 0)])
-    columns = [table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2")]
+    t_ns, n, mean, m2 = (table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2"))
     found = {}
     for start, end in zip(edges, [*edges[1:], table.num_rows], strict=True):
-        key = (names[0][int(start)].as_py(), names[1][int(start)].as_py())
-        found[key] = (columns[0][start:end], columns[1][start:end], columns[2][start:end], columns[3][start:end])
+        unit, signal = (each[int(start)].as_py() for each in names)
+        found[unit, signal] = (t_ns[start:end], n[start:end], mean[start:end], m2[start:end])
     return found
 
 
@@ -178,15 +163,9 @@ def _reduced(run: str, signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_r
             continue
         start_ns, n, mean, m2 = blocks
         found = series_statistics(
-            start_ns[within],
-            n[within],
-            mean[within],
-            m2[within],
-            base_ns=base_ns,
-            samples_per_block=per_block,
-            window_ns=begins,
-            step=signal.step,
-        )
+            start_ns[within], n[within], mean[within], m2[within], base_ns=base_ns, samples_per_block=per_block,
+            window_ns=begins, step=signal.step,
+        )  # fmt: skip
         yield row | _numbers(found)
 
 

@@ -14,10 +14,7 @@ _LEAST_BLOCKS = 8
 _TERMS = 3  # white, flicker, random walk
 _SUBSETS = tuple(np.array(each) for each in ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)))
 # Three octaves cannot separate three parts: the uncertainty of 20 samples was larger than that of 10.
-_FEW_OCTAVES = {
-    3: tuple(np.array(each) for each in ((0,), (0, 1))),
-    4: tuple(np.array(e) for e in ((0,), (0, 1), (0, 2))),
-}
+_FEW_OCTAVES = {3: (_SUBSETS[0], _SUBSETS[3]), 4: (_SUBSETS[0], _SUBSETS[3], _SUBSETS[4])}
 # Penalty of a further part, in chi-square. In 95 % of records the uncertainty of white noise is at most 4.6 times the
 # true one at 0.5, 3.3 at 4, 2.5 at 6; means of an hour of clear flicker lie within their bounds in 94, 91 and 89 %, and
 # in 85 % where the best subset alone counts.
@@ -34,31 +31,21 @@ class Average(NamedTuple):
 
 
 class SeriesStatistics(NamedTuple):
-    """Statistics of a stretch of a signal.
+    """Statistics of a stretch of a signal."""
 
-    Parameters
-    ----------
-    n: Samples.
-    mean, sd: Mean and standard deviation (ddof = 1) of the samples; `sd` is NaN where there is one sample.
-    sd_freedom: Degrees of freedom of `sd`.
-    standard_uncertainty, freedom: Of the mean; NaN where unknown; its degrees of freedom.
-    n_effective: Independent samples that would give the same uncertainty: sd**2 over its square.
-    white, flicker, walk: Parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds; NaN
-        where unknown.
-    averages: Of `AVERAGES_S`.
-    """
-
-    n: int
+    n: int  # samples
     mean: float
-    sd: float
-    sd_freedom: float
-    standard_uncertainty: float
+    sd: float  # standard deviation (ddof = 1) of the samples; NaN where there is one
+    sd_freedom: float  # degrees of freedom of `sd`
+    standard_uncertainty: float  # of the mean, with its degrees of freedom; NaN where unknown
     freedom: float
-    n_effective: float
+    n_effective: float  # independent samples that would give the same uncertainty: sd**2 over its square
+    # white, flicker, walk: parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds; NaN
+    # where unknown
     white: float
     flicker: float
     walk: float
-    averages: tuple[Average, ...]
+    averages: tuple[Average, ...]  # of `AVERAGES_S`
 
 
 def samples_statistics(t_ns: IntArray, values: FloatArray, window_ns: tuple[int, int]) -> SeriesStatistics:
@@ -70,30 +57,16 @@ def samples_statistics(t_ns: IntArray, values: FloatArray, window_ns: tuple[int,
 
 
 def series_statistics(
-    start_ns: IntArray,
-    counts: IntArray,
-    means: FloatArray,
-    squares: FloatArray,
-    *,
-    base_ns: int,
-    samples_per_block: float,
-    window_ns: tuple[int, int],
-    step: float = 0.0,
-) -> SeriesStatistics:
+    start_ns: IntArray, counts: IntArray, means: FloatArray, squares: FloatArray, *, base_ns: int,
+    samples_per_block: float, window_ns: tuple[int, int], step: float = 0.0,
+) -> SeriesStatistics:  # fmt: skip
     """Reduce the blocks of a stretch.
 
-    Parameters
-    ----------
-    start_ns: shape (blocks,); where each block begins, increasing.
-    counts, means, squares: shape (blocks,); samples in each block, their mean, and the sum of squares about it; a block
-        may be one sample.
-    base_ns: Length of a block, ns.
-    samples_per_block: Samples in a full block.
-    window_ns: Within which a block may begin, both ends included; only averages wholly within it count.
-    step: Of the quantisation in the samples' unit, 0 if none.
+    `start_ns`, `counts`, `means`, `squares` of shape (blocks,): where each block begins, increasing, its samples, their
+    mean, and the sum of squares about it; a block, `base_ns` long, may be one sample. `window_ns`: within which a block
+    may begin, both ends included; only averages wholly within it count. `step`: of the quantisation in the samples'
+    unit, 0 if none.
 
-    Notes
-    -----
     The uncertainty of the mean over T seconds is sqrt(AVAR(T)), AVAR = white/tau + flicker + walk*tau fitted to the
     overlapping Allan variance of the record (IEEE 952 annex C) with weights by degrees of freedom; of white noise alone
     it is sd/sqrt(n). Every subset of the three parts without a negative one is weighted by its likelihood,
@@ -107,8 +80,6 @@ def series_statistics(
     The standard deviation of P-second means (JJF 2014-2022 7.2.14 (29)) takes means on the grid of the source's clock
     that have 90 % of their samples.
 
-    Examples
-    --------
     >>> values = np.random.default_rng(1).standard_normal(6000)
     >>> t_ns = np.arange(6000) * 10_000_000
     >>> found = series_statistics(t_ns, np.ones(6000, int), values, np.zeros(6000), base_ns=10_000_000,
@@ -142,18 +113,13 @@ def series_statistics(
         u_squared += step * step / 12
     effective = min(float(n), sd * sd / u_squared) if u_squared > 0 else (float(n) if n > 1 else math.nan)
     return SeriesStatistics(
-        n=n,
-        mean=_scaled(mean, exponent),
-        sd=_scaled(sd, exponent),
+        n=n, mean=_scaled(mean, exponent), sd=_scaled(sd, exponent),
         sd_freedom=_sd_freedom(n, means.size, within, between, dense),
-        standard_uncertainty=_scaled(math.sqrt(u_squared), exponent),
-        freedom=freedom,
-        n_effective=effective,
-        white=_scaled(float(parts[0]), 2 * exponent),
-        flicker=_scaled(float(parts[1]), 2 * exponent),
+        standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
+        white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
         walk=_scaled(float(parts[2]), 2 * exponent),
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
-    )
+    )  # fmt: skip
 
 
 def _scaled(value: float, exponent: int) -> float:
@@ -165,8 +131,6 @@ def _scaled(value: float, exponent: int) -> float:
 def bartlett_freedom(n: int, correlation: float) -> float:
     """Degrees of freedom of the variance of `n` values whose neighbours correlate (Bartlett 1946), within 1 and n - 1.
 
-    Examples
-    --------
     >>> bartlett_freedom(101, 0.5)
     60.0
     """
@@ -175,14 +139,9 @@ def bartlett_freedom(n: int, correlation: float) -> float:
 
 
 def _average(
-    start_ns: IntArray,
-    counts: IntArray,
-    means: FloatArray,
-    average_ns: int,
-    samples_per_block: float,
-    base_ns: int,
+    start_ns: IntArray, counts: IntArray, means: FloatArray, average_ns: int, samples_per_block: float, base_ns: int,
     window_ns: tuple[int, int],
-) -> Average:
+) -> Average:  # fmt: skip
     expected = samples_per_block * average_ns / base_ns
     if average_ns < base_ns or (average_ns % base_ns and expected < 2):
         return Average(0, math.nan, math.nan)
@@ -200,12 +159,8 @@ def _average(
 def scatter_of_averages(number: IntArray, values: FloatArray) -> Average:
     """Standard deviation of consecutive averages; its degrees of freedom allow for correlated neighbours.
 
-    Parameters
-    ----------
-    number: shape (n,); place of each average on its grid, increasing.
+    `number`: shape (n,); place of each average on its grid, increasing.
 
-    Examples
-    --------
     >>> scatter_of_averages(np.array([0, 1, 3]), np.array([1.0, 2.0, 3.0]))
     Average(n=3, sd=1.0, freedom=2.0)
     """

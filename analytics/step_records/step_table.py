@@ -1,21 +1,25 @@
 """The table `step_means`: reduced once for each run, kept in the store, updated where a run has changed."""
 
 import hashlib
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from analytics.step_records import FOLDER
-from analytics.step_records.kept_file import read_kept, write_kept
 from analytics.step_records.reduction import COLUMNS, reduce_run
 from storage.sql.catalog import Catalog, NotKept
+from stream.atomic_file import replacement
 
 FILE = "steps.parquet"
 # Increased when the reduction gives other records than before.
 _VERSION = "7"
 _PRINT = "fingerprint"
+_SQL = files("analytics.step_records").joinpath("step_means.sql").read_text()
 _MARK = b"gyrofleet.written"
 
 Progress = Callable[[int, int], None]
@@ -24,20 +28,15 @@ Progress = Callable[[int, int], None]
 def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
     """Records of all completed steps of a store; those of unchanged runs are read from the kept file.
 
-    Parameters
-    ----------
-    progress: Called with how many of how many runs have been reduced.
-
-    Returns
-    -------
-    Table
-        The columns of ``step_means.sql`` and `fingerprint`, the hash of what a run's records were made from.
+    `progress` is called with how many of how many runs have been reduced. The columns are those of ``step_means.sql``
+    and `fingerprint`, the hash of what a run's records were made from.
     """
     prints = run_fingerprints(catalog)
     kept = kept_steps(catalog.kept)
-    fresh = {run for run, mark in (kept_prints(kept) if kept is not None else {}).items() if prints.get(run) == mark}
+    known = {} if kept is None else kept_prints(kept)
+    fresh = {run for run, mark in known.items() if prints.get(run) == mark}
     stale = [run for run in prints if run not in fresh]
-    if kept is not None and not stale and len(fresh) == len(kept_prints(kept)):
+    if kept is not None and not stale and len(fresh) == len(known):
         return kept
     if catalog.frozen and (prints or kept is not None):
         raise NotKept
@@ -89,13 +88,9 @@ def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress
             progress(done + 1, len(runs))
     catalog.put("reduced", pa.concat_tables(reduced))
     catalog.put("reduced_runs", pa.table({"run": pa.array(runs, pa.string())}))
-    table = catalog.reader(_sql()).read_all()
+    table = catalog.reader(_SQL).read_all()
     marks = pa.array([prints[run] for run in table["run"].to_pylist()], pa.string())
     return table.append_column(_PRINT, marks)
-
-
-def _sql() -> str:
-    return files("analytics.step_records").joinpath("step_means.sql").read_text()
 
 
 def kept_steps(folder: Path) -> pa.Table | None:
@@ -108,10 +103,41 @@ def kept_steps(folder: Path) -> pa.Table | None:
 
 def _mark(schema: pa.Schema) -> bytes:
     """Hash of the version, the SQL and the columns of the records."""
-    parts = (_VERSION, _sql(), schema.remove_metadata().to_string())
-    return hashlib.sha256("/".join(parts).encode()).hexdigest().encode()
+    text = f"{_VERSION}/{_SQL}/{schema.remove_metadata().to_string()}"
+    return hashlib.sha256(text.encode()).hexdigest().encode()
 
 
 def _keep(catalog: Catalog, table: pa.Table) -> None:
     if not catalog.frozen:
         write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
+
+
+def hash_path(path: Path) -> Path:
+    """Where the hash of a kept file is."""
+    return path.with_name(f"{path.name}.sha256")
+
+
+def read_kept(path: Path) -> pa.Table | None:
+    """A derived table kept in the store, with its metadata; None where there is none, or it disagrees with its hash."""
+    with suppress(OSError, pa.ArrowException):
+        content = path.read_bytes()
+        if hash_path(path).read_text() == hashlib.sha256(content).hexdigest():
+            return pq.read_table(pa.BufferReader(content))
+    return None
+
+
+def write_kept(path: Path, table: pa.Table) -> None:
+    """Keep a table; if that fails it is recomputed the next time."""
+    with suppress(OSError):
+        path.parent.mkdir(exist_ok=True)
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, compression="zstd")
+        content = sink.getvalue().to_pybytes()
+        # a reader in between finds the hash of another file, and recomputes
+        _write(path, content)
+        _write(hash_path(path), hashlib.sha256(content).hexdigest().encode())
+
+
+def _write(path: Path, content: bytes) -> None:
+    with replacement(path, path.with_name(f"{path.name}.{os.getpid()}.part")) as fresh:
+        fresh.write_bytes(content)

@@ -22,24 +22,16 @@ _DEPENDENT = 1e-9
 
 
 class Difference(NamedTuple):
-    """Difference of one level of a group from the others.
+    """Difference of one level of a group from the others."""
 
-    Parameters
-    ----------
-    group, level, against: As ``station``, ``B``, ``A``; `against` is empty for the mean of all other levels.
-    effect: level - against, in the unit of the values.
-    adjusted: Probability of such a difference by chance, adjusted for all differences that were tested.
-    confounded: Groups whose effects cannot be separated from this one.
-    units: Units that were measured there.
-    """
-
+    # group, level, against: as ``station``, ``B``, ``A``; `against` is empty for the mean of all other levels
     group: str
     level: str
     against: str
-    effect: ContrastEstimate
-    adjusted: float
-    confounded: tuple[str, ...]
-    units: int
+    effect: ContrastEstimate  # level - against, in the unit of the values
+    adjusted: float  # probability of such a difference by chance, adjusted for all that were tested
+    confounded: tuple[str, ...]  # groups whose effects cannot be separated from this one
+    units: int  # units that were measured there
 
 
 class Pairs(NamedTuple):
@@ -64,20 +56,13 @@ class _Group(NamedTuple):
     name: str
     levels: list[str]
     code: IntArray
-    columns: FloatArray
-    """Indicators of all levels but the first."""
+    columns: FloatArray  # indicators of all levels but the first
 
 
 def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> GroupComparison | NotComputed:
     """Compare the levels of groups, units being a random effect.
 
-    Parameters
-    ----------
-    series: All values; repeated ones separate the scatter of units from that of measurements.
-    groups: Those with one level only are skipped.
-
-    Notes
-    -----
+    Repeated values separate the scatter of units from that of measurements; groups with one level are skipped.
     One linear mixed model for all: value = level of station + of fixture + of lot + unit + residual. Measurements of
     one unit on several stations and of different units are both used, each with its weight. A group whose columns
     depend on those of others is compared without them, and reported as confounded with them. With two levels the second
@@ -97,9 +82,8 @@ def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> Gr
         fixed = np.column_stack([np.ones(series.value.size), *(each.columns for each in (group, *others))])
         model = MixedModel(series.value, fixed[:, _independent(fixed)], unit)
         if model.y.size - model.fixed.shape[1] < 3 or unit.max() < 1:
-            name = GROUP_NAMES_ZH.get(group.name, group.name)
-            few = Words(f"{group.name}: too few values for its {len(group.levels)} levels", f"{name}：数据不足")
-            left_out.append(few)
+            few = f"{group.name}: too few values for its {len(group.levels)} levels"
+            left_out.append(Words(few, f"{GROUP_NAMES_ZH.get(group.name, group.name)}：数据不足"))
             continue
         differences += _differences(group, model, series, confounded)
     adjusted = holm([each.effect.chance for each in differences])
@@ -121,12 +105,9 @@ def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group],
         if len(levels) < 2:
             continue
         if len(levels) - few < 2 or len(levels) > _MOST_LEVELS:
-            left_out.append(
-                Words(
-                    f"{name}: {len(levels)} levels, {few} of them with a single value",
-                    f"{GROUP_NAMES_ZH.get(name, name)}：{len(levels)} 个水平，其中 {few} 个仅有 1 个数值",
-                )
-            )
+            en = f"{name}: {len(levels)} levels, {few} of them with a single value"
+            zh = f"{GROUP_NAMES_ZH.get(name, name)}：{len(levels)} 个水平，其中 {few} 个仅有 1 个数值"
+            left_out.append(Words(en, zh))
             continue
         found.append(_Group(name, levels, code, (code[:, None] == np.arange(1, len(levels))).astype(np.float64)))
     return found, left_out
@@ -162,9 +143,7 @@ def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
     return tuple(each.name for each in left_out)
 
 
-def _differences(
-    group: _Group, model: MixedModel, series: MetricSeries, confounded: tuple[str, ...]
-) -> list[Difference]:
+def _differences(group: _Group, model: MixedModel, series: MetricSeries, beside: tuple[str, ...]) -> list[Difference]:
     k = len(group.levels)
     contrasts = np.zeros((1 if k == 2 else k, model.fixed.shape[1]))
     own = contrasts[:, 1:k]
@@ -175,10 +154,9 @@ def _differences(
         own[:] = -1 / (k - 1)
         own[np.arange(1, k), np.arange(k - 1)] = 1.0
     units = Counter(level for level, _ in set(zip(series.groups[group.name], series.unit, strict=True)))
-    levels = group.levels[1:] if k == 2 else group.levels
-    against = group.levels[0] if k == 2 else ""
+    levels, against = (group.levels[1:], group.levels[0]) if k == 2 else (group.levels, "")
     return [
-        Difference(group.name, level, against, effect, 1.0, confounded, units[level])
+        Difference(group.name, level, against, effect, 1.0, beside, units[level])
         for level, effect in zip(levels, model.effects(contrasts), strict=True)
     ]
 
@@ -200,17 +178,9 @@ def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
 def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, ComponentDeviation]:
     """Standard deviations of all parts of a series, with 95 % bounds by their profile likelihoods.
 
-    Parameters
-    ----------
-    series: All values, repeated ones too.
-    groups: Those with two levels or more are a random effect each, one at a time.
-
-    Returns
-    -------
-    dict
-        `unit`: between units; `residual`: between measurements of a unit, the first group removed; and each group:
-        between its levels. Where no unit was measured twice `residual` is that and `unit` in one. Empty where there are
-        too few values or units.
+    Each group with two levels or more is a random effect, one at a time. `unit`: between units; `residual`: between
+    measurements of a unit, the first group removed; and each group: between its levels. Where no unit was measured
+    twice `residual` is that and `unit` in one. Empty where there are too few values or units.
     """
     unit = _codes(series.unit)[1]
     if series.value.size < LEAST_VALUES or unit.max() < 1 or not np.ptp(series.value) > 0:

@@ -36,28 +36,22 @@ def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
     """
     moment = int(series.t_ns[-1])
     found: dict[tuple[float | None, float | None], str] = {}
-    kinds = set(zip(series.groups["product"], series.groups["signal"], strict=True))
-    without = 0
+    without = False
     periods = [each for each in ordered_periods(stored_specifications(store)) if each.from_ns <= moment < each.until_ns]
-    for product, signal in sorted(kinds):
-        own = [
-            (limit, period.specification.label)
-            for period in periods
-            for limit in period.specification.limits
-            if _applies(limit, series, product, signal)
-        ]
-        without += not own
+    for product, signal in sorted(set(zip(series.groups["product"], series.groups["signal"], strict=True))):
+        limits = ((limit, each.specification.label) for each in periods for limit in each.specification.limits)
+        own = [(limit, label) for limit, label in limits if _applies(limit, series, product, signal)]
+        without = without or not own
         for limit, label in own:
             factor = result_factor(limit.unit_of_measure, series.unit_of_measure)
             lower, upper = (None if side is None else side * factor for side in (limit.lower, limit.upper))
             found[lower, upper] = label
     if len(found) > 1 or (found and without):
-        return SpecifiedLimits(
-            why_not=Words(
-                "the values are of products or signals with different limits: choose by --product or --signal",
-                "各产品或信号的限值不同：请用 --product 或 --signal 选择",
-            )
+        why_not = Words(
+            "the values are of products or signals with different limits: choose by --product or --signal",
+            "各产品或信号的限值不同：请用 --product 或 --signal 选择",
         )
+        return SpecifiedLimits(why_not=why_not)
     return next((SpecifiedLimits(*sides, label) for sides, label in found.items()), SpecifiedLimits())
 
 
@@ -81,65 +75,44 @@ class Index(NamedTuple):
 
 
 class Capability(NamedTuple):
-    """Capability indices of a process.
+    """Capability indices of a process."""
 
-    Parameters
-    ----------
-    lower, upper: Specification limits, in the unit of the values.
-    mean, sigma: Of the values; `sigma` is the standard deviation of all of them (n - 1), which in a process in control
-        equals that from point to point.
-    cp: (upper - lower)/(6*sigma); None where there is one limit only.
-    cpk: Distance of the mean from the nearer limit over 3*sigma.
-    measurement_share: Share of the measurement uncertainty in the variance.
-    normality_chance: Probability of values at least this far from normal if they are normal (Shapiro and Wilk). Below
-        0.01 the indices do not give the share of units outside the limits.
-    """
-
-    lower: float | None
+    lower: float | None  # specification limits, in the unit of the values
     upper: float | None
+    # mean, sigma: of the values; `sigma` is the standard deviation of all of them (n - 1), which in a process in
+    # control equals that from point to point
     mean: float
     sigma: float
     n: int
-    cp: Index | None
-    cpk: Index
-    measurement_share: float | None
+    cp: Index | None  # (upper - lower)/(6*sigma); None where there is one limit only
+    cpk: Index  # distance of the mean from the nearer limit over 3*sigma
+    measurement_share: float | None  # share of the measurement uncertainty in the variance
+    # probability of values at least this far from normal if they are normal (Shapiro and Wilk)
     normality_chance: float
 
     @property
     def is_normal(self) -> bool:
-        """Whether the values may be normal."""
+        """Whether the values may be normal; else the indices do not give the share of units outside the limits."""
         return self.normality_chance >= _NOT_NORMAL
 
 
 def capability(
-    values: FloatArray,
-    lower: float | None,
-    upper: float | None,
-    *,
-    out_of_control: Words | None = None,
+    values: FloatArray, lower: float | None, upper: float | None, *, out_of_control: Words | None = None,
     uncertainty: FloatArray | None = None,
-) -> Capability | NotComputed:
+) -> Capability | NotComputed:  # fmt: skip
     """Capability indices of one value of each unit.
 
-    Parameters
-    ----------
-    lower, upper: Specification limits.
-    out_of_control: Why the process is not in control; then it has no capability.
-    uncertainty: Standard uncertainties of the values; NaN where unknown.
+    `lower`, `upper`: specification limits. `out_of_control`: why the process is not in control; then it has no
+    capability. `uncertainty`: standard uncertainties of the values; NaN where unknown.
 
-    Notes
-    -----
     Bounds of Cp: from chi-square with n - 1 degrees of freedom; of Cpk: Cpk -+ z*sqrt(1/(9n) + Cpk**2/(2(n - 1)))
     (Bissell 1990). Both hold for normal values.
 
-    Examples
-    --------
     >>> found = capability(np.random.default_rng(4).normal(16.0, 2.0, 400), 8.0, 20.0)
     >>> round(found.cp.value, 1), found.cpk.lo < 0.667 < found.cpk.hi
     (1.0, True)
     """
-    refused = _why_not(values, lower, upper, out_of_control)
-    if refused is not None:
+    if (refused := _why_not(values, lower is not None or upper is not None, out_of_control)) is not None:
         return refused
     n = values.size
     mean, sigma = float(values.mean()), float(values.std(ddof=1))
@@ -153,34 +126,20 @@ def capability(
 
 
 def cp_index(cp: float, n: int) -> Index:
-    """Cp with its bounds.
-
-    Examples
-    --------
-    >>> [round(each, 2) for each in cp_index(2.29, 20)]
-    [2.29, 1.57, 3.01]
-    """
+    """Cp with its bounds."""
     tail = (1 - _CONFIDENCE) / 2
     lo, hi = (cp * math.sqrt(float(chi2.ppf(p, n - 1)) / (n - 1)) for p in (tail, 1 - tail))
     return Index(cp, lo, hi)
 
 
 def cpk_index(cpk: float, n: int) -> Index:
-    """Cpk with its bounds.
-
-    Examples
-    --------
-    >>> [round(each, 2) for each in cpk_index(1.33, 20)]
-    [1.33, 0.88, 1.78]
-    """
+    """Cpk with its bounds."""
     half = float(norm.ppf((1 + _CONFIDENCE) / 2)) * math.sqrt(1 / (9 * n) + cpk**2 / (2 * (n - 1)))
     return Index(cpk, cpk - half, cpk + half)
 
 
-def _why_not(
-    values: FloatArray, lower: float | None, upper: float | None, out_of_control: Words | None
-) -> NotComputed | None:
-    if lower is None and upper is None:
+def _why_not(values: FloatArray, has_limit: bool, out_of_control: Words | None) -> NotComputed | None:
+    if not has_limit:
         return not_computed(
             "no specification limits this characteristic: add one with `gyrofleet limits add`",
             "产品规范中没有该特性的限值：请用 `gyrofleet limits add` 添加",

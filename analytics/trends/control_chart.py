@@ -15,44 +15,32 @@ from scipy.stats import norm
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray
 
-D2 = 2 / math.sqrt(math.pi)
-"""Mean of the range of two standard normal values, d2(2) = 1.128."""
-D3 = math.sqrt(2 - 4 / math.pi)
-"""Its standard deviation, d3(2) = 0.853."""
-MEDIAN_RANGE = 0.9538725524
-"""Its median, d4(2) = sqrt(2) * 0.6745."""
+D2 = 2 / math.sqrt(math.pi)  # mean of the range of two standard normal values, d2(2) = 1.128
+D3 = math.sqrt(2 - 4 / math.pi)  # its standard deviation, d3(2) = 0.853
+MEDIAN_RANGE = 0.9538725524  # its median, d4(2) = sqrt(2) * 0.6745
 LEAST_POINTS = 8
 WIDTH = 3.0
+# a process in control leaves these bounds once in 370 points, as on a chart of individual values with 3 sigma
 EWMA_WEIGHT, EWMA_WIDTH = 0.2, 2.86
-"""A process in control leaves these bounds once in 370 points, as on a chart of individual values with 3 sigma."""
 
 
 class Spread(StrEnum):
     """How the standard deviation of a process in control is estimated from its points."""
 
-    MOVING_RANGE = "moving_range"
-    """Mean moving range / d2, about the mean."""
+    MOVING_RANGE = "moving_range"  # mean moving range / d2, about the mean
+    # median moving range / d4, about the median: single outliers do not widen the limits
     MEDIAN_MOVING_RANGE = "median_moving_range"
-    """Median moving range / d4, about the median: single outliers do not widen the limits."""
-    DEVIATION = "deviation"
-    """Standard deviation / c4, about the mean; for a baseline that is known to be in control."""
+    DEVIATION = "deviation"  # standard deviation / c4, about the mean; for a baseline that is known to be in control
 
 
 class IndividualsChart(NamedTuple):
-    """Centre and limits of a chart, from its first `baseline` points.
+    """Centre and limits of a chart, from its first `baseline` points."""
 
-    Parameters
-    ----------
-    centre, sigma: Level and standard deviation of the process in control, in the unit of the values.
-    lower, upper: centre -+ 3 sigma.
-    moving_range, moving_range_upper: Expected moving range, d2*sigma, and its limit (d2 + 3*d3)*sigma.
-    """
-
-    centre: float
+    centre: float  # level of the process in control, in the unit of the values, and its standard deviation
     sigma: float
-    lower: float
+    lower: float  # centre -+ 3 sigma
     upper: float
-    moving_range: float
+    moving_range: float  # expected moving range, d2*sigma, and its limit (d2 + 3*d3)*sigma
     moving_range_upper: float
     baseline: int
     spread: Spread
@@ -61,8 +49,6 @@ class IndividualsChart(NamedTuple):
 def c4(n: int) -> float:
     """Mean of the standard deviation of `n` standard normal values.
 
-    Examples
-    --------
     >>> round(c4(2), 4), round(c4(10), 4)
     (0.7979, 0.9727)
     """
@@ -85,17 +71,10 @@ def individuals_chart(
 ) -> IndividualsChart | NotComputed:
     """Control limits for individual values in order of time.
 
-    Parameters
-    ----------
-    baseline: From how many first points the limits are computed (phase I); all if omitted.
+    They are computed from the first `baseline` points (phase I), by default from all. With known centre and sigma a
+    point of a process in control lies outside once in 370 points, the average run length. Limits from few points are
+    themselves uncertain: from 30 points by moving ranges, one in about 200 lies outside.
 
-    Notes
-    -----
-    With known centre and sigma a point of a process in control lies outside once in 370 points, the average run length.
-    Limits from few points are themselves uncertain: from 30 points by moving ranges, one in about 200 lies outside.
-
-    Examples
-    --------
     >>> flow = np.array([49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1])
     >>> chart = individuals_chart(flow)
     >>> round(chart.centre, 2), round(chart.upper, 3), round(chart.lower, 3)
@@ -109,32 +88,25 @@ def individuals_chart(
         )
     centre, sigma = (float(each) for each in centre_and_sigma(first, spread))
     if not sigma > 1e-12 * abs(centre):
-        return not_computed(
-            "the values do not vary from point to point: a chart has no limits then", "各点数值无变化：无法确定控制限"
-        )
+        en = "the values do not vary from point to point: a chart has no limits then"
+        return not_computed(en, "各点数值无变化：无法确定控制限")
     lower, upper = centre - WIDTH * sigma, centre + WIDTH * sigma
     return IndividualsChart(centre, sigma, lower, upper, D2 * sigma, (D2 + WIDTH * D3) * sigma, int(first.size), spread)
 
 
 class EwmaChart(NamedTuple):
-    """Moving averages and their limits at each point, in the unit of the values.
-
-    Parameters
-    ----------
-    weight, width: Weight of the newest point; limits in standard deviations of the average.
-    """
+    """Moving averages and their limits at each point, in the unit of the values."""
 
     averages: FloatArray
     lower: FloatArray
     upper: FloatArray
-    weight: float
-    width: float
+    weight: float  # of the newest point
+    width: float  # limits in standard deviations of the average
 
     @property
     def outside(self) -> list[int]:
         """Points whose average lies beyond its limits."""
-        beyond = (self.averages > self.upper) | (self.averages < self.lower)
-        return [int(each) for each in np.flatnonzero(beyond)]
+        return np.flatnonzero((self.averages > self.upper) | (self.averages < self.lower)).tolist()
 
 
 def ewma_chart(
@@ -142,12 +114,8 @@ def ewma_chart(
 ) -> EwmaChart:
     """Exponentially weighted moving averages of a series and their limits.
 
-    Notes
-    -----
     E_i = w*x_i + (1 - w)*E_(i-1), E_0 = centre; limits centre -+ width*sigma*sqrt(w/(2 - w)*(1 - (1 - w)**(2i))).
 
-    Examples
-    --------
     >>> chart = ewma_chart(np.array([52.0, 47.0, 53.0]), 50.0, 2.0539, weight=0.3, width=3.0)
     >>> [round(float(each), 2) for each in chart.averages]
     [50.6, 49.52, 50.56]
@@ -161,13 +129,8 @@ def ewma_chart(
 def average_run_length(weight: float, width: float, shift: float = 0.0, states: int = 201) -> float:
     """Points until the average leaves steady limits, by the Markov chain of Brook and Evans (Lucas, Saccucci 1990).
 
-    Parameters
-    ----------
-    shift: By how many sigma the process has moved.
-    states: Number of states between the limits.
+    `shift`: by how many sigma the process has moved.
 
-    Examples
-    --------
     >>> round(average_run_length(0.2, 2.86))
     371
     """

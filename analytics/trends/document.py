@@ -19,7 +19,7 @@ def document(trend: Trend) -> dict[str, Any]:
     """All results of a trend; one that was not computed has a `reason`."""
     series = trend.series
     header = metrics()[series.metric].header if series.metric in metrics() else None
-    limits = trend.specification
+    limits, charts = trend.specification, zip(trend.charts, trend.capabilities, strict=True)
     return {
         "metric": series.metric,
         "names": None if header is None else {"en": header.en, "zh": header.zh},
@@ -31,10 +31,7 @@ def document(trend: Trend) -> dict[str, Any]:
         "without_value": series.without_value,
         "dated": series.dated,
         "by": trend.by,
-        "charts": [
-            _chart(chart) | {"capability": _capability(found)}
-            for chart, found in zip(trend.charts, trend.capabilities, strict=True)
-        ],
+        "charts": [_chart(chart) | {"capability": _capability(found)} for chart, found in charts],
         "specification": {"lower": limits.lower, "upper": limits.upper, "source": limits.source or None},
         **_shifts(trend.shifts, series),
         **_comparison(trend.comparison),
@@ -103,33 +100,29 @@ def _points(chart: Chart) -> list[dict[str, Any]]:
 def _changes(chart: Chart) -> dict[str, Any]:
     if not isinstance(chart.changes, Changes):
         return _reason(chart.changes)
-    series = chart.series
-    return {
-        "points": [
-            each._asdict()
-            | {"time": moment(series, each.at), "from": moment(series, each.first - 1), "to": moment(series, each.last)}
-            for each in chart.changes.points
-        ],
-        "levels": list(chart.changes.levels),
-        "false_alarm": chart.changes.false_alarm,
-    }
+    of = chart.series
+    points = [each._asdict() | _times(of, each.at, each.first - 1, each.last) for each in chart.changes.points]
+    return {"points": points, "levels": list(chart.changes.levels), "false_alarm": chart.changes.false_alarm}
 
 
 def _shifts(found: LevelShifts | NotComputed, series: MetricSeries) -> dict[str, Any]:
     """Level shifts of stations; their indices are those of all values in order of time."""
     if isinstance(found, NotComputed):
         return {"shifts": [], "unsteady": None, "shifts_not_searched": found.why._asdict()}
-    unsteady = None
-    if found.unsteady is not None:
-        largest = found.unsteady.largest
-        unsteady = found.unsteady._asdict() | {"largest": None if largest is None else _shift(largest, series)}
+    unsteady = None if found.unsteady is None else found.unsteady._asdict()
+    if unsteady and unsteady["largest"]:
+        unsteady["largest"] = _shift(unsteady["largest"], series)
     shifts = [_shift(each, series) for each in found.shifts]
     return {"shifts": shifts, "unsteady": unsteady, "shifts_not_searched": None}
 
 
 def _shift(shift: LevelShift, series: MetricSeries) -> dict[str, Any]:
-    times = {name: moment(series, at) for name, at in (("time", shift.at), ("from", shift.first), ("to", shift.last))}
-    return shift._asdict() | times | {"station": shift.station or None, "is_plain": shift.is_plain}
+    station = {"station": shift.station or None, "is_plain": shift.is_plain}
+    return shift._asdict() | _times(series, shift.at, shift.first, shift.last) | station
+
+
+def _times(series: MetricSeries, at: int, first: int, last: int) -> dict[str, str]:
+    return {"time": moment(series, at), "from": moment(series, first), "to": moment(series, last)}
 
 
 def _capability(found: Capability | NotComputed) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from analytics.trends.between_stations import GROUP_NAMES_ZH, Difference, GroupComparison, Pairs
+from analytics.trends.between_stations import GROUP_NAMES_ZH, Difference, GroupComparison
 from analytics.trends.capability import Capability
 from analytics.trends.trend import FALSE_ALARM, Trend
 from analytics.trends.words import NOTHING, NotComputed, Words, interval, joined, listed, words
@@ -13,11 +13,10 @@ def about(trend: Trend, names: list[str], text: Words) -> Words:
     whose = NOTHING
     if trend.by is not None:
         whose = words(f"{trend.by} {{names}}: ", f"{GROUP_NAMES_ZH[trend.by]} {{names}}：", names=listed(names))
-    return Words(capitalised(f"{whose.en}{text.en}"), f"{whose.zh}{text.zh}")
+    return Words(_capitalised(f"{whose.en}{text.en}"), f"{whose.zh}{text.zh}")
 
 
-def capitalised(sentence: str) -> str:
-    """The sentence with a capital."""
+def _capitalised(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
@@ -41,7 +40,7 @@ def _difference(found: Difference, comparison: GroupComparison, unit: str) -> Wo
     group, group_zh = found.group, GROUP_NAMES_ZH[found.group]
     against = Words(f"{group} {found.against}", f"{group_zh} {found.against} ")
     return words(
-        f"{capitalised(group)} {{level}} gives values {{size}} {{way}} than {{against}} (95 % interval){{why}}.",
+        f"{_capitalised(group)} {{level}} gives values {{size}} {{way}} than {{against}} (95 % interval){{why}}.",
         f"{group_zh} {{level}} 的值比{{against}}{{way}} {{size}}，95 % 区间{{why}}。",
         level=found.level,
         size=interval(abs(effect.value), lo, hi, unit),
@@ -56,16 +55,18 @@ def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> W
     group = Words(found.group, GROUP_NAMES_ZH[found.group])
     if found.confounded:
         return words(
-            "; it cannot be told apart from {names}, which changed together with the {group}: measure some of the same "
-            "units on both",
+            "; it cannot be distinguished from {names}, which changed together with the {group}: measure some of the "
+            "same units on both",
             "；无法与{names}的影响区分（二者同时变化）：请在两处测量相同样品",
             names=joined((Words(each, GROUP_NAMES_ZH[each]) for each in found.confounded), " and ", "、"),
             group=group,
         )
     if found.group == "lot":
         return NOTHING
-    pair = next((each for each in comparison.pairs if _is_of(each, found)), None)
-    elsewhere = [each.units for each in comparison.pairs if _takes_part(each, found)]
+    of_group = [each for each in comparison.pairs if each.group == found.group]
+    levels = {found.level, found.against}
+    pair = next((each for each in of_group if {each.level, each.against} == levels), None)
+    elsewhere = [each.units for each in of_group if not found.against and found.level in {each.level, each.against}]
     if pair is None and elsewhere:
         return Words(
             f"; up to {max(elsewhere)} units were measured there and on another",
@@ -84,19 +85,8 @@ def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> W
     return words(
         "; the {units} units measured on both show {size}{proof}",
         "；两处都测量过的 {units} 个样品相差 {size}{proof}",
-        units=pair.units,
-        size=interval(sign * pair.effect.value, lo, hi, unit),
-        proof=proof,
-    )
-
-
-def _is_of(pair: Pairs, found: Difference) -> bool:
-    levels = {found.level, found.against}
-    return bool(found.against) and pair.group == found.group and {pair.level, pair.against} == levels
-
-
-def _takes_part(pair: Pairs, found: Difference) -> bool:
-    return not found.against and pair.group == found.group and found.level in {pair.level, pair.against}
+        units=pair.units, size=interval(sign * pair.effect.value, lo, hi, unit), proof=proof,
+    )  # fmt: skip
 
 
 def of_components(trend: Trend) -> Iterator[Words]:
@@ -114,17 +104,10 @@ def of_components(trend: Trend) -> Iterator[Words]:
     for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
         # the upper bound of few levels may be far away: two digits of each suffice
         value, lo, hi = (f"{each:.2g}" for each in found[name])
-        parts.append(
-            words(
-                "{name} {value} {unit} ({lo} to {hi})",
-                "{name} {value} {unit}（{lo} 至 {hi}）",
-                name=names.get(name) or Words(f"from {name} to {name}", f"{GROUP_NAMES_ZH[name]}间"),
-                value=value,
-                unit=trend.series.unit_of_measure,
-                lo=lo,
-                hi=hi,
-            )
-        )
+        whose = names.get(name) or Words(f"from {name} to {name}", f"{GROUP_NAMES_ZH[name]}间")
+        size, unit = {"value": value, "lo": lo, "hi": hi}, trend.series.unit_of_measure
+        text = ("{name} {value} {unit} ({lo} to {hi})", "{name} {value} {unit}（{lo} 至 {hi}）")
+        parts.append(words(*text, name=whose, unit=unit, **size))
     yield words("Standard deviations: {parts}.", "标准差：{parts}。", parts=joined(parts))
 
 
@@ -169,10 +152,6 @@ def _capable(trend: Trend, found: Capability) -> Words:
     return words(
         "{indices}, of {n} values{noise}{normal}; limits {sides} ({source}).",
         "{indices}，{n} 个值{noise}{normal}；限值 {sides}（{source}）。",
-        indices=indices,
-        n=found.n,
-        noise=noise,
-        normal=normal,
-        sides=f"{', '.join(sides)} {trend.series.unit_of_measure}",
-        source=limits.source,
-    )
+        indices=indices, n=found.n, noise=noise, normal=normal,
+        sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
+    )  # fmt: skip

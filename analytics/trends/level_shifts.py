@@ -31,29 +31,19 @@ _MOST_RATIO = 1e6
 
 
 class LevelShift(NamedTuple):
-    """A change of the level of a station.
+    """A change of the level of a station."""
 
-    Parameters
-    ----------
-    station: Empty where all stations change together.
-    at: First value of the series at the new level there.
-    first, last: Values between which the change lies with 95 % confidence: the last one before, the first one after.
-    size, lo, hi: Change of the level with 95 % bounds, in the unit of the values.
-    chance: Probability that independent measurements show such a change anywhere.
-    wander: Probability that levels which wander from session to session do.
-    units: Units that were measured there before and after.
-    """
-
-    station: str
-    at: int
+    station: str  # empty where all stations change together
+    at: int  # first value of the series at the new level there
+    # first, last: values between which the change lies with 95 % confidence: the last one before, the first one after
     first: int
     last: int
-    size: float
+    size: float  # change of the level with 95 % bounds, in the unit of the values
     lo: float
     hi: float
-    chance: float
-    wander: float
-    units: int
+    chance: float  # probability that independent measurements show such a change anywhere
+    wander: float  # probability that levels which wander from session to session do
+    units: int  # units that were measured there before and after
 
     @property
     def is_plain(self) -> bool:
@@ -62,46 +52,29 @@ class LevelShift(NamedTuple):
 
 
 class Unsteady(NamedTuple):
-    """Levels that differ from session to session by more than measurements scatter.
+    """Levels that differ from session to session by more than measurements scatter."""
 
-    Parameters
-    ----------
-    deviation: Standard deviation of the sessions' levels, in the unit of the values.
-    chance: Probability that noise alone shows as much.
-    largest: The largest change of level, which cannot be separated from that scatter.
-    """
-
-    deviation: float
-    chance: float
-    largest: LevelShift | None
+    deviation: float  # standard deviation of the sessions' levels, in the unit of the values
+    chance: float  # probability that noise alone shows as much
+    largest: LevelShift | None  # the largest change of level, which cannot be separated from that scatter
 
 
 class LevelShifts(NamedTuple):
-    """The level shifts of the stations of a series.
+    """The level shifts of the stations of a series."""
 
-    Parameters
-    ----------
-    shifts: In order of time.
-    unsteady: None where sessions differ no more than by chance.
-    points: shape (n,); of each value: the level of its station then plus the deviation from the value expected of its
-        unit and station, scaled to the noise of one measurement.
-    """
-
-    shifts: tuple[LevelShift, ...]
-    unsteady: Unsteady | None
+    shifts: tuple[LevelShift, ...]  # in order of time
+    unsteady: Unsteady | None  # none where sessions differ no more than by chance
+    # shape (n,); of each value: the level of its station then plus the deviation from the value expected of its unit
+    # and station, scaled to the noise of one measurement
     points: FloatArray
 
 
 def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShifts | NotComputed:
     """Search for changes of level of each station, and of all together.
 
-    Parameters
-    ----------
-    series: All values; units measured more than once separate units from stations.
-    false_alarm: Probability that noise alone shows a change, over all stations.
+    Units measured more than once separate units from stations. `false_alarm`: probability that noise alone shows a
+    change, over all stations.
 
-    Notes
-    -----
     value = level of station + unit + session + noise. Units and sessions (a run at a station on a day) are random;
     neighbouring sessions of a station may be correlated. The best step of one station is compared with none by their
     likelihoods, each with its most likely noise of the sessions; the probability is that of such a ratio in series
@@ -137,8 +110,7 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
             break
         found.append(best)
         search = search.with_step(best.step)
-    shifts = [_located(search.without(each.step), sums, each, layout, scale) for each in found]
-    shifts.sort(key=lambda each: each.at)
+    shifts = (_located(search.without(each.step), sums, each, layout, scale) for each in found)
     unsteady = None
     if (scatter := search.unsteady(sums, false_alarm / 2)) is not None:
         deviation, chance = scatter
@@ -148,7 +120,7 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
     expected, spread = search.residuals(y)
     level = search.levels(model.sums(y))[model.session]
     points = middle + scale * (level + (y - expected) / spread)
-    return LevelShifts(tuple(shifts), unsteady, points)
+    return LevelShifts(tuple(sorted(shifts, key=lambda each: each.at)), unsteady, points)
 
 
 def _tame(residuals: FloatArray, station: IntArray) -> FloatArray:
@@ -161,21 +133,13 @@ def _tame(residuals: FloatArray, station: IntArray) -> FloatArray:
     return found
 
 
-def _located(search: "StepSearch", sums: Sums, found: BestStep, layout: Layout, scale: float) -> LevelShift:
+def _located(search: StepSearch, sums: Sums, found: BestStep, layout: Layout, scale: float) -> LevelShift:
     """A step with its bounds; it is no column of the search."""
-    step = found.step
-    moments = search.moments(sums, step)
+    step, moments = found.step, search.moments(sums, found.step)
     size, lo, hi = (each * scale for each in moments.size())
-    likely = moments.likely()
+    ends = [sides(layout, each) for each in moments.likely()]
     return LevelShift(
-        station="" if step.station < 0 else layout.names[step.station],
-        at=int(sides(layout, step)[1][0]),
-        first=min(int(sides(layout, each)[0][-1]) for each in likely),
-        last=max(int(sides(layout, each)[1][0]) for each in likely),
-        size=size,
-        lo=lo,
-        hi=hi,
-        chance=found.seen,
-        wander=found.wander,
-        units=units_across(layout, step),
-    )
+        station="" if step.station < 0 else layout.names[step.station], at=int(sides(layout, step)[1][0]),
+        first=min(int(before[-1]) for before, _ in ends), last=max(int(after[0]) for _, after in ends), size=size,
+        lo=lo, hi=hi, chance=found.seen, wander=found.wander, units=units_across(layout, step),
+    )  # fmt: skip

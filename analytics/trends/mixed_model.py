@@ -22,21 +22,14 @@ _LEAST, _MOST = -16.0, 16.0
 
 
 class ContrastEstimate(NamedTuple):
-    """A combination of fixed effects, with 95 % bounds.
+    """A combination of fixed effects, with 95 % bounds."""
 
-    Parameters
-    ----------
-    value, lo, hi, standard_uncertainty: In the unit of the values.
-    freedom: Degrees of freedom of the uncertainty.
-    chance: Probability of a value at least this far from 0 if it is 0.
-    """
-
-    value: float
+    value: float  # in the unit of the values, as its bounds and standard uncertainty
     lo: float
     hi: float
     standard_uncertainty: float
-    freedom: float
-    chance: float
+    freedom: float  # degrees of freedom of the uncertainty
+    chance: float  # probability of a value at least this far from 0 if it is 0
 
 
 class ComponentDeviation(NamedTuple):
@@ -51,14 +44,6 @@ class ComponentDeviation(NamedTuple):
 class MixedModel:
     """y = fixed @ beta + unit effects + random effects + residual, all effects normal and independent.
 
-    Parameters
-    ----------
-    fixed: shape (n, p); columns of full rank.
-    unit: shape (n,); unit of each value, from 0.
-    random: shape (n, q); indicators of the levels of a second random effect.
-
-    Examples
-    --------
     >>> rng = np.random.default_rng(2)
     >>> unit = np.repeat(np.arange(500), 3)
     >>> y = 10 + rng.normal(0, 2, 500)[unit] + rng.normal(0, 1, 1500)
@@ -68,15 +53,15 @@ class MixedModel:
     """
 
     y: FloatArray
-    fixed: FloatArray
-    unit: IntArray
-    random: FloatArray | None = None
+    fixed: FloatArray  # shape (n, p); columns of full rank
+    unit: IntArray  # shape (n,); unit of each value, from 0
+    random: FloatArray | None = None  # shape (n, q); indicators of the levels of a second random effect
 
     @cached_property
     def _sums(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Cross products of [random, fixed, y], their sums in each unit, and values in each unit."""
-        parts = [self.fixed, (self.y - self.y.mean())[:, None]]
-        columns = np.column_stack(parts if self.random is None else [self.random, *parts])
+        random = [] if self.random is None else [self.random]
+        columns = np.column_stack([*random, self.fixed, (self.y - self.y.mean())[:, None]])
         counts = np.bincount(self.unit)
         order = np.argsort(self.unit, kind="stable")
         starts = np.r_[0, np.cumsum(counts)[:-1]]
@@ -116,10 +101,7 @@ class MixedModel:
 
     @property
     def _names(self) -> list[str]:
-        names = ["residual"]
-        if self.has_repeats:
-            names.append("unit")
-        return names if self.random is None else [*names, "random"]
+        return ["residual", *["unit"] * self.has_repeats, *["random"] * (self.random is not None)]
 
     @cached_property
     def _centre(self) -> FloatArray:
@@ -160,11 +142,9 @@ class MixedModel:
     def _optimum(self) -> FloatArray:
         """Logarithms of the variances at the greatest restricted likelihood."""
         start = np.log(max(float(self.y.var()), 1e-300))
-        names = self._names
-        found = min(
-            (self._least(start + np.array(shift[: len(names)])) for shift in ((0.0, -1.0, -1.0), (-3.0, 0.0, -4.0))),
-            key=lambda each: each[1],
-        )[0]
+        shifts = ((0.0, -1.0, -1.0), (-3.0, 0.0, -4.0))
+        candidates = [self._least(start + np.array(shift[: len(self._names)])) for shift in shifts]
+        found = min(candidates, key=lambda each: each[1])[0]
         return np.clip(found, start + _LEAST, start + _MOST)
 
     def _least(self, start: FloatArray, fixed: tuple[int, float] | None = None) -> tuple[FloatArray, float]:
@@ -222,8 +202,7 @@ class MixedModel:
                 return self._deviance(np.array([log])) - least - rise
             return self._least(at, (index, log))[1] - least - rise
 
-        lo = _crossing(above, float(at[index]), -1.0, _LEAST)
-        hi = _crossing(above, float(at[index]), 1.0, _MOST)
+        lo, hi = (_crossing(above, float(at[index]), *way) for way in ((-1.0, _LEAST), (1.0, _MOST)))
         zero = index > 0 and at[index] - at.max() < _LEAST / 2
         return ComponentDeviation(
             0.0 if zero else float(np.exp(at[index] / 2)),
@@ -233,13 +212,7 @@ class MixedModel:
 
 
 def paired_difference(differences: FloatArray) -> ContrastEstimate:
-    """Mean of at least 2 paired differences with bounds by Student's t.
-
-    Examples
-    --------
-    >>> round(paired_difference(np.array([0.9, 1.0, 1.1])).value, 3)
-    1.0
-    """
+    """Mean of at least 2 paired differences with bounds by Student's t."""
     n = differences.size
     mean, error = float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n))
     half = float(student.ppf((1 + _CONFIDENCE) / 2, n - 1)) * error
@@ -259,13 +232,7 @@ def _crossing(above: Callable[[float], float], start: float, step: float, most: 
 
 
 def holm(chances: list[float]) -> list[float]:
-    """Probabilities adjusted for multiple tests (Holm 1979).
-
-    Examples
-    --------
-    >>> [round(each, 3) for each in holm([0.01, 0.04, 0.03])]
-    [0.03, 0.06, 0.06]
-    """
+    """Probabilities adjusted for multiple tests (Holm 1979)."""
     adjusted = [0.0] * len(chances)
     running = 0.0
     for rank, index in enumerate(sorted(range(len(chances)), key=chances.__getitem__)):

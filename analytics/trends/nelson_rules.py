@@ -33,25 +33,16 @@ RULES = (
     Words("15 points in a row within 1 sigma", "连续 15 点在 1σ 以内"),
     Words("8 points in a row beyond 1 sigma, on either side", "连续 8 点在两侧 1σ 以外"),
 )
-LENGTHS = (1, 9, 6, 14, 3, 5, 15, 8)
-"""Points that each rule looks at together."""
+LENGTHS = (1, 9, 6, 14, 3, 5, 15, 8)  # points that each rule looks at together
 
 
 def rule_flags(z: FloatArray) -> BoolArray:
     """Where each rule is met, shape (8, ..., points): True at the last point of each pattern.
 
-    Parameters
-    ----------
-    z: shape (..., points); (value - centre)/sigma, in order of time; several series at once.
+    `z` of shape (..., points) is (value - centre)/sigma, in order of time, of one series or several. White noise with
+    known centre and sigma first meets a rule after so many points, on average: 370 (rule 1), 511 (2), 422 (3), 600 (4),
+    512 (5), 292 (6), 963 (7), 14,000 (8); one of the eight after 74. One signal is not significant: see `chart_chance`.
 
-    Notes
-    -----
-    White noise with known centre and sigma first meets a rule after so many points, on average: 370 (rule 1), 511 (2),
-    422 (3), 600 (4), 512 (5), 292 (6), 963 (7), 14,000 (8); one of the eight after 74. One signal is not
-    significant: see `chart_chance`.
-
-    Examples
-    --------
     >>> flags = rule_flags(np.array([0.1] * 8 + [3.5]))
     >>> [number + 1 for number in range(8) if flags[number, -1]]
     [1, 2]
@@ -75,8 +66,6 @@ def rule_flags(z: FloatArray) -> BoolArray:
 def points_of(flags: BoolArray, z: FloatArray) -> dict[int, list[int]]:
     """All points in the patterns of each rule that is met, by its number, 1 to 8.
 
-    Examples
-    --------
     >>> z = np.array([0.0, 2.5, 0.0, 2.2, 0.0])
     >>> points_of(rule_flags(z), z)
     {5: [1, 3]}
@@ -90,8 +79,7 @@ def points_of(flags: BoolArray, z: FloatArray) -> dict[int, list[int]]:
         for end in ends:
             window = slice(max(0, int(end) - length + 1), int(end) + 1)
             if rule in {4, 5}:
-                outside = z[window] * np.sign(z[end]) > (2.0 if rule == 4 else 1.0)
-                taking_part[window] |= outside
+                taking_part[window] |= z[window] * np.sign(z[end]) > (2.0 if rule == 4 else 1.0)
             else:
                 taking_part[window] = True
         found[rule + 1] = [int(each) for each in np.flatnonzero(taking_part)]
@@ -112,57 +100,37 @@ def _of_last(condition: BoolArray, least: int, of: int) -> BoolArray:
 
 
 class ChartChance(NamedTuple):
-    """Probabilities under white noise of results at least as extreme as those of the chart.
+    """Probabilities under white noise of results at least as extreme as those of the chart."""
 
-    Parameters
-    ----------
-    wild_point: Of the most distant point; a bound (Bonferroni), 1 where there are too few points.
-    signals: Of the number of signals of the most significant rule, adjusted for all eight.
-    rule: That rule.
-    expected: Mean number of signals of each rule on such a chart of white noise.
-    """
-
-    wild_point: float
-    signals: float
-    rule: int | None
-    expected: tuple[float, ...]
+    wild_point: float  # of the most distant point; a bound (Bonferroni), 1 where there are too few points
+    signals: float  # of the number of signals of the most significant rule, adjusted for all eight
+    rule: int | None  # that rule
+    expected: tuple[float, ...]  # mean number of signals of each rule on such a chart of white noise
 
 
 class _NullSignals(NamedTuple):
-    """Signals of each rule in simulated white noise, sorted; the least probability over the rules in each, sorted."""
-
-    counts: IntArray
-    least: FloatArray
+    counts: IntArray  # signals of each rule in simulated white noise, sorted
+    least: FloatArray  # the least probability over the rules in each series, sorted
     mean: tuple[float, ...]
 
 
 def chart_chance(values: FloatArray, counts: IntArray, *, baseline: int, spread: Spread) -> ChartChance:
     """Significance of a chart whose rules have these `counts` of signals.
 
-    Notes
-    -----
     White noise is simulated on the same chart, with limits from the same points by the same rule, and the least of the
     eight probabilities is compared with the least of the eight in the simulated charts. Its lower end is one over the
     simulated charts (400 to 4000).
     """
     null = _null(values.size, baseline, spread)
     series = null.counts.shape[1]
-    chances = np.array(
-        [(series - np.searchsorted(null.counts[rule], counts[rule]) + 1) / (series + 1) for rule in range(len(counts))]
-    )
+    chances = np.array([_chances(of_rule, count) for of_rule, count in zip(null.counts, counts, strict=True)])
     rule = int(chances.argmin())
     signals = float((np.searchsorted(null.least, chances[rule], side="right") + 1) / (series + 1))
     return ChartChance(wild_point_chance(values), min(signals, 1.0), rule + 1 if counts[rule] else None, null.mean)
 
 
 def wild_point_chance(values: FloatArray) -> float:
-    """Bound on the probability that the most distant of normal values is at least this distant (Grubbs 1950).
-
-    Examples
-    --------
-    >>> bool(wild_point_chance(np.array([1.0, 2, 3, 2, 1, 2, 3, 2, 40])) < 1e-6)
-    True
-    """
+    """Bound on the probability that the most distant of normal values is at least this distant (Grubbs 1950)."""
     n = values.size
     deviations = values - values.mean()
     squares = float(deviations @ deviations)
@@ -186,7 +154,10 @@ def _null(points: int, baseline: int, spread: Spread) -> _NullSignals:
         z = (noise - centre[:, None]) / sigma[:, None]
         counts[:, start : start + noise.shape[0]] = rule_flags(z).sum(axis=-1)
     ordered = np.sort(counts, axis=1)
-    chances = np.array(
-        [(series - np.searchsorted(ordered[rule], counts[rule]) + 1) / (series + 1) for rule in range(8)]
-    )
+    chances = np.array([_chances(*pair) for pair in zip(ordered, counts, strict=True)])
     return _NullSignals(ordered, np.sort(chances.min(axis=0)), tuple(float(each) for each in counts.mean(axis=1)))
+
+
+def _chances(ordered: IntArray, counts: IntArray) -> FloatArray:
+    """Shares of simulated counts that are at least as large."""
+    return np.asarray((ordered.size - np.searchsorted(ordered, counts) + 1) / (ordered.size + 1), np.float64)

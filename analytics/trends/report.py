@@ -34,14 +34,13 @@ def stands_out(trend: Trend) -> bool:
 
 
 def _significant(trend: Trend) -> list[Words]:
-    return [*_of_shifts(trend), *_of_charts(trend), *of_groups(trend)]
+    of_charts = (about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
+    return [*_of_shifts(trend), *of_charts, *of_groups(trend)]
 
 
 def moment(series: MetricSeries, index: int) -> str:
     """When a point was measured (UTC); its number where dates are unknown.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from analytics.trends.series import Variant
     >>> one = MetricSeries("bias", "deg/h", np.zeros(1), np.zeros(1), np.array([1_763_683_200 * 10**9]), ["U"], ["r"],
@@ -51,8 +50,8 @@ def moment(series: MetricSeries, index: int) -> str:
     """
     if not series.dated:
         return f"#{index + 1}"
-    at = datetime.fromtimestamp(int(series.t_ns[index]) // 10**9, UTC)
     is_brief = int(series.t_ns[-1] - series.t_ns[0]) < _BRIEF_DAYS * NS_PER_DAY
+    at = datetime.fromtimestamp(int(series.t_ns[index]) // 10**9, UTC)
     return at.strftime("%Y-%m-%d %H:%M" if is_brief else "%Y-%m-%d")
 
 
@@ -71,15 +70,10 @@ def _head(trend: Trend) -> Words:
     return words(
         "{name} ({variant}): {n} values of {units} unit{s}, {first} to {last}; {charted}.",
         "{name}（{variant}）：{units} 个样品共 {n} 个值，{first} 至 {last}；{charted}。",
-        name=series.metric if header is None else Words(header.en, header.zh),
-        variant=series.variant,
-        n=series.value.size,
-        units=units,
-        s="s" * (units > 1),
-        first=moment(series, 0),
-        last=moment(series, series.value.size - 1),
-        charted=charted,
-    )
+        name=series.metric if header is None else Words(header.en, header.zh), variant=series.variant,
+        n=series.value.size, units=units, s="s" * (units > 1), first=moment(series, 0),
+        last=moment(series, series.value.size - 1), charted=charted,
+    )  # fmt: skip
 
 
 def _of_shifts(trend: Trend) -> Iterator[Words]:
@@ -94,21 +88,18 @@ def _of_shifts(trend: Trend) -> Iterator[Words]:
 
 def _shift_parts(series: MetricSeries, shift: LevelShift) -> dict[str, Words]:
     before, after, at = (moment(series, point) for point in (shift.first, shift.last, shift.at))
-    whose = Words(f"The level of station {shift.station}", f"测试站 {shift.station} 的水平")
-    return {
-        "whose": whose if shift.station else Words("The level of all stations", "所有测试站的水平"),
-        "when": Words(
-            f"between {before} and {after} (most likely at {at})", f"在 {before} 与 {after} 之间（最可能始于 {at}）"
-        ),
-        "size": interval(shift.size, shift.lo, shift.hi, series.unit_of_measure),
-    }
+    whose = Words("The level of all stations", "所有测试站的水平")
+    if shift.station:
+        whose = Words(f"The level of station {shift.station}", f"测试站 {shift.station} 的水平")
+    en = f"between {before} and {after} (most likely at {at})"
+    when = Words(en, f"在 {before} 与 {after} 之间（最可能始于 {at}）")
+    return {"whose": whose, "when": when, "size": interval(shift.size, shift.lo, shift.hi, series.unit_of_measure)}
 
 
 def _shift(series: MetricSeries, shift: LevelShift) -> Words:
-    there = "there " if shift.station else ""
+    there, there_zh = ("there ", "在该处") if shift.station else ("", "")
     units = Words(
-        f"; {shift.units} units were measured {there}before and after",
-        f"；{shift.units} 个样品前后均{'在该处' if shift.station else ''}测量过",
+        f"; {shift.units} units were measured {there}before and after", f"；{shift.units} 个样品前后均{there_zh}测量过"
     )
     if shift.units < LEAST_UNITS:
         units = Words(
@@ -124,10 +115,8 @@ def _shift(series: MetricSeries, shift: LevelShift) -> Words:
     return words(
         "{whose} changes by {size} {when}{units}{doubt}.",
         "{whose}{when}改变 {size}{units}{doubt}。",
-        **_shift_parts(series, shift),
-        units=units,
-        doubt=doubt,
-    )
+        **_shift_parts(series, shift), units=units, doubt=doubt,
+    )  # fmt: skip
 
 
 def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
@@ -150,12 +139,6 @@ def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
     )
 
 
-def _of_charts(trend: Trend) -> Iterator[Words]:
-    for chart in trend.charts:
-        for each in _of_chart(chart):
-            yield about(trend, [chart.name], each)
-
-
 def _of_chart(chart: Chart) -> Iterator[Words]:
     series, unit = chart.series, chart.series.unit_of_measure
     if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
@@ -163,11 +146,9 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
             yield words(
                 "the level changes by {size} between {before} and {after} (most likely at {here}).",
                 "水平在 {before} 与 {after} 之间改变 {size}（最可能始于 {here}）。",
-                size=interval(change.size, change.lo, change.hi, unit),
-                before=moment(series, change.first - 1),
-                after=moment(series, change.last),
-                here=f"{series.unit[change.at]}, {moment(series, change.at)}",
-            )
+                size=interval(change.size, change.lo, change.hi, unit), before=moment(series, change.first - 1),
+                after=moment(series, change.last), here=f"{series.unit[change.at]}, {moment(series, change.at)}",
+            )  # fmt: skip
     if chart.drifts and isinstance(chart.drift, Drift):
         per = Words("per day", "每天") if series.dated else Words("per point", "每点")
         size = interval(chart.drift.slope, chart.drift.lo, chart.drift.hi, unit)
@@ -181,12 +162,10 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
         yield words(
             "rule {rule} ({text}) is met {count} times, from {first} on; noise gives {expected:.2g}.",
             "判异准则 {rule}（{text}）自 {first} 起出现 {count} 次；随机预期 {expected:.2g} 次。",
-            rule=chart.too_many,
-            text=RULES[chart.too_many - 1],
-            count=chart.counts[chart.too_many - 1],
+            rule=chart.too_many, text=RULES[chart.too_many - 1], count=chart.counts[chart.too_many - 1],
             first=moment(series, chart.signals[chart.too_many][0]),
             expected=0.0 if chart.chance is None else chart.chance.expected[chart.too_many - 1],
-        )
+        )  # fmt: skip
 
 
 def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
@@ -197,21 +176,17 @@ def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
         "异常点（{where}）：{value} {unit}，距中心线 {centre} 为 {z:+.1f}σ；{n} 个正态值中最远者达到此距离的概率至多为 "
         "{chance:.2g}（Grubbs 检验）。",
         where=f"{series.unit[point]}, {moment(series, point)}",
-        value=figures(float(chart.charted[point]), limits.sigma),
-        unit=series.unit_of_measure,
-        z=float(chart.z[point]),
-        centre=figures(limits.centre, limits.sigma),
-        n=chart.charted.size,
-        chance=wild_point_chance(chart.charted),
-    )
+        value=figures(float(chart.charted[point]), limits.sigma), unit=series.unit_of_measure, z=float(chart.z[point]),
+        centre=figures(limits.centre, limits.sigma), n=chart.charted.size, chance=wild_point_chance(chart.charted),
+    )  # fmt: skip
 
 
 def _nothing(trend: Trend) -> Words:
-    judged = [chart for chart in trend.charts if chart.in_control is not None]
-    compared: list[str] = []
-    if not isinstance(trend.comparison, NotComputed):
-        compared = sorted({each.group for each in trend.comparison.differences})
-    if not judged and not compared:
+    is_judged = any(chart.in_control is not None for chart in trend.charts)
+    comparison = trend.comparison
+    differences = () if isinstance(comparison, NotComputed) else comparison.differences
+    compared = sorted({each.group for each in differences})
+    if not is_judged and not compared:
         return Words("There is too little to judge.", "数据不足，无法判断。")
     groups = words(
         ", and {names} make no difference that can be seen",

@@ -11,6 +11,7 @@ import numpy as np
 
 from analytics.evaluation.selection import evaluated
 from analytics.metric_registry.registry import check_metrics, metrics
+from analytics.specifications.verdicts import rows_of
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
@@ -73,31 +74,20 @@ class Variant(NamedTuple):
 
 @dataclass(frozen=True)
 class MetricSeries:
-    """Values of a metric in order of time.
-
-    Parameters
-    ----------
-    value, uncertainty: shape (n,); the standard uncertainty is NaN where unknown.
-    t_ns: shape (n,); when each was measured; where the date of a run is unknown, when it was recorded.
-    unit: Unit of each value; with the signal where units have several.
-    groups: Levels of each value, for `GROUPS`, `product` and `signal`.
-    variant, others: The kind of values, and the other kinds in the store.
-    without_value: Rows of this kind that have a reason instead of a value.
-    dated: Whether the dates of all runs are known.
-    """
+    """Values of a metric in order of time."""
 
     metric: str
     unit_of_measure: str
     value: FloatArray
-    uncertainty: FloatArray
-    t_ns: IntArray
-    unit: list[str]
+    uncertainty: FloatArray  # standard uncertainty, NaN where unknown
+    t_ns: IntArray  # shape (n,); when each was measured; where the date of a run is unknown, when it was recorded
+    unit: list[str]  # unit of each value; with the signal where units have several
     run: list[str]
-    groups: dict[str, list[str]]
+    groups: dict[str, list[str]]  # levels of each value, for `GROUPS`, `product` and `signal`
     variant: Variant
-    others: tuple[Variant, ...]
-    without_value: int
-    dated: bool
+    others: tuple[Variant, ...]  # the other kinds in the store
+    without_value: int  # rows of this kind that have a reason instead of a value
+    dated: bool  # whether the dates of all runs are known
 
     @property
     def is_magnitude(self) -> bool:
@@ -109,14 +99,10 @@ class MetricSeries:
         """Some of the values, by their indices."""
         at = np.array(list(chosen), np.int64)
         return replace(
-            self,
-            value=self.value[at],
-            uncertainty=self.uncertainty[at],
-            t_ns=self.t_ns[at],
-            unit=[self.unit[index] for index in at],
-            run=[self.run[index] for index in at],
+            self, value=self.value[at], uncertainty=self.uncertainty[at], t_ns=self.t_ns[at],
+            unit=[self.unit[index] for index in at], run=[self.run[index] for index in at],
             groups={name: [levels[index] for index in at] for name, levels in self.groups.items()},
-        )
+        )  # fmt: skip
 
     def first_of_units(self) -> "MetricSeries":
         """The first value of each unit: a repeated measurement is no new unit."""
@@ -129,11 +115,8 @@ class MetricSeries:
 
     def places(self, by: str) -> dict[str, IntArray]:
         """Indices of the values of each unit, or level of a group, by name."""
-        levels = self.unit if by == "unit" else self.groups[by]
-        found: defaultdict[str, list[int]] = defaultdict(list)
-        for index, level in enumerate(levels):
-            found[level].append(index)
-        return {level: np.array(found[level], np.int64) for level in sorted(found)}
+        levels = np.array(self.unit if by == "unit" else self.groups[by])
+        return {str(level): np.flatnonzero(levels == level) for level in np.unique(levels)}
 
 
 class Choice(NamedTuple):
@@ -158,11 +141,8 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     """
     check_metrics([metric])
     with evaluated(catalog, [metric]):
-        rows = [
-            row | {"parameters": json.loads(row["parameters"] or "{}")}
-            for batch in catalog.batches(_SQL, {"metric": metric})
-            for row in batch.to_pylist()
-        ]
+        found = rows_of(catalog, _SQL, {"metric": metric})
+    rows = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found]
     kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:
         raise NotFound(_nothing(metric, rows, choice))
@@ -175,16 +155,14 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
 
 
 def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
+    own = row["parameters"]
     asked = (
         (not choice.units or row["unit"] in choice.units),
         choice.signal in {None, row["signal"]},
         choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
         choice.since_ns is None or (_moment(row) or 0) >= choice.since_ns,
         *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in (*GROUPS, "product")),
-        *(
-            parameter_text(row["parameters"].get(name)) == parameter_text(value)
-            for name, value in choice.parameters.items()
-        ),
+        *(parameter_text(own.get(name)) == parameter_text(value) for name, value in choice.parameters.items()),
     )
     return all(asked)
 
@@ -197,8 +175,6 @@ def _moment(row: Mapping[str, Any]) -> int | None:
 def parameter_text(value: object) -> str:
     """A parameter so that 100, 100.0 and '100' are the same.
 
-    Examples
-    --------
     >>> parameter_text(100.0), parameter_text("100"), parameter_text("X")
     ('100', '100', 'X')
     """
@@ -221,29 +197,22 @@ def _settings(rows: list[dict[str, Any]]) -> set[str]:
     named: set[str] = set()
     same: defaultdict[tuple[object, ...], list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
-        named |= {
-            name for name, value in row["parameters"].items() if isinstance(value, str | bool) or name == "average_s"
-        }
-        same[row["unit"], row["signal"], row["run"], row["standard"], tuple(row["steps"] or ())].append(
-            row["parameters"]
-        )
+        own = row["parameters"]
+        named |= {name for name, value in own.items() if isinstance(value, str | bool) or name == "average_s"}
+        same[row["unit"], row["signal"], row["run"], row["standard"], tuple(row["steps"] or ())].append(own)
     for group in same.values():
         if len(group) > 1:
             names = {name for each in group for name in each}
             named |= {name for name in names if len({parameter_text(each.get(name)) for each in group}) > 1}
-    few = {
-        name
-        for name in named
-        if len({parameter_text(row["parameters"].get(name)) for row in rows}) <= max(_FEW, len(rows) // 20)
-    }
+    most = max(_FEW, len(rows) // 20)
+    few = {name for name in named if len({parameter_text(row["parameters"].get(name)) for row in rows}) <= most}
     return (few - _RESULTS) | {_TEMPERATURE}
 
 
 def _temperature_classes(rows: list[dict[str, Any]]) -> dict[float, str]:
     """Measured temperatures by the median of their class: classes are separated by gaps of more than 5 degC."""
-    found = sorted(
-        {float(each) for row in rows if isinstance(each := row["parameters"].get(_TEMPERATURE), int | float)}
-    )
+    measured = {row["parameters"].get(_TEMPERATURE) for row in rows}
+    found = sorted({float(each) for each in measured if isinstance(each, int | float)})
     gaps = [at for at in range(1, len(found)) if found[at] - found[at - 1] > _TEMPERATURE_GAP_DEG_C]
     return {
         each: f"{np.median(found[first:last]):.0f}"
@@ -256,11 +225,8 @@ def _kinds(rows: list[dict[str, Any]]) -> dict[Variant, list[dict[str, Any]]]:
     settings, classes = _settings(rows), _temperature_classes(rows)
     kinds: defaultdict[Variant, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
-        kind = {
-            name: parameter_text(value)
-            for name, value in row["parameters"].items()
-            if name in settings and value is not None
-        }
+        own = row["parameters"].items()
+        kind = {name: parameter_text(value) for name, value in own if name in settings and value is not None}
         if (temperature := row["parameters"].get(_TEMPERATURE)) in classes:
             kind[_TEMPERATURE] = classes[temperature]
         kinds[Variant(row["standard"] or "", tuple(sorted(kind.items())))].append(row)
@@ -281,10 +247,9 @@ def _one_kind(rows: list[dict[str, Any]]) -> tuple[Variant, tuple[Variant, ...],
 def _series(
     metric: str, rows: list[dict[str, Any]], variant: Variant, others: tuple[Variant, ...], without_value: int
 ) -> MetricSeries:
-    units = Counter(row["unit_of_measure"] for row in rows)
-    (unit_of_measure, _), *_rest = units.most_common()
+    ((unit_of_measure, most),) = Counter(row["unit_of_measure"] for row in rows).most_common(1)
     # scale factors of outputs in volts and in deg/s cannot share a chart
-    without_value += sum(row["unit_of_measure"] != unit_of_measure for row in rows)
+    without_value += len(rows) - most
     rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
     rows.sort(key=lambda row: (_moment(row) or 0, row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1

@@ -31,23 +31,14 @@ class LevelStep(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Session and unit of each value.
+    """Session and unit of each value."""
 
-    Parameters
-    ----------
-    session, unit: shape (n,); of each value, from 0.
-    station: shape (sessions,); of each session, increasing.
-    time: shape (sessions,); mean moment of each, increasing within a station.
-    names: Of the stations.
-    values: Indices of the values of each session.
-    """
-
-    session: IntArray
+    session: IntArray  # shape (n,), as the unit; of each value, from 0
     unit: IntArray
-    station: IntArray
-    time: FloatArray
-    names: list[str]
-    values: list[IntArray]
+    station: IntArray  # shape (sessions,); of each session, increasing
+    time: FloatArray  # shape (sessions,); mean moment of each, increasing within a station
+    names: list[str]  # of the stations
+    values: list[IntArray]  # indices of the values of each session
 
 
 def layout_of(series: MetricSeries) -> Layout:
@@ -124,16 +115,10 @@ _CORRELATIONS = (0.0, 0.3, 0.6, 0.8, 0.9, 0.97)
 
 
 class SessionNoise(NamedTuple):
-    """SessionNoise of the sessions.
+    """Noise of the sessions."""
 
-    Parameters
-    ----------
-    ratio: Variance of a session's effect over that of the noise of a session's mean; 0: none.
-    correlation: Of neighbouring sessions of a station.
-    """
-
-    ratio: float
-    correlation: float
+    ratio: float  # variance of a session's effect over that of the noise of a session's mean; 0: none
+    correlation: float  # of neighbouring sessions of a station
 
     @property
     def slow(self) -> float:
@@ -142,16 +127,10 @@ class SessionNoise(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Of one or more series on the same sessions.
+    """Of one or more series on the same sessions."""
 
-    Parameters
-    ----------
-    products: shape (sessions, series); sums over sessions of the values, whitened of their units.
-    squares: shape (series,); sums of squares, likewise.
-    """
-
-    products: FloatArray
-    squares: FloatArray
+    products: FloatArray  # shape (sessions, series); sums over sessions of the values, whitened of their units
+    squares: FloatArray  # shape (series,); sums of squares, likewise
 
 
 class Whitened(NamedTuple):
@@ -166,19 +145,12 @@ class Whitened(NamedTuple):
 
 @dataclass(frozen=True)
 class SessionModel:
-    """Sessions of stations, in order of station and time.
+    """Sessions of stations, in order of station and time."""
 
-    Parameters
-    ----------
-    session, unit: shape (n,); of each value, from 0.
-    station: shape (sessions,); of each session, increasing.
-    unit_ratio: Variance from unit to unit over that of the noise.
-    """
-
-    session: IntArray
+    session: IntArray  # shape (n,), as the unit; of each value, from 0
     unit: IntArray
-    station: IntArray
-    unit_ratio: float
+    station: IntArray  # shape (sessions,); of each session, increasing
+    unit_ratio: float  # variance from unit to unit over that of the noise
 
     @property
     def values(self) -> int:
@@ -274,7 +246,7 @@ class SessionModel:
 
 def unit_ratio(y: FloatArray, unit: IntArray, station: IntArray) -> float:
     """Variance from unit to unit over that of the noise, by restricted likelihood; 0 where no unit has two values."""
-    fixed = (station[:, None] == np.unique(station)[None, :]).astype(np.float64)
+    fixed = station_columns(station)
     model = MixedModel(y, fixed, unit)
     if not model.has_repeats or y.size <= fixed.shape[1] + 2:
         return 0.0

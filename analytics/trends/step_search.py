@@ -50,9 +50,8 @@ class StepSearch:
         self._all = steps
         self._fixed = fixed
         self._steps = [step for step in steps if not _depends(step.column, fixed)]
-        self._columns = (
-            np.column_stack([step.column for step in self._steps]) if self._steps else np.empty((len(fixed), 0))
-        )
+        none = np.empty((len(fixed), 0))
+        self._columns = np.column_stack([none, *(step.column for step in self._steps)])
 
     def with_step(self, step: LevelStep) -> "StepSearch":
         """The same search beside one more known step."""
@@ -75,8 +74,8 @@ class StepSearch:
         squares = squares - np.sum(right * np.linalg.solve(normal, right), axis=0)
         return _NoiseFit(whitened, products, np.maximum(squares, 1e-12 * sums.squares), normal, right)
 
-    def _fits(self, sums: Sums) -> list[_NoiseFit]:
-        return [self._fit(each, sums) for each in self._model.whitened]
+    def _fits(self, sums: Sums, noises: tuple[Whitened, ...] = ()) -> list[_NoiseFit]:
+        return [self._fit(each, sums) for each in noises or self._model.whitened]
 
     def _likelihood(self, fit: _NoiseFit, squares: FloatArray) -> FloatArray:
         """Logarithm of the restricted likelihood."""
@@ -112,22 +111,20 @@ class StepSearch:
         """The best step: its probability in white noise, and in noise of the sessions that is plausible."""
         if not self._steps:
             return None
-        white = [self._fit(self._model.whitened[0], sums)]
-        ratio, _ = self._step_ratios(white)
-        seen = 1.0
+        white = self._model.whitened[:1]
+        ratio, _ = self._step_ratios(self._fits(sums, white))
+        seen = wander = 1.0
         if ratio[0] > _IDLE:
-            simulated = self._model.simulated(_WHITE, _SIMULATED, np.random.default_rng(_SEED))
-            seen = _tail(self._step_ratios([self._fit(self._model.whitened[0], simulated)])[0], float(ratio[0]))
+            seen = _tail(self._step_ratios(self._fits(self._simulated(_WHITE), white))[0], float(ratio[0]))
         fits = self._fits(sums)
         ratio, at = self._step_ratios(fits)
-        wander = 1.0
         if seen <= _SEEN and ratio[0] > 0:
-            wander = max(self._chance(noise, float(ratio[0])) for noise in self._plausible(fits))
+            simulated = (self._fits(self._simulated(noise)) for noise in self._plausible(fits))
+            wander = max(_tail(self._step_ratios(each)[0], float(ratio[0])) for each in simulated)
         return BestStep(self._steps[int(at[0])], seen, wander)
 
-    def _chance(self, noise: SessionNoise, ratio: float) -> float:
-        simulated = self._model.simulated(noise, _SIMULATED, np.random.default_rng(_SEED))
-        return _tail(self._step_ratios(self._fits(simulated))[0], ratio)
+    def _simulated(self, noise: SessionNoise) -> Sums:
+        return self._model.simulated(noise, _SIMULATED, np.random.default_rng(_SEED))
 
     def unsteady(self, sums: Sums, asked: float) -> tuple[float, float] | None:
         """Deviation of the sessions and its probability in noise alone; None where that is above `asked`."""
@@ -135,12 +132,12 @@ class StepSearch:
         ratio = float(self._session_ratios(fits)[0])
         if ratio < _IDLE / 2:
             return None
-        simulated = self._model.simulated(_WHITE, _SIMULATED, np.random.default_rng(_SEED))
-        chance = _tail(self._session_ratios(self._fits(simulated)), ratio)
+        chance = _tail(self._session_ratios(self._fits(self._simulated(_WHITE))), ratio)
         if chance > asked:
             return None
-        noise = self._likeliest(fits).whitened.noise
-        return self.noise_deviation(sums) * math.sqrt(noise.ratio / self._model.mean_size), chance
+        best = self._likeliest(fits)
+        deviation = math.sqrt(float(best.squares[0]) / self._freedom)
+        return deviation * math.sqrt(best.whitened.noise.ratio / self._model.mean_size), chance
 
     def _likeliest(self, fits: list[_NoiseFit]) -> _NoiseFit:
         return max(fits, key=lambda fit: float(self._likelihood(fit, fit.squares)[0]))
@@ -151,11 +148,6 @@ class StepSearch:
         near = [fits[at].whitened.noise for at in np.flatnonzero(likelihood >= likelihood.max() - _PLAUSIBLE)]
         slowest = max(near, key=lambda each: each.slow)
         return list(dict.fromkeys([fits[int(likelihood.argmax())].whitened.noise, slowest]))
-
-    def noise_deviation(self, sums: Sums) -> float:
-        """Standard deviation of the noise of a measurement."""
-        best = self._likeliest(self._fits(sums))
-        return math.sqrt(float(best.squares[0]) / self._freedom)
 
     def levels(self, sums: Sums) -> FloatArray:
         """Level of each session: that of its station, with the steps."""

@@ -20,52 +20,36 @@ from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.words import NotComputed, Words, joined, not_computed
 from stream.batch import FloatArray, IntArray
 
+# probability that noise alone shows an outlier; the same for a change, a drift, and too many signals
 FALSE_ALARM = 0.01
-"""Probability that noise alone shows an outlier; the same for a change, a drift, and too many signals."""
 NS_PER_DAY = 86_400 * 10**9
 _MOST_SIMULATED = 40
 
 
 class Chart(NamedTuple):
-    """One series with its control limits, signals, changes and drift.
+    """One series with its control limits, signals, changes and drift."""
 
-    Parameters
-    ----------
-    name: Unit, or level of the group; empty where all units share one chart.
-    charted: shape (points,); the values; for a station or fixture that measured units more than once, the level there
-        plus the deviation of each value from that expected of its unit (`LevelShifts.points`).
-    is_adjusted: Whether these differ.
-    limits: Centre and control limits; none below zero where values cannot be negative.
-    z: shape (points,); distances from the centre in sigma; empty without limits.
-    signals: Points in the patterns of each of Nelson's rules that is met, by its number.
-    counts: How often each of the eight is met.
-    chance: Significance; None where there are so many charts that no number of signals would be significant.
-    wild_point: The most distant point, where it is a significant outlier.
-    too_many: The rule that is met significantly more often than by chance.
-    changes: Changes of level; for an adjusted chart, those of `shifts`.
-    drift: Per day; per point where dates are unknown.
-    drifts: Whether the drift is significant.
-    shifts: Level shifts of the stations of these values, from all their measurements.
-    is_unsteady: Whether the stations wander from session to session.
-    """
-
-    name: str
+    name: str  # unit, or level of the group; empty where all units share one chart
     series: MetricSeries
+    # shape (points,); the values; for a station or fixture that measured units more than once, the level there plus the
+    # deviation of each value from that expected of its unit (`LevelShifts.points`)
     charted: FloatArray
-    is_adjusted: bool
-    limits: IndividualsChart | NotComputed
-    changes: Changes | NotComputed
-    drift: Drift | NotComputed
-    drifts: bool
-    shifts: tuple[LevelShift, ...]
-    is_unsteady: bool
-    z: FloatArray = np.empty(0)
+    is_adjusted: bool  # whether these differ
+    limits: IndividualsChart | NotComputed  # centre and control limits; none below zero where values cannot be negative
+    changes: Changes | NotComputed  # changes of level; for an adjusted chart, those of `shifts`
+    drift: Drift | NotComputed  # per day; per point where dates are unknown
+    drifts: bool  # whether the drift is significant
+    shifts: tuple[LevelShift, ...]  # level shifts of the stations of these values, from all their measurements
+    is_unsteady: bool  # whether the stations wander from session to session
+    z: FloatArray = np.empty(0)  # shape (points,); distances from the centre in sigma; empty without limits
+    # points in the patterns of each of Nelson's rules that is met, by its number
     signals: Mapping[int, list[int]] = MappingProxyType({})
-    counts: tuple[int, ...] = (0,) * 8
+    counts: tuple[int, ...] = (0,) * 8  # how often each of the eight is met
     averages: EwmaChart | None = None
+    # significance; None where there are so many charts that no number of signals would be significant
     chance: ChartChance | None = None
-    wild_point: int | None = None
-    too_many: int | None = None
+    wild_point: int | None = None  # the most distant point, where it is a significant outlier
+    too_many: int | None = None  # the rule that is met significantly more often than by chance
 
     @property
     def has_changed(self) -> bool:
@@ -83,22 +67,14 @@ class Chart(NamedTuple):
 
 @dataclass(frozen=True)
 class Trend:
-    """The trend of a metric.
+    """The trend of a metric."""
 
-    Parameters
-    ----------
-    series: All values.
-    by: The grouping of the charts, ``unit``, ``lot``, ``station``, ``fixture``; None where all units share one.
-    charts, capabilities: In order of the groups' names.
-    shifts: Level shifts of single stations, from all values.
-    comparison: Between stations, fixtures and lots.
-    """
-
-    series: MetricSeries
+    series: MetricSeries  # all values
+    # the grouping of the charts, ``unit``, ``lot``, ``station``, ``fixture``; None where all units share one
     by: str | None
-    charts: tuple[Chart, ...]
-    shifts: LevelShifts | NotComputed
-    comparison: GroupComparison | NotComputed
+    charts: tuple[Chart, ...]  # in order of the groups' names, as the capabilities
+    shifts: LevelShifts | NotComputed  # level shifts of single stations, from all values
+    comparison: GroupComparison | NotComputed  # between stations, fixtures and lots
     specification: SpecifiedLimits
     capabilities: tuple[Capability | NotComputed, ...]
 
@@ -118,29 +94,19 @@ def trend_of(
 ) -> Trend:
     """Make the control charts of a series and compare its groups.
 
-    Parameters
-    ----------
-    by: One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
-        fixture has all values measured there; where units were measured more than once, each is charted by its
-        deviation from the value expected of its unit. Other charts have the first value of each unit, since values of
-        one unit are correlated.
-    baseline: From how many first points the limits are computed; from all if omitted.
-    specification: For the capability.
+    One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
+    fixture has all values measured there; where units were measured more than once, each is charted by its deviation
+    from the value expected of its unit. Other charts have the first value of each unit, since values of one unit are
+    correlated. The limits are computed from the first `baseline` points, by default from all.
     """
     if by is None and len(set(series.unit)) == 1:
         by = "unit"
     shifts = level_shifts(series, false_alarm=FALSE_ALARM)
     parts = _parts(series, by, shifts)
     charts = tuple(_chart(part, len(parts), baseline, spread) for part in parts)
-    return Trend(
-        series=series,
-        by=by,
-        charts=charts,
-        shifts=shifts,
-        comparison=compare_groups(series, GROUPS),
-        specification=specification,
-        capabilities=tuple(_capability(chart, by, specification) for chart in charts),
-    )
+    comparison = compare_groups(series, GROUPS)
+    capabilities = tuple(_capability(chart, by, specification) for chart in charts)
+    return Trend(series, by, charts, shifts, comparison, specification, capabilities)
 
 
 class _Part(NamedTuple):
@@ -196,45 +162,36 @@ def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray
     return Changes(changes, tuple(float(each.mean()) for each in stretches), sigma, FALSE_ALARM)
 
 
-def time_axis(series: MetricSeries) -> FloatArray:
-    """Days from the first value; indices of the points where dates are unknown."""
-    if not series.dated:
-        return np.arange(series.value.size, dtype=np.float64)
-    return np.asarray((series.t_ns - series.t_ns[:1]) / NS_PER_DAY, np.float64)
-
-
 def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Chart:
     share = FALSE_ALARM / charts
     values = part.charted
     limits = individuals_chart(values, baseline=baseline, spread=spread)
     changes = change_points(values, false_alarm=share) if part.changes is None else part.changes
-    slope = drift(time_axis(part.series), values)
+    series = part.series
+    # days from the first value; numbers of the points where dates are unknown
+    days = (series.t_ns - series.t_ns[:1]) / NS_PER_DAY if series.dated else np.arange(series.value.size)
+    slope = drift(np.asarray(days, np.float64), values)
     has_steps = bool(part.shifts) or (isinstance(changes, Changes) and bool(changes.points))
     # a step gives a slope too; where there are steps, they are reported
     drifts = isinstance(slope, Drift) and slope.chance <= share and not has_steps
-    chart = Chart(
-        part.name, part.series, values, part.is_adjusted, limits, changes, slope, drifts, part.shifts, part.is_unsteady
-    )
+    own = (part.name, series, values, part.is_adjusted)
+    chart = Chart(*own, limits, changes, slope, drifts, part.shifts, part.is_unsteady)
     if isinstance(limits, NotComputed):
         return chart
-    if part.series.is_magnitude:
+    if series.is_magnitude:
         chart = chart._replace(limits=limits._replace(lower=max(limits.lower, 0.0)))
     z = (values - limits.centre) / limits.sigma
     flags = rule_flags(z)
     counts = flags.sum(axis=-1)
-    chance = None
-    if charts <= _MOST_SIMULATED:
-        chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread)
+    is_few = charts <= _MOST_SIMULATED
+    chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread) if is_few else None
     is_wild = wild_point_chance(values) <= share
     return chart._replace(
-        z=z,
-        signals=points_of(flags, z),
-        counts=tuple(int(each) for each in counts),
-        averages=ewma_chart(values, limits.centre, limits.sigma),
-        chance=chance,
+        z=z, signals=points_of(flags, z), counts=tuple(int(each) for each in counts),
+        averages=ewma_chart(values, limits.centre, limits.sigma), chance=chance,
         wild_point=int(np.abs(values - values.mean()).argmax()) if is_wild else None,
         too_many=chance.rule if chance is not None and chance.signals <= share else None,
-    )
+    )  # fmt: skip
 
 
 def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capability | NotComputed:
@@ -244,24 +201,18 @@ def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capabi
         return NotComputed(limits.why_not)
     # one value a unit: a repeated measurement is no other unit
     units = chart.series.first_of_units()
-    return capability(
-        units.value,
-        limits.lower,
-        limits.upper,
-        out_of_control=None if chart.in_control is not False else _what_is_significant(chart),
-        uncertainty=units.uncertainty,
-    )
+    why = None if chart.in_control is not False else _what_is_significant(chart)
+    lower, upper = limits.lower, limits.upper
+    return capability(units.value, lower, upper, out_of_control=why, uncertainty=units.uncertainty)
 
 
 def _what_is_significant(chart: Chart) -> Words:
+    often = f"rule {chart.too_many} is met more often than by chance"
     seen = [
         (chart.wild_point is not None, Words("a wild point", "有异常点")),
         (chart.has_changed or bool(chart.shifts), Words("its level changes", "水平发生变化")),
         (chart.is_unsteady, Words("levels wander from session to session", "各次测试间水平不稳定")),
         (chart.drifts, Words("it drifts", "存在漂移")),
-        (
-            chart.too_many is not None,
-            Words(f"rule {chart.too_many} is met more often than by chance", f"判异准则 {chart.too_many} 超出随机预期"),
-        ),
+        (chart.too_many is not None, Words(often, f"判异准则 {chart.too_many} 超出随机预期")),
     ]
     return joined((words for is_so, words in seen if is_so), ", ", "，")

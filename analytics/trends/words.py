@@ -30,8 +30,6 @@ def not_computed(en: str, zh: str) -> NotComputed:
 def words(en: str, zh: str, **parts: object) -> Words:
     """Templates filled with parts; one that is `Words` goes in by its language.
 
-    Examples
-    --------
     >>> words("{what} of {n}", "{n}个{what}", what=Words("unit", "样品"), n=3)
     Words(en='unit of 3', zh='3个样品')
     """
@@ -54,24 +52,18 @@ NOTHING = Words("", "")
 def figures(value: float, half_width: float) -> str:
     """A value rounded to two digits of half its interval.
 
-    Examples
-    --------
     >>> figures(0.049531, 0.0084), figures(123.4, 31.0), figures(1.0, 0.0)
     ('0.0495', '123', '1')
     """
-    if not math.isfinite(half_width) or half_width <= 0:
+    if not 1e-11 <= half_width < 1e14:
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(half_width))
-    if decimals > 12 or decimals < -12:
-        return f"{value:.4g}"
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
 def interval(value: float, lo: float, hi: float, unit: str) -> Words:
     """A value with its bounds and unit.
 
-    Examples
-    --------
     >>> interval(0.049531, 0.0412, 0.0578, "deg/h")
     Words(en='0.0495 deg/h (0.0412 to 0.0578)', zh='0.0495 deg/h（0.0412 至 0.0578）')
     """
@@ -84,8 +76,6 @@ def interval(value: float, lo: float, hi: float, unit: str) -> Words:
 def listed(names: list[str], most: int = 5) -> Words:
     """Names in a row; those beyond `most` are counted.
 
-    Examples
-    --------
     >>> listed(["A", "B", "C"], 2)
     Words(en='A, B and 1 more', zh='A、B 等 3 个')
     """

@@ -15,15 +15,9 @@ _OUT_OF_STEP = 0.25
 class FrameCounter:
     """Numbers frames by a counter that runs from 0 to `modulus` - 1 and around.
 
-    If the interval of the frames is known, whole turns of the counter come from the times.
+    If the interval of the frames is known, whole turns of the counter come from the times. `lost` frames are missing,
+    `repeated` ones came again or too late; `restarts` are silences after which the counter had restarted.
 
-    Attributes
-    ----------
-    lost, repeated, restarts: Missing frames; frames that came again or too late; silences after which the counter had
-        restarted.
-
-    Examples
-    --------
     >>> counter = FrameCounter(16, interval_ns=10)
     >>> numbers, keep = counter.follow(np.array([0, 10, 12, 40]), np.array([14, 15, 15, 2]))
     >>> numbers[keep].tolist(), counter.lost, counter.repeated
@@ -31,8 +25,7 @@ class FrameCounter:
     """
 
     def __init__(self, modulus: int, interval_ns: int | None = None) -> None:
-        self._modulus = modulus
-        self._interval_ns = interval_ns
+        self._modulus, self._interval_ns = modulus, interval_ns
         self._last: tuple[int, int, int] | None = None  # time, counter, number of the last frame
         self._highest = -1
         self.lost = self.repeated = self.restarts = 0
@@ -70,8 +63,6 @@ class ForwardTimes:
     Frames with the time of the one before, or less by up to a millisecond, are put a nanosecond after it (`retimed`);
     those further back are left out (`late`).
 
-    Examples
-    --------
     >>> forward = ForwardTimes()
     >>> times_ns, keep = forward.follow(np.array([5_000_000, 5_000_000, 1, 6_000_000]))
     >>> times_ns.tolist(), keep.tolist(), forward.retimed, forward.late

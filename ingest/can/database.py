@@ -15,11 +15,6 @@ if TYPE_CHECKING:
 _REFUSED = re.compile(r"[\s/*$?#@\x00-\x1f]+")
 
 
-def load_messages(paths: Sequence[Path]) -> "list[Message]":
-    """Messages of the databases, in their order; raises BadInput if one cannot be read."""
-    return [message for path in paths for message in load_database(path)]
-
-
 def load_database(path: Path) -> "list[Message]":
     """Messages of one database; raises BadInput if it cannot be read."""
     import cantools

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ingest.can.frames import MOST_BYTES
-from stream.batch import BoolArray, CountArray, FloatArray
+from stream.batch import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -27,26 +27,20 @@ RawArray = npt.NDArray[Any]
 
 
 class FrameBytes:
-    """The bytes of n frames of one message, shape (n, width) with at least 8 columns, and each frame's length.
-
-    The 64-bit words that signals are cut from are made once each.
-    """
+    """The bytes of n frames of one message, shape (n, at least 8), and their lengths; words are made once each."""
 
     def __init__(self, data: npt.NDArray[np.uint8], length: npt.NDArray[np.uint8]) -> None:
-        self.data = data
-        self.length = length
+        self.data, self.length = data, length
         self.width = data.shape[1]
         self.least = int(length.min(initial=self.width))
         self._words: dict[tuple[int, str], npt.NDArray[np.uint64]] = {}
 
     def word(self, first: int, order: str) -> npt.NDArray[np.uint64]:
         """Bytes `first` to `first` + 7 as one number; `order` is ``<`` or ``>``."""
-        found = self._words.get((first, order))
-        if found is None:
+        if (first, order) not in self._words:
             octets = np.ascontiguousarray(self.data[:, first : first + _WORD_BYTES])
-            found = octets.view(f"{order}u8").reshape(-1).astype(np.uint64, copy=False)
-            self._words[first, order] = found
-        return found
+            self._words[first, order] = octets.view(f"{order}u8").reshape(-1).astype(np.uint64, copy=False)
+        return self._words[first, order]
 
     def octet(self, index: int) -> npt.NDArray[np.uint64]:
         """Byte `index` of every frame."""
@@ -57,25 +51,19 @@ class FrameBytes:
 class BitField:
     """Place and type of a signal in a frame.
 
-    Parameters
-    ----------
-    order: ``<`` (Intel) or ``>`` (Motorola).
-    first_bit: Intel: its least significant bit, counted from bit 0 of byte 0. Motorola: its most significant bit,
-        counted from bit 7 of byte 0 downwards and on.
-    bits: How many, 1 to 64.
-    is_signed, is_float: Two's complement; IEEE 754 of 16, 32 or 64 bits.
+    `first_bit`: Intel: its least significant bit, counted from bit 0 of byte 0. Motorola: its most significant bit,
+    counted from bit 7 of byte 0 downwards and on.
+    `is_signed`, `is_float`: two's complement; IEEE 754 of 16, 32 or 64 bits.
 
-    Examples
-    --------
     >>> data = np.array([[0x34, 0x12, 0, 0, 0, 0, 0, 0]], np.uint8)
     >>> frames = FrameBytes(data, np.array([8], np.uint8))
     >>> hex(BitField("<", 0, 16).raw(frames)[0]), hex(BitField(">", 0, 16).raw(frames)[0])
     ('0x1234', '0x3412')
     """
 
-    order: str
+    order: str  # ``<`` (Intel) or ``>`` (Motorola)
     first_bit: int
-    bits: int
+    bits: int  # how many, 1 to 64
     is_signed: bool = False
     is_float: bool = False
 
@@ -147,36 +135,16 @@ class SignalLayout:
 
 @dataclass(frozen=True)
 class Decoded:
-    """One signal in the frames of a message.
+    """One signal in the frames of a message."""
 
-    Parameters
-    ----------
-    all_raw: shape (n,); raw value of every frame, without meaning in frames that lack the signal.
-    rows: shape (n,); frames that carry the signal; None for all.
-    short_rows: shape (n,); frames that should carry it and are too short; None for none.
-    """
-
-    all_raw: RawArray
-    rows: BoolArray | None
-    short_rows: BoolArray | None
+    all_raw: RawArray  # shape (n,); raw value of every frame, without meaning in frames that lack the signal
+    rows: BoolArray | None  # shape (n,); frames that carry the signal; None for all
+    short_rows: BoolArray | None  # shape (n,); frames that should carry it and are too short; None for none
 
     @property
     def raw(self) -> RawArray:
         """Raw values of the frames that carry it."""
         return self.all_raw if self.rows is None else self.all_raw[self.rows]
-
-    @property
-    def short(self) -> int:
-        """Frames that should carry it and are too short."""
-        return 0 if self.short_rows is None else int(self.short_rows.sum())
-
-    def counts(self) -> CountArray:
-        """The raw values as 32-bit integers; only if the field fits them."""
-        return self.raw.astype(np.int32)
-
-    def values(self, scale: float, offset: float) -> FloatArray:
-        """The values: raw * scale + offset."""
-        return scaled(self.raw, scale, offset)
 
 
 def scaled(raw: RawArray, scale: float, offset: float) -> FloatArray:
@@ -188,17 +156,11 @@ def scaled(raw: RawArray, scale: float, offset: float) -> FloatArray:
 
 
 class MessageLayout:
-    """A message of a database, ready to decode many of its frames at once.
+    """A message of a database, ready to decode many of its frames at once; `unusable` signals with the reasons.
 
-    Attributes
-    ----------
-    unusable: Signals of the database that cannot be decoded, and why.
-
-    Examples
-    --------
     >>> layout = MessageLayout("IMU", {"rate": SignalLayout("rate", BitField("<", 0, 16, is_signed=True), 0.25)})
     >>> frames = FrameBytes(np.array([[0xFE, 0xFF, 0, 0, 0, 0, 0, 0]], np.uint8), np.array([2], np.uint8))
-    >>> layout.decode(frames, ["rate"])["rate"].values(0.25, 0.0).tolist()
+    >>> scaled(layout.decode(frames, ["rate"])["rate"].raw, 0.25, 0.0).tolist()
     [-0.5]
     """
 

@@ -29,36 +29,20 @@ class CanFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameBlock:
-    """Data frames in the order of reception.
+    """Data frames in the order of reception."""
 
-    Attributes
-    ----------
-    t_ns: shape (n,); time of reception, nanoseconds.
-    channel: shape (n,); channel of the interface or log.
-    arbitration_id: shape (n,); bit 31 is set if it is of 29 bits.
-    length: shape (n,); bytes of data.
-    data: shape (n, 8) or (n, 64); bytes beyond a frame's length are 0.
-    """
-
-    t_ns: IntArray
-    channel: npt.NDArray[np.int16]
-    arbitration_id: IdArray
-    length: npt.NDArray[np.uint8]
-    data: npt.NDArray[np.uint8]
+    t_ns: IntArray  # shape (n,); time of reception, nanoseconds
+    channel: npt.NDArray[np.int16]  # shape (n,); channel of the interface or log
+    arbitration_id: IdArray  # shape (n,); bit 31 is set if it is of 29 bits
+    length: npt.NDArray[np.uint8]  # shape (n,); bytes of data
+    data: npt.NDArray[np.uint8]  # shape (n, 8) or (n, 64); bytes beyond a frame's length are 0
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
 
 def frame_block(frames: Sequence[CanFrame]) -> FrameBlock:
-    """Put frames into columns.
-
-    Examples
-    --------
-    >>> block = frame_block([CanFrame(10, 0, 0x123, bytes([1, 2])), CanFrame(20, 1, 0x1ABCDEF | EXTENDED, bytes(8))])
-    >>> block.length.tolist(), block.data.shape, hex(block.arbitration_id[1])
-    ([2, 8], (2, 8), '0x81abcdef')
-    """
+    """Put frames into columns."""
     lengths = np.array([len(frame.data) for frame in frames], np.uint8)
     width = 8 if not len(lengths) or lengths.max() <= 8 else MOST_BYTES
     joined = b"".join(frame.data.ljust(width, b"\0") for frame in frames)
@@ -72,35 +56,17 @@ def frame_block(frames: Sequence[CanFrame]) -> FrameBlock:
 
 
 def arbitration_id(identifier: int, *, is_extended: bool) -> int:
-    """An identifier with bit 31 set if it is of 29 bits, as any beyond 0x7FF must be.
-
-    Examples
-    --------
-    >>> hex(arbitration_id(0x24, is_extended=False)), hex(arbitration_id(0x900, is_extended=False))
-    ('0x24', '0x80000900')
-    """
+    """An identifier with bit 31 set if it is of 29 bits, as any beyond 0x7FF must be."""
     return identifier | EXTENDED if is_extended or identifier >= _SHORTEST_EXTENDED else identifier
 
 
 def id_text(identifier: int) -> str:
-    """An arbitration id for people: ``0x024``, or ``0x17F00010`` if it is of 29 bits.
-
-    Examples
-    --------
-    >>> id_text(0x24), id_text(0x24 | EXTENDED)
-    ('0x024', '0x00000024')
-    """
+    """An arbitration id for people: ``0x024``, or ``0x17F00010`` if it is of 29 bits."""
     return f"0x{identifier & ~EXTENDED:08X}" if identifier & EXTENDED else f"0x{identifier:03X}"
 
 
 def ids_text(identifiers: Iterable[int]) -> str:
-    """The first of some arbitration ids, for people.
-
-    Examples
-    --------
-    >>> ids_text([0x24, 0x25])
-    '0x024, 0x025'
-    """
+    """The first of some arbitration ids, for people."""
     named = [id_text(identifier) for identifier in islice(identifiers, _IDS_NAMED + 1)]
     return ", ".join([*named[:_IDS_NAMED], "..."] if len(named) > _IDS_NAMED else named)
 
@@ -108,8 +74,6 @@ def ids_text(identifiers: Iterable[int]) -> str:
 def pgn_keys(identifiers: IdArray) -> IdArray:
     """J1939: 29-bit identifiers without priority, source address and, in PDU format 1, destination address.
 
-    Examples
-    --------
     >>> [hex(key) for key in pgn_keys(np.array([0x98F00421, 0x8CF004FE, 0x98EA0021], np.uint32))]
     ['0x80f00400', '0x80f00400', '0x80ea0000']
     """

@@ -28,23 +28,8 @@ Progress = Callable[[float], None]
 
 
 class CanLog:
-    r"""One log file.
+    r"""One log file; raises BadInput if it cannot be opened, or is no such log.
 
-    Parameters
-    ----------
-    path: The file: .blf, .asc, .trc, .log (candump) or .mf4.
-
-    Attributes
-    ----------
-    damage: What is wrong with the file, once it is read; empty where nothing is.
-    counts: Frames of the file, once it is read.
-
-    Raises
-    ------
-    BadInput: If it cannot be opened, or is no such log.
-
-    Examples
-    --------
     >>> import tempfile
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = Path(folder.name) / "bench.log"
@@ -65,10 +50,7 @@ class CanLog:
         self._open().stop()
 
     def blocks(self, progress: Progress | None = None) -> Iterator[FrameBlock]:
-        """Frames in the order of the file; of a damaged file those before the damage.
-
-        After a complete read up to 64 MB of frames are kept in memory for the next one.
-        """
+        """Frames in the file's order, up to damage; after a complete read up to 64 MB stay in memory for the next."""
         if self._held is not None:
             yield from self._held
             if progress is not None:
@@ -105,13 +87,10 @@ class CanLog:
             except StopIteration:
                 break
             except Exception as error:  # noqa: BLE001  readers raise whatever bad bytes lead to
-                read = self.counts.all
                 stated = " ".join(str(error).split()) or type(error).__name__
-                self.damage = self.damage or f"damaged behind frame {read}: {stated}"
+                self.damage = self.damage or f"damaged behind frame {self.counts.all}: {stated}"
                 break
-            frame = self._frame(message)
-            if frame is not None:
-                frames.append(frame)
+            frames += filter(None, [self._frame(message)])
             if len(frames) >= BLOCK_FRAMES:
                 yield frames, _place(reader)
                 frames = []
@@ -137,7 +116,9 @@ class CanLog:
             return None
         self.counts.data += 1
         identifier = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
-        return CanFrame(_ns(message.timestamp), channel, identifier, bytes(message.data))
+        seconds = message.timestamp
+        t_ns = round(seconds * 1e6) * 1000 if seconds >= _UTC_FROM_S else round(seconds * 1e9)
+        return CanFrame(t_ns, channel, identifier, bytes(message.data))
 
     def _channel(self, channel: object) -> int:
         """Number of a channel; names that end in none are numbered as they come."""
@@ -166,9 +147,8 @@ class CanLog:
             raise
         except Exception as error:  # readers raise whatever bad bytes lead to
             stated = " ".join(str(error).split()) or type(error).__name__
-            raise BadInput(
-                f"{self.path}: cannot be read as a {self.path.suffix} log of CAN frames: {stated}"
-            ) from error
+            what = f"{self.path.suffix} log of CAN frames"
+            raise BadInput(f"{self.path}: cannot be read as a {what}: {stated}") from error
 
 
 def _check_kind(path: Path) -> None:
@@ -199,10 +179,6 @@ def _reader(path: Path) -> MessageReader:
         ".mf4": lambda: can.MF4Reader(str(path)),
     }
     return kinds[path.suffix.lower()]()
-
-
-def _ns(seconds: float) -> int:
-    return round(seconds * 1e6) * 1000 if seconds >= _UTC_FROM_S else round(seconds * 1e9)
 
 
 def _place(reader: Any) -> int:

@@ -14,7 +14,7 @@ from ingest.can.plan import CanPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.stream import nominal_interval_ns
 from ingest.can.summary import CanCounts, CanSummary, remarks
-from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
+from ingest.tables.batches import Batcher, splits_at_gaps
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary
 from ingest.tables.steps import StepTracker
@@ -33,42 +33,27 @@ _Name = tuple[str, str]
 class CanLogFile:
     """A CAN log (.blf, .asc, .trc, .log or .mf4) and the plan of its decoding.
 
-    Parameters
-    ----------
-    run: Run that the samples belong to; by default the file's name.
-    start_ns: The log's zero, nanoseconds UTC, if its times count from its beginning.
-    words: Words of the step that each unit is in from its first sample to its last.
-    intervals: Nominal interval in nanoseconds by unit, run and signal in earlier logs; this one adds its own.
-
-    Raises
-    ------
-    BadInput: If the log cannot be opened, or its name is no name of a run.
+    Its `run` is by default the file's name; `start_ns` its zero, nanoseconds UTC, if its times count from it. Each unit
+    is in a step of the `words` all the time. `intervals` are nominal ones in nanoseconds by unit, run and signal in
+    earlier logs; this one adds its own. Raises BadInput if the log cannot be opened, or cannot name a run.
     """
 
     def __init__(
-        self,
-        path: Path,
-        plan: CanPlan | CanMapping,
-        *,
-        run: str | None = None,
-        start_ns: int | None = None,
-        words: StepWords | None = None,
-        intervals: dict[tuple[str, str, str], int] | None = None,
-    ) -> None:
+        self, path: Path, plan: CanPlan | CanMapping, *, run: str | None = None, start_ns: int | None = None,
+        words: StepWords | None = None, intervals: dict[tuple[str, str, str], int] | None = None,
+    ) -> None:  # fmt: skip
         self._path = path
         self._log = CanLog(path)
         self._plan = plan if isinstance(plan, CanPlan) else plan.plan(self._occurring)
         self._run = check_name("run", path.stem if run is None else run)
-        self._start_ns = start_ns
-        self._words = words
+        self._start_ns, self._words = start_ns, words
         self._intervals = {} if intervals is None else intervals
         self._stamp = FileStamp(path)
         self._summary: CanSummary | None = None
 
     def check(self, progress: Progress | None = None) -> CanSummary:
         """Read and decode the whole log; raises BadInput if it gives no sample."""
-        samples = CanSamples(self._plan)
-        clock = RunClock(self._start_ns)
+        samples, clock = CanSamples(self._plan), RunClock(self._start_ns)
         grids: dict[_Name, SamplingGrid] = {}
         first: dict[_Name, SignalPiece] = {}
         for piece in self._pieces(samples, clock, progress):
@@ -112,12 +97,7 @@ class CanLogFile:
     def batches(
         self, epoch_of: Callable[[str, str], UUID], keep: Keep | None = None, progress: Progress | None = None
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
-        """Batches of samples, numbered from 0 per signal as they are delivered, and the step of each unit around them.
-
-        Raises
-        ------
-        BadInput: As `check`, which runs first if it has not run; and if the file has changed since.
-        """
+        """Batches, numbered from 0 per signal, and the step of each unit around them; runs `check` first."""
         summary = self._summary if self._summary is not None else self.check()
         found = {(each.unit, each.signal): each for each in summary.signals}
         batchers: dict[_Name, Batcher] = {}
@@ -149,18 +129,8 @@ class CanLogFile:
             yield unit, min(each.t_first_ns for each in samplings), max(each.t_last_ns for each in samplings)
 
     def _batcher(self, piece: SignalPiece, found: SignalSummary, epoch: UUID) -> Batcher:
-        layout, sampling = piece.plan.layout, found.sampling
-        head = SignalHead(
-            unit=found.unit,
-            signal=found.signal,
-            run=found.run,
-            epoch=epoch,
-            dt_ns=sampling.dt_ns,
-            unit_of_measure=found.unit_of_measure,
-            irregular=sampling.irregular,
-            scale=layout.scale if piece.plan.is_counts else 1.0,
-            offset=layout.offset if piece.plan.is_counts else 0.0,
-        )
+        sampling = found.sampling
+        head = piece.head(self._run, epoch, sampling.dt_ns, irregular=sampling.irregular)
         return Batcher(head, _BATCH_SAMPLES, splits_at_gaps=splits_at_gaps(sampling))
 
     def _nominal_ns(self, piece: SignalPiece, intervals_ns: IntArray, measured_ns: int) -> int:
@@ -180,7 +150,6 @@ class CanLogFile:
         self._stamp.check()
 
     def _occurring(self) -> set[int]:
-        """Arbitration ids of the log."""
         return {int(each) for block in self._log.blocks() for each in np.unique(block.arbitration_id)}
 
     def _nothing(self, counts: CanCounts) -> str:

@@ -107,7 +107,6 @@ def _is_whole(file: BinaryIO, group: tuple[list[int], bytes], flags: int) -> boo
 
 
 def _block(file: BinaryIO, at: int) -> tuple[list[int], bytes]:
-    """Links and content of a block."""
     file.seek(at)
     _, length, count = _BLOCK.unpack(file.read(_BLOCK.size))
     links = list(struct.unpack(f"<{count}Q", file.read(8 * count)))

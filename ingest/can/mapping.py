@@ -25,43 +25,22 @@ _NO_SOURCE = 0xFE  # databases write the null address where any source may send
 _NOTHING: Mapping[str, int] = {}
 
 
-def automatic_plan(dbc_paths: Sequence[Path], unit: str) -> CanPlan:
-    """Every signal of the databases under its own name, all of one unit; raises BadInput if there is none."""
-    return CanMapping(dbc_paths, unit=unit).plan()
-
-
 def load_mapping(path: Path, dbc_paths: Sequence[Path], unit: str | None = None) -> CanPlan:
-    """The plan of a mapping file; `unit` is whose the messages are of which it does not say it.
-
-    Raises
-    ------
-    BadInput: If a file cannot be read, or the mapping names what the databases do not have; the message says where.
-    """
+    """The plan of a mapping file; `unit` is whose the messages are of which it does not say it."""
     return CanMapping(dbc_paths, path, unit=unit).plan()
 
 
 class CanMapping:
     """Databases and the mapping of their signals; makes the plan of a bus, or of each log.
 
-    Parameters
-    ----------
-    path: The mapping file; without one every signal of the databases is of `unit`, under its own name.
-    unit: Whose the messages are of which the mapping does not say it.
-    variants: Name of a message to its id in the database, if there are several of that name.
-
-    Raises
-    ------
-    BadInput: If a file cannot be read.
+    Without a mapping file every signal of the databases is of `unit`, under its own name; with one, `unit` is whose the
+    messages are of which it does not say it. `variants` has ids by names that several messages have. Raises BadInput.
     """
 
     def __init__(
-        self,
-        dbc_paths: Sequence[Path],
-        path: Path | None = None,
-        *,
-        unit: str | None = None,
+        self, dbc_paths: Sequence[Path], path: Path | None = None, *, unit: str | None = None,
         variants: Mapping[str, int] = _NOTHING,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._place = str(path) if path else ", ".join(map(str, dbc_paths))
         self._entries = None if path is None else read_mapping(path)
         self._unit = None if unit is None else check_name("unit", unit)
@@ -77,12 +56,7 @@ class CanMapping:
         self._remarks: list[str] = []
 
     def plan(self, occurring: Occurring | None = None) -> CanPlan:
-        """The plan; `occurring` gives the arbitration ids of a log, and is called only if the plan depends on them.
-
-        Raises
-        ------
-        BadInput: If the mapping names what the databases do not have, or something is ambiguous.
-        """
+        """The plan for a log, whose ids `occurring` gives if they matter; raises BadInput if it cannot be made."""
         if self._plan is not None and not self._depends_on_log:
             return self._plan
         self._remarks = []
@@ -174,10 +148,7 @@ class CanMapping:
             )
         for source in sources:
             if source != main:
-                signals = tuple(
-                    SignalPlan(each.layout, f"{each.signal}.sa{source:02x}", each.unit_of_measure)
-                    for each in route.message.signals
-                )
+                signals = tuple(replace(each, signal=f"{each.signal}.sa{source:02x}") for each in route.message.signals)
                 yield replace(route, source=source, message=replace(route.message, signals=signals))
 
     def _message(
@@ -235,15 +206,9 @@ class CanMapping:
             if entry.multiplexer:
                 _known(plan.layout, entry.multiplexer, where)
                 selector = (entry.multiplexer, entry.units[unit])
-            yield Route(
-                unit,
-                identifier,
-                plan,
-                entry.channels.get(unit, entry.channel),
-                selector,
-                is_j1939=is_j1939(message) and not entry.ids,
-                source=entry.sources.get(unit, entry.source),
-            )
+            channel, source = entry.channels.get(unit, entry.channel), entry.sources.get(unit, entry.source)
+            is_of_pgn = is_j1939(message) and not entry.ids
+            yield Route(unit, identifier, plan, channel, selector, is_j1939=is_of_pgn, source=source)
 
 
 def _ids(messages: "Sequence[Message]") -> str:

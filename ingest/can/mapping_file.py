@@ -44,37 +44,22 @@ class ChecksumEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MessageEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One ``[[message]]``.
+    """One ``[[message]]``; with a counter and `interval_s`, sample n is at exactly n intervals after the first."""
 
-    Parameters
-    ----------
-    message: Name in the database.
-    id: Arbitration id in the database, if it has several messages of that name.
-    unit: The unit that sends it, under the database's own id.
-    ids: Unit to arbitration id, if several units send it.
-    channels: Unit to channel, if one unit is on each.
-    sources: Unit to source address, if several units send a J1939 message.
-    multiplexer, units: A signal, and unit to its raw value, if it says whose frame it is.
-    channel, source: Channel or J1939 source address that counts; by default the first that comes.
-    signals: Name in the database to name here; by default all, in lower case.
-    counter, checksum: How lost and damaged frames are found.
-    interval_s: Sample interval, seconds. With a counter, sample n is at exactly n intervals after the first.
-    """
-
-    message: str
-    id: int | None = None
-    unit: str | None = None
-    ids: dict[str, int] = {}
-    channels: dict[str, int] = {}
-    sources: dict[str, int] = {}
-    multiplexer: str | None = None
-    units: dict[str, int] = {}
-    channel: int | None = None
-    source: int | None = None
-    signals: dict[str, str | SignalEntry] = {}
-    counter: CounterEntry | None = None
-    checksum: ChecksumEntry | None = None
-    interval_s: float | None = None
+    message: str  # name in the database
+    id: int | None = None  # arbitration id in the database, if it has several messages of that name
+    unit: str | None = None  # the unit that sends it, under the database's own id
+    ids: dict[str, int] = {}  # unit to arbitration id, if several units send it
+    channels: dict[str, int] = {}  # unit to channel, if one unit is on each
+    sources: dict[str, int] = {}  # unit to source address, if several units send a J1939 message
+    multiplexer: str | None = None  # a signal that says whose frame it is
+    units: dict[str, int] = {}  # unit to raw value of the multiplexer
+    channel: int | None = None  # channel that counts; by default the first that comes
+    source: int | None = None  # J1939 source address that counts; by default the first that comes
+    signals: dict[str, str | SignalEntry] = {}  # name in the database to name here; by default all, in lower case
+    counter: CounterEntry | None = None  # tells lost frames
+    checksum: ChecksumEntry | None = None  # tells damaged frames
+    interval_s: float | None = None  # sample interval, seconds
 
 
 class MappingFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

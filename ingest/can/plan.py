@@ -10,20 +10,14 @@ OF_PGN = 1 << 30  # marks keys of J1939 routes; no arbitration id has it
 
 @dataclass(frozen=True)
 class SignalPlan:
-    """A signal to decode, with its name and unit of measure in gyrofleet.
-
-    Attributes
-    ----------
-    is_counts: Whether it travels as 32-bit integers with scale and offset.
-    """
+    """A signal to decode, with its name and unit of measure in gyrofleet."""
 
     layout: SignalLayout
     signal: str
     unit_of_measure: str
-    is_counts: bool = field(init=False)
+    is_counts: bool = field(init=False)  # whether it travels as 32-bit integers with scale and offset
 
     def __post_init__(self) -> None:
-        """Compute `is_counts` once."""
         object.__setattr__(self, "is_counts", self.layout.field.fits_counts)
 
 

@@ -2,7 +2,8 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from uuid import UUID
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
 from ingest.can.summary import CanCounts, MessageCount
 from ingest.checksums import checksums
+from ingest.tables.batches import SignalHead
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
 
 
@@ -23,6 +25,13 @@ class SignalPiece(NamedTuple):
     plan: SignalPlan
     times_ns: IntArray
     data: CountArray | FloatArray
+
+    def head(self, run: str, epoch: UUID, dt_ns: int, *, irregular: bool = False) -> SignalHead:
+        """What all batches of the signal have in common."""
+        plan, layout = self.plan, self.plan.layout
+        scale, offset = (layout.scale, layout.offset) if plan.is_counts else (1.0, 0.0)
+        unit, measure = self.route.unit, plan.unit_of_measure
+        return SignalHead(unit, plan.signal, run, epoch, dt_ns, measure, irregular, scale=scale, offset=offset)
 
 
 class _Frames(NamedTuple):
@@ -44,7 +53,7 @@ class _Tally:
     not_finite: int = 0
     other_channel: int = 0
     other_source: int = 0
-    off_grid_ns: int = 0
+    off_grid_s: float = 0.0
 
 
 @dataclass
@@ -65,25 +74,10 @@ class _RouteState:
             self.counter = FrameCounter(message.counter.modulus, message.interval_ns)
 
     def count(self) -> MessageCount:
-        counter, tally = self.counter, self.tally
-        return MessageCount(
-            self.route.message.layout.name,
-            self.route.unit,
-            self.route.arbitration_id,
-            tally.frames,
-            tally.decoded,
-            0 if counter is None else counter.lost,
-            0 if counter is None else counter.repeated,
-            0 if counter is None else counter.restarts,
-            tally.checksum_failures,
-            tally.short,
-            tally.not_finite,
-            tally.other_channel,
-            self.times.late,
-            self.times.retimed,
-            tally.off_grid_ns / 1e9,
-            tally.other_source,
-        )
+        route = self.route
+        numbers: dict[str, Any] = {name: getattr(self.counter, name, 0) for name in ("lost", "repeated", "restarts")}
+        numbers |= {"late": self.times.late, "retimed": self.times.retimed, **vars(self.tally)}
+        return MessageCount(route.message.layout.name, route.unit, route.arbitration_id, **numbers)
 
     def take(self, frames: _Frames) -> list[SignalPiece]:
         """Samples of those frames that are of the route."""
@@ -99,7 +93,6 @@ class _RouteState:
         return self._pieces(frames, keep, times_ns)
 
     def _mine(self, frames: _Frames) -> BoolArray:
-        """Frames of this unit."""
         mine = np.ones(len(frames.t_ns), np.bool_)
         if self.route.channel is not None:
             mine &= frames.channel == self.route.channel
@@ -124,7 +117,6 @@ class _RouteState:
             self.tally.other_source += _drop(keep, frames.source != self.source)
 
     def _select_intact(self, frames: _Frames, keep: BoolArray) -> None:
-        """Keep the frames with a right checksum."""
         plan = self.route.message.checksum
         assert plan is not None
         found, octets = frames.decoded[plan.signal], frames.octets
@@ -158,7 +150,8 @@ class _RouteState:
             return times_ns
         times_ns = (self.anchor_ns or 0) + numbers[is_new] * message.interval_ns
         if len(times_ns):
-            self.tally.off_grid_ns = max(self.tally.off_grid_ns, int(np.abs(frames.t_ns[keep] - times_ns).max()))
+            off_grid_ns = int(np.abs(frames.t_ns[keep] - times_ns).max())
+            self.tally.off_grid_s = max(self.tally.off_grid_s, off_grid_ns / 1e9)
         return times_ns
 
     def _pieces(self, frames: _Frames, keep: BoolArray, times_ns: IntArray) -> list[SignalPiece]:
@@ -214,7 +207,8 @@ class CanSamples:
         index = np.minimum(np.searchsorted(self._known, keys), len(self._known) - 1)
         is_known = self._known[index] == keys
         if not is_known.all():
-            _add_counts(self._unknown, block.arbitration_id[~is_known])
+            distinct, counts = np.unique(block.arbitration_id[~is_known], return_counts=True)
+            self._unknown.update(dict(zip(distinct.tolist(), counts.tolist(), strict=True)))
         # numbers of 16 bits are sorted by their digits, ten times faster than by comparison
         slots = np.where(is_known, index, len(self._known)).astype(np.uint16)
         order = np.argsort(slots, kind="stable")
@@ -250,7 +244,6 @@ class CanSamples:
 
 
 def _names(plan: CanPlan, message: MessagePlan) -> list[str]:
-    """Every signal that is needed of a message."""
     names = [signal.layout.name for signal in message.signals]
     names += [part.signal for part in (message.counter, message.checksum) if part is not None]
     names += [route.selector[0] for route in plan.routes if route.message is message and route.selector]
@@ -262,8 +255,3 @@ def _drop(keep: BoolArray, bad: BoolArray) -> int:
     before = np.count_nonzero(keep)
     keep &= ~bad
     return int(before - np.count_nonzero(keep))
-
-
-def _add_counts(counter: Counter[int], identifiers: IdArray) -> None:
-    distinct, counts = np.unique(identifiers, return_counts=True)
-    counter.update(dict(zip(distinct.tolist(), counts.tolist(), strict=True)))

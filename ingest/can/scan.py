@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ingest.can.database import MessageIndex, is_j1939, load_messages, own_names
+from ingest.can.database import MessageIndex, is_j1939, load_database, own_names
 from ingest.can.decode import FrameBytes, MessageLayout, why_unusable
 from ingest.can.frames import EXTENDED, FrameBlock
 from ingest.can.log import CanLog
@@ -25,48 +25,31 @@ _COUNTER_BITS = 16
 
 @dataclass(frozen=True)
 class SignalScan:
-    """One signal of the database in the frames of the log.
-
-    Parameters
-    ----------
-    is_known: Whether the unit of measure is known.
-    least, most: Range of its values; None if it never came.
-    looks_like_counter: Whether it increases by one from frame to frame.
-    """
+    """One signal of the database in the frames of the log."""
 
     name: str
     unit_of_measure: str
-    is_known: bool
-    least: float | None
+    is_known: bool  # whether the unit of measure is known
+    least: float | None  # range of its values; None if it never came
     most: float | None
     varies: bool
-    looks_like_counter: bool
+    looks_like_counter: bool  # whether it increases by one from frame to frame
 
 
 @dataclass(frozen=True)
 class IdScan:
-    """One arbitration id on one channel.
+    """One arbitration id on one channel."""
 
-    Parameters
-    ----------
-    arbitration_id: Without bit 31.
-    is_extended: Whether it is of 29 bits.
-    rate_hz: Frames a second, by the median interval; None for a lone frame.
-    longest_s: Longest interval, seconds.
-    message: Name in the database; None if it is not there.
-    source: J1939 source address; None for other messages.
-    """
-
-    arbitration_id: int
-    is_extended: bool
+    arbitration_id: int  # without bit 31
+    is_extended: bool  # whether it is of 29 bits
     channel: int
     frames: int
-    rate_hz: float | None
-    longest_s: float | None
+    rate_hz: float | None  # frames a second, by the median interval; None for a lone frame
+    longest_s: float | None  # longest interval, seconds
     lengths: tuple[int, ...]
-    message: str | None
+    message: str | None  # name in the database; None if it is not there
     signals: tuple[SignalScan, ...]
-    source: int | None = None
+    source: int | None = None  # J1939 source address; None for other messages
 
 
 @dataclass(frozen=True)
@@ -112,14 +95,9 @@ class _Range:
 
     def is_counter(self) -> bool:
         """Whether it increases by one nearly always, and decreases only where it wraps around."""
-        span = self.most - self.least
-        is_enough = self.steps >= _COUNTER_FRAMES and span >= 2
-        return (
-            is_enough
-            and self.turns > 0
-            and self.ups + self.turns >= _COUNTER_SHARE * self.steps
-            and self.ups > 2 * self.turns - 1
-        )
+        if self.steps < _COUNTER_FRAMES or self.most - self.least < 2 or not self.turns:
+            return False
+        return self.ups + self.turns >= _COUNTER_SHARE * self.steps and self.ups > 2 * self.turns - 1
 
 
 @dataclass
@@ -131,7 +109,7 @@ class _IdFrames:
 
 def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], None] | None = None) -> LogScan:
     """Survey a log by its CAN databases; raises BadInput if a file cannot be read."""
-    messages = MessageIndex(load_messages(databases))
+    messages = MessageIndex(message for path in databases for message in load_database(path))
     layouts: dict[int, MessageLayout | None] = {}
     log = CanLog(path)
     seen: dict[tuple[int, int], _IdFrames] = {}
@@ -152,7 +130,7 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
 
 def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> str:
     """A mapping file (TOML) of the signals that vary in the log, for the user to edit."""
-    names = own_names(load_messages(databases))
+    names = own_names([message for path in databases for message in load_database(path)])
     by_message: dict[str, list[IdScan]] = {}
     for each in scan.ids:
         if each.message is not None:
@@ -220,31 +198,16 @@ def _id_scan(key: tuple[int, int], seen: _IdFrames, message: "Message | None") -
         measure, is_known = database_unit(signal.unit, signal.name)
         found = seen.ranges.get(signal.name, _Range())
         scale, offset = float(signal.conversion.scale), float(signal.conversion.offset)
-        ends = sorted((found.least * scale + offset, found.most * scale + offset))
         came = found.least <= found.most
-        signals.append(
-            SignalScan(
-                signal.name,
-                measure,
-                is_known,
-                ends[0] if came else None,
-                ends[1] if came else None,
-                came and found.least < found.most,
-                found.is_counter(),
-            )
-        )
+        least, most = sorted(end * scale + offset for end in (found.least, found.most)) if came else (None, None)
+        varies = came and found.least < found.most
+        signals.append(SignalScan(signal.name, measure, is_known, least, most, varies, found.is_counter()))
     return IdScan(
-        key[0] & ~EXTENDED,
-        bool(key[0] & EXTENDED),
-        key[1],
-        len(times_ns),
-        1e9 / median_ns if median_ns > 0 else None,
-        float(intervals_ns.max()) / 1e9 if len(intervals_ns) else None,
-        tuple(sorted(seen.lengths)),
-        None if message is None else message.name,
-        tuple(signals),
+        key[0] & ~EXTENDED, bool(key[0] & EXTENDED), key[1], len(times_ns), 1e9 / median_ns if median_ns > 0 else None,
+        float(intervals_ns.max()) / 1e9 if len(intervals_ns) else None, tuple(sorted(seen.lengths)),
+        None if message is None else message.name, tuple(signals),
         key[0] & 0xFF if message is not None and is_j1939(message) else None,
-    )
+    )  # fmt: skip
 
 
 def _quoted(text: str) -> str:

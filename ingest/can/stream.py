@@ -11,7 +11,6 @@ from ingest.can.frames import FrameBlock
 from ingest.can.plan import CanPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.summary import CanCounts
-from ingest.tables.batches import SignalHead
 from ingest.tables.grid import SamplingGrid, is_gap, off_grid_intervals
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
@@ -34,8 +33,6 @@ def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int 
     intervals lie on no grid of the measured one, their median is compared with round numbers as well. So one signal
     has one interval in all files of a run.
 
-    Examples
-    --------
     >>> nominal_interval_ns(np.array([9_998_000, 9_999_024]), 9_998_512)
     10000000
     >>> nominal_interval_ns(np.array([9_000_000, 10_000_000, 10_000_000]), 9_765_625)
@@ -51,10 +48,8 @@ def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int 
     for candidate in candidates:
         power: int = 10 ** (len(str(candidate)) - 1)
         nearest = min((round(each * power) for each in _ROUND), key=lambda each: abs(each - candidate))
-        if (
-            abs(nearest - candidate) <= _ROUND_WITHIN * nearest
-            and abs(nearest - measured_ns) <= _CYCLE_WITHIN * nearest
-        ):
+        is_round = abs(nearest - candidate) <= _ROUND_WITHIN * nearest
+        if is_round and abs(nearest - measured_ns) <= _CYCLE_WITHIN * nearest:
             return nearest
     return measured_ns
 
@@ -65,12 +60,6 @@ class CanDecoder:
     Samples of a message with counter and interval lie on an exact grid. Others have their times of reception; their
     interval is that of the first 200 samples or 5 s, which are buffered until then.
 
-    Parameters
-    ----------
-    epoch_of: From a unit to the epoch of its samples.
-
-    Examples
-    --------
     >>> from ingest.can.decode import BitField, MessageLayout, SignalLayout
     >>> from ingest.can.frames import CanFrame, frame_block
     >>> from ingest.can.plan import MessagePlan, Route, SignalPlan
@@ -85,8 +74,7 @@ class CanDecoder:
 
     def __init__(self, plan: CanPlan, *, run: str, epoch_of: Callable[[str], UUID]) -> None:
         self._samples = CanSamples(plan)
-        self._run = run
-        self._epoch_of = epoch_of
+        self._run, self._epoch_of = run, epoch_of
         self._streams: dict[tuple[str, str], _Stream] = {}
 
     def take(self, block: FrameBlock) -> list[SampleBatch]:
@@ -114,18 +102,8 @@ class _Stream:
     """One signal of one unit: numbers its samples and finds their interval."""
 
     def __init__(self, first: SignalPiece, run: str, epoch: UUID) -> None:
-        plan, message = first.plan, first.route.message
-        self._head = SignalHead(
-            unit=first.route.unit,
-            signal=plan.signal,
-            run=run,
-            epoch=epoch,
-            dt_ns=message.interval_ns or 0,
-            unit_of_measure=plan.unit_of_measure,
-            irregular=False,
-            scale=plan.layout.scale if plan.is_counts else 1.0,
-            offset=plan.layout.offset if plan.is_counts else 0.0,
-        )
+        message = first.route.message
+        self._head = first.head(run, epoch, message.interval_ns or 0)
         self._cycle_ns = message.cycle_ns
         self._is_on_grid = message.counter is not None and message.interval_ns is not None
         self._seq = 0
@@ -145,8 +123,7 @@ class _Stream:
         """Fix the interval by the buffered samples, and give them out."""
         if not self._buffer:
             return []
-        times_ns = np.concatenate([times_ns for times_ns, _ in self._buffer])
-        data = np.concatenate([data for _, data in self._buffer])
+        times_ns, data = (np.concatenate(parts) for parts in zip(*self._buffer, strict=True))
         self._buffer.clear()
         grid = SamplingGrid(partial(nominal_interval_ns, cycle_ns=self._cycle_ns))
         grid.add(times_ns)

@@ -26,39 +26,24 @@ class LogFrameCounts:
 
 @dataclass(frozen=True)
 class MessageCount:
-    """Account of the frames of one message of one unit.
-
-    Parameters
-    ----------
-    arbitration_id: Bit 31 is set if it is of 29 bits.
-    frames, decoded: Frames received, and those whose signals were used.
-    lost, repeated, restarts: By its counter: missing frames, frames that came again, and silences after which it had
-        restarted.
-    checksum_failures: Frames left out for a wrong checksum.
-    short: Frames that lack bytes of a signal; that signal was left out.
-    not_finite: Values left out as they are not finite.
-    other_channel, other_source: Frames left out as they came on another channel, or from another J1939 source address,
-        than the first one, if the mapping names none.
-    late, retimed: Frames left out as their time lies before that of an earlier one; frames a little late, put after it.
-    off_grid_s: Largest distance of a frame's reception from its place on the grid, seconds (counter with interval).
-    """
+    """Account of the frames of one message of one unit; `lost`, `repeated`, `restarts` are by its counter."""
 
     message: str
     unit: str
-    arbitration_id: int
-    frames: int
-    decoded: int
+    arbitration_id: int  # bit 31 is set if it is of 29 bits
+    frames: int  # received
+    decoded: int  # those whose signals were used
     lost: int
-    repeated: int
-    restarts: int
-    checksum_failures: int
-    short: int
-    not_finite: int
-    other_channel: int
-    late: int
-    retimed: int
-    off_grid_s: float
-    other_source: int = 0
+    repeated: int  # came again
+    restarts: int  # silences after which the counter had restarted
+    checksum_failures: int  # frames left out for a wrong checksum
+    short: int  # frames that lack bytes of a signal; that signal was left out
+    not_finite: int  # values left out as they are not finite
+    other_channel: int  # left out, of another channel than the first frame's, if the mapping names none
+    late: int  # left out as their time lies before that of an earlier one
+    retimed: int  # a little late, put after the one before
+    off_grid_s: float  # largest distance of a reception from its place on the grid (counter with interval), seconds
+    other_source: int = 0  # left out, of another J1939 source than the first frame's, if the mapping names none
 
     @property
     def left_out(self) -> int:
@@ -68,19 +53,12 @@ class MessageCount:
 
 @dataclass(frozen=True)
 class CanCounts:
-    """Account of all frames.
-
-    Parameters
-    ----------
-    messages: By message and unit, those that came.
-    unknown: Frames by arbitration id that no message of the plan has.
-    unrouted: Frames by arbitration id whose channel, source or multiplexer belongs to no unit.
-    """
+    """Account of all frames."""
 
     frames: int
-    messages: tuple[MessageCount, ...]
-    unknown: dict[int, int]
-    unrouted: dict[int, int]
+    messages: tuple[MessageCount, ...]  # by message and unit, those that came
+    unknown: dict[int, int]  # frames by arbitration id that no message of the plan has
+    unrouted: dict[int, int]  # frames by arbitration id whose channel, source or multiplexer belongs to no unit
 
 
 @dataclass(frozen=True)

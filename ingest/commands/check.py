@@ -3,7 +3,7 @@
 import difflib
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,26 +25,11 @@ if TYPE_CHECKING:
 @click.option("--unit-of-measure", default="", help="Of the value and its limits, as megaohm.")
 @click.option("--lower", type=float, help="Least value that is good.")
 @click.option("--upper", type=float, help="Greatest value that is good.")
-@click.option("--note", "words", default="", help="Free words.")
+@click.option("--note", default="", help="Free words.")
 @click.option("--run", type=RUN, default="", help="The run that it belongs to, if any.")
 @click.option("--at", "moment", help="When, if not now: 2026-11-21T18:00:00+08:00.")
 @reporting
-def check(
-    folder: Path,
-    unit: str,
-    item: str,
-    by: str,
-    verdict: str | None,
-    value: float | None,
-    unit_of_measure: str,
-    lower: float | None,
-    upper: float | None,
-    words: str,
-    run: str,
-    moment: str | None,
-    *,
-    as_json: bool,
-) -> None:
+def check(folder: Path, verdict: str | None, moment: str | None, *, as_json: bool, **given: Any) -> None:
     """Enter a check that was made by eye or by hand (GJB 2426A-2004 5.2, 5.3): it stands in the log beside the samples.
 
     A recorder that is at work on the store gets it over its bus. A check can fail a unit; it does not pass a unit of
@@ -59,18 +44,19 @@ def check(
     from ingest.moment import moment_ns
     from stream.events import Verdict
 
-    given = None if verdict is None else Verdict(verdict.upper())
+    judged = None if verdict is None else Verdict(verdict.upper())
     t_ns = time.time_ns() if moment is None else moment_ns(moment, "--at")
     if t_ns > time.time_ns() + 60 * 10**9:
         raise BadInput(f"--at {moment} lies in the future; a check is entered when it has been made")
-    document = check_entered(Entry(unit, item, by, given, value, unit_of_measure, lower, upper, words, run), t_ns)
-    unknown = _unknown_unit(folder, unit)
+    document = check_entered(Entry(verdict=judged, **given), t_ns)
+    unknown = _unknown_unit(folder, document.unit)
     is_seen = enter(folder, [document], role="gyrofleet check")
     if as_json:
         entered = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
         print_json({**entered, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
         return
-    results().print(f"{document.verdict}: {document.item} of unit {unit}, entered by {document.by}", markup=False)
+    sentence = f"{document.verdict}: {document.item} of unit {document.unit}, entered by {document.by}"
+    results().print(sentence, markup=False)
     if unknown is not None:
         notes().print(f"warning: {unknown}", markup=False, soft_wrap=True)
     if not is_seen:
@@ -80,12 +66,7 @@ def check(
 
 
 def _unknown_unit(folder: Path, unit: str) -> str | None:
-    """Say that nothing was recorded of a unit; None where something was.
-
-    Raises
-    ------
-    BadInput: If the unit is in the store under this name in other letters.
-    """
+    """Say that nothing was recorded of a unit, if so; raises BadInput if the store has it in other letters."""
     from storage.sql.catalog import Catalog
     from storage.store import Store
     from storage.store_marker import MARKER

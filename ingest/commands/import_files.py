@@ -29,23 +29,17 @@ _LOCATION_OPTIONS = {"latitude_deg": "--latitude", "time_zone": "--time-zone", "
 @click.option("--start", help="Start of the run, if times count from it: 2026-11-21T18:00:00+08:00.")
 @click.option("--sample-rate", "sample_rate_hz", type=float, help="Hz, for a file without a time column.")
 @click.option(
-    "--rename",
-    "renames",
-    metavar="TITLE=SIGNAL",
-    multiple=True,
+    "--rename", "renames", metavar="TITLE=SIGNAL", multiple=True,
     help="Name of the signal of a column, as 'Gyro X=gyro_x'; with a unit of measure as 'Status=status[1]'.",
-)
+)  # fmt: skip
 @click.option("--dbc", "databases", multiple=True, type=click.Path(path_type=Path), help="CAN database of a CAN log.")
 @click.option(
     "--mapping", type=click.Path(path_type=Path), help="Names and units of the signals of the database (TOML file)."
 )
 @click.option(
-    "--message",
-    "variants",
-    metavar="NAME=ID",
-    multiple=True,
+    "--message", "variants", metavar="NAME=ID", multiple=True,
     help="Which one to take of several messages of one name in the CAN databases, as IMU=0x101.",
-)
+)  # fmt: skip
 @click.option("--skip-bad", is_flag=True, help="Leave bad rows out and list them instead of refusing the file.")
 @click.option(
     "--units",
@@ -70,32 +64,13 @@ _LOCATION_OPTIONS = {"latitude_deg": "--latitude", "time_zone": "--time-zone", "
 @estimates_option
 @reporting
 def import_files(
-    files: tuple[Path, ...],
-    folder: Path,
-    unit: str | None,
-    run: str | None,
-    start: str | None,
-    sample_rate_hz: float | None,
-    renames: tuple[str, ...],
-    databases: tuple[Path, ...],
-    mapping: Path | None,
-    variants: tuple[str, ...],
-    units_file: str | None,
-    procedure: str | None,
-    position: str | None,
-    site: str | None,
-    station: str | None,
-    latitude_deg: float | None,
-    time_zone: str | None,
-    altitude_m: float | None,
-    connect: str | None,
-    listen: str | None,
-    estimated: tuple[str, ...],
-    *,
-    skip_bad: bool,
-    restates: bool,
+    files: tuple[Path, ...], folder: Path, unit: str | None, run: str | None, start: str | None,
+    sample_rate_hz: float | None, renames: tuple[str, ...], databases: tuple[Path, ...], mapping: Path | None,
+    variants: tuple[str, ...], units_file: str | None, procedure: str | None, position: str | None, site: str | None,
+    station: str | None, latitude_deg: float | None, time_zone: str | None, altitude_m: float | None,
+    connect: str | None, listen: str | None, estimated: tuple[str, ...], *, skip_bad: bool, restates: bool,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Import CSV and Parquet files (columns `signal[unit]` and `time[s]`) and CAN logs (with their --dbc).
 
     Every sample takes the path of live data: over the bus, into the log and the lake, through the estimators. All
@@ -125,15 +100,10 @@ def import_files(
     place, about = _stated_place(site, station, latitude_deg, time_zone, altitude_m)
     words = StepWords(procedure=procedure or None, position=position or None)
     options = TableOptions(
-        unit=unit,
-        run=run,
-        start_ns=None if start is None else moment_ns(start),
-        sample_rate_hz=sample_rate_hz,
-        skip_bad=skip_bad,
-        words=words if procedure or position else None,
-        renames=tuple(_pair(each, "--rename", "'Gyro X=gyro_x'") for each in renames),
-        time_zone=about.get("time_zone"),
-    )
+        unit=unit, run=run, start_ns=None if start is None else moment_ns(start), sample_rate_hz=sample_rate_hz,
+        skip_bad=skip_bad, words=words if procedure or position else None,
+        renames=tuple(_pair(each, "--rename", "'Gyro X=gyro_x'") for each in renames), time_zone=about.get("time_zone"),
+    )  # fmt: skip
     _warn_of_words(procedure, position)
     plan = _can_mapping(files, unit, databases, mapping, variants)
     entries = () if units_file is None else load_units(units_file)
@@ -155,20 +125,11 @@ def import_files(
         def show(path: Path, done: float) -> None:
             progress.update(tasks[path], completed=done, visible=done < 1.0 or len(files) <= LISTED_FILES)
 
-        imported = list(
-            import_checked(
-                checked,
-                folder,
-                place,
-                connect=connect,
-                listen=[listen] if listen else (),
-                units=entries,
-                about=about,
-                restates=restates,
-                estimated=EstimatedSignals.named(estimated),
-                progress=show,
-            )
-        )
+        results = import_checked(
+            checked, folder, place, connect=connect, listen=[listen] if listen else (), units=entries, about=about,
+            restates=restates, estimated=EstimatedSignals.named(estimated), progress=show,
+        )  # fmt: skip
+        imported = list(results)
     known = {entry.serial for entry in entries}
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)
     not_listed = [each for each in units if entries and each not in known]
@@ -242,12 +203,9 @@ def _is_can_log(path: Path) -> bool:
 
 
 def _can_mapping(
-    files: tuple[Path, ...],
-    unit: str | None,
-    databases: tuple[Path, ...],
-    mapping: Path | None,
+    files: tuple[Path, ...], unit: str | None, databases: tuple[Path, ...], mapping: Path | None,
     variants: tuple[str, ...],
-) -> "CanMapping | None":
+) -> "CanMapping | None":  # fmt: skip
     """What to decode of the CAN logs among the files, read once for all of them; None if there is no log."""
     from ingest.can.mapping import CanMapping
 

@@ -9,7 +9,7 @@ from stream.console import DEFAULT_STORE, notes, results
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from ingest.importing.file_sending import FileImport
+    from ingest.importing.result import FileImport
 
 LISTED_FILES = 10
 _LISTED_BAD_ROWS = 20
@@ -42,16 +42,11 @@ def _report(imported: "FileImport", folder: Path) -> None:
         table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")
     for signal in imported.signals:
         table.add_row(
-            signal.unit,
-            signal.run,
-            signal.signal,
-            signal.unit_of_measure,
-            f"{signal.sample_interval_s:g} s" + (" (irregular)" if signal.irregular else ""),
-            f"{signal.in_file:,}",
-            f"{signal.added:,}",
-            f"{signal.already_stored:,}",
+            signal.unit, signal.run, signal.signal, signal.unit_of_measure,
+            f"{signal.sample_interval_s:g} s" + (" (irregular)" if signal.irregular else ""), f"{signal.in_file:,}",
+            f"{signal.added:,}", f"{signal.already_stored:,}",
             "not seen from here" if signal.in_lake is None else f"{signal.in_lake:,}",
-        )
+        )  # fmt: skip
     results().print(table)
     results().print(_conclusion(imported, folder))
     _report_damage(imported)
@@ -80,7 +75,6 @@ def _report_damage(imported: "FileImport") -> None:
 
 
 def _total(imported: "Sequence[FileImport]", folder: Path) -> str:
-    """All files in one sentence."""
     added, seconds = sum(each.added for each in imported), sum(each.seconds for each in imported)
     counted = all(signal.in_lake is not None for each in imported for signal in each.signals)
     where = f"in the lake of {folder}, each once" if counted else "sent and acknowledged as recorded"
@@ -90,7 +84,6 @@ def _total(imported: "Sequence[FileImport]", folder: Path) -> str:
 
 
 def _report_next(imported: "FileImport", folder: Path) -> None:
-    """Suggest a command on the last file."""
     from stream.quantities import is_angular_rate
 
     if not imported.steps and not _has_steps(imported, folder):

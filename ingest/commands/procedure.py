@@ -1,5 +1,6 @@
 """The commands `gyrofleet procedure list | show | check | estimate-time`."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 _set_option = click.option(
     "--set", "choices", multiple=True, metavar="NAME=VALUE", help="Value of a parameter; may be given several times."
 )
+_rate = partial(click.option, show_default=True)
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+_SHOWN_WORDS = ("repeat", "position", "axis", "phase")
 
 
 def _procedure_names() -> tuple[str, ...]:
@@ -61,15 +65,9 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
     given = _given(choices)
     steps, chosen = found.steps(given), found.chosen(given)
     if as_json:
+        parameters = {key: {"value": chosen[key], "description": each} for key, each in found.parameters.items()}
         print_json(
-            {
-                **_head(found),
-                "parameters": {
-                    key: {"value": chosen[key], "description": each} for key, each in found.parameters.items()
-                },
-                "requirements": found.requirements(given),
-                "steps": steps,
-            }
+            {**_head(found), "parameters": parameters, "requirements": found.requirements(given), "steps": steps}
         )
         return
     console = results()
@@ -78,10 +76,9 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
     if found.parameters:
         console.print(_parameter_table(found, chosen))
     console.print(_step_table(steps))
-    prompts = [step for step in steps if step.prompt is not None]
-    for step in prompts:
-        assert step.prompt is not None
-        console.print(f"{step.number}: {step.prompt.en}\n   {step.prompt.zh}", markup=False)
+    for step in steps:
+        if step.prompt is not None:
+            console.print(f"{step.number}: {step.prompt.en}\n   {step.prompt.zh}", markup=False)
 
 
 @procedure.command("check")
@@ -114,14 +111,8 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
         raise BadInput(f"procedure {found.name} cannot be done at this station: {'; '.join(unmet)}")
     needed = found.requirements(given)
     if as_json:
-        print_json(
-            {
-                "procedure": found.name,
-                "steps": len(steps),
-                "requirements": needed,
-                "station_checked": settings is not None or station is not None,
-            }
-        )
+        about = {"procedure": found.name, "steps": len(steps), "requirements": needed}
+        print_json({**about, "station_checked": settings is not None or station is not None})
         return
     needs = "; ".join(f"{each.setting} {each.least:g} to {each.most:g} {each.unit}" for each in needed) or "nothing"
     results().print(f"{found.name}: {len(steps)} steps, in order. It sets: {needs}.", markup=False)
@@ -131,65 +122,25 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
 
 @procedure.command("estimate-time")
 @click.argument("name", type=PROCEDURE, metavar="NAME|FILE")
-@click.option(
-    "--acceleration",
-    type=click.FloatRange(min=0, min_open=True),
-    default=50.0,
-    show_default=True,
-    help="Rate table, deg/s^2.",
-)
-@click.option(
-    "--angle-rate",
-    type=click.FloatRange(min=0, min_open=True),
-    default=20.0,
-    show_default=True,
-    help="Table to an angle, deg/s.",
-)
-@click.option(
-    "--chamber", type=click.FloatRange(min=0, min_open=True), default=2.0, show_default=True, help="Chamber, degC/min."
-)
-@click.option(
-    "--room", type=float, default=23.0, show_default=True, help="Temperature that the chamber starts from, degC."
-)
-@click.option(
-    "--prompt", type=click.FloatRange(min=0), default=300.0, show_default=True, help="An operator's action, s."
-)
+@_rate("--acceleration", "table_acceleration_deg_per_s2", type=_POSITIVE, default=50.0, help="Rate table, deg/s^2.")
+@_rate("--angle-rate", "angle_rate_deg_per_s", type=_POSITIVE, default=20.0, help="Table to an angle, deg/s.")
+@_rate("--chamber", "chamber_deg_c_per_min", type=_POSITIVE, default=2.0, help="Chamber, degC/min.")
+@_rate("--room", "room_deg_c", type=float, default=23.0, help="Temperature that the chamber starts from, degC.")
+@_rate("--prompt", "prompt_s", type=click.FloatRange(min=0), default=300.0, help="An operator's action, s.")
 @_set_option
 @reporting
-def estimate_time(
-    name: str,
-    acceleration: float,
-    angle_rate: float,
-    chamber: float,
-    room: float,
-    prompt: float,
-    choices: tuple[str, ...],
-    *,
-    as_json: bool,
-) -> None:
+def estimate_time(name: str, choices: tuple[str, ...], *, as_json: bool, **given: float) -> None:
     """Estimate how long a procedure takes, in all and by its parts."""
     from ingest.procedures.procedure import Spent, StationRates, load_procedure
 
-    rates = StationRates(
-        table_acceleration_deg_per_s2=acceleration,
-        angle_rate_deg_per_s=angle_rate,
-        chamber_deg_c_per_min=chamber,
-        room_deg_c=room,
-        prompt_s=prompt,
-    )
+    rates = StationRates(**given)
     found = load_procedure(name)
     parts = found.spent(rates, _given(choices))
     total = sum(parts.values(), Spent())
     if as_json:
-        print_json(
-            {
-                "procedure": found.name,
-                "rates": rates,
-                "total_s": total.total_s,
-                "total": total,
-                "parts": [{"part": part, "total_s": each.total_s, "spent": each} for part, each in parts.items()],
-            }
-        )
+        listed = [{"part": part, "total_s": each.total_s, "spent": each} for part, each in parts.items()]
+        whole = {"total_s": total.total_s, "total": total}
+        print_json({"procedure": found.name, "rates": rates, **whole, "parts": listed})
         return
     table = _table("part", "steps", "record", "settle", "warm-up", "off", "ramps", "prompts", "in all", left=("part",))
     for part, each in (*parts.items(), ("in all", total)):
@@ -201,8 +152,6 @@ def estimate_time(
 def duration(seconds: float) -> str:
     """Seconds as a readable duration.
 
-    Examples
-    --------
     >>> duration(0.0), duration(12.5), duration(5400.0), duration(200000.0)
     ('-', '12.5 s', '1 h 30 min', '2 d 7 h 33 min')
     """
@@ -214,10 +163,8 @@ def duration(seconds: float) -> str:
 
 
 def _seconds(spent: "Spent") -> tuple[float, ...]:
-    return (
-        *(spent.record_s, spent.settle_s, spent.warm_up_s, spent.off_s, spent.ramp_s, spent.prompt_s),
-        spent.total_s,
-    )
+    parts = (spent.record_s, spent.settle_s, spent.warm_up_s, spent.off_s, spent.ramp_s, spent.prompt_s)
+    return *parts, spent.total_s
 
 
 def _given(choices: tuple[str, ...]) -> dict[str, str]:
@@ -256,23 +203,11 @@ def _step_table(steps: "tuple[PlannedStep, ...]") -> ResultTable:
     table = _table("", "step", "words", "set", "power", "warm-up", "settle", "record", "prompt")
     for step in steps:
         power = "" if step.power is None else step.power + (f" {duration(step.off_s)}" if step.off_s else "")
-        words = (
-            *(
-                f"{name} {value}"
-                for name in ("repeat", "position", "axis", "phase")
-                if (value := getattr(step.words, name))
-            ),
-            *(("room",) if step.words.room else ()),
-        )
+        words = [f"{name} {value}" for name in _SHOWN_WORDS if (value := getattr(step.words, name))]
+        words += ["room"] if step.words.room else []
         table.add_row(
-            str(step.number),
-            step.words.step or "",
-            ", ".join(words),
-            ", ".join(f"{name} {value:g}" for name, value in step.settings.items()),
-            power,
-            duration(step.warm_up_s),
-            duration(step.settle_s),
-            duration(step.record_s),
-            "yes" if step.prompt is not None else "",
-        )
+            str(step.number), step.words.step or "", ", ".join(words),
+            ", ".join(f"{name} {value:g}" for name, value in step.settings.items()), power, duration(step.warm_up_s),
+            duration(step.settle_s), duration(step.record_s), "yes" if step.prompt is not None else "",
+        )  # fmt: skip
     return table

@@ -22,12 +22,9 @@ _TOLD = 10
 @click.argument("run", type=RUN)
 @store_option
 @click.option(
-    "--speed",
-    type=click.FloatRange(min=0.0),
-    default=0.0,
-    show_default=True,
+    "--speed", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
     help="So many times as fast as it was measured; 0 as fast as can be.",
-)
+)  # fmt: skip
 @click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Record it in this store as well.")
 @click.option("--connect", help="Send it to the `gyrofleet record` that listens there.")
 @click.option(
@@ -38,15 +35,9 @@ _TOLD = 10
 )
 @reporting
 def replay(
-    run: str,
-    folder: Path,
-    speed: float,
-    into: Path | None,
-    connect: str | None,
-    every_s: float | None,
-    *,
+    run: str, folder: Path, speed: float, into: Path | None, connect: str | None, every_s: float | None, *,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Send a stored run through the bus once more, as its sources sent it.
 
     Without --into or --connect it is estimated anew in this process, and every estimate is compared with the stored

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ import click
 from ingest.commands.procedure import PROCEDURE
 from stream.console import estimates_option, reporting, store_option
 from stream.errors import BadInput
+
+_defaulted = partial(click.option, show_default=True)
+_PATH = click.Path(path_type=Path)
 
 
 class _ProcedureCommand(click.Command):
@@ -30,15 +34,8 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options of where a run goes, and `--end`."""
     for option in (
         click.option("--end", "is_ended", is_flag=True, help="End the run where it is, with outcome `stopped`."),
-        click.option(
-            "--spool-mb", type=click.IntRange(min=1), default=4096, show_default=True, help="Size of the spool."
-        ),
-        click.option(
-            "--spool",
-            "spool_folder",
-            type=click.Path(path_type=Path),
-            help="Folder of the spool; by default STORE/spool.",
-        ),
+        _defaulted("--spool-mb", type=click.IntRange(min=1), default=4096, help="Size of the spool."),
+        click.option("--spool", "spool_folder", type=_PATH, help="Folder of the spool; by default STORE/spool."),
         click.option("--connect", help="Where the recorder listens; by default the one that writes the store."),
         store_option,
     ):
@@ -48,8 +45,8 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("run", cls=_ProcedureCommand)
 @click.argument("procedure", type=PROCEDURE, metavar="PROCEDURE")
-@click.option("--station", type=click.Path(path_type=Path), help="The station's file.")
-@click.option("--units", type=click.Path(path_type=Path), help="Units to test: CSV, or one serial a line.")
+@click.option("--station", type=_PATH, help="The station's file.")
+@click.option("--units", type=_PATH, help="Units to test: CSV, or one serial a line.")
 @click.option("--set", "parameters", multiple=True, metavar="NAME=VALUE", help="A parameter of the procedure.")
 @click.option(
     "--specification", metavar="NAME[@REVISION]", help="Limits to apply; by default those of each unit's product."
@@ -59,39 +56,19 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--lot", help="Production lot.")
 @click.option("--yes", "says_yes", is_flag=True, help="Answer every prompt for the operator with yes.")
 @click.option(
-    "--settle-timeout-h",
-    type=click.FloatRange(min=0.0),
-    default=6.0,
-    show_default=True,
+    "--settle-timeout-h", type=click.FloatRange(min=0.0), default=6.0, show_default=True,
     help="Longest settling time of an instrument, at the station.",
-)
+)  # fmt: skip
 @click.option("--every", "every_s", type=click.FloatRange(min=1.0), help="Seconds between estimates.")
 @estimates_option
 @destination_options
 @click.option("--check", "is_check", is_flag=True, help="Check whether the run could begin, and end.")
 @reporting
 def run(
-    procedure: str,
-    station: Path | None,
-    units: Path | None,
-    parameters: tuple[str, ...],
-    specification: str | None,
-    run_id: str | None,
-    operator: str | None,
-    lot: str | None,
-    settle_timeout_h: float,
-    every_s: float | None,
-    estimated: tuple[str, ...],
-    folder: Path,
-    connect: str | None,
-    spool_folder: Path | None,
-    spool_mb: int,
-    *,
-    says_yes: bool,
-    is_ended: bool,
-    is_check: bool,
-    as_json: bool,
-) -> None:
+    station: Path | None, units: Path | None, parameters: tuple[str, ...], run_id: str | None, settle_timeout_h: float,
+    estimated: tuple[str, ...], folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int,
+    *, as_json: bool, **given: Any,
+) -> None:  # fmt: skip
     """Carry out a PROCEDURE at a station (`gyrofleet procedure list` has them).
 
     It sets the station's instruments, waits until they have settled, records, and goes on to the next step. At a
@@ -117,21 +94,10 @@ def run(
     if run_id is not None:
         check_name("run", run_id)
     asked = ProcedureRun(
-        procedure=procedure,
-        station=station,
-        units=units,
-        parameters=dict(_parameter(each, procedure) for each in parameters),
-        specification=specification,
-        run=run_id,
-        operator=operator,
-        lot=lot,
-        says_yes=says_yes,
-        is_ended=is_ended,
-        is_check=is_check,
-        settle_timeout_s=settle_timeout_h * 3600.0,
-        every_s=every_s,
-        estimated=EstimatedSignals.named(estimated),
-    )
+        station=station, units=units, run=run_id, settle_timeout_s=settle_timeout_h * 3600.0,
+        parameters=dict(_parameter(each, given["procedure"]) for each in parameters),
+        estimated=EstimatedSignals.named(estimated), **given,
+    )  # fmt: skip
     destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
     sys.exit(run_procedure(asked, destination, as_json=as_json))
 
@@ -140,15 +106,9 @@ def run(
 @click.option("--run", "run_id", required=True, help="Id of the run; given again, the run resumes.")
 @click.option("--simulate", type=click.IntRange(1, 100_000), metavar="N", required=True, help="How many units.")
 @click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
-@click.option(
-    "--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, show_default=True, help="Rate samples."
-)
-@click.option(
-    "--batch", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Rate samples in a message."
-)
-@click.option(
-    "--speed", type=click.FloatRange(min=0.0), default=1.0, show_default=True, help="Times real time; 0: unpaced."
-)
+@_defaulted("--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, help="Rate samples.")
+@_defaulted("--batch", type=click.IntRange(1, 100_000), default=100, help="Rate samples in a message.")
+@_defaulted("--speed", type=click.FloatRange(min=0.0), default=1.0, help="Times real time; 0: unpaced.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
 @click.option("--start", help="First sample, as 2026-11-21T18:00:00+08:00; by default the run ends now.")
 @click.option("--procedure", help="What is done, as static_bias: the whole run is a step of it.")
@@ -160,16 +120,9 @@ def run(
 @destination_options
 @reporting
 def run_simulated(
-    run_id: str,
-    folder: Path,
-    connect: str | None,
-    spool_folder: Path | None,
-    spool_mb: int,
-    *,
-    is_ended: bool,
-    as_json: bool,
-    **given: Any,
-) -> None:
+    run_id: str, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int, *, is_ended: bool,
+    as_json: bool, **given: Any,
+) -> None:  # fmt: skip
     """Send samples of N units at rest that are simulated in this process, without a station.
 
     Where a `gyrofleet record` writes the store, it records them, else this process does. What no recorder has yet waits
@@ -178,8 +131,8 @@ def run_simulated(
     import msgspec
 
     from ingest.commands import run_simulated
+    from ingest.run.live_run import RunParameters
     from ingest.run.run_path import Destination
-    from ingest.run.run_state import RunParameters
     from stream.identity import check_name
 
     check_name("run", run_id)

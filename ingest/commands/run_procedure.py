@@ -1,6 +1,5 @@
 """What `gyrofleet run PROCEDURE --station FILE --units FILE` does."""
 
-import datetime as dt
 import hashlib
 import shlex
 import sys
@@ -9,31 +8,21 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
-from zoneinfo import ZoneInfo
 
 import msgspec
 
 from ingest.instruments.base import Instrument
 from ingest.procedures.procedure import PlannedStep, Procedure, load_procedure
 from ingest.procedures.run_steps import resume_index
-from ingest.run.run_path import (
-    INTERRUPTED,
-    Destination,
-    RunPath,
-    TroubleWatch,
-    drain,
-    left_behind,
-    opened_spool,
-    path_to,
-    recorder_at,
-)
-from ingest.station.abilities import check_limits, check_station
+from ingest.run import run_path
+from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
+from ingest.station.bench import check_limits, check_station
 from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
 from ingest.station.run_log import RunLog
-from ingest.station.run_state import StationRunState, check_same, fresh_id, left_run, other_unfinished, read_station_run
+from ingest.station.run_state import check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, load_units, mounted_documents
@@ -80,21 +69,17 @@ class _Job(NamedTuple):
 
 
 def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: bool) -> int:
-    """Carry out a procedure at a station, from where it is; returns the exit code.
-
-    Raises
-    ------
-    GyrofleetError: If a file cannot be used, the station cannot do what the procedure asks, or recording fails.
-    """
+    """Carry out a procedure from where it is; the exit code. Raises GyrofleetError if it cannot be done or recorded."""
     job = _job(asked)
     with ExitStack() as stack:
         stack.enter_context(job.station.held())
         left = asked.run or left_run(destination.spools, job.procedure.name, job.serials)
-        known = None if left is None else _known(destination.spools / left, job)
+        known = None if left is None else read_station_run(destination.spools / left)
+        if known is not None:
+            check_same(known, job.procedure.name, job.plan, job.serials)
         if known is None and asked.is_ended:
-            raise BadInput(
-                f"there is nothing to end: no run of {job.procedure.name} with these units has been left unfinished"
-            )
+            no_run = f"no run of {job.procedure.name} with these units has been left unfinished"
+            raise BadInput(f"there is nothing to end: {no_run}")
         phase = "starting" if known is None else known.phase
         is_over = phase not in {"starting", "running"} or (phase == "running" and asked.is_ended)
         sources = None if is_over else StationSources(job.station, job.instruments, job.clock, job.serials)
@@ -103,32 +88,27 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         if asked.is_check:
             _report_check(found, limits, job, as_json=as_json)
             return 0
-        run = left or fresh_id(destination.spools, job.procedure.name, _today(job))
+        run = left or fresh_id(destination.spools, job.procedure.name, job.station.day(job.clock.now_ns()))
         if destination.connect is None:
             compile_kernels(quiet=as_json)
         stop = stack.enter_context(until_stopped())
-        operator = stack.enter_context(
-            ConsoleOperator(
-                notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes or sys.stdin.isatty()
-            )
-        )
+        says_yes, listens = asked.says_yes, not asked.says_yes or sys.stdin.isatty()
+        operator = ConsoleOperator(notes(), stop, says_yes=says_yes, quiet=as_json, listens=listens)
+        stack.enter_context(operator)
         # nothing is made on disk before everybody is reached
-        elsewhere = stack.enter_context(recorder_at(None if phase == "ended" else destination.connect))
-        is_remote = destination.connect is not None
-        spool = stack.enter_context(
-            opened_spool(destination.folder, destination.spools / run, destination.spool_bytes, is_remote=is_remote)
-        )
+        elsewhere = stack.enter_context(run_path.recorder_at(None if phase == "ended" else destination.connect))
+        is_remote, folder = destination.connect is not None, destination.spools / run
+        opened = run_path.opened_spool(destination.folder, folder, destination.spool_bytes, is_remote=is_remote)
+        spool = stack.enter_context(opened)
         log = RunLog(run, job.procedure.name, job.plan, job.serials, job.station, spool, job.clock)
         decisions = LimitReport(operator.report)
         report = partial(_report, log, len(job.steps), decisions, as_json=as_json)
         if log.state.phase == "ended":
             report("ended", "nothing to do, all of it is recorded")
             return 0
-        path = stack.enter_context(
-            path_to(
-                destination.folder, run, elsewhere, spool, asked.every_s, asked.estimated, job.serials, decisions.see
-            )
-        )
+        estimates = asked.every_s, asked.estimated
+        to = run_path.path_to(destination.folder, run, elsewhere, spool, *estimates, job.serials, decisions.see)
+        path = stack.enter_context(to)
         trouble = TroubleWatch(path.publisher, operator.report)
         operator.watch(trouble.look)
         for remark in limits.remarks:
@@ -151,7 +131,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             code = _carried_out(log, job, asked, sources, operator)
         except (RunStopped, InstrumentError) as stopped:
             return _leave(str(stopped), path, stop, report)
-        drain(path, trouble, stop)
+        run_path.drain(path, trouble, stop)
         if path.publisher.outstanding:
             return _leave("interrupted before all of it was recorded", path, stop, report)
         path.finish()
@@ -229,14 +209,6 @@ def _limits(
     )
 
 
-def _known(spool: Path, job: _Job) -> StationRunState | None:
-    """The run as it was left; None where none was begun."""
-    state = read_station_run(spool)
-    if state is not None:
-        check_same(state, job.procedure.name, job.plan, job.serials)
-    return state
-
-
 def _make_safe(live: StationRun, instruments: Mapping[str, Instrument]) -> None:
     """Make a station safe at which a run was left, perhaps by being killed; a failure does not stop the end."""
     with ExitStack() as stack:
@@ -247,12 +219,7 @@ def _make_safe(live: StationRun, instruments: Mapping[str, Instrument]) -> None:
         live.make_safe()
 
 
-def _today(job: _Job) -> dt.date:
-    return dt.datetime.fromtimestamp(job.clock.now_ns() / 1e9, ZoneInfo(job.station.table.time_zone)).date()
-
-
 def _about(job: _Job, parameters: Mapping[str, str]) -> dict[str, str]:
-    """Details of the run's first document."""
     chosen = {f"parameter.{name}": str(value) for name, value in job.procedure.chosen(parameters).items()}
     where = job.station.table.location.details
     calibrated = {
@@ -270,7 +237,7 @@ def _common(entries: tuple[UnitEntry, ...], what: str) -> str | None:
 
 def _leave(why: str, path: RunPath, stop: Stop, report: Callable[[str, str], None]) -> int:
     """Leave a run that can be resumed; the exit code."""
-    report("interrupted", f"{why}; {left_behind(path, 'the spool', 'to resume')}")
+    report("interrupted", f"{why}; {run_path.left_behind(path, 'the spool', 'to resume')}")
     return INTERRUPTED if stop.asked_at is not None else 1
 
 
@@ -313,14 +280,11 @@ def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark:
 
 
 def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bool) -> None:
-    """Report that a run could begin."""
     if as_json:
         about = {"procedure": job.procedure.name, "steps": len(job.steps), "instruments": found.instruments}
         print_json({"event": "checked", **about, "warnings": list(found.warnings), "limits": list(limits.remarks)})
         return
-    for name, identity in found.instruments.items():
-        results().print(f"{name}: {identity}", soft_wrap=True, markup=False)
-    for remark in limits.remarks:
-        results().print(remark, soft_wrap=True, markup=False)
+    for line in (*(f"{name}: {identity}" for name, identity in found.instruments.items()), *limits.remarks):
+        results().print(line, soft_wrap=True, markup=False)
     could = f"{job.procedure.name} could begin: {len(job.steps)} steps; nothing was written"
     results().print(could, soft_wrap=True)

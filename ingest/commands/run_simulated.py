@@ -4,18 +4,9 @@ import shlex
 import time
 
 from ingest.moment import moment_ns
-from ingest.run.live_run import LiveRun
-from ingest.run.run_path import (
-    INTERRUPTED,
-    Destination,
-    RunPath,
-    TroubleWatch,
-    left_behind,
-    opened_spool,
-    path_to,
-    recorder_at,
-)
-from ingest.run.run_state import RunParameters, read_run
+from ingest.run import run_path
+from ingest.run.live_run import LiveRun, RunParameters, read_run
+from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
 from stream.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped
 from stream.delivery.publisher import DurablePublisher
 from stream.identity import check_name
@@ -28,12 +19,7 @@ _LOOK_EVERY_S = 0.2
 def run_simulated(
     run: str, parameters: RunParameters, destination: Destination, *, is_ended: bool, as_json: bool
 ) -> int:
-    """Send the samples of simulated units, from where the run is; returns the exit code.
-
-    Raises
-    ------
-    GyrofleetError: If it was started with other options, no recorder is reached, or recording fails.
-    """
+    """Send the samples of simulated units from where the run is; the exit code. Raises GyrofleetError if it cannot."""
     check_name("site", parameters.site)
     check_name("station", parameters.station)
     if parameters.start is not None:
@@ -46,14 +32,14 @@ def run_simulated(
         compile_kernels(quiet=as_json)
     with (
         until_stopped() as stop,
-        recorder_at(None if is_over else destination.connect) as elsewhere,
-        opened_spool(destination.folder, spool_folder, destination.spool_bytes, is_remote=is_remote) as spool,
+        run_path.recorder_at(None if is_over else destination.connect) as elsewhere,
+        run_path.opened_spool(destination.folder, spool_folder, destination.spool_bytes, is_remote=is_remote) as spool,
     ):
         live = LiveRun(run, parameters, spool)
         if live.is_over:
             _report(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        with path_to(destination.folder, run, elsewhere, spool, units=live.units) as path:
+        with run_path.path_to(destination.folder, run, elsewhere, spool, units=live.units) as path:
             return _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
 
 
@@ -76,12 +62,11 @@ def _send(live: LiveRun, path: RunPath, stop: Stop, watch: "_Watch", *, is_ended
         live.close()
         watch.report(live, "ended", _next(live, path))
         return 0
-    watch.report(live, "interrupted", left_behind(path, str(live.folder), "to resume"))
+    watch.report(live, "interrupted", run_path.left_behind(path, str(live.folder), "to resume"))
     return INTERRUPTED
 
 
 def _next(live: LiveRun, path: RunPath) -> str:
-    """A command to go on with."""
     if path.folder is None:
         return "every sample is recorded"
     store = "" if str(path.folder) == DEFAULT_STORE else f" --store {shlex.quote(str(path.folder))}"
@@ -92,8 +77,7 @@ class _Watch:
     """Reports the progress of the run every few seconds, and troubles at once."""
 
     def __init__(self, publisher: DurablePublisher, *, as_json: bool) -> None:
-        self._publisher = publisher
-        self._as_json = as_json
+        self._publisher, self._as_json = publisher, as_json
         self._looked_at = self._reported_at = time.monotonic()
         self._trouble = TroubleWatch(publisher, lambda text: notes().print(text, soft_wrap=True, markup=False))
         self._sent = 0

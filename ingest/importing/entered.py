@@ -17,46 +17,26 @@ _MOST_TEXT = 1000
 
 
 class Entry(NamedTuple):
-    """A check as it was entered.
-
-    Parameters
-    ----------
-    item: What was checked: ``visual``, ``electrical``, or another word.
-    by: The inspector.
-    verdict: PASS or FAIL; may be left out if there are a value and a limit.
-    value, lower, upper: Measured value and its limits, in `unit_of_measure`.
-    run: The run that it belongs to; empty for none.
-    """
+    """A check as it was entered."""
 
     unit: str
-    item: str
-    by: str
-    verdict: Verdict | None = None
-    value: float | None = None
+    item: str  # what was checked: ``visual``, ``electrical``, or another word
+    by: str  # the inspector
+    verdict: Verdict | None = None  # PASS or FAIL; may be left out if there are a value and a limit
+    value: float | None = None  # measured value; its limits are in the same unit
     unit_of_measure: str = ""
     lower: float | None = None
     upper: float | None = None
     note: str = ""
-    run: str = ""
+    run: str = ""  # the run that it belongs to; empty for none
 
 
 def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: Place = ENTERED) -> bool:
-    """Write documents into a store, created if there is none; they are on disk when this returns.
+    """Write documents into a store, created if there is none, and on disk when this returns; whether SQL sees them now.
 
-    Parameters
-    ----------
-    role: Name of the command, for the message that another writer gets.
-
-    Returns
-    -------
-    bool
-        Whether SQL sees them now. False if a recorder writes the store: it has them in its log, and brings them to
-        the lake with its next segment.
-
-    Raises
-    ------
-    StoreError: If a process writes the store that takes no messages, or it cannot be written.
-    DeliveryError: If the recorder that writes it does not acknowledge them.
+    It does not if a recorder writes the store, which brings them to the lake with its next segment. `role` is the name
+    of the command, for the message that another writer gets. Raises StoreError if a process writes the store that takes
+    no messages, or it cannot be written; DeliveryError if the recorder that writes it does not acknowledge them.
     """
     store = Store.create(folder)
     is_recorded = writer_endpoint(folder) is not None
@@ -65,14 +45,7 @@ def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: P
 
 
 def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
-    """An entry as a document; raises BadInput if it is incomplete or contradicts itself.
-
-    Examples
-    --------
-    >>> entry = Entry("FOG-1", "insulation", "Li", value=120.0, unit_of_measure="megaohm", lower=100.0)
-    >>> check_entered(entry, 0).verdict.value
-    'PASS'
-    """
+    """An entry as a document; raises BadInput if it is incomplete or contradicts itself."""
     check_name("unit", entry.unit)
     if entry.run:
         check_name("run", entry.run)
@@ -84,18 +57,11 @@ def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
             raise BadInput(f"check of unit {entry.unit}: {option} has {len(text)} characters, {_MOST_TEXT} may be")
     _check_numbers(entry)
     return CheckEntered(
-        run=entry.run,
-        t_ns=t_ns,
-        unit=entry.unit,
-        item=entry.item.strip(),
-        verdict=_verdict(entry),
-        by=entry.by.strip(),
-        value=entry.value,
-        unit_of_measure="" if entry.value is None else check_unit(entry.unit_of_measure),
-        lower=entry.lower,
-        upper=entry.upper,
-        note=entry.note.strip(),
-    )
+        run=entry.run, t_ns=t_ns, unit=entry.unit, item=entry.item.strip(), verdict=_verdict(entry),
+        by=entry.by.strip(), value=entry.value,
+        unit_of_measure="" if entry.value is None else check_unit(entry.unit_of_measure), lower=entry.lower,
+        upper=entry.upper, note=entry.note.strip(),
+    )  # fmt: skip
 
 
 def _check_numbers(entry: Entry) -> None:
@@ -114,10 +80,8 @@ def _verdict(entry: Entry) -> Verdict:
     where = f"check {entry.item} of unit {entry.unit}"
     found: Verdict | None = None
     if entry.value is not None and (entry.lower is not None or entry.upper is not None):
-        is_within = (entry.lower is None or entry.value >= entry.lower) and (
-            entry.upper is None or entry.value <= entry.upper
-        )
-        found = Verdict.PASS if is_within else Verdict.FAIL
+        is_high = entry.lower is None or entry.value >= entry.lower
+        found = Verdict.PASS if is_high and (entry.upper is None or entry.value <= entry.upper) else Verdict.FAIL
     if entry.verdict is None and found is None:
         raise BadInput(f"{where}: nothing says how it was judged; give --verdict PASS or FAIL, or --value and a limit")
     if entry.verdict is not None and found is not None and entry.verdict is not found:

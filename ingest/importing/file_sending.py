@@ -4,6 +4,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
@@ -11,10 +12,10 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 import numpy as np
 
-from ingest.can.summary import CanCounts, CanSummary
+from ingest.can.summary import CanSummary
+from ingest.importing.result import FileImport, SignalImport
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.station.units_file import UnitEntry, mounted_documents
-from ingest.tables.rows import BadRow
 from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge
 from stream.batch import BoolArray, IntArray, SampleBatch
@@ -26,47 +27,6 @@ from stream.identity import Place, event_key, sample_key
 _Name = tuple[str, str, str]
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/import")
-_NOTHING: Mapping[str, str] = {}
-
-
-@dataclass(frozen=True)
-class SignalImport:
-    """Result for one signal of a file; `in_lake` is None if the lake cannot be seen from here."""
-
-    unit: str
-    run: str
-    signal: str
-    unit_of_measure: str
-    in_file: int
-    added: int
-    already_stored: int
-    in_lake: int | None
-    sample_interval_s: float
-    irregular: bool
-
-
-@dataclass(frozen=True)
-class FileImport:
-    """Result for one file."""
-
-    file: str
-    rows: int
-    bad_row_count: int
-    bad_rows: tuple[BadRow, ...]
-    steps: int
-    date_known: bool
-    seconds: float
-    signals: tuple[SignalImport, ...]
-    recovered: tuple[str, ...] = ()
-    counted: str = "rows"
-    damage: str = ""
-    remarks: tuple[str, ...] = ()
-    frames: CanCounts | None = None
-
-    @property
-    def added(self) -> int:
-        """Samples that the store did not have."""
-        return sum(signal.added for signal in self.signals)
 
 
 class CheckedFile(NamedTuple):
@@ -80,49 +40,28 @@ class CheckedFile(NamedTuple):
 
 @dataclass
 class SendingGroup:
-    """State shared by files that are sent together.
+    """State shared by files that are sent together."""
 
-    Attributes
-    ----------
-    runs: The first file of each run, and whether its date is known.
-    begun, uids, stated: Runs and steps whose documents are sent, and runs whose station is corrected.
-    """
-
-    runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)
-    begun: set[str] = field(default_factory=set)
-    uids: set[str] = field(default_factory=set)
-    stated: set[str] = field(default_factory=set)
+    runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)  # first file of each, and whether it is dated
+    begun: set[str] = field(default_factory=set)  # runs whose documents are sent
+    uids: set[str] = field(default_factory=set)  # steps whose documents are sent
+    stated: set[str] = field(default_factory=set)  # runs whose station is corrected
 
 
 class FileSending:
-    """Transfer of one file: joined to its group, compared with the store, sent, counted.
-
-    Parameters
-    ----------
-    file, summary: Reader of the file, and the result of its first pass.
-    entries: Product, lot, fixture and so on of units.
-    about: Details of the station.
-    restates: Whether these replace the stored ones.
-    """
+    """Transfer of one file: joined to its group, compared with the store, sent, counted; see `import_files`."""
 
     def __init__(
-        self,
-        path: Path,
-        file: SampleFile,
-        summary: TableSummary,
-        place: Place,
-        entries: Sequence[UnitEntry] = (),
-        about: Mapping[str, str] = _NOTHING,
-        *,
-        restates: bool = False,
+        self, checked: CheckedFile, place: Place, entries: Sequence[UnitEntry], about: Mapping[str, str], restates: bool
     ) -> None:
-        self._path = path
-        self._file = file
-        self._summary = summary
-        self._place = place
+        self.path, self._file, self._summary, self.checking_s = checked
+        self._place, self._about, self._restates = place, dict(about), restates
         self._entries = {entry.serial: entry for entry in entries}
-        self._about = dict(about)
-        self._restates = restates
+        self.spent_s = self.checking_s
+        self.owners = list(dict.fromkeys((signal.unit, signal.run) for signal in self._summary.signals))
+        self._of: dict[str, list[SignalSummary]] = {}  # signals by run
+        for signal in self._summary.signals:
+            self._of.setdefault(signal.run, []).append(signal)
         self._stated: dict[str, dict[str, str]] = {}
         self._stored: StoredSamples | None = None
         self._common: Counter[_Name] = Counter()
@@ -133,35 +72,30 @@ class FileSending:
         self._group = SendingGroup()
 
     @property
-    def owners(self) -> set[tuple[str, str]]:
-        """Units and runs that the file has samples of."""
-        return {(signal.unit, signal.run) for signal in self._summary.signals}
+    def runs(self) -> list[str]:
+        """Runs that the file has samples of."""
+        return sorted(self._of)
 
-    def join(self, group: "SendingGroup") -> None:
+    def join(self, group: SendingGroup) -> None:
         """Join files of the same command; raises BadInput if only one of them has a date for the same run."""
         self._group = group
-        for run in sorted({signal.run for signal in self._summary.signals}):
-            path, is_dated = group.runs.setdefault(run, (self._path, self._summary.date_known))
+        for run in self.runs:
+            path, is_dated = group.runs.setdefault(run, (self.path, self._summary.date_known))
             if is_dated != self._summary.date_known:
-                dated, undated = (path, self._path) if is_dated else (self._path, path)
+                dated, undated = (path, self.path) if is_dated else (self.path, path)
                 raise BadInput(
                     f"{undated}: its times count from the start of run {run}, whose date {dated} gives; give --start, "
                     f"or import the files with another --run each"
                 )
 
-    @property
-    def runs(self) -> list[str]:
-        """Runs that the file has samples of."""
-        return sorted({signal.run for signal in self._summary.signals})
-
     def compare(self, knowledge: Knowledge) -> None:
         """Compare the file with the store; raises BadInput if they contradict each other."""
-        self._stored = StoredSamples(knowledge, self._path, self._summary)
+        self._stored = StoredSamples(knowledge, self.path, self._summary)
         self._common = self._stored.check(self._file)
         self._held = _held(knowledge, self.runs)
         self._known_uids = frozenset(self._stored.known.uids)
         self._stated = {run: dict(details) for run, details in self._stored.known.stated.items()}
-        check_steps(self._stored.known.steps, self._path, self._summary)
+        check_steps(self._stored.known.steps, self.path, self._summary)
         if not self._restates:
             self._check_station()
         documents = [msgspec.json.decode(text, type=UnitMounted) for text in self._stored.known.mounted]
@@ -174,37 +108,38 @@ class FileSending:
             for name, value in self._about.items():
                 if stored.get(name, value) != value:
                     raise BadInput(
-                        f"{self._path}: run {run} is stored with {name} {stored[name]}, now it is {value}; what is "
+                        f"{self.path}: run {run} is stored with {name} {stored[name]}, now it is {value}; what is "
                         f"stored stays. To correct it, and all values that rest on it, give --restate"
                     )
 
     def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of their runs."""
-        runs = dict.fromkeys(signal.run for signal in self._summary.signals)
+        runs = list(self._of)
         open_runs = set() if self._stored is None else self._stored.open_runs & set(runs)
         is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
         if is_all_there and not self._summary.steps and not open_runs and not self._entries and not self._about:
             return
-        content = _sha256(self._path)
-        owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
-        epochs = {owner: self._epoch(content, *owner) for owner in owners}
+        with self.path.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        epochs = {owner: self._epoch(content, *owner) for owner in self.owners}
+        send = partial(sender.send_event, event_key(self._place))
         for run in runs:
             if run not in self._group.begun and (self._stored is None or run not in self._stored.runs):
                 self._group.begun.add(run)
-                sender.send_event(event_key(self._place), self._started(run, content))
+                send(self._started(run, content))
             elif run in self._stated and self._about.items() - self._stated[run].items():
                 self._stated[run] |= self._about
                 if run not in self._group.stated:
                     self._group.stated.add(run)
-                    sender.send_event(event_key(self._place), self._station_stated(run))
+                    send(StationStated(run=run, t_ns=self._first_ns(run), details=self._stated[run]))
             for mounted in self._mounted(run):
-                sender.send_event(event_key(self._place), mounted)
+                send(mounted)
         news = self._send_file(sender, epochs, progress)
         for run in runs:
             is_ours = self._started(run, content).uid in self._known_uids  # killed before it could end the run
             if is_ours if run in open_runs else news:
-                sender.send_event(event_key(self._place), self._note(run, content))
-                sender.send_event(event_key(self._place), self._ended(run, epochs))
+                send(self._note(run, content))
+                send(self._ended(run, epochs))
 
     def _send_file(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
         """Send samples and steps that the store does not have; returns how many messages that were."""
@@ -222,13 +157,14 @@ class FileSending:
 
     def missing(self, in_lake: Counter[_Name], where: str) -> str | None:
         """A sentence on samples that were sent and are not in the lake; None if all are there."""
-        expected = {name: self._held[name] - self._common[name] + count for name, count in self._in_file().items()}
+        in_file = {(s.unit, s.run, s.signal): s.sampling.samples for s in self._summary.signals}
+        expected = {name: self._held[name] - self._common[name] + count for name, count in in_file.items()}
         wrong = [name for name in self._sent if in_lake[name] != expected[name]]
         if not wrong:
             return None
         unit, run, signal = name = wrong[0]
         return (
-            f"{self._path}: unit {unit}, run {run}, signal {signal}: {self._sent[name]} samples were sent and "
+            f"{self.path}: unit {unit}, run {run}, signal {signal}: {self._sent[name]} samples were sent and "
             f"{expected[name]} are expected, but the lake holds {in_lake[name]}; the log has what was "
             f"acknowledged, look at {where}"
         )
@@ -237,20 +173,12 @@ class FileSending:
         """Result for the file."""
         summary = self._summary
         return FileImport(
-            file=str(self._path),
-            rows=summary.rows,
-            bad_row_count=summary.bad_rows,
-            bad_rows=summary.bad,
-            steps=summary.steps,
-            date_known=summary.date_known,
-            seconds=seconds,
-            signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals),
-            recovered=recovered,
-            counted=summary.counted,
-            damage=summary.damage,
-            remarks=summary.remarks,
+            file=str(self.path), rows=summary.rows, bad_row_count=summary.bad_rows, bad_rows=summary.bad,
+            steps=summary.steps, date_known=summary.date_known, seconds=seconds,
+            signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
+            counted=summary.counted, damage=summary.damage, remarks=summary.remarks,
             frames=summary.frames if isinstance(summary, CanSummary) else None,
-        )
+        )  # fmt: skip
 
     def _signal_result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:
         name = (signal.unit, signal.run, signal.signal)
@@ -270,76 +198,58 @@ class FileSending:
             return np.ones(len(times_ns), np.bool_)
         return self._stored.new(unit, run, signal, times_ns)
 
-    def _in_file(self) -> dict[_Name, int]:
-        return {(s.unit, s.run, s.signal): s.sampling.samples for s in self._summary.signals}
-
     def _epoch(self, content: str, unit: str, run: str) -> UUID:
         """The same samples at the same times have the same epoch, so that a recorder recognises them."""
         sampled = [
             f"{s.signal} {s.sampling.samples} {s.sampling.t_first_ns} {s.sampling.t_last_ns}"
-            for s in self._summary.signals
-            if (s.unit, s.run) == (unit, run)
+            for s in self._of[run]
+            if s.unit == unit
         ]
         return uuid5(_NAMESPACE, "\0".join([content, unit, run, str(self._common.total()), *sampled]))
-
-    def _of(self, run: str) -> list[SignalSummary]:
-        return [signal for signal in self._summary.signals if signal.run == run]
 
     def _started(self, run: str, content: str) -> RunStarted:
         return RunStarted(
             run=run,
-            t_ns=min(signal.sampling.t_first_ns for signal in self._of(run)),
+            t_ns=self._first_ns(run),
             uid=_uid("started", run, content),
             date_known=self._summary.date_known,
-            source=f"file {self._path.name}",
-            units=tuple(dict.fromkeys(signal.unit for signal in self._of(run))),
+            source=f"file {self.path.name}",
+            units=tuple(dict.fromkeys(signal.unit for signal in self._of[run])),
             details=self._about,
         )
 
-    def _station_stated(self, run: str) -> StationStated:
-        """Details of the station, for a run that is stored without them or with others."""
-        t_ns = min(signal.sampling.t_first_ns for signal in self._of(run))
-        return StationStated(run=run, t_ns=t_ns, details=self._stated[run])
-
     def _mounted(self, run: str) -> list[UnitMounted]:
         """Documents on the units of the run, if the last stored ones differ."""
-        units = dict.fromkeys(signal.unit for signal in self._of(run))
+        units = dict.fromkeys(signal.unit for signal in self._of[run])
         entries = [self._entries[unit] for unit in units if unit in self._entries]
-        begin_ns = min(signal.sampling.t_first_ns for signal in self._of(run))
-        documents = mounted_documents(entries, run, begin_ns)
+        documents = mounted_documents(entries, run, self._first_ns(run))
         later = [_following(each, self._last_mounted.get((run, each.unit))) for each in documents]
         return [each for each in later if each is not None]
 
     def _note(self, run: str, content: str) -> NoteAdded:
-        added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of(run))
-        text = f"imported {self._path.name} (sha256 {content}): {added} samples"
+        added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of[run])
+        text = f"imported {self.path.name} (sha256 {content}): {added} samples"
         if self._summary.bad_rows:
             text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"
         for remark in filter(None, (self._summary.damage, *self._summary.remarks)):
             text += f"; {remark}"
-        return NoteAdded(
-            run=run,
-            t_ns=self._last_ns(run),
-            uid=_uid("noted", run, content, str(self._common.total()), str(self._last_ns(run))),
-            text=text,
-            author="import",
-        )
+        t_ns = self._last_ns(run)
+        uid = _uid("noted", run, content, str(self._common.total()), str(t_ns))
+        return NoteAdded(run=run, t_ns=t_ns, uid=uid, text=text, author="import")
 
     def _ended(self, run: str, epochs: dict[tuple[str, str], UUID]) -> RunEnded:
-        totals = tuple(
-            StreamTotal(
-                unit=s.unit,
-                signal=s.signal,
-                epoch=str(epochs[s.unit, s.run]),
-                samples=self._sent[s.unit, s.run, s.signal],
-            )
-            for s in self._of(run)
-        )
+        totals = []
+        for s in self._of[run]:
+            epoch, samples = str(epochs[s.unit, run]), self._sent[s.unit, run, s.signal]
+            totals.append(StreamTotal(unit=s.unit, signal=s.signal, epoch=epoch, samples=samples))
         uid = _uid("ended", run, *(str(epoch) for epoch in epochs.values()))
-        return RunEnded(run=run, t_ns=self._last_ns(run), uid=uid, totals=totals)
+        return RunEnded(run=run, t_ns=self._last_ns(run), uid=uid, totals=tuple(totals))
+
+    def _first_ns(self, run: str) -> int:
+        return min(signal.sampling.t_first_ns for signal in self._of[run])
 
     def _last_ns(self, run: str) -> int:
-        return max(signal.sampling.t_last_ns for signal in self._of(run))
+        return max(signal.sampling.t_last_ns for signal in self._of[run])
 
 
 def _following(new: UnitMounted, last: UnitMounted | None) -> UnitMounted | None:
@@ -362,11 +272,6 @@ def counted(knowledge: Knowledge, sendings: Sequence[FileSending], where: str) -
 
 def _held(knowledge: Knowledge, runs: list[str]) -> Counter[_Name]:
     return Counter({(each.unit, each.run, each.signal): each.samples for each in knowledge.signals(runs)})
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _uid(*parts: str) -> str:

@@ -2,19 +2,20 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
-from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, SendingGroup, counted
+from ingest.importing.file_sending import CheckedFile, FileSending, SendingGroup, counted
+from ingest.importing.result import FileImport
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
-from ingest.tables.sample_file import SampleFile, TableSummary
 from storage.recording.client import HeldClaim, RecorderClient
-from storage.recording.knowledge import CatalogKnowledge
+from storage.recording.knowledge import CatalogKnowledge, Knowledge
 from storage.sql.catalog import Catalog
 from storage.store import Store
-from stream.delivery.publisher import DurablePublisher
+from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import StoreError
 from stream.identity import Place
 from stream.transport.zenoh_bus import ZenohBus
@@ -24,7 +25,6 @@ FileProgress = Callable[[Path, float], None]
 
 # an import needs few intermediate estimates: 24 for a day of samples, and one at its end
 _ESTIMATE_EVERY_S = 3600.0
-_NOTHING: Mapping[str, str] = {}
 
 
 def import_files(
@@ -35,7 +35,7 @@ def import_files(
     connect: str | None = None,
     listen: Sequence[str] = (),
     units: Sequence[UnitEntry] = (),
-    about: Mapping[str, str] = _NOTHING,
+    about: Mapping[str, str] = MappingProxyType({}),
     restates: bool = False,
     estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     progress: FileProgress | None = None,
@@ -43,100 +43,82 @@ def import_files(
     """Import checked files into a store; yields their results in the same order.
 
     Files of different units or runs go through one recorder in this process, so that hundreds of small files cost
-    little more than one large one. All of them are compared with the store before the first is sent.
-
-    Parameters
-    ----------
-    folder: The store, unless `connect` is the endpoint of a recorder in another process.
-    listen: Endpoints for subscribers (recorder in this process).
-    units: Product, lot, fixture and so on of units.
-    about: Details of the station, such as its latitude; also for runs that are stored already.
-    restates: Whether these replace the stored ones.
-    estimated: Signals that are estimated during the import (recorder in this process).
-    progress: Called with the file and the fraction of it that is sent.
-
-    Raises
-    ------
-    BadInput: If a file contradicts the store; nothing of its group is imported then.
-    StoreError: If the lake does not hold what was sent.
-    DeliveryError: If no recorder acknowledges it.
+    little more than one large one; all of them are compared with the store before the first is sent. With `connect` a
+    recorder in another process is used; that of this process lets subscribers connect at the endpoints `listen`, and
+    estimates signals. `units` have product, lot, fixture and so on; `about` has details of the station, also for runs
+    that are stored already, which it `restates`. `progress` gets the file and the fraction of it that is sent. Raises
+    BadInput if a file contradicts the store; nothing of its group is imported then; StoreError if the lake does not
+    hold what was sent; DeliveryError if no recorder acknowledges it.
     """
     make = partial(FileSending, place=place, entries=units, about=about, restates=restates)
-    for group in _groups(checked, make):
+    for group in _groups(map(make, checked)):
         if connect is not None:
             yield from _sent_to_recorder(group, folder, connect, progress)
-            continue
-        yield from _sent_embedded(group, folder, listen, estimated, progress)
+        else:
+            yield from _sent_embedded(group, folder, listen, estimated, progress)
 
 
-def _groups(
-    checked: Sequence[CheckedFile], make: Callable[[Path, SampleFile, TableSummary], FileSending]
-) -> Iterator[list[tuple[CheckedFile, FileSending]]]:
+def _groups(sendings: Iterable[FileSending]) -> Iterator[list[FileSending]]:
     """Files in groups without two of one unit and run: the second must be compared with the first one stored."""
-    group: list[tuple[CheckedFile, FileSending]] = []
+    group: list[FileSending] = []
     owners: set[tuple[str, str]] = set()
     shared = SendingGroup()
-    for each in checked:
-        sending = make(each.path, each.file, each.summary)
-        if owners & sending.owners:
+    for sending in sendings:
+        if not owners.isdisjoint(sending.owners):
             yield group
             group, owners, shared = [], set(), SendingGroup()
         sending.join(shared)
-        group.append((each, sending))
-        owners |= sending.owners
+        group.append(sending)
+        owners.update(sending.owners)
     if group:
         yield group
 
 
+def _send(group: Sequence[FileSending], knowledge: Knowledge, sender: Sender, progress: FileProgress | None) -> None:
+    """Compare all files with the store, then send them."""
+    for each in group:
+        each.compare(knowledge)
+    for each in group:
+        began = time.monotonic()
+        each.send(sender, None if progress is None else partial(progress, each.path))
+        each.spent_s += time.monotonic() - began
+
+
 def _sent_embedded(
-    group: Sequence[tuple[CheckedFile, FileSending]],
-    folder: Path,
-    listen: Sequence[str],
-    estimated: EstimatedSignals,
+    group: Sequence[FileSending], folder: Path, listen: Sequence[str], estimated: EstimatedSignals,
     progress: FileProgress | None,
-) -> Iterator[FileImport]:
+) -> Iterator[FileImport]:  # fmt: skip
     began = time.monotonic()
-    own_s = []
     with EmbeddedPipeline(
         folder, "gyrofleet import", listen=listen, estimate_every_s=_ESTIMATE_EVERY_S, estimated=estimated
     ) as pipeline:
         recovered = tuple(each.segment for each in pipeline.recovered)
         pipeline.recorder.wait_for_lake()
         with Catalog(pipeline.store) as catalog:
-            for _, sending in group:
-                sending.compare(CatalogKnowledge(catalog))
-            for each, sending in group:
-                sent_at = time.monotonic()
-                sending.send(pipeline, None if progress is None else partial(progress, each.path))
-                own_s.append(each.checking_s + time.monotonic() - sent_at)
+            _send(group, CatalogKnowledge(catalog), pipeline, progress)
         pipeline.finish()
     with Catalog(pipeline.store) as catalog:
-        in_lake = counted(CatalogKnowledge(catalog), [sending for _, sending in group], str(pipeline.store.log))
-    yield from _results(group, in_lake, own_s, began, recovered)
+        in_lake = counted(CatalogKnowledge(catalog), group, str(pipeline.store.log))
+    yield from _results(group, in_lake, began, recovered)
 
 
 def _results(
-    group: Sequence[tuple[CheckedFile, FileSending]],
-    in_lake: Counter[tuple[str, str, str]],
-    own_s: Sequence[float],
-    began: float,
-    recovered: tuple[str, ...] = (),
+    group: Sequence[FileSending], in_lake: Counter[tuple[str, str, str]], began: float, recovered: tuple[str, ...] = ()
 ) -> Iterator[FileImport]:
     """Result of each file; the time that all took together is divided among them."""
-    spent_s = sum(own_s) - sum(each.checking_s for each, _ in group)
-    shared_s = (time.monotonic() - began - spent_s) / len(group)
-    for number, (_, sending) in enumerate(group):
-        yield sending.result(in_lake, own_s[number] + shared_s, recovered if number == 0 else ())
+    sent_s = sum(each.spent_s - each.checking_s for each in group)
+    shared_s = (time.monotonic() - began - sent_s) / len(group)
+    for number, sending in enumerate(group):
+        yield sending.result(in_lake, sending.spent_s + shared_s, recovered if number == 0 else ())
 
 
 def _sent_to_recorder(
-    group: Sequence[tuple[CheckedFile, FileSending]], folder: Path, connect: str, progress: FileProgress | None
+    group: Sequence[FileSending], folder: Path, connect: str, progress: FileProgress | None
 ) -> Iterator[FileImport]:
     """Send files to a recorder in another process, compared with its own store."""
     began = time.monotonic()
-    own_s = []
-    owners = {owner for _, sending in group for owner in sending.owners}
-    names = ", ".join(each.path.name for each, _ in group[:3])
+    owners = {owner for each in group for owner in each.owners}
+    names = ", ".join(each.path.name for each in group[:3])
     with ZenohBus(connect=[connect]) as bus:
         client = RecorderClient(bus, wanted=_identity(folder))
         with (
@@ -145,16 +127,11 @@ def _sent_to_recorder(
         ):
             claim.on_loss = publisher.fail
             client.settle()
-            for _, sending in group:
-                sending.compare(client)
-            for each, sending in group:
-                sent_at = time.monotonic()
-                sending.send(publisher, None if progress is None else partial(progress, each.path))
-                own_s.append(each.checking_s + time.monotonic() - sent_at)
+            _send(group, client, publisher, progress)
             publisher.drain()
             client.settle()
-            in_lake = counted(client, [sending for _, sending in group], f"the log of the recorder at {connect}")
-    yield from _results(group, in_lake, own_s, began)
+            in_lake = counted(client, group, f"the log of the recorder at {connect}")
+    yield from _results(group, in_lake, began)
 
 
 def _identity(folder: Path) -> str | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge, KnownStep
-from stream.batch import BoolArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
 
 _Name = tuple[str, str, str]
@@ -20,26 +20,21 @@ class StoredSamples:
     """The samples that a store and a file have in common."""
 
     def __init__(self, knowledge: Knowledge, path: Path, summary: TableSummary) -> None:
-        self._knowledge = knowledge
-        self._path = path
-        self._summary = summary
+        self._knowledge, self._path, self._summary = knowledge, path, summary
         self._signals: dict[_Name, SignalSummary] = {(s.unit, s.run, s.signal): s for s in summary.signals}
-        self._stored: dict[_Name, tuple[str, int, int]] = {}
         names = sorted({s.run for s in summary.signals})
-        for known in knowledge.signals(names):
-            if (known.unit, known.run, known.signal) in self._signals:
-                stored = (known.unit_of_measure, known.t_first_ns, known.t_last_ns)
-                self._stored[known.unit, known.run, known.signal] = stored
+        self._stored = {
+            (known.unit, known.run, known.signal): (known.unit_of_measure, known.t_first_ns, known.t_last_ns)
+            for known in knowledge.signals(names)
+        }
         self.known = knowledge.runs(names)
         self.runs, self.open_runs = self.known.dated, set(self.known.open)
 
     def check(self, file: SampleFile) -> Counter[_Name]:
         """Compare the file with the store sample by sample; returns how many of each signal are stored already.
 
-        Raises
-        ------
-        BadInput: If a signal is stored in another unit of measure, a run has another clock, or a sample lies where the
-            store has a different one.
+        Raises BadInput if a signal is stored in another unit of measure, a run has another clock, or a sample lies
+        where the store has a different one.
         """
         for name, summary in self._signals.items():
             self._check_alike(name, summary)
@@ -100,17 +95,9 @@ class StoredSamples:
             self._refuse(chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after])
         return int(same_time.sum())
 
-    def _refuse(
-        self,
-        chunk: SignalChunk,
-        at: int,
-        count: int,
-        stored_ns: IntArray,
-        stored: np.ndarray[tuple[int], np.dtype[np.float64]],
-    ) -> None:
-        has = f"{stored[at]:.9g}" + (
-            "" if stored_ns[at] == chunk.times_ns[at] else f" at {self._moment(stored_ns[at])}"
-        )
+    def _refuse(self, chunk: SignalChunk, at: int, count: int, stored_ns: IntArray, stored: FloatArray) -> None:
+        moment = "" if stored_ns[at] == chunk.times_ns[at] else f" at {self._moment(stored_ns[at])}"
+        has = f"{stored[at]:.9g}{moment}"
         raise BadInput(
             f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} with "
             f"other values: at {self._moment(chunk.times_ns[at])} the file has {chunk.data[at]:.9g}, the store {has} "

@@ -30,48 +30,27 @@ class Reading(NamedTuple):
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of every instrument's table in `station.toml`; subclasses add their own.
+    """Options of every instrument's table in `station.toml`; subclasses add their own."""
 
-    Parameters
-    ----------
-    sample_interval_s: Interval between readings, seconds at the station.
-    calibration_due: Day on which its calibration ends, as 2027-03-31.
-    """
-
-    sample_interval_s: float = 1.0
-    calibration_due: str | None = None
+    sample_interval_s: float = 1.0  # interval between readings, seconds at the station
+    calibration_due: str | None = None  # day on which its calibration ends, as 2027-03-31
     serial: str = ""
 
 
 class Instrument(ABC):
     """One instrument; its methods are called from one thread at a time, under `lock` where several threads use it.
 
-    They raise InstrumentError if it cannot be reached, is another one, or refuses.
-
-    Parameters
-    ----------
-    name: Its name at the station; its samples are those of a unit of this name.
-    options: Its table in `station.toml`.
-
-    Attributes
-    ----------
-    kind: Its name in station files.
-    names: Its names, ``en`` and ``zh``.
-    options_type: The `Options` that it takes.
-    settings: What can be set, with units of measure: ``{"rate": "deg/s"}``.
-    signals: What it measures, with units of measure.
+    They raise InstrumentError if it cannot be reached, is another one, or refuses. Its samples are of a unit `name`.
     """
 
-    kind: ClassVar[str]
-    names: ClassVar[Mapping[str, str]]
-    options_type: ClassVar[type[Options]] = Options
-    settings: ClassVar[Mapping[str, str]] = NOTHING
-    signals: ClassVar[Mapping[str, str]] = NOTHING
+    kind: ClassVar[str]  # its name in station files
+    names: ClassVar[Mapping[str, str]]  # its names, ``en`` and ``zh``
+    options_type: ClassVar[type[Options]] = Options  # the `Options` that it takes
+    settings: ClassVar[Mapping[str, str]] = NOTHING  # what can be set, with units of measure: ``{"rate": "deg/s"}``
+    signals: ClassVar[Mapping[str, str]] = NOTHING  # what it measures, with units of measure
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
-        self.name = name
-        self.options = options
-        self.clock = clock
+        self.name, self.options, self.clock = name, options, clock
         self.lock = threading.RLock()
 
     @abstractmethod

@@ -8,17 +8,11 @@ from stream.errors import BadInput
 
 
 class PowerSupplyOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Table of a power supply.
+    """Table of a power supply."""
 
-    Parameters
-    ----------
-    max_voltage_v, max_current_a: Largest settings, those of the gyros rather than of the supply.
-    band_v, stable_s: A voltage has settled when it is measured within `band_v` of its setting for `stable_s`.
-    """
-
-    max_voltage_v: float
+    max_voltage_v: float  # that of the gyros rather than of the supply
     max_current_a: float
-    band_v: float = 0.05
+    band_v: float = 0.05  # a voltage has settled when it is measured within this of its setting for `stable_s`
     stable_s: float = 0.0
 
 
@@ -26,16 +20,6 @@ class PowerSupply(ScpiInstrument):
     """Power supply; settings ``voltage``, ``current_limit`` and ``output``, which is 1 for on and 0 for off.
 
     A voltage settles only while the output is on, since it is measured. The safe state is off.
-
-    Examples
-    --------
-    >>> from ingest.station_clock import StationClock
-    >>> options = PowerSupplyOptions(resource="TCPIP::192.168.1.21::5025::SOCKET", max_voltage_v=6, max_current_a=3)
-    >>> supply = PowerSupply("PSU-1", options, StationClock())
-    >>> supply.set("voltage", 15.0)
-    Traceback (most recent call last):
-    stream.errors.InstrumentError: power supply PSU-1: voltage of 15 V is not within 0 to 6 V, which the station file \
-allows; nothing was sent
     """
 
     kind = "power_supply"

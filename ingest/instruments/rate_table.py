@@ -7,23 +7,14 @@ from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 
 
 class RateTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Table of a rate table.
+    """Table of a rate table."""
 
-    Parameters
-    ----------
-    max_rate_deg_per_s: Largest rate in both directions.
-    lowest_angle_deg, highest_angle_deg: Range of positions.
-    rate_band_deg_per_s, rate_band_fraction: A rate has settled when it is measured within the larger of the two of its
-        setting, the second being a fraction of the rate, for `stable_s`.
-    angle_band_deg: A position has settled when it is measured within this of its setting for `stable_s`.
-    """
-
-    max_rate_deg_per_s: float
+    max_rate_deg_per_s: float  # largest rate in both directions
     lowest_angle_deg: float = -360.0
     highest_angle_deg: float = 360.0
-    rate_band_deg_per_s: float = 0.005
-    rate_band_fraction: float = 1e-3
-    angle_band_deg: float = 0.01
+    rate_band_deg_per_s: float = 0.005  # a rate has settled when it is measured within the larger of this and of
+    rate_band_fraction: float = 1e-3  # this fraction of it for `stable_s`
+    angle_band_deg: float = 0.01  # a position has settled when it is measured within this of its setting for `stable_s`
     stable_s: float = 2.0
 
 
@@ -32,8 +23,6 @@ class RateTable(ScpiInstrument):
 
     Positive is anticlockwise seen from above: the rate vector points upwards. The safe state is at rest.
 
-    Examples
-    --------
     >>> from ingest.station_clock import StationClock
     >>> options = RateTableOptions(resource="TCPIP::192.168.1.22::5025::SOCKET", max_rate_deg_per_s=200)
     >>> table = RateTable("T1", options, StationClock())

@@ -23,75 +23,48 @@ _MOST_ERRORS = 20  # in its queue; after these the same answer would be repeated
 class ScpiOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of the table of any SCPI instrument.
 
-    Parameters
-    ----------
-    resource: VISA resource: ``TCPIP::192.168.1.20::5025::SOCKET``, ``TCPIP::192.168.1.20::INSTR``,
-        ``ASRL/dev/ttyUSB0::INSTR``.
-    backend: VISA library: ``@py`` is pyvisa-py, ``bench.yaml@sim`` a simulation; by default a vendor's library where
-        one is installed, else pyvisa-py.
-    timeout_s: Time to connect and to answer, seconds of the computer.
-    identity: Regular expression to be found in its answer to ``*IDN?``; empty for any answer, ``none`` for an
-        instrument without ``*IDN?``.
-    check_errors: Whether ``SYST:ERR?`` is asked after each command.
-    acknowledgement: Regular expression of the line with which it answers each command; empty if it does not.
-    read_termination, write_termination: End of an answer and of a command.
-    baud_rate: Of a serial line.
-    commands: Commands that differ from the default, by name.
-    answers: Regular expressions by the name of the query, whose first group is the number in its answer; by default
-        the answer is a number and nothing else.
+    `backend` is the VISA library: ``@py`` is pyvisa-py, ``bench.yaml@sim`` a simulation; by default a vendor's library
+    where one is installed, else pyvisa-py. `identity` is a regular expression to be found in its answer to ``*IDN?``:
+    empty for any answer, ``none`` for an instrument without ``*IDN?``. `answers` are regular expressions by the name of
+    the query, whose first group is the number; by default the answer is a number and nothing else.
     """
 
-    resource: str
+    resource: str  # ``TCPIP::192.168.1.20::5025::SOCKET``, ``TCPIP::192.168.1.20::INSTR``, ``ASRL/dev/ttyUSB0::INSTR``
     backend: str = ""
-    timeout_s: float = 2.0
+    timeout_s: float = 2.0  # time to connect and to answer, seconds of the computer
     identity: str = ""
-    check_errors: bool = True
-    acknowledgement: str = ""
+    check_errors: bool = True  # whether ``SYST:ERR?`` is asked after each command
+    acknowledgement: str = ""  # regular expression of the line with which it answers each command; empty if it does not
     read_termination: str = "\n"
     write_termination: str = "\n"
-    baud_rate: int | None = None
-    commands: dict[str, str] = msgspec.field(default_factory=dict)
+    baud_rate: int | None = None  # of a serial line
+    commands: dict[str, str] = msgspec.field(default_factory=dict)  # commands that differ from the default, by name
     answers: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class ScpiAnswer(NamedTuple):
-    """An answer without its termination.
-
-    Attributes
-    ----------
-    t_ns: Middle between the query and its answer, on the station's clock.
-    round_trip_ns: Time between the query and its answer; the uncertainty of `t_ns` is half of it.
-    """
+    """An answer without its termination."""
 
     text: str
-    t_ns: int
-    round_trip_ns: int
+    t_ns: int  # middle between the query and its answer, on the station's clock
+    round_trip_ns: int  # time between the query and its answer; the uncertainty of `t_ns` is half of it
 
 
 class ScpiConnection:
     """One instrument behind a VISA resource.
 
-    A request that fails because the connection does is repeated once over a new connection, so every command must
-    be repeatable: ``RATE 10``, never ``RATE UP``. After a failure the connection is closed, so that a late answer is
-    never taken for that to the next query. The methods raise InstrumentError if it cannot be reached or refuses.
-
-    Parameters
-    ----------
-    who: Name of the instrument in messages: ``temperature chamber C1``.
-    prepare: Called after each connection, also a rebuilt one: an instrument that was off has lost its configuration.
-
-    Raises
-    ------
-    BadInput: If a regular expression of the options is invalid, or the time-out is not positive.
+    A request that fails because the connection does is repeated once over a new connection, so every command must be
+    repeatable: ``RATE 10``, never ``RATE UP``. After a failure the connection is closed, so that a late answer is never
+    taken for that to the next query. The methods raise InstrumentError if it cannot be reached or refuses. Raises
+    BadInput if a regular expression of the options is invalid, or the time-out is not positive. `prepare` is called
+    after each connection, also a rebuilt one: an instrument that was off has lost its configuration.
     """
 
     def __init__(
         self, who: str, options: ScpiOptions, clock: StationClock, prepare: Callable[[], None] | None = None
     ) -> None:
         self.who = f"{who} at {options.resource}"
-        self._options = options
-        self._clock = clock
-        self._prepare = prepare
+        self._options, self._clock, self._prepare = options, clock, prepare
         self._line: VisaLine | None = None
         self._is_wanted = False
         self._is_connecting = False
@@ -102,11 +75,6 @@ class ScpiConnection:
             raise BadInput(f"{self.who}: timeout_s is {options.timeout_s}: more than 0 and at most 600 s")
         for name in ("identity", "acknowledgement"):
             checked_pattern(f"{self.who}: {name}", getattr(options, name))
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether there is a connection at this moment."""
-        return self._line is not None
 
     def open(self) -> str:
         """Connect; returns the answer to ``*IDN?``."""

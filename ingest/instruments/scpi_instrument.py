@@ -13,16 +13,8 @@ from stream.errors import BadInput, InstrumentError
 
 
 class Settling:
-    """Settled once every measurement of a time lies inside a band.
+    """Settled once every measurement of `stable_s` lies inside a band; at 0 s, one measurement is enough.
 
-    Parameters
-    ----------
-    target: The setting.
-    band: Largest distance from it.
-    stable_s: Time inside the band; at 0, one measurement inside it is enough.
-
-    Examples
-    --------
     >>> settling = Settling(target=40.0, band=0.5, stable_s=60.0)
     >>> [settling.update(round(t_s * 1e9), deg_c) for t_s, deg_c in [(0, 39.0), (30, 39.6), (60, 39.9), (90, 40.1)]]
     [False, False, False, True]
@@ -33,8 +25,7 @@ class Settling:
     def __init__(self, target: float, band: float, stable_s: float) -> None:
         if not (band >= 0.0 and stable_s >= 0.0):
             raise BadInput(f"settled within {band} for {stable_s} s: neither can be negative")
-        self._target = target
-        self._band = band
+        self._target, self._band = target, band
         self._stable_ns = round(stable_s * 1e9)
         self._since_ns: int | None = None
 
@@ -43,31 +34,21 @@ class Settling:
         if not abs(value - self._target) <= self._band:
             self._since_ns = None
             return False
-        if self._since_ns is None:
-            self._since_ns = t_ns
+        self._since_ns = t_ns if self._since_ns is None else self._since_ns
         return t_ns - self._since_ns >= self._stable_ns
 
 
 class ScpiInstrument(Instrument):
     """An instrument behind a VISA resource; a subclass is mostly tables.
 
-    Attributes
-    ----------
-    commands: Its commands and queries by name, ``{value}`` being the value that is set; other braces name options. The
-        station file may replace each of them, or say "" for one that the instrument does not have.
-    set_by: Command of a setting; by default ``set_`` and its name.
-    settled_by: Query that measures a setting; by default that of its name, if there is one.
-    measured_by: Query of a signal.
-
-    Raises
-    ------
-    BadInput: If the station file has an unknown or invalid command.
+    In its commands and queries ``{value}`` is the value that is set, other braces name options. The station file may
+    replace each of them, or say "" for one that the instrument does not have; BadInput for an unknown or invalid one.
     """
 
-    commands: ClassVar[Mapping[str, str]] = NOTHING
-    set_by: ClassVar[Mapping[str, str]] = NOTHING
-    settled_by: ClassVar[Mapping[str, str]] = NOTHING
-    measured_by: ClassVar[Mapping[str, str]] = NOTHING
+    commands: ClassVar[Mapping[str, str]] = NOTHING  # commands and queries by name
+    set_by: ClassVar[Mapping[str, str]] = NOTHING  # command of a setting; by default ``set_`` and its name
+    settled_by: ClassVar[Mapping[str, str]] = NOTHING  # query that measures a setting; by default that of its name
+    measured_by: ClassVar[Mapping[str, str]] = NOTHING  # query of a signal
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
         super().__init__(name, options, clock)
@@ -75,10 +56,8 @@ class ScpiInstrument(Instrument):
         self._set_by = {what: self.set_by.get(what, f"set_{what}") for what in self.settings}
         self._settled_by = {what: what for what in self.settings if what in self.commands} | dict(self.settled_by)
         self._commands = self._checked_commands(options)
-        self._patterns = {
-            name: checked_pattern(f"{self.who}: answer {name}", options.answers.get(name, NUMBER))
-            for name in self.commands
-        }
+        answers = {name: options.answers.get(name, NUMBER) for name in self.commands}
+        self._patterns = {name: checked_pattern(f"{self.who}: answer {name}", each) for name, each in answers.items()}
         self._settling: dict[str, Settling] = {}
         self.connection = ScpiConnection(self.who, options, clock, self.prepare)
         for what in self.settings:

@@ -10,28 +10,18 @@ from stream.errors import BadInput
 
 
 class TemperatureChamberOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Table of a temperature chamber.
-
-    Parameters
-    ----------
-    lowest_deg_c, highest_deg_c: Range of settings.
-    band_deg_c, stable_s: A temperature has settled when it is measured within `band_deg_c` of its setting for
-        `stable_s`.
-    room_deg_c: Temperature of the safe state.
-    """
+    """Table of a temperature chamber."""
 
     lowest_deg_c: float = -40.0
     highest_deg_c: float = 85.0
-    band_deg_c: float = 0.5
+    band_deg_c: float = 0.5  # a temperature has settled when it is measured within this of its setting for `stable_s`
     stable_s: float = 600.0
-    room_deg_c: float = 25.0
+    room_deg_c: float = 25.0  # temperature of the safe state
 
 
 class TemperatureChamber(ScpiInstrument):
     """Temperature chamber; setting ``temperature``, signal ``chamber_temperature``, both in degC.
 
-    Examples
-    --------
     A manufacturer's own commands in the station file: ``[instruments.chamber.commands]``, ``set =
     "TEMP,S{value:.1f}"``; and where an answer holds more than the number, ``[instruments.chamber.answers]``,
     ``measure = "([^,]+),.*"``.

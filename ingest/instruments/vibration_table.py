@@ -11,39 +11,23 @@ from stream.errors import InstrumentError
 
 
 class VibrationTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Table of an angular-vibration table.
+    """Table of an angular-vibration table."""
 
-    Parameters
-    ----------
-    max_amplitude_deg_per_s: Largest amplitude of the rate.
-    lowest_frequency_hz, highest_frequency_hz: Range of frequencies.
-    frequency_band_fraction, amplitude_band_fraction: Settings have settled when they are measured within these
-        fractions of their values for `stable_s`.
-    amplitude_band_deg_per_s: Smallest band of the amplitude.
-    """
-
-    max_amplitude_deg_per_s: float
+    max_amplitude_deg_per_s: float  # largest amplitude of the rate
     lowest_frequency_hz: float = 0.1
     highest_frequency_hz: float = 500.0
-    frequency_band_fraction: float = 1e-3
-    amplitude_band_fraction: float = 0.01
-    amplitude_band_deg_per_s: float = 0.01
+    frequency_band_fraction: float = 1e-3  # settings have settled when they are measured within these fractions of
+    amplitude_band_fraction: float = 0.01  # their values for `stable_s`
+    amplitude_band_deg_per_s: float = 0.01  # smallest band of the amplitude
     stable_s: float = 1.0
 
 
 class VibrationTable(ScpiInstrument):
     """Angular-vibration table; settings ``frequency`` and ``amplitude`` (of the rate), signal ``table_rate``.
 
-    A sine of 100 Hz cannot be read one value at a time: ``trace`` fetches the controller's record since the last
-    query, as ``t0_ns,dt_ns,rate,rate,...`` with times in nanoseconds UTC of a controller whose clock is the
-    station's (PTP). Where the controller has no record, ``trace = ""`` reads single values. The safe state is an
-    amplitude of 0.
-
-    Examples
-    --------
-    >>> options = VibrationTableOptions(resource="TCPIP::192.168.1.23::5025::SOCKET", max_amplitude_deg_per_s=100)
-    >>> VibrationTable("V1", options, StationClock()).limits("amplitude")
-    (0.0, 100)
+    A sine of 100 Hz cannot be read one value at a time: ``trace`` fetches the controller's record since the last query,
+    as ``t0_ns,dt_ns,rate,rate,...`` with times in nanoseconds UTC of a controller whose clock is the station's (PTP).
+    Where the controller has no record, ``trace = ""`` reads single values. The safe state is an amplitude of 0.
     """
 
     kind = "vibration_table"

@@ -17,13 +17,6 @@ def resource_trouble(resource: str) -> str | None:
     """Why a text cannot be the name of a resource, and what to write; None where it can.
 
     A name without a colon may be an alias that a vendor's library knows.
-
-    Examples
-    --------
-    >>> resource_trouble("TCPI::192.168.1.20::5025::SOCKET")
-    "VISA knows no interface 'TCPI', did you mean TCPIP?"
-    >>> resource_trouble("TCPIP::192.168.1.20::5025::SOCKET"), resource_trouble("chamber")
-    (None, None)
     """
     if not resource.strip():
         return f"it is empty; write it as {_EXAMPLES}"
@@ -54,12 +47,7 @@ def _manager(backend: str) -> Any:
 
 
 class VisaLine:
-    """An open VISA resource.
-
-    Raises
-    ------
-    Exception: Of pyvisa, of the socket, or bare ones of pyvisa-py; the same holds for every method but `close`.
-    """
+    """An open VISA resource; all but `close` raise errors of pyvisa, of the socket, or bare ones of pyvisa-py."""
 
     def __init__(
         self, backend: str, resource: str, timeout_s: float, terminations: tuple[str, str], baud_rate: int | None

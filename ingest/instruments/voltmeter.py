@@ -10,28 +10,15 @@ from stream.errors import BadInput
 
 
 class VoltmeterOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Table of a digital voltmeter.
-
-    Parameters
-    ----------
-    nplc: Averaging time in mains cycles: 1 or more rejects the mains.
-    """
+    """Table of a digital voltmeter."""
 
     range_v: float = 10.0
-    nplc: float = 1.0
+    nplc: float = 1.0  # averaging time in mains cycles: 1 or more rejects the mains
     mains_hz: float = 50.0
 
 
 class Voltmeter(ScpiInstrument):
-    """Digital voltmeter; its signal is ``voltage`` in V, at the middle of its averaging time.
-
-    Examples
-    --------
-    >>> options = VoltmeterOptions(resource="TCPIP::192.168.1.20::5025::SOCKET", identity="344[67]1A", nplc=10)
-    >>> voltmeter = Voltmeter("DVM-1", options, StationClock())
-    >>> voltmeter.signals["voltage"]
-    'V'
-    """
+    """Digital voltmeter; its signal is ``voltage`` in V, at the middle of its averaging time."""
 
     kind = "voltmeter"
     names = MappingProxyType({"en": "digital voltmeter", "zh": "数字电压表"})

@@ -31,25 +31,16 @@ class Names(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A parameter that a user may choose.
-
-    Parameters
-    ----------
-    default: A whole number without a unit allows whole numbers only.
-    en, zh: Description.
-    source: The clause that gives its value, or refers to the product's specification.
-    unit: Unit of measure, as in the name's ending; empty for counts and words.
-    choices: The words that are possible, where it is a word.
-    """
+    """A parameter that a user may choose; a whole number without a unit as `default` allows whole numbers only."""
 
     default: int | float | str | tuple[int | float | str, ...]
     en: Text
     zh: Text
-    source: Text
-    unit: str = ""
+    source: Text  # the clause that gives its value, or refers to the product's specification
+    unit: str = ""  # unit of measure, as in the name's ending; empty for counts and words
     least: float | None = None
     most: float | None = None
-    choices: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()  # the words that are possible, where it is a word
 
 
 class Series(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -65,46 +56,26 @@ class Series(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     order: Literal["rising", "falling"] = "rising"
 
 
-class Item(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    rename={"over": "for", "overrides": "set", "items": "step"},
-):
+_ITEM_KEYS = {"over": "for", "overrides": "set", "items": "step"}
+
+
+class Item(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename=_ITEM_KEYS):
     """One `[[step]]`: a step, a loop over steps, or the use of another procedure.
 
-    Parameters
-    ----------
-    name: Name of the step in the data; of a loop, name of its part in estimates of time.
-    over: ``for``: the loop's variable, with its values in `values` or `series`.
-    values: Numbers, words, or tables with one value for each of several variables; ``"$parameter"`` for a list
-        parameter.
-    times: Number of repetitions; `$repeat` counts from 1 and is the step's `repeat`.
-    items: ``step``: the steps of the loop. Rate, temperature, position and so on of the loop are the defaults of the
-        steps in it.
-    use: Procedure whose steps are done, a ready one or a file beside this one, with `overrides` (``set``) as its
-        parameters.
-    rate_deg_per_s, temperature_deg_c, frequency_hz, amplitude_deg_per_s, angle_deg: Settings of the rate table, the
-        chamber and the angular-vibration table; omitted settings keep their values. A rate ends an angle, and an angle
-        a rate.
-    position, axis, phase: Words of the step in the data.
-    settle_s, record_s, warm_up_s, off_s: Seconds: dropped at the step's start, recorded after that, waited after
-        power-on, and without power.
-    power: ``off``, ``on``, or ``cycle`` (off for `off_s`, then on); ``none`` changes nothing.
-    prompt: Action that an operator performs and confirms before the step.
-    room: Whether it is the step at room temperature.
-    wait_settled: Settings that must have settled before the step; by default those that change.
+    `values` are numbers, words, or tables with one value for each of several variables, or ``"$parameter"`` for a list
+    parameter. Settings, times and words of a loop are the defaults of the steps in it. Settings that are left out keep
+    their values; a rate ends an angle, and an angle a rate. `wait_settled` has settings that must have settled before
+    the step; by default those that change.
     """
 
-    name: Text | None = None
-    over: Name | None = None
+    name: Text | None = None  # name of the step in the data; of a loop, name of its part in estimates of time
+    over: Name | None = None  # ``for``: the loop's variable, with its values in `values` or `series`
     values: tuple[int | float | str | dict[Name, int | float | str], ...] | str | None = None
     series: Series | None = None
-    times: Value | None = None
-    items: tuple["Item", ...] = ()
-    use: Text | None = None
-    overrides: dict[Name, Value] = {}
+    times: Value | None = None  # number of repetitions; `$repeat` counts from 1 and is the step's `repeat`
+    items: tuple["Item", ...] = ()  # ``step``: the steps of the loop
+    use: Text | None = None  # procedure whose steps are done: a ready one, or a file beside this one
+    overrides: dict[Name, Value] = {}  # ``set``: parameters of the procedure that is used
     rate_deg_per_s: Value | None = None
     temperature_deg_c: Value | None = None
     frequency_hz: Value | None = None
@@ -113,13 +84,13 @@ class Item(
     position: Text | None = None
     axis: Text | None = None
     phase: Text | None = None
-    settle_s: Value | None = None
-    record_s: Value | None = None
-    warm_up_s: Value | None = None
-    off_s: Value | None = None
-    power: str | None = None
-    prompt: Names | None = None
-    room: bool | None = None
+    settle_s: Value | None = None  # dropped at the step's start, seconds
+    record_s: Value | None = None  # recorded after that, seconds
+    warm_up_s: Value | None = None  # waited after power-on, seconds
+    off_s: Value | None = None  # without power, seconds
+    power: str | None = None  # ``off``, ``on``, or ``cycle`` (off for `off_s`, then on); ``none`` changes nothing
+    prompt: Names | None = None  # action that an operator performs and confirms before the step
+    room: bool | None = None  # whether it is the step at room temperature
     wait_settled: tuple[str, ...] | None = None
 
 
@@ -143,33 +114,16 @@ _KINDS: dict[str, type[msgspec.Struct]] = {
 
 
 def ready_names() -> tuple[str, ...]:
-    """Names of the procedures that come with gyrofleet.
-
-    Examples
-    --------
-    >>> "static_bias" in ready_names()
-    True
-    """
+    """Names of the procedures that come with gyrofleet."""
     folder = files("ingest").joinpath(_READY)
     return tuple(sorted(each.name.removesuffix(".toml") for each in folder.iterdir() if each.name.endswith(".toml")))
 
 
 def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[ProcedureFile, str, Path | None]:
-    """Read a procedure: a ready one by its name, or a file.
+    """The file of a procedure, its name for messages, and its folder, which is None for a ready procedure.
 
-    Parameters
-    ----------
-    name: Name of a ready procedure, or path of a file, which ends with ``.toml`` or holds a slash.
-    beside: Folder of relative paths.
-
-    Returns
-    -------
-    tuple
-        The file, its name for messages, and its folder, None of a ready procedure.
-
-    Raises
-    ------
-    BadInput: If there is none, or it cannot be read.
+    `name` is that of a ready procedure, or a path, relative to `beside`, that ends with ``.toml`` or holds a slash.
+    Raises BadInput if there is none, or it cannot be read.
     """
     text = str(name)
     if not isinstance(name, Path) and not text.endswith(".toml") and "/" not in text:
@@ -192,14 +146,9 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
 
 
 def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
-    r"""Read a procedure from TOML.
+    r"""Read a procedure from TOML; raises BadInput if it is none; the message names the file and the key, such as
+    ``$.step[2].settle_s``.
 
-    Raises
-    ------
-    BadInput: If it is none; the message names the file and the key, such as ``$.step[2].settle_s``.
-
-    Examples
-    --------
     >>> parse_procedure('name = "a"\nnames = {en = "A", zh = "甲"}\n[[step]]\nname = "s"\nrecrod_s = 1', "a.toml")
     Traceback (most recent call last):
     stream.errors.BadInput: a.toml: Object contains unknown field `recrod_s` - at `$.step[0]`, did you mean record_s?
@@ -222,13 +171,7 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
 
 
 def near_name(name: str, known: Iterable[str]) -> str:
-    """A question after the known name that `name` may be a mistyping of; empty where there is none.
-
-    Examples
-    --------
-    >>> near_name("statc_bias", ready_names()), near_name("x", ["rate"])
-    (', did you mean static_bias?', '')
-    """
+    """A question after the known name that `name` may be a mistyping of; empty where there is none."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean {near[0]}?" if near else ""
 

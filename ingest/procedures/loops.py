@@ -58,12 +58,10 @@ def rounds(item: Item, variables: Variables, where: str) -> Iterator[dict[str, S
 
 
 def _series(item: Item, variables: Variables, where: str) -> Iterator[float]:
-    assert item.series is not None
     asked = item.series
+    assert asked is not None
     given = {name: getattr(asked, name) for name in ("min", "max", "count", "room", "apart")}
-    numbers = {
-        name: number_of(value, variables, f"{where}.{name}") for name, value in given.items() if value is not None
-    }
+    numbers = {name: number_of(each, variables, f"{where}.{name}") for name, each in given.items() if each is not None}
     found = series(asked.kind, numbers, where)
     for value in found if asked.order == "rising" else reversed(found):
         yield value

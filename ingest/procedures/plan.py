@@ -45,19 +45,11 @@ class PlannedStep(msgspec.Struct, frozen=True, kw_only=True):
        drops, then `record_s`. Otherwise `settle_s` is only waited, and the step is not in the data.
 
     Units have power when the first step begins.
-
-    Parameters
-    ----------
-    number: Place in the procedure, from 1.
-    words: Its description in the data.
-    settings: New settings of instruments, in the units of `SETTINGS`.
-    part: The part of the procedure that it belongs to.
-    key: Its key in the file.
     """
 
-    number: int
-    words: StepWords
-    settings: dict[str, float] = {}
+    number: int  # place in the procedure, from 1
+    words: StepWords  # its description in the data
+    settings: dict[str, float] = {}  # new settings of instruments, in the units of `SETTINGS`
     settle_s: float = 0.0
     record_s: float = 0.0
     wait_settled: tuple[str, ...] = ()
@@ -65,8 +57,8 @@ class PlannedStep(msgspec.Struct, frozen=True, kw_only=True):
     off_s: float = 0.0
     warm_up_s: float = 0.0
     prompt: Names | None = None
-    part: str = ""
-    key: str = ""
+    part: str = ""  # the part of the procedure that it belongs to
+    key: str = ""  # its key in the file
 
     @property
     def is_recorded(self) -> bool:
@@ -126,10 +118,8 @@ class Planner:
     ) -> None:
         said = {**inherited, **_filled(item, variables, where)}
         settings = {name: float(said[field]) for field, name in _FIELDS.items() if field in said}  # type: ignore[arg-type]
-        times = {
-            name: self._seconds(said.get(name, 0.0), f"{where}.{name}")
-            for name in ("settle_s", "record_s", "warm_up_s")
-        }
+        names = ("settle_s", "record_s", "warm_up_s")
+        times = {name: self._seconds(said.get(name, 0.0), f"{where}.{name}") for name in names}
         power, off_s = self._power(item, variables, where)
         self._check_safe(item, where)
         changed = tuple(name for name, value in settings.items() if self._state.get(name) != value)
@@ -139,28 +129,18 @@ class Planner:
         self._state = {name: value for name, value in self._state.items() if ENDS.get(name) not in settings} | settings
         if power is not None:
             self._is_powered = power != "off"
-        if times["record_s"] > 0.0 and not self._is_powered:
-            raise BadInput(
-                f"{where}: records {times['record_s']:g} s while the units have no power; switch them on before"
-            )
+        if (record_s := times["record_s"]) > 0.0 and not self._is_powered:
+            raise BadInput(f"{where}: records {record_s:g} s while the units have no power; switch them on before")
         if len(self._steps) >= _MOST_STEPS:
             raise BadInput(f"{where}: more than {_MOST_STEPS:,} steps; look at the loops around it")
         self._steps.append(
             PlannedStep(
-                number=len(self._steps) + 1,
-                words=self._words(item, said, times["settle_s"], variables, where),
-                settings=settings,
-                settle_s=times["settle_s"],
-                record_s=times["record_s"],
-                wait_settled=wait,
-                power=power,
-                off_s=off_s,
-                warm_up_s=times["warm_up_s"],
-                prompt=_prompt(item, variables, where),
-                part=part,
-                key=key,
+                number=len(self._steps) + 1, words=self._words(item, said, times["settle_s"], variables, where),
+                settings=settings, settle_s=times["settle_s"], record_s=times["record_s"], wait_settled=wait,
+                power=power, off_s=off_s, warm_up_s=times["warm_up_s"], prompt=_prompt(item, variables, where),
+                part=part, key=key,
             )
-        )
+        )  # fmt: skip
 
     def _words(
         self, item: Item, said: dict[str, object], settle_s: float, variables: Variables, where: str
@@ -253,15 +233,9 @@ def _filled(item: Item, variables: Variables, where: str) -> dict[str, object]:
 def _prompt(item: Item, variables: Variables, where: str) -> Names | None:
     if item.prompt is None:
         return None
-    return Names(
-        en=text_of(item.prompt.en, variables, f"{where}.prompt.en"),
-        zh=text_of(item.prompt.zh, variables, f"{where}.prompt.zh"),
-    )
+    en, zh = (text_of(getattr(item.prompt, name), variables, f"{where}.prompt.{name}") for name in ("en", "zh"))
+    return Names(en=en, zh=zh)
 
 
 def _part_name(item: Item) -> str:
-    if item.name is not None:
-        return item.name
-    if item.use is not None:
-        return item.use
-    return f"for {item.over}" if item.over is not None else "repeats"
+    return item.name or item.use or (f"for {item.over}" if item.over is not None else "repeats")

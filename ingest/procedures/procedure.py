@@ -33,6 +33,7 @@ __all__ = [
 _MOST_NESTED = 8
 
 Choice = Scalar | tuple[Scalar, ...]
+Given = Mapping[str, str | Choice] | None
 
 
 class Requirement(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,33 +47,15 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Procedure:
-    """A procedure with its steps and parameters, and those of the procedures that it uses.
-
-    Attributes
-    ----------
-    source: The clauses that it follows.
-    """
+    """A procedure with its steps and parameters, and those of the procedures that it uses."""
 
     def __init__(self, file: ProcedureFile, used: Used, parameters: Mapping[str, Parameter]) -> None:
-        self.name = file.name
-        self.names = file.names
-        self.source = file.source
-        self.notes = file.notes
-        self.parameters = parameters
-        self._used = used
+        self.name, self.names, self.notes = file.name, file.names, file.notes
+        self.source = file.source  # the clauses that it follows
+        self.parameters, self._used = parameters, used
 
-    def chosen(self, given: Mapping[str, str | Choice] | None = None) -> dict[str, Choice]:
-        """Every parameter's value: as given, else its default; texts are read as the type of the default.
-
-        Raises
-        ------
-        BadInput: If there is no such parameter, or its value cannot be read or is out of bounds.
-
-        Examples
-        --------
-        >>> load_procedure("scale_factor").chosen({"max_rate_deg_per_s": "200"})["max_rate_deg_per_s"]
-        200.0
-        """
+    def chosen(self, given: Given = None) -> dict[str, Choice]:
+        """Every parameter's value, as given or its default; raises BadInput if it is none, or out of bounds."""
         values: dict[str, Choice] = {name: each.default for name, each in self.parameters.items()}
         for name, value in (given or {}).items():
             if name not in self.parameters:
@@ -80,29 +63,17 @@ class Procedure:
             values[name] = _read(self.parameters[name], value, f"procedure {self.name}: {name}")
         return values
 
-    def steps(self, parameters: Mapping[str, str | Choice] | None = None) -> tuple[PlannedStep, ...]:
-        """All steps in order, with values of parameters as in `chosen`.
+    def steps(self, parameters: Given = None) -> tuple[PlannedStep, ...]:
+        """All steps in order; raises BadInput, with file and key, if a parameter or a step is invalid.
 
-        Raises
-        ------
-        BadInput: If a parameter or a step is invalid; the message names the file and the key.
-
-        Examples
-        --------
         >>> steps = load_procedure("static_bias").steps({"bias_record_s": 7200})
         >>> [(each.words.step, each.record_s) for each in steps if each.is_recorded]
         [('static', 7200.0)]
         """
         return Planner(self.name).plan(self._used, self.chosen(parameters))
 
-    def requirements(self, parameters: Mapping[str, str | Choice] | None = None) -> tuple[Requirement, ...]:
-        """Settings that a station needs, with their ranges.
-
-        Examples
-        --------
-        >>> load_procedure("scale_factor").requirements()[0]
-        Requirement(setting='rate', unit='deg/s', least=-300.0, most=300.0, steps=24)
-        """
+    def requirements(self, parameters: Given = None) -> tuple[Requirement, ...]:
+        """Settings that a station needs, with their ranges."""
         found: dict[str, list[float]] = {}
         for step in self.steps(parameters):
             for name, value in step.settings.items():
@@ -113,14 +84,8 @@ class Procedure:
             if (values := found.get(name))
         )
 
-    def unmet(self, settings: Iterable[str], parameters: Mapping[str, str | Choice] | None = None) -> tuple[str, ...]:
-        """Sentences on what a station with these settings lacks; empty where it can do the procedure.
-
-        Examples
-        --------
-        >>> load_procedure("scale_factor").unmet(["temperature"])
-        ('24 steps set the rate, from -300 to 300 deg/s, and no instrument of the station has that setting',)
-        """
+    def unmet(self, settings: Iterable[str], parameters: Given = None) -> tuple[str, ...]:
+        """Sentences on what a station with these settings lacks; empty where it can do the procedure."""
         able = set(settings)
         return tuple(
             f"{each.steps} steps set the {each.setting}, from {each.least:g} to {each.most:g} {each.unit}, and no "
@@ -129,34 +94,18 @@ class Procedure:
             if each.setting not in able
         )
 
-    def spent(
-        self, rates: StationRates | None = None, parameters: Mapping[str, str | Choice] | None = None
-    ) -> dict[str, Spent]:
+    def spent(self, rates: StationRates | None = None, parameters: Given = None) -> dict[str, Spent]:
         """Time of each part at a station, see `spent_by_part`."""
         return spent_by_part(self.steps(parameters), rates or StationRates())
 
-    def duration_s(
-        self, rates: StationRates | None = None, parameters: Mapping[str, str | Choice] | None = None
-    ) -> float:
-        """Total time, seconds: power-off, ramps, warm-up, settling, recording and prompts.
-
-        Examples
-        --------
-        >>> load_procedure("static_bias").duration_s(StationRates(prompt_s=0.0))
-        5400.0
-        """
+    def duration_s(self, rates: StationRates | None = None, parameters: Given = None) -> float:
+        """Total time, seconds: power-off, ramps, warm-up, settling, recording and prompts."""
         return sum((each.total_s for each in self.spent(rates, parameters).values()), 0.0)
 
 
 def load_procedure(name: str | Path) -> Procedure:
-    """Read a ready procedure by its name, or a file, and check it with its defaults.
+    """Read a ready procedure by its name, or a file; raises BadInput if there is none, or it is invalid by default.
 
-    Raises
-    ------
-    BadInput: If there is none, or it is invalid; the message names the file and the key.
-
-    Examples
-    --------
     >>> load_procedure("static_bias").names.zh
     '零偏与零偏稳定性'
     """
@@ -194,10 +143,8 @@ def _with_used(
                     f"{where}: {name} is {parameter.default} in {other_source} and {before[0].default} in "
                     f"{before[1]}; say in [parameters.{name}] what it is here"
                 )
-    return (
-        Used(file.items, source, procedures),
-        {**file.parameters, **{name: parameter for name, (parameter, _) in theirs.items()}},
-    )
+    inherited = {name: parameter for name, (parameter, _) in theirs.items()}
+    return Used(file.items, source, procedures), {**file.parameters, **inherited}
 
 
 def _unknown(name: str, parameters: Mapping[str, Parameter]) -> str:
@@ -220,9 +167,8 @@ def _read_one(parameter: Parameter, like: Scalar, value: Scalar, where: str) -> 
         try:
             read = float(value)
         except ValueError as error:
-            raise BadInput(
-                f"{where}: {value!r} is no number{' in ' + parameter.unit if parameter.unit else ''}"
-            ) from error
+            unit = f" in {parameter.unit}" if parameter.unit else ""
+            raise BadInput(f"{where}: {value!r} is no number{unit}") from error
         if isinstance(like, int) and not parameter.unit:
             if not read.is_integer():
                 raise BadInput(f"{where}: {value} is no whole number")

@@ -14,8 +14,6 @@ def resume_index(steps: Sequence[PlannedStep], at: int) -> int:
     During the interruption the station was made safe, or left alone: the preparation of a record, a soak or a time
     without power, is repeated, unless it takes an operator.
 
-    Examples
-    --------
     >>> from ingest.procedures.procedure import load_procedure
     >>> steps = load_procedure("bias_temperature_sensitivity").steps()
     >>> [(each.number, each.words.step) for each in steps[1:5]]
@@ -36,8 +34,6 @@ def lasts_s(step: PlannedStep) -> float:
 def settings_before(steps: Sequence[PlannedStep], at: int) -> dict[str, float]:
     """Settings that hold when a step begins, without those that it replaces.
 
-    Examples
-    --------
     >>> from ingest.procedures.procedure import load_procedure
     >>> settings_before(load_procedure("scale_factor").steps(), 3), settings_before([], 0)
     ({'rate': 4.0}, {})
@@ -53,24 +49,15 @@ def _kept(held: dict[str, float], settings: dict[str, float]) -> dict[str, float
 
 
 class StationRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Rates at which a station changes its settings.
-
-    Parameters
-    ----------
-    angle_rate_deg_per_s: Rate of the table on the way to an angle.
-    chamber_deg_c_per_min: Mean ramp of the chamber.
-    room_deg_c: Temperature at the start.
-    prompt_s: Time of an operator for one prompt.
-    """
+    """Rates at which a station changes its settings."""
 
     table_acceleration_deg_per_s2: float = 50.0
-    angle_rate_deg_per_s: float = 20.0
-    chamber_deg_c_per_min: float = 2.0
-    room_deg_c: float = 23.0
-    prompt_s: float = 300.0
+    angle_rate_deg_per_s: float = 20.0  # rate of the table on the way to an angle
+    chamber_deg_c_per_min: float = 2.0  # mean ramp of the chamber
+    room_deg_c: float = 23.0  # temperature at the start
+    prompt_s: float = 300.0  # time of an operator for one prompt
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         for name in ("table_acceleration_deg_per_s2", "angle_rate_deg_per_s", "chamber_deg_c_per_min"):
             if not getattr(self, name) > 0.0:
                 raise BadInput(f"{name} of {getattr(self, name):g}: more than 0 is needed")
@@ -100,29 +87,15 @@ class Spent(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def spent_by_part(steps: Iterable[PlannedStep], rates: StationRates) -> dict[str, Spent]:
-    """Time of each part of a procedure, in order; `steps` are all steps, since ramps count from one to the next.
-
-    Examples
-    --------
-    >>> from stream.events import StepWords
-    >>> step = PlannedStep(number=1, words=StepWords(step="a"), settings={"rate": 100.0},
-    ...                    wait_settled=("rate",), record_s=10.0, part="a")
-    >>> spent_by_part([step], StationRates(table_acceleration_deg_per_s2=50.0))["a"].total_s
-    12.0
-    """
+    """Time of each part of a procedure, in order; `steps` are all steps, since ramps count from one to the next."""
     found: dict[str, Spent] = {}
     state = {"rate": 0.0, "temperature": rates.room_deg_c, "angle": 0.0}
     for step in steps:
         spent = Spent(
-            steps=1,
-            record_s=step.record_s,
-            settle_s=step.settle_s,
-            warm_up_s=step.warm_up_s,
-            off_s=step.off_s,
-            ramp_s=_ramp_s(state, step, rates),
-            prompt_s=rates.prompt_s if step.prompt is not None else 0.0,
+            steps=1, record_s=step.record_s, settle_s=step.settle_s, warm_up_s=step.warm_up_s, off_s=step.off_s,
+            ramp_s=_ramp_s(state, step, rates), prompt_s=rates.prompt_s if step.prompt is not None else 0.0,
             prompts=int(step.prompt is not None),
-        )
+        )  # fmt: skip
         state |= step.settings
         if "angle" in step.settings:
             state["rate"] = 0.0
@@ -137,11 +110,5 @@ def _ramp_s(state: dict[str, float], step: PlannedStep, rates: StationRates) -> 
         "temperature": rates.chamber_deg_c_per_min / 60.0,
         "angle": rates.angle_rate_deg_per_s,
     }
-    return max(
-        (
-            abs(step.settings[name] - state[name]) / speed[name]
-            for name in step.wait_settled
-            if name in step.settings and name in speed
-        ),
-        default=0.0,
-    )
+    waited = [name for name in step.wait_settled if name in step.settings and name in speed]
+    return max((abs(step.settings[name] - state[name]) / speed[name] for name in waited), default=0.0)

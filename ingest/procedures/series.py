@@ -26,13 +26,7 @@ _LEAST_TEMPERATURE_DEG_C = 10.0  # of the preferred numbers, whose steps below a
 
 
 def preferred_below(kind: str, most: float) -> list[float]:
-    """Preferred numbers up to `most`, in falling order, over all decades in use.
-
-    Examples
-    --------
-    >>> preferred_below("R5", 16.0)[:6]
-    [16.0, 10.0, 6.3, 4.0, 2.5, 1.6]
-    """
+    """Preferred numbers up to `most`, in falling order, over all decades in use."""
     top = min(math.floor(math.log10(most)) + 1, _MOST_EXPONENT)
     return [
         value
@@ -45,22 +39,12 @@ def preferred_below(kind: str, most: float) -> list[float]:
 def preferred_series(
     kind: str, most: float, *, count: int | None = None, least: float | None = None, given: str = "series"
 ) -> list[float]:
-    """The largest value and preferred numbers below it, in rising order.
+    """The largest value `most`, preferred number or not, and preferred numbers of `kind` below it, in rising order.
 
-    Parameters
-    ----------
-    kind: ``R5``, ``R10`` or ``R20``.
-    most: The largest value; always in the list, preferred number or not.
-    count, least: Number of values, or the smallest one: exactly one of them.
-    given: The series' key, for messages.
+    Exactly one of `count`, how many values, and `least`, the smallest, is given. `given` is the series' key, for
+    messages. GJB 2426A-2004 5.8.1.3 and JJF 2014-2022 7.2.1.1 b: the R5 series of GB/T 321, suitably rounded and evenly
+    thinned out, with the largest input rate.
 
-    Notes
-    -----
-    GJB 2426A-2004 5.8.1.3 and JJF 2014-2022 7.2.1.1 b: the R5 series of GB/T 321, suitably rounded and evenly thinned
-    out, with the largest input rate.
-
-    Examples
-    --------
     >>> preferred_series("R5", 300.0, count=5)
     [63.0, 100.0, 160.0, 250.0, 300.0]
     >>> preferred_series("R5", 255.0, least=40.0)
@@ -86,18 +70,10 @@ def preferred_series(
 def temperature_points(least: float, most: float, room: float, apart: float, given: str = "series") -> list[float]:
     """Temperature points: both ends of the range of use and preferred numbers of R5 between them.
 
-    Parameters
-    ----------
-    room: Room temperature, deg C; measured separately and not in the list.
-    apart: Least distance between two points, and to the room's, deg C.
-
-    Notes
-    -----
+    Room temperature is measured separately; the points are at least `apart` from it and from each other, all in deg C.
     GJB 2426A-2004 5.8.5.3 and 5.12.4.3, JJF 2014-2022 7.2.5.1 b and 7.2.16.1 a: points by the R5 series of GB/T 321,
     suitably and evenly chosen over the range of use, with room temperature among them.
 
-    Examples
-    --------
     >>> temperature_points(-40.0, 60.0, room=23.0, apart=10.0)
     [-40.0, -25.0, -10.0, 10.0, 40.0, 60.0]
     """
@@ -106,10 +82,9 @@ def temperature_points(least: float, most: float, room: float, apart: float, giv
     if not 0.0 < apart < math.inf:
         raise BadInput(f"{given}: apart {apart:g} deg C is not positive")
     taken = [each for each in (least, most) if abs(each - room) >= apart]
-    magnitudes = [
-        each for each in preferred_below("R5", max(abs(least), abs(most))) if each >= _LEAST_TEMPERATURE_DEG_C
-    ]
-    for magnitude in magnitudes:
+    for magnitude in preferred_below("R5", max(abs(least), abs(most))):
+        if magnitude < _LEAST_TEMPERATURE_DEG_C:
+            break
         for value in (magnitude, -magnitude):
             if least < value < most and all(abs(value - other) >= apart for other in (*taken, room)):
                 taken.append(value)
@@ -117,13 +92,7 @@ def temperature_points(least: float, most: float, room: float, apart: float, giv
 
 
 def log_series(least: float, most: float, count: int, given: str = "series") -> list[float]:
-    """`count` values in equal ratios from `least` to `most`.
-
-    Examples
-    --------
-    >>> log_series(10.0, 1000.0, 3)
-    [10.0, 100.0, 1000.0]
-    """
+    """`count` values in equal ratios from `least` to `most`."""
     if not 0.0 < least < most < math.inf or count < 2:
         raise BadInput(f"{given}: equal ratios need 0 < min < max and count of at least 2")
     ratio = math.log(most / least) / (count - 1)
@@ -131,13 +100,7 @@ def log_series(least: float, most: float, count: int, given: str = "series") -> 
 
 
 def linear_series(least: float, most: float, count: int, given: str = "series") -> list[float]:
-    """`count` values in equal steps from `least` to `most`.
-
-    Examples
-    --------
-    >>> linear_series(0.0, 330.0, 12)[:3]
-    [0.0, 30.0, 60.0]
-    """
+    """`count` values in equal steps from `least` to `most`."""
     if not least < most or count < 2:
         raise BadInput(f"{given}: equal steps need min < max and count of at least 2")
     return [least, *(_rounded(least + (most - least) * i / (count - 1)) for i in range(1, count - 1)), most]
@@ -155,15 +118,9 @@ _TAKEN = {"log": (), "linear": (), "temperatures": ("apart",)}
 def series(kind: Kind, numbers: dict[str, float], given: str = "series") -> list[float]:
     """The list of a `series` table of a procedure, in rising order.
 
-    Parameters
-    ----------
-    kind: ``R5``, ``R10``, ``R20`` (`max` with `count` or `min`), ``log`` or ``linear`` (`min`, `max`, `count`),
-        ``temperatures`` (`min`, `max`, `room`, and `apart`, 10 deg C by default).
-    numbers: Its numbers by name.
-    given: Its key, for messages.
+    Its `numbers` are, for ``R5``, ``R10``, ``R20``, `max` with `count` or `min`; for ``log`` and ``linear`` `min`,
+    `max` and `count`; for ``temperatures`` `min`, `max`, `room`, and `apart`, 10 deg C by default.
 
-    Examples
-    --------
     >>> series("R5", {"max": 10.0, "count": 3.0})
     [4.0, 6.3, 10.0]
     """

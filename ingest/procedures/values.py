@@ -21,17 +21,10 @@ _NAME = re.compile(r"\$([a-z][a-z0-9_]*)")
 
 
 def number_of(value: Scalar | bool, variables: Variables, where: str) -> float:
-    """The number that a value stands for.
+    """The number that a value stands for: itself, or sums and products of numbers and `$name`.
 
-    Parameters
-    ----------
-    value: A number, or sums and products of numbers and `$name`, such as ``"-0.1 * $max_rate_deg_per_s"``; products
-        before sums, without brackets and functions.
-    variables: Parameters and loop variables by name.
-    where: File and key, for messages.
+    Products go before sums; there are no brackets and functions. `where` is file and key, for messages.
 
-    Examples
-    --------
     >>> number_of("$base + 0.5 * $step", {"base": 10.0, "step": 4.0}, "x.toml: $.step[0].rate_deg_per_s")
     12.0
     """
@@ -88,26 +81,14 @@ def variable(name: str, variables: Variables, where: str) -> Scalar | tuple[Scal
 
 
 def text_of(value: str, variables: Variables, where: str) -> str:
-    """A text with its names in braces replaced by their values; ``$name`` alone is replaced too.
-
-    Examples
-    --------
-    >>> text_of("{axis} up at {rate} deg/s", {"axis": "X", "rate": 10.0}, "x.toml: $.step[0].name")
-    'X up at 10 deg/s'
-    """
+    """A text with its names in braces replaced by their values; ``$name`` alone is replaced too."""
     if (found := _NAME.fullmatch(value)) is not None:
         return shown(variable(found[1], variables, where))
     return _PLACE.sub(lambda place: shown(variable(place[1], variables, where)), value)
 
 
 def shown(value: Scalar | tuple[Scalar, ...]) -> str:
-    """A value as a text.
-
-    Examples
-    --------
-    >>> shown((0.5, 10.0, "X"))
-    '0.5, 10, X'
-    """
+    """A value as a text."""
     if isinstance(value, tuple):
         return ", ".join(shown(each) for each in value)
     return value if isinstance(value, str) else f"{value:.10g}"

@@ -2,22 +2,86 @@
 
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import msgspec
 
-from ingest.run.run_state import RUN_FILE, RunParameters, RunState, begin_run, read_run
-from ingest.run_record import Outcome, RunRecord, document_uid
+from ingest.moment import moment_ns
+from ingest.run_record import Outcome, Phase, RunRecord, document_uid, read_state, write_state
 from ingest.simulator.demo_fleet import station_fleet
 from ingest.simulator.station import PowerCycle, SimulatedStation
-from ingest.state_file import write_state
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
+from stream.errors import BadInput
 from stream.events import NoteAdded, PowerOn, RunEnded, RunResumed, RunStarted, StepEnded, StepStarted, StepWords
 from stream.identity import Place, sample_key
 from stream.wire.acknowledgement import StreamId
 
 Clock = Callable[[], int]
+
+RUN_FILE = "run.json"
+_FORMAT = 1
+
+
+class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a run was started with; `speed` 0 is as fast as possible, `start` the moment of its first samples."""
+
+    simulate: int
+    rate_hz: float
+    batch: int
+    hours: float
+    speed: float
+    seed: int
+    site: str
+    station: str
+    procedure: str | None = None
+    position: str | None = None
+    operator: str | None = None
+    lot: str | None = None
+    start: str | None = None
+
+
+class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run as it stands."""
+
+    format: int = _FORMAT
+    run: str  # its id
+    parameters: RunParameters  # what it was started with
+    began_ns: int  # the station's clock when it was started
+    t0_ns: int  # time of its first sample
+    starts: int = 1  # how many processes have worked on it
+    power_cycles: tuple[PowerCycle, ...] = msgspec.field(name="power_ups")  # as written by earlier versions
+    phase: Phase = "starting"
+    outcome: Outcome = "completed"
+
+
+def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
+    """A run that starts now, or at `start`, so that no sample lies in the future; raises BadInput if it is none."""
+    duration_ns = round(parameters.hours * 3600e9)
+    lasts_ns = round(duration_ns / parameters.speed) if parameters.speed else 0
+    t0_ns = now_ns - max(0, duration_ns - lasts_ns) if parameters.start is None else moment_ns(parameters.start)
+    return RunState(run=run, parameters=parameters, began_ns=now_ns, t0_ns=t0_ns, power_cycles=(PowerCycle(0, t0_ns),))
+
+
+def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | None:
+    """The run kept in a folder, None without one; raises BadInput if it is another, StoreError if unreadable."""
+    state = read_state(folder / RUN_FILE, RunState)
+    if state is None:
+        return None
+    if state.run != run:
+        raise BadInput(f"{folder} is the spool of run {state.run}, not of {run}: give --spool another folder")
+    others = [
+        f"--{name.replace('_', '-')} was {was!r}, now {getattr(parameters, name)!r}"
+        for name, was in msgspec.structs.asdict(state.parameters).items()
+        if was != getattr(parameters, name)
+    ]
+    if others:
+        raise BadInput(
+            f"run {state.run} was started with other options: {'; '.join(others)}; give the same command again, or "
+            "another --run"
+        )
+    return state
 
 
 class LiveRun(RunRecord[RunState]):
@@ -25,32 +89,18 @@ class LiveRun(RunRecord[RunState]):
 
     Everything that is sent goes through the spool, so that the spool knows how far each signal is. A run at a pace that
     was interrupted has lost what the station would have measured meanwhile: it resumes with a new power-on. A run
-    without a pace resumes with the next sample.
-
-    Parameters
-    ----------
-    run: Its id.
-    parameters: What it is started with; a run that is resumed, with the same.
-    spool: Keeps what is sent until it is recorded.
-    clock_ns: The station's clock.
-
-    Raises
-    ------
-    BadInput: If it was started with other parameters.
-    StoreError: If its state cannot be read or written.
+    without a pace resumes with the next sample. Raises BadInput if it was started with other parameters; StoreError if
+    its state cannot be read or written.
     """
 
     def __init__(self, run: str, parameters: RunParameters, spool: Spool, clock_ns: Clock = time.time_ns) -> None:
-        found = read_run(spool.folder, run, parameters)
-        file = spool.folder / RUN_FILE
+        found, file = read_run(spool.folder, run, parameters), spool.folder / RUN_FILE
         state = found or write_state(file, begin_run(run, parameters, clock_ns()))
         super().__init__(state, file, spool, Place(parameters.site, parameters.station))
-        self.folder = spool.folder
-        self.is_resumed = found is not None
-        self.gap_ns = 0
+        self.folder, self.is_resumed, self.gap_ns = spool.folder, found is not None, 0
         self._clock_ns = clock_ns
-        fleet = station_fleet(parameters.simulate, parameters.rate_hz, parameters.seed)
         self._name = _name(state)
+        fleet = station_fleet(parameters.simulate, parameters.rate_hz, parameters.seed)
         self._station = SimulatedStation(fleet, self._name, batch=parameters.batch)
         self.units = list(fleet.units)
         self._end_ns = state.t0_ns + round(parameters.hours * 3600e9)
@@ -69,17 +119,11 @@ class LiveRun(RunRecord[RunState]):
             parameters = self.state.parameters
             self._send(
                 RunStarted(
-                    run=self.state.run,
-                    t_ns=self.state.t0_ns,
-                    uid=self._uid("started"),
-                    simulated=True,
-                    source=f"simulated station, seed {parameters.seed}",
-                    units=tuple(self.units),
-                    procedure=parameters.procedure,
-                    operator=parameters.operator,
-                    lot=parameters.lot,
+                    run=self.state.run, t_ns=self.state.t0_ns, uid=self._uid("started"), simulated=True,
+                    source=f"simulated station, seed {parameters.seed}", units=tuple(self.units),
+                    procedure=parameters.procedure, operator=parameters.operator, lot=parameters.lot,
                 )
-            )
+            )  # fmt: skip
         if self.is_resumed:
             self._resume()
         if self.is_resumed and self.state.parameters.speed == 0 and self.state.phase == "running":
@@ -131,9 +175,7 @@ class LiveRun(RunRecord[RunState]):
         self._save(phase="ended")
 
     def _resume(self) -> None:
-        state = self.state
-        starts = state.starts + 1
-        measured_until = self._measured_until()
+        state, measured_until = self.state, self._measured_until()
         power_cycles, now_ns = state.power_cycles, measured_until
         if state.parameters.speed:
             self._end_steps(measured_until)
@@ -141,8 +183,8 @@ class LiveRun(RunRecord[RunState]):
             now_ns = min(max(on_its_clock, measured_until), self._end_ns)
             power_cycles = (*power_cycles, PowerCycle(len(power_cycles), now_ns))
         self.gap_ns = now_ns - measured_until
-        self._save(starts=starts, power_cycles=power_cycles)
-        reason, uid = "the source was interrupted", self._uid("resumed", starts)
+        self._save(starts=state.starts + 1, power_cycles=power_cycles)
+        reason, uid = "the source was interrupted", self._uid("resumed", state.starts + 1)
         self._send(RunResumed(run=state.run, t_ns=now_ns, uid=uid, gap_ns=self.gap_ns, reason=reason))
         for damage in self._spool.damages:
             uid = self._uid("damage", damage)

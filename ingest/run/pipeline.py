@@ -3,8 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from storage.log.event_log import EventLog
 from storage.log.recovery import Recovery
@@ -28,21 +27,11 @@ EMBEDDED_ROTATE_BYTES = 32 << 20
 class EmbeddedPipeline:
     """Everything between a source and a store, started together and ended in order.
 
-    Parameters
-    ----------
-    folder: The store; made if it does not exist.
-    role: Who writes, for the message that another writer gets.
-    estimate_every_s: Interval between estimates in the signals' time, seconds.
-    listen: Endpoints for other subscribers; none by default.
-    rotate_bytes: Payload after which a segment of the log is sealed.
-    on_document: Called with every estimate, decision and verdict, in the worker's thread.
-    on_warning: Called with warnings of the recorder, such as of a full disk; by default they are printed.
-    spool: Keeps on disk what the source sends; what it holds already is sent first.
-    estimated: Which signals are estimated; by default angular rates, and those with limits.
-
-    Raises
-    ------
-    StoreError: If the store cannot be written, or another process writes it.
+    `role` says who writes, for the message that another writer gets. Estimates come every `estimate_every_s` of the
+    signals' time, and `on_document` gets them, decisions and verdicts, in the worker's thread. A segment of the log is
+    sealed after a payload of `rotate_bytes`. `on_warning` gets warnings of the recorder; by default they are printed.
+    What the `spool` holds already is sent first. `estimated` are angular rates by default, and what has limits. Raises
+    StoreError if the store cannot be written, or another process writes it.
     """
 
     def __init__(
@@ -91,12 +80,7 @@ class EmbeddedPipeline:
             self._stack = stack.pop_all()
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
-        """Send samples; waits while recorder or estimators are far behind.
-
-        Raises
-        ------
-        DeliveryError: If nothing is acknowledged for a minute.
-        """
+        """Send samples, waiting for slow estimators; raises DeliveryError if nothing is acknowledged for a minute."""
         self.worker.wait_for_room()
         self.publisher.send_batch(key, batch)
 
@@ -104,35 +88,19 @@ class EmbeddedPipeline:
         """Send a run document; waits and raises like `send_batch`."""
         self.publisher.send_event(key, document)
 
-    def complete_estimates(self) -> None:
-        """Wait until everything sent is in the log and the estimates of the runs that have ended are published.
-
-        Raises
-        ------
-        GyrofleetError: If any part failed.
-        """
+    def finish(self) -> None:
+        """Wait until everything sent and estimated is in the lake; raises GyrofleetError if any part failed."""
         self.publisher.drain()
         self.worker.close()
         self._estimates.drain()
-
-    def finish(self) -> None:
-        """Wait until everything sent and estimated is in the lake.
-
-        Raises
-        ------
-        GyrofleetError: If any part failed.
-        """
-        self.complete_estimates()
         self.publisher.drain()
         self.recorder.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, traceback)
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
 
 
 def _print(warning: str) -> None:

@@ -50,12 +50,7 @@ class Pace:
 
 
 def interval_s(run: StoredRun) -> float:
-    """Interval in which the run was estimated, seconds.
-
-    Raises
-    ------
-    BadInput: If it is not known.
-    """
+    """Interval in which the run was estimated, seconds; raises BadInput if it is not known."""
     if len(run.every_ns) > 1:
         intervals = " and ".join(f"{each / 1e9:g} s" for each in sorted(run.every_ns))
         raise BadInput(f"run {run.run} was estimated every {intervals}; say with --every which is to be replayed")

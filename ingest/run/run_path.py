@@ -27,32 +27,19 @@ _RECORDER_PATIENCE_S = 3.0
 
 
 class Destination(NamedTuple):
-    """Where a run goes.
+    """Where a run goes."""
 
-    Parameters
-    ----------
-    folder: The store.
-    connect: Where the recorder listens; None where this process records.
-    spools: Folder of the spools, or, where `is_given`, that of this run's.
-    spool_bytes: How much may wait in the spool.
-    """
-
-    folder: Path
-    connect: str | None
-    spools: Path
-    spool_bytes: int
+    folder: Path  # the store
+    connect: str | None  # where the recorder listens; None where this process records
+    spools: Path  # folder of the spools, or, where `is_given`, that of this run's
+    spool_bytes: int  # how much may wait in the spool
     is_given: bool
 
     @classmethod
     def chosen(
         cls, run: str | None, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int
     ) -> "Destination":
-        """What the options say.
-
-        Raises
-        ------
-        BadInput: If the run's name is too long for a folder.
-        """
+        """What the options say; raises BadInput if the run's name is too long for a folder."""
         connect = connect or writer_endpoint(folder)
         if spool_folder is None:
             check_spool_name(run or "")
@@ -81,8 +68,7 @@ class TroubleWatch:
     """Reports what keeps samples from being recorded: once when it begins or changes, and once when it is over."""
 
     def __init__(self, publisher: DurablePublisher, report: Callable[[str], None]) -> None:
-        self._publisher = publisher
-        self._report = report
+        self._publisher, self._report = publisher, report
         self._trouble: str | None = None
 
     def look(self) -> None:
@@ -95,13 +81,7 @@ class TroubleWatch:
 
 
 def spools_of(folder: Path, *, is_remote: bool) -> Path:
-    """Folder of the spools of a store's runs: in the store, or beside a folder that is no store of this computer.
-
-    Examples
-    --------
-    >>> str(spools_of(Path("data"), is_remote=False)), str(spools_of(Path("data"), is_remote=True))
-    ('data/spool', 'data-spool')
-    """
+    """Folder of the spools of a store's runs: in the store, or beside a folder that is no store of this computer."""
     if is_remote and not (folder / "store.json").exists():
         return folder.with_name(folder.name + "-spool")
     return folder / "spool"
@@ -118,12 +98,7 @@ def check_spool_name(run: str) -> None:
 
 @contextmanager
 def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
-    """Connect to the recorder at `connect`, before a spool is made; None for the one in this process.
-
-    Raises
-    ------
-    BusError: If it cannot be reached.
-    """
+    """Connect to the recorder at `connect`, before a spool is made, or raise BusError; None for this process."""
     if connect is None:
         yield None
         return
@@ -133,12 +108,7 @@ def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
 
 @contextmanager
 def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote: bool) -> Iterator[Spool]:
-    """Open a run's spool and report damage in it; where this process records, the store is made before it.
-
-    Raises
-    ------
-    GyrofleetError: If either cannot be written, or another process has the spool.
-    """
+    """Open a run's spool, after its store where this process records; raises GyrofleetError if it cannot."""
     if not is_remote:
         Store.create(folder)
     with Spool(spool_folder, max_bytes=max_bytes) as spool:
@@ -158,17 +128,11 @@ def path_to(
     units: Sequence[str] = (),
     on_document: Callable[[AnyDocument], None] | None = None,
 ) -> Iterator[RunPath]:
-    """Send to a recorder elsewhere, or record and estimate in this process.
+    """Send to a recorder elsewhere, or record and estimate in this process; raises GyrofleetError if the store cannot
+    be written, or another source sends the same units in a run of this id.
 
-    Parameters
-    ----------
-    every_s: Interval between estimates, seconds of the signals' time; by default that of the run so far.
-    units: Units that nobody else may send to the same recorder in this run.
-    on_document: Takes the estimates of this process.
-
-    Raises
-    ------
-    GyrofleetError: If the store cannot be written, or another source sends the same units in a run of this id.
+    `every_s` is the interval between estimates in the signals' time; by default that of the run so far. Nobody else may
+    send `units` to the same recorder in this run. `on_document` takes the estimates of this process.
     """
     if elsewhere is not None:
         with ExitStack() as stack:

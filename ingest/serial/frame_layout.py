@@ -7,9 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from ingest.checksums import SERIAL_CHECKSUM_BYTES as CHECKSUM_BYTES
-from ingest.checksums import ByteArray
-from ingest.checksums import SerialChecksum as ChecksumKind
+from ingest.checksums import SERIAL_CHECKSUM_BYTES, ByteArray, SerialChecksum
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 from stream.identity import check_name
@@ -53,7 +51,7 @@ class FrameNumber(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 class FrameChecksum(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A checksum over the bytes from `start` up to, not including, `stop`; negative ones count from the frame's end."""
 
-    kind: ChecksumKind
+    kind: SerialChecksum
     at: int = -1
     start: int = 0
     stop: int | None = None
@@ -64,17 +62,6 @@ class FrameChecksum(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Layout of a frame.
 
-    Parameters
-    ----------
-    sync: Bytes with which each frame begins, in hexadecimal: ``"AA 55"``.
-    interval_s: Nominal time between frames, seconds.
-    length, length_field: Bytes of a frame including sync, or the field that holds it.
-    longest: Bytes of the longest frame with a length field: a length beyond it is garbage.
-    byte_order: ``big`` or ``little``, unless a field has its own.
-    counter: Tells lost frames.
-
-    Examples
-    --------
     >>> layout = decode_layout(b'''
     ... sync = "AA 55"
     ... length = 7
@@ -92,14 +79,14 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     7
     """
 
-    sync: str
-    interval_s: float
-    length: int | None = None
-    length_field: FrameNumber | None = None
-    longest: int = 256
-    byte_order: ByteOrder = "big"
+    sync: str  # bytes with which each frame begins, in hexadecimal: ``"AA 55"``
+    interval_s: float  # nominal time between frames, seconds
+    length: int | None = None  # bytes of a frame including sync
+    length_field: FrameNumber | None = None  # the field that holds it, instead
+    longest: int = 256  # bytes of the longest frame with a length field: a length beyond it is garbage
+    byte_order: ByteOrder = "big"  # ``big`` or ``little``, unless a field has its own
     fields: tuple[FrameField, ...]
-    counter: FrameNumber | None = None
+    counter: FrameNumber | None = None  # tells lost frames
     checksum: FrameChecksum | None = None
     data_bits: Literal[7, 8] = 8
     parity: Literal["N", "E", "O"] = "N"
@@ -117,7 +104,7 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         ends += [field.at + SIZES[field.type] for field in self.fields]
         ends += [number.at + SIZES[number.type] for number in (self.counter, self.length_field) if number is not None]
         if (checksum := self.checksum) is not None:
-            size = CHECKSUM_BYTES[checksum.kind]
+            size = SERIAL_CHECKSUM_BYTES[checksum.kind]
             ends.append(checksum.at + size if checksum.at >= 0 else max(ends) - checksum.at)
         return max(ends)
 
@@ -129,32 +116,21 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             is_there = False
         shortest = self.shortest if is_there else 0
         checksum, counter = self.checksum, self.counter
+        scales = [each.scale and math.isfinite(each.scale) and math.isfinite(each.offset) for each in self.fields]
+        is_counted = counter is None or (counter.modulus or 2) <= 256 ** SIZES[counter.type]
+        is_inside = checksum is None or checksum.at >= 0 or -checksum.at >= SERIAL_CHECKSUM_BYTES[checksum.kind]
+        parts = f"but its parts need {shortest} bytes, and {_LONGEST} are allowed"
         rules = (
             (is_there, f'sync is {self.sync!r}, hexadecimal bytes are needed, for example "AA 55"'),
             (0.0 < self.interval_s < 1e6, f"interval_s is {self.interval_s}, more than 0 is needed"),
             ((self.length is None) != (self.length_field is None), "either length or length_field is needed"),
-            (
-                self.length is None or shortest <= self.length <= _LONGEST,
-                f"length is {self.length}, but its parts need {shortest} bytes, and {_LONGEST} are allowed",
-            ),
-            (
-                self.length is not None or shortest <= self.longest <= _LONGEST,
-                f"longest is {self.longest}, but its parts need {shortest} bytes, and {_LONGEST} are allowed",
-            ),
+            (self.length is None or shortest <= self.length <= _LONGEST, f"length is {self.length}, {parts}"),
+            (self.length is not None or shortest <= self.longest <= _LONGEST, f"longest is {self.longest}, {parts}"),
             (bool(self.fields), "it has no fields: it would give no samples"),
             (len({each.signal for each in self.fields}) == len(self.fields), "two fields have the same signal"),
-            (
-                all(math.isfinite(each.scale) and each.scale and math.isfinite(each.offset) for each in self.fields),
-                "a scale is 0, or a scale or offset is not finite",
-            ),
-            (
-                counter is None or (counter.modulus or 2) <= 256 ** SIZES[counter.type],
-                "the counter's modulus is more than its type holds",
-            ),
-            (
-                checksum is None or checksum.at >= 0 or -checksum.at >= CHECKSUM_BYTES[checksum.kind],
-                "the checksum reaches beyond the frame",
-            ),
+            (all(scales), "a scale is 0, or a scale or offset is not finite"),
+            (is_counted, "the counter's modulus is more than its type holds"),
+            (is_inside, "the checksum reaches beyond the frame"),
         )
         for is_kept, complaint in rules:
             if not is_kept:

@@ -27,18 +27,11 @@ class FrameTimes:
     the earliest arrival of those 10 s, by half its error and at most 0.1 % of the interval. If neither counter nor
     interval explain an arrival within `resync_s` (the device has restarted), the grid is anchored again.
 
-    Parameters
-    ----------
-    modulus: Where the counter wraps; None without a counter, so that only time tells lost frames.
-    resync_s: Largest delay of the line, seconds.
+    `modulus`: where the counter wraps; None without a counter, so that only time tells lost frames.
+    `resync_s`: largest delay of the line, seconds.
 
-    Attributes
-    ----------
-    lost, repeated, restarts: Missing and repeated frames, restarts of the counter.
-    steering: Relative stretch of the interval now; it converges to the device's own error.
+    `steering`: relative stretch of the interval now; it converges to the device's own error.
 
-    Examples
-    --------
     >>> times = FrameTimes(0.01, modulus=256)
     >>> times.place(np.array([254, 255, 0]), 3, 1_020_000_000).times_ns.tolist()
     [1000000000, 1010000000, 1020000000]

@@ -6,8 +6,7 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.checksums import SERIAL_CHECKSUM_BYTES as CHECKSUM_BYTES
-from ingest.checksums import ByteArray, checksums
+from ingest.checksums import SERIAL_CHECKSUM_BYTES, ByteArray, checksums
 from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, decode_layout, floats, integers, load_layout
 from ingest.serial.frame_times import FrameTimes
 from stream.batch import BoolArray, IntArray, SampleBatch
@@ -20,19 +19,12 @@ _FIT_INT32 = {"u8", "i8", "u16", "i16", "u24", "i24", "i32"}
 
 @dataclass
 class SerialCounts:
-    """Account of the bytes of a line.
-
-    Attributes
-    ----------
-    bad_checksums, bad_lengths: Sync bytes that began no frame.
-    dropped_bytes: Bytes that belong to no frame.
-    lost, repeated, restarts: Missing and repeated frames, restarts of the counter.
-    """
+    """Account of the bytes of a line; bad checksums and lengths are sync bytes that began no frame."""
 
     frames: int = 0
     bad_checksums: int = 0
     bad_lengths: int = 0
-    dropped_bytes: int = 0
+    dropped_bytes: int = 0  # bytes that belong to no frame
     lost: int = 0
     repeated: int = 0
     restarts: int = 0
@@ -61,12 +53,6 @@ class SerialFrames:
     look like a frame themselves (sync, length and checksum) and reach into it; garbage without sync bytes cannot. The
     result does not depend on how the bytes are cut into pieces.
 
-    Parameters
-    ----------
-    resync_s: Largest delay of the line, see `FrameTimes`.
-
-    Examples
-    --------
     >>> layout = decode_layout(b'''
     ... sync = "AA 55"
     ... length = 5
@@ -139,20 +125,9 @@ class SerialFrames:
         grid = times_ns[0] + self._dt_ns * np.arange(len(times_ns), dtype=np.int64)
         is_regular = bool((np.abs(times_ns - grid) <= _REGULAR * self._dt_ns).all())
         return SampleBatch(
-            self._unit,
-            part.signal,
-            self._run,
-            self._epoch,
-            self._seq,
-            int(times_ns[0]),
-            self._dt_ns,
-            part.unit,
-            counts=counts,
-            values=values,
-            times_ns=None if is_regular else times_ns,
-            scale=scale,
-            offset=offset,
-        )
+            self._unit, part.signal, self._run, self._epoch, self._seq, int(times_ns[0]), self._dt_ns, part.unit,
+            counts=counts, values=values, times_ns=None if is_regular else times_ns, scale=scale, offset=offset,
+        )  # fmt: skip
 
     def _find(self, data: ByteArray, *, is_last: bool) -> _Found:
         """Check the candidates from left to right."""
@@ -220,7 +195,7 @@ class SerialFrames:
         assert part is not None
         length = frames.shape[1]
         at = part.at % length if part.at < 0 else part.at
-        kind = "u8" if CHECKSUM_BYTES[part.kind] == 1 else "u16"
+        kind = "u8" if SERIAL_CHECKSUM_BYTES[part.kind] == 1 else "u16"
         covered = frames[:, part.start : at if part.stop is None else part.stop]
         received = integers(frames, at, kind, self.layout.order(part))
         return np.asarray(checksums(part.kind, covered, part.initial) == received)

@@ -20,36 +20,17 @@ _REPORT_EVERY_S = 10.0
 
 
 class SerialLine:
-    """Reads one gyro from a serial port.
+    """Reads one gyro from a serial port: ``/dev/ttyUSB0``, or any address that pyserial opens.
 
-    Parameters
-    ----------
-    port: ``/dev/ttyUSB0``, or any address that pyserial opens.
-    deliver: Called with each batch, in this line's thread. While it waits nothing is read, and once the operating
-        system's buffer is full frames are lost, which their counters tell. If it raises, reading ends with a report.
-    report: Called with sentences for the user.
-    batch_s: How long bytes are collected for a batch, seconds of the computer.
-
-    Attributes
-    ----------
-    frames: The decoder, with its counts.
-    error: The error that ended reading.
+    `deliver` gets each batch in this line's thread. While it waits nothing is read, and once the operating system's
+    buffer is full frames are lost, which their counters tell. If it raises, reading ends with a report. Bytes are
+    collected for `batch_s` of the computer.
     """
 
     def __init__(
-        self,
-        port: str,
-        baud: int,
-        layout: FrameLayout,
-        unit: str,
-        run: str,
-        epoch: UUID,
-        clock: StationClock,
-        deliver: Callable[[SampleBatch], None],
-        report: Callable[[str], None],
-        *,
-        batch_s: float = 0.25,
-    ) -> None:
+        self, port: str, baud: int, layout: FrameLayout, unit: str, run: str, epoch: UUID, clock: StationClock,
+        deliver: Callable[[SampleBatch], None], report: Callable[[str], None], *, batch_s: float = 0.25,
+    ) -> None:  # fmt: skip
         self.frames = SerialFrames(layout, unit, run, epoch)
         self.error: Exception | None = None
         self._who = f"unit {unit} at {port}"

@@ -31,16 +31,9 @@ class SimulatedBench(NamedTuple):
 
     @classmethod
     def at(cls, clock: StationClock) -> "SimulatedBench":
-        """New instruments on a clock.
-
-        Examples
-        --------
-        >>> sorted(SimulatedBench.at(StationClock()).named)
-        ['chamber', 'supply', 'table', 'vibration']
-        """
-        return cls(
-            SimulatedChamber(clock), SimulatedRateTable(clock), SimulatedVibrationTable(clock), SimulatedSupply(clock)
-        )
+        """New instruments on a clock."""
+        tables = SimulatedRateTable(clock), SimulatedVibrationTable(clock)
+        return cls(SimulatedChamber(clock), *tables, SimulatedSupply(clock))
 
     @property
     def named(self) -> dict[str, SimulatedDevice]:
@@ -61,8 +54,6 @@ class SimulatedBench(NamedTuple):
 class CourseDevice(SimulatedDevice):
     """Answers with the courses of simulated instruments since given times; served beside the instruments.
 
-    Examples
-    --------
     >>> from ingest.simulator.scpi.server import ScpiServer
     >>> clock = StationClock(speed=1000.0)
     >>> real, copy = (SimulatedRateTable(clock, ripple_deg_per_s=0.0) for _ in range(2))

@@ -55,47 +55,27 @@ def demo_fleet(seed: int) -> Plan:
     100 s. FOG-0238 has its Allan deviation at 100 s right at the limit, so that it stays MARGINAL (in about 95 % of
     seeds). The other five are good and pass in 6 h; in 1 h some of them may still be MARGINAL.
 
-    Examples
-    --------
     >>> demo_fleet(seed=1).units[:2]
     ('FOG-0231', 'FOG-0232')
     """
-    return Plan(
-        seed,
-        {
-            unit: GyroParameters(
-                hold_s=HOLD_S,
-                bias=Bias(
-                    constant_deg_per_h=bias,
-                    turn_on_deg_per_h=0.3,
-                    warm_up=(WarmUp(amplitude_deg_per_h=warm_up, time_constant_s=400.0),),
-                ),
-                thermal=Thermal(bias_polynomial_deg_per_h=(thermal,)),
-                noise=Noise(
-                    angle_random_walk_deg_per_sqrt_h=n,
-                    bias_instability_deg_per_h=b,
-                    rate_random_walk_deg_per_h_per_sqrt_h=k,
-                ),
-            )
-            for unit, n, b, k, bias, thermal, warm_up in _FLEET
-        },
-    )
+    parameters = {}
+    for unit, n, b, k, constant, per_deg_c, amplitude in _FLEET:
+        warm_up = (WarmUp(amplitude_deg_per_h=amplitude, time_constant_s=400.0),)
+        bias = Bias(constant_deg_per_h=constant, turn_on_deg_per_h=0.3, warm_up=warm_up)
+        thermal = Thermal(bias_polynomial_deg_per_h=(per_deg_c,))
+        noise = Noise(
+            angle_random_walk_deg_per_sqrt_h=n, bias_instability_deg_per_h=b, rate_random_walk_deg_per_h_per_sqrt_h=k
+        )
+        parameters[unit] = GyroParameters(hold_s=HOLD_S, bias=bias, thermal=thermal, noise=noise)
+    return Plan(seed, parameters)
 
 
 def station_fleet(count: int, rate_hz: float, seed: int) -> Plan:
-    """Gyros like those of the demonstration, repeated.
-
-    Examples
-    --------
-    >>> station_fleet(2, 100.0, seed=1).units
-    ('SIM-0001', 'SIM-0002')
-    """
+    """Gyros like those of the demonstration, repeated."""
     models = tuple(demo_fleet(seed).parameters.values())
-    interval_ns = max(1, round(1e9 / rate_hz))
-    return Plan(
-        seed,
-        {f"SIM-{i + 1:04d}": replace(models[i % len(models)], sample_interval_ns=interval_ns) for i in range(count)},
-    )
+    ns = max(1, round(1e9 / rate_hz))
+    units = {f"SIM-{i + 1:04d}": replace(models[i % len(models)], sample_interval_ns=ns) for i in range(count)}
+    return Plan(seed, units)
 
 
 class CycleRun(NamedTuple):
@@ -108,19 +88,14 @@ class CycleRun(NamedTuple):
 
 
 def cycle_runs(t0_ns: int) -> tuple[CycleRun, ...]:
-    """Nine consecutive runs from `t0_ns` on, with pauses between them in which the units are off.
+    """Nine consecutive runs from `t0_ns` on, with pauses between them in which the units are off."""
 
-    Examples
-    --------
-    >>> [run.kind for run in cycle_runs(0)][:4]
-    ['temperature_cycle', 'rates', 'temperature_cycle', 'rest']
-    """
-    runs = []
-    for number in range(1, _RUNS + 1):
+    def run(number: int) -> CycleRun:
         kind = _KINDS[(number - 1) % len(_KINDS)]
         start_ns = t0_ns + round((number - 1) * (RUN_S + _PAUSE_S)) * _SECOND_NS
-        runs.append(CycleRun(kind, number, start_ns, _environment(kind, number, start_ns)))
-    return tuple(runs)
+        return CycleRun(kind, number, start_ns, _environment(kind, number, start_ns))
+
+    return tuple(map(run, range(1, _RUNS + 1)))
 
 
 def cycles_last_s() -> float:
@@ -146,10 +121,7 @@ def _environment(kind: str, number: int, origin_ns: int) -> PiecewiseEnvironment
 
 
 def cycle_batches(fleet: Plan, run: CycleRun, name: str) -> Iterator[SampleBatch]:
-    """Batches of all units and of the rate table in one of the short runs, in order of time.
-
-    `ODD_UNIT` also responds to the temperature rate; no unit has a warm-up.
-    """
+    """Batches of one short run in order of time; only `ODD_UNIT` responds to the temperature rate, none warms up."""
     short = replace(fleet, parameters={unit: _in_short_runs(unit, each) for unit, each in fleet.parameters.items()})
     station = SimulatedStation(
         short,

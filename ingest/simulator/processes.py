@@ -40,32 +40,20 @@ class _Gyro:
 class GyroBus:
     """Sends the samples of a fleet as CAN frames, each as soon as its time has passed.
 
-    Parameters
-    ----------
-    supply: Powers the fleet: without power nothing is sent, and each switching on is a power-on.
-    send: Called with the frames of a tick, each an arbitration id and 8 bytes, in order of time.
-    on_power: Called at the begin and the end of every power-on, with its seconds so far.
-    power_ons: Number of earlier power-ons of each unit.
+    Without power from the `supply` nothing is sent, and each switching on is a power-on. `send` gets the frames of a
+    tick, each an arbitration id and 8 bytes, in order of time; `on_power` is called at the begin and the end of every
+    power-on, with its seconds so far; `power_ons` are the earlier ones of each unit.
 
-    Notes
-    -----
     A frame has the counts of the rate (int32), the temperature in 0.01 degC (int16) and the sample's number (uint16).
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        environment: TableEnvironment,
-        supply: SimulatedSupply,
+        self, plan: Plan, environment: TableEnvironment, supply: SimulatedSupply,
         send: Callable[[Sequence[tuple[int, bytes]]], None],
-        on_power: Callable[[SimulatedGyro, float], None] = lambda *_: None,
-        power_ons: Mapping[str, int] | None = None,
-    ) -> None:
+        on_power: Callable[[SimulatedGyro, float], None] = lambda *_: None, power_ons: Mapping[str, int] | None = None,
+    ) -> None:  # fmt: skip
         power_ons = power_ons or {}
-        self._plan = plan
-        self._environment = environment
-        self._supply = supply
-        self._send = send
+        self._plan, self._environment, self._supply, self._send = plan, environment, supply, send
         self._on_power = on_power
         self._gyros = [_Gyro(unit, FIRST_ID + i, power_ons.get(unit, 0)) for i, unit in enumerate(plan.units)]
         self._done_ns = 0
@@ -210,7 +198,6 @@ def power_ons_so_far(path: Path) -> dict[str, int]:
 
 
 def _is_orphan() -> bool:
-    """Whether the process that started this one has been killed."""
     return os.getppid() != _PARENT
 
 

@@ -31,19 +31,7 @@ class PowerCycle(NamedTuple):
 
 
 class PoweredUnit:
-    """One power-on of a unit: rate and temperature in counts, drawn in any order and in blocks of whatever size.
-
-    Parameters
-    ----------
-    environment: By default at rest in the chamber.
-
-    Examples
-    --------
-    >>> from ingest.simulator.demo_fleet import demo_fleet
-    >>> unit = PoweredUnit(demo_fleet(seed=1), "FOG-0231")
-    >>> unit.rate_counts(5).dtype, len(unit.temperature_counts(3))
-    (dtype('int32'), 3)
-    """
+    """One power-on of a unit: rate and temperature in counts, drawn in any order and in blocks of whatever size."""
 
     def __init__(
         self,
@@ -88,18 +76,9 @@ class _Signal(NamedTuple):
 class SimulatedStation:
     """Units that send rate and temperature from a power-on on; samples that a read-out loses are sent as well.
 
-    The samples are a function of the fleet, the unit, the number of the power-on and the sample's number alone.
+    The samples are a function of the fleet, the unit, the number of the power-on and the sample's number alone. All
+    units have the same sample interval and nominal scale. The `name` makes the epochs of this run its own.
 
-    Parameters
-    ----------
-    fleet: The units, all with the same sample interval and nominal scale.
-    name: Distinguishes the epochs of this run from all others.
-    batch, temperature_batch: Samples in a batch.
-    chamber: The chamber, and the thermometers.
-    environment: Environment of all units, instead of at rest in the chamber.
-
-    Examples
-    --------
     >>> from ingest.simulator.demo_fleet import station_fleet
     >>> station = SimulatedStation(station_fleet(1, 100.0, seed=1), "r1", batch=50)
     >>> power_cycle = PowerCycle(0, 0)
@@ -112,31 +91,19 @@ class SimulatedStation:
     """
 
     def __init__(
-        self,
-        fleet: Plan,
-        name: str,
-        *,
-        batch: int,
-        temperature_batch: int = TEMPERATURE_BATCH,
-        chamber: ChamberParameters | None = None,
-        environment: Environment | None = None,
-    ) -> None:
+        self, fleet: Plan, name: str, *, batch: int, temperature_batch: int = TEMPERATURE_BATCH,
+        chamber: ChamberParameters | None = None, environment: Environment | None = None,
+    ) -> None:  # fmt: skip
         if min(batch, temperature_batch) < 1:
             raise BadInput(f"simulated station {name}: a batch holds at least one sample")
         self._fleet, self._name = fleet, name
         self._chamber, self._environment = chamber, environment
         of_all = next(iter(fleet.parameters.values()))
-        self._rate = _Signal(
-            RATE_SIGNAL, "deg/s", 1.0 / of_all.scale.counts_per_deg_per_s, of_all.sample_interval_ns, batch
-        )
+        self.dt_ns = of_all.sample_interval_ns  # of the rate
+        self._rate = _Signal(RATE_SIGNAL, "deg/s", 1.0 / of_all.scale.counts_per_deg_per_s, self.dt_ns, batch)
         self._temperature = _Signal(
             TEMPERATURE_SIGNAL, "degC", TEMPERATURE_SCALE_DEG_C_PER_COUNT, TEMPERATURE_INTERVAL_NS, temperature_batch
         )
-
-    @property
-    def dt_ns(self) -> int:
-        """Interval of the rate samples."""
-        return self._rate.dt_ns
 
     def epoch(self, power_cycle: PowerCycle, unit: str) -> UUID:
         """The epoch of a unit's samples from one power-on on."""
@@ -145,12 +112,7 @@ class SimulatedStation:
     def batches(
         self, run: str, power_cycle: PowerCycle, end_ns: int, first: Mapping[tuple[str, str], int] | None = None
     ) -> Iterator[SampleBatch]:
-        """Batches of samples before `end_ns`, in the order of their last samples.
-
-        Parameters
-        ----------
-        first: Number of the first sample wanted by unit and signal; one at which a batch begins.
-        """
+        """Batches before `end_ns` in order of their last samples, from the batch on that begins at `first`."""
         first = first or {}
         units = [
             PoweredUnit(self._fleet, unit, power_cycle, self._chamber, self._environment) for unit in self._fleet.units
@@ -183,14 +145,6 @@ class SimulatedStation:
         self, i: int, run: str, epoch: UUID, signal: _Signal, power_cycle: PowerCycle, seq: int, counts: CountArray
     ) -> SampleBatch:
         return SampleBatch(
-            self._fleet.units[i],
-            signal.name,
-            run,
-            epoch,
-            seq,
-            power_cycle.t0_ns + seq * signal.dt_ns,
-            signal.dt_ns,
-            signal.unit_of_measure,
-            counts=counts,
-            scale=signal.scale,
-        )
+            self._fleet.units[i], signal.name, run, epoch, seq, power_cycle.t0_ns + seq * signal.dt_ns, signal.dt_ns,
+            signal.unit_of_measure, counts=counts, scale=signal.scale,
+        )  # fmt: skip

@@ -21,34 +21,21 @@ _DAYS_BACK_NS = 30 * 86_400 * 10**9
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`simulation.json`: clock, ports and place of the station.
-
-    Parameters
-    ----------
-    speed, start_ns, origin_s: The clock, as in the station's file.
-    ports: TCP port of every instrument by name, and of `world`, which serves their courses.
-    multicast_port: UDP port of the CAN bus.
-    position: Orientation of the gyros on the table.
-    """
+    """`simulation.json`: clock, ports and place of the station."""
 
     speed: float
     start_ns: int
     origin_s: float
-    ports: dict[str, int]
-    multicast_port: int
+    ports: dict[str, int]  # TCP port of every instrument by name, and of `world`, which serves their courses
+    multicast_port: int  # UDP port of the CAN bus
     latitude_deg: float = 39.9
-    position: str = "input_up"
+    position: str = "input_up"  # orientation of the gyros on the table
 
 
 def write_station(
     folder: Path, units: Sequence[str], *, speed: float, rate_hz: float, seed: int, now_s: float | None = None
 ) -> None:
-    """Write the files that do not exist yet.
-
-    Raises
-    ------
-    BadInput: If the folder cannot be written, or a unit cannot be a name.
-    """
+    """Write the files that do not exist yet; raises BadInput if they cannot be, or a unit cannot be a name."""
     for unit in units:
         check_name("unit", unit)
     now_s = time.time() if now_s is None else now_s

@@ -15,20 +15,12 @@ _GRAVITY_M_PER_S2 = (9.7, 9.9)
 
 
 class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
-    """Location of a station; what is not known is None.
+    """Location of a station; what is not known is None."""
 
-    Parameters
-    ----------
-    latitude_deg: Geodetic latitude, positive north.
-    time_zone: IANA name, such as ``Asia/Shanghai``; it defines "the same day".
-    altitude_m: Above the ellipsoid or the sea.
-    gravity_m_per_s2: Measured value; else it follows from latitude and altitude.
-    """
-
-    latitude_deg: float | None = None
-    time_zone: str | None = None
-    altitude_m: float | None = None
-    gravity_m_per_s2: float | None = None
+    latitude_deg: float | None = None  # geodetic latitude, positive north
+    time_zone: str | None = None  # IANA name, such as ``Asia/Shanghai``; it defines "the same day"
+    altitude_m: float | None = None  # above the ellipsoid or the sea
+    gravity_m_per_s2: float | None = None  # measured value; else it follows from latitude and altitude
 
     def check(self, named: Callable[[str], str]) -> "StationLocation":
         """Return it; raise BadInput, with fields as `named` names them, if it is no place on Earth."""
@@ -50,13 +42,7 @@ class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def details(self) -> dict[str, str]:
-        """Details in the first document of a run.
-
-        Examples
-        --------
-        >>> StationLocation(latitude_deg=39.9, altitude_m=50.0).details
-        {'latitude_deg': '39.9', 'altitude_m': '50', 'gravity_m_per_s2': '9.80145'}
-        """
+        """Details in the first document of a run."""
         gravity = self.gravity_m_per_s2
         if gravity is None and self.latitude_deg is not None and self.altitude_m is not None:
             gravity = normal_gravity_m_per_s2(self.latitude_deg, self.altitude_m)
@@ -72,8 +58,6 @@ class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
 def normal_gravity_m_per_s2(latitude_deg: float, altitude_m: float) -> float:
     """Gravity of the WGS 84 ellipsoid at a height above it (Somigliana's formula, second order in the height).
 
-    Examples
-    --------
     >>> [round(normal_gravity_m_per_s2(latitude_deg, 0.0), 6) for latitude_deg in (0.0, 45.0, 90.0)]
     [9.780325, 9.806198, 9.832185]
     """

@@ -20,20 +20,10 @@ _HELP = "p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C stops, to resum
 
 
 class ConsoleOperator:
-    """Attends a run at a terminal, or, where there is none, reports its progress.
-
-    Parameters
-    ----------
-    says_yes: Whether every prompt is answered with yes.
-    quiet: Report troubles only.
-    listens: Whether words are read from standard input.
-    """
+    """Attends a run at a terminal, or, where there is none, reports its progress; `quiet`, it reports troubles only."""
 
     def __init__(self, console: Console, stop: Stop, *, says_yes: bool, quiet: bool, listens: bool) -> None:
-        self._console = console
-        self._stop = stop
-        self._says_yes = says_yes
-        self._quiet = quiet
+        self._console, self._stop, self._says_yes, self._quiet = console, stop, says_yes, quiet
         self._words: SimpleQueue[str] = SimpleQueue()
         self._paused = self._aborted = False
         self._done = 0
@@ -67,12 +57,7 @@ class ConsoleOperator:
         self._console.print(text, soft_wrap=True, markup=False)
 
     def ready(self, prompt: str) -> bool:
-        """Whether Enter was given since the prompt was first shown.
-
-        Raises
-        ------
-        RunStopped: If nobody can give it, as standard input has ended.
-        """
+        """Whether Enter was given since the prompt was first shown; raises RunStopped if nobody can give it."""
         if self._says_yes:
             return True
         if self._asked != prompt:

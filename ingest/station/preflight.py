@@ -3,11 +3,10 @@
 import ctypes
 import datetime as dt
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
-from zoneinfo import ZoneInfo
 
 from ingest.instruments.base import Instrument
 from ingest.station.sources import StationSources
@@ -31,28 +30,13 @@ class Preflight(NamedTuple):
 
 
 def preflight(
-    stack: ExitStack,
-    station: Station,
-    instruments: Mapping[str, Instrument],
-    sources: StationSources,
-    *,
-    folders: Sequence[Path],
-    now_ns: int,
-    duration_s: float,
-    disk: Disk = DISK,
-) -> Preflight:
+    stack: ExitStack, station: Station, instruments: Mapping[str, Instrument], sources: StationSources, *,
+    folders: Sequence[Path], now_ns: int, duration_s: float, disk: Disk = DISK,
+) -> Preflight:  # fmt: skip
     """Check instruments, buses, serial lines, disks, clock and calibration dates; all obstacles are reported at once.
 
-    Parameters
-    ----------
-    stack: Keeps the instruments open until it is left.
-    folders: Folders that will be written. The clock is compared with the newest run of those that are stores.
-    now_ns: Time at the station, nanoseconds UTC.
-    duration_s: How long the run will take.
-
-    Raises
-    ------
-    InstrumentError: If the run could not be recorded; the message has every obstacle.
+    The instruments stay open until the stack is left. `folders` will be written; the clock is compared with the newest
+    run of those that are stores. Raises InstrumentError, with every obstacle, if the run could not be recorded.
     """
     stops: list[str] = []
     found: dict[str, str] = {}
@@ -64,7 +48,7 @@ def preflight(
     stops += sources.cannot_be_opened()
     disks = [_disk_trouble(folder, disk) for folder in folders]
     stops += [trouble for trouble in disks if trouble is not None]
-    warnings = list(station.overdue(_day(station, now_ns), _day(station, now_ns + round(duration_s * 1e9))))
+    warnings = list(station.overdue(station.day(now_ns), station.day(now_ns + round(duration_s * 1e9))))
     if not station.table.simulated:
         stops += filter(None, [_clock_trouble(now_ns, folders)])
         warnings += filter(None, [_drifting_clock()])
@@ -74,10 +58,6 @@ def preflight(
         listed = "".join(f"\n- {stop}" for stop in stops)
         raise InstrumentError(f"{len(stops)} things stand in the way of the run; nothing was written:{listed}")
     return Preflight(found, tuple(f"warning: {warning}" for warning in warnings))
-
-
-def _day(station: Station, t_ns: int) -> dt.date:
-    return dt.datetime.fromtimestamp(t_ns / 1e9, ZoneInfo(station.table.time_zone)).date()
 
 
 def _opened(stack: ExitStack, instrument: Instrument, station: Station) -> str:
@@ -140,9 +120,9 @@ def _newest_ns(store: Path) -> int | None:
     return newest
 
 
-def _drifting_clock(read: Callable[[], int | None] | None = None) -> str | None:
+def _drifting_clock() -> str | None:
     """A warning where nothing synchronises the computer's clock."""
-    if (read or _clock_state)() != _TIME_ERROR:
+    if _clock_state() != _TIME_ERROR:
         return None
     return (
         "nothing keeps the computer's clock right (no NTP or PTP): times of two computers cannot be compared; "

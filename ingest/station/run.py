@@ -52,39 +52,14 @@ class RunStopped(RunAborted):
 
 
 class StationRun:
-    """Carries out the remaining steps of a procedure.
-
-    Parameters
-    ----------
-    log: Documents of the run, and how far it is.
-    steps: All its steps.
-    station: Where.
-    instruments: The station's instruments, by name.
-    operator: Who attends.
-    clock: The station's clock.
-    settle_timeout_s: Longest settling time of an instrument, seconds at the station.
-
-    Attributes
-    ----------
-    unsafe: Instruments that could not be made safe at the end.
-    """
+    """Carries out the remaining steps of a procedure; `unsafe` are instruments that could not be made safe."""
 
     def __init__(
-        self,
-        log: RunLog,
-        steps: Sequence[PlannedStep],
-        station: Station,
-        instruments: Mapping[str, Instrument],
-        operator: Operator,
-        clock: StationClock,
-        *,
-        settle_timeout_s: float = 6 * 3600.0,
-    ) -> None:
-        self._log = log
-        self._steps = steps
+        self, log: RunLog, steps: Sequence[PlannedStep], station: Station, instruments: Mapping[str, Instrument],
+        operator: Operator, clock: StationClock, *, settle_timeout_s: float = 6 * 3600.0,
+    ) -> None:  # fmt: skip
+        self._log, self._steps, self._operator, self._clock = log, steps, operator, clock
         self._bench = StationBench(station, instruments)
-        self._operator = operator
-        self._clock = clock
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
         self.unsafe: tuple[str, ...] = ()
@@ -97,16 +72,9 @@ class StationRun:
     def go(self, sources: Callable[[], Sequence[RunSource]], samplers: Sequence[RunSource] = ()) -> None:
         """Carry out the steps; the station is made safe after the last one, and whatever happens.
 
-        Parameters
-        ----------
-        sources: Makes the sources of the units for their epochs as they are; called again after every power-on.
-        samplers: Those of the instruments, which measure all the time.
-
-        Raises
-        ------
-        RunStopped: If the operator stops it, or an instrument fails; it can be resumed.
-        RunAborted: If the operator aborts it.
-        InstrumentError: If a source cannot be started.
+        `sources` makes the sources of the units for their epochs as they are, again after every power-on; `samplers`
+        measure all the time. Raises RunStopped if the operator stops the run, or an instrument fails: it can be
+        resumed; RunAborted if the operator aborts it; InstrumentError if a source cannot be started.
         """
         active: list[RunSource] = []
         outcome = "interrupted"
@@ -176,9 +144,8 @@ class StationRun:
             self._pause(step, "power off", step.off_s)
         due = self._due(step)
         for what, value in due.items():
-            self._until(
-                step, f"setting {what} to {value:g}", partial(self._bench.set, what, value), self._settle_timeout_s
-            )
+            doing, is_set = f"setting {what} to {value:g}", partial(self._bench.set, what, value)
+            self._until(step, doing, is_set, self._settle_timeout_s)
         # what was set before an interruption has to be reached again
         for what in dict.fromkeys([*(each for each in due if each not in step.settings), *step.wait_settled]):
             self._until(step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s)
@@ -252,7 +219,8 @@ class StationRun:
                     f"run {self._log.state.run}, step {step.number} ({named}): {doing} is not done after "
                     f"{passed_s:,.0f} s{trouble}; the station was made safe"
                 )
-            self._operator.at(step, doing, self._left_s(step, passed_s))
+            left_s = sum(map(lasts_s, self._steps[self._log.state.step :])) - passed_s
+            self._operator.at(step, doing, max(0.0, left_s))
             if now_ns - self._log.state.seen_ns > _SAVE_EVERY_S * self._clock.speed * 1e9:
                 self._log.mark_seen()
             time.sleep(_LOOK_S)
@@ -272,10 +240,6 @@ class StationRun:
             time.sleep(_LOOK_S)
         if paused:
             self.report(at.format("goes on"))
-
-    def _left_s(self, step: PlannedStep, passed_s: float) -> float:
-        rest = self._steps[self._log.state.step + 1 :]
-        return max(0.0, sum(map(lasts_s, (step, *rest))) - passed_s)
 
 
 def _stop(sources: list[RunSource]) -> None:

@@ -16,7 +16,7 @@ from stream.errors import NotFound
 from stream.events import AnyDocument, EarlyDecision, Limit, LimitsApplied, Verdict, VerdictGiven
 
 _NAMED = 4
-# records at rest of these are no records of a bias (analytics/metrics/views/05_procedures.sql)
+# records at rest of these are no records of a bias (analytics/evaluation/views/05_procedures.sql)
 _NO_BIAS = re.compile(
     r"(power_consumption|rates_(gjb2426a|jjf2014)|threshold(_indexing_head|_slow_turn)?|resolution|polarity"
     r"|visual_electrical_checks)$"
@@ -26,18 +26,11 @@ _NO_BIAS = re.compile(
 
 
 class RunLimits(NamedTuple):
-    """Limits on the units of a run.
+    """Limits on the units of a run."""
 
-    Parameters
-    ----------
-    units: Limits by unit; units without a specification are left out.
-    is_live: Whether the run has the one record at rest that live estimators can judge.
-    remarks: What the operator should know, each as a sentence.
-    """
-
-    units: Mapping[str, UnitLimits]
-    is_live: bool
-    remarks: tuple[str, ...]
+    units: Mapping[str, UnitLimits]  # limits by unit; units without a specification are left out
+    is_live: bool  # whether the run has the one record at rest that live estimators can judge
+    remarks: tuple[str, ...]  # what the operator should know, each as a sentence
 
     def at_start(self, run: str, t_ns: int) -> Iterator[LimitsApplied]:
         """Documents at the start of a run: the specifications of the units whose limits are all judged after it."""
@@ -51,28 +44,13 @@ class RunLimits(NamedTuple):
         for unit, found in self.units.items() if self.is_live else ():
             if found.live:
                 yield LimitsApplied(
-                    run=run,
-                    t_ns=t_ns,
-                    uid=document_uid(f"gyrofleet:limits/{run}/{unit}/{t_ns}/record"),
-                    unit=unit,
-                    revision=found.label,
-                    limits=found.live,
-                    planned_s=record_s,
-                    since_ns=since_ns,
-                )
+                    run=run, t_ns=t_ns, uid=document_uid(f"gyrofleet:limits/{run}/{unit}/{t_ns}/record"), unit=unit,
+                    revision=found.label, limits=found.live, planned_s=record_s, since_ns=since_ns,
+                )  # fmt: skip
 
 
 class LimitReport:
-    """Reports early decisions and verdicts to the operator.
-
-    Parameters
-    ----------
-    report: Takes the sentence.
-
-    Attributes
-    ----------
-    verdicts: Verdict of each unit, once the run has ended.
-    """
+    """Reports early decisions and verdicts to the operator; `verdicts` has that of each unit once the run has ended."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report = report
@@ -98,29 +76,14 @@ NO_LIMITS = RunLimits({}, False, ())
 
 
 def run_limits(
-    folder: Path,
-    wanted: str | None,
-    entries: Sequence[UnitEntry],
-    signals: Mapping[str, Sequence[str]],
-    steps: Sequence[PlannedStep],
-    procedure: str,
-    t_ns: int,
-) -> RunLimits:
-    """Find the limits on the units of a run.
+    folder: Path, wanted: str | None, entries: Sequence[UnitEntry], signals: Mapping[str, Sequence[str]],
+    steps: Sequence[PlannedStep], procedure: str, t_ns: int,
+) -> RunLimits:  # fmt: skip
+    """Find the limits on the units of a run that starts at `t_ns` and is recorded into the store `folder`.
 
-    Parameters
-    ----------
-    folder: The store that the run is recorded into.
-    wanted: The specification to apply, ``NAME`` or ``NAME@REVISION``; by default those that are valid.
-    entries: The units with their products.
-    signals: Angular rates of each unit.
-    steps, procedure: What is done.
-    t_ns: Start of the run.
-
-    Raises
-    ------
-    NotFound: If the wanted specification is not in the store; the message has those that are.
-    StoreError: If the store is damaged.
+    `wanted` is the specification to apply, ``NAME`` or ``NAME@REVISION``; by default those that are valid. `signals`
+    are the angular rates of each unit. Raises NotFound, with those that are there, if the wanted specification is not
+    in the store; StoreError if the store is damaged.
     """
     periods, valid, remark = _periods(folder, wanted, t_ns)
     specifications = [each.specification for each in periods]
@@ -135,19 +98,11 @@ def run_limits(
 
 
 def has_one_record_at_rest(steps: Sequence[PlannedStep], procedure: str) -> bool:
-    """Whether a procedure records one step in which the units stand still: live estimators know no steps.
-
-    Examples
-    --------
-    >>> from ingest.procedures.procedure import load_procedure
-    >>> [has_one_record_at_rest(load_procedure(name).steps(), name) for name in ("static_bias", "bias_repeatability")]
-    [True, False]
-    """
+    """Whether a procedure records one step in which the units stand still: live estimators know no steps."""
     recorded = [step.words for step in steps if step.is_recorded]
     moving = ("rate_command_deg_per_s", "frequency_hz", "axis", "phase")
-    return (
-        len(recorded) == 1 and not any(getattr(recorded[0], name) for name in moving) and not _NO_BIAS.match(procedure)
-    )
+    is_moving = any(getattr(words, name) for words in recorded for name in moving)
+    return len(recorded) == 1 and not is_moving and not _NO_BIAS.match(procedure)
 
 
 def _periods(folder: Path, wanted: str | None, t_ns: int) -> tuple[list[Period], set[str], str]:

@@ -34,26 +34,8 @@ from stream.wire.acknowledgement import StreamId
 class RunLog(RunRecord[StationRunState]):
     """Sends the documents of one run, from the first to the last, and keeps how far it is.
 
-    Parameters
-    ----------
-    run: Its id.
-    procedure, plan: Name of the procedure, and the SHA-256 of its steps.
-    units: Serial numbers.
-    station: Where.
-    spool: Keeps what is sent until it is recorded; the run's state lies in its folder.
-    clock: The station's clock.
-
-    Raises
-    ------
-    BadInput: If the run was started as another one.
-    StoreError: If its state cannot be read, or, from every method, not be written.
-
-    Attributes
-    ----------
-    state: How far it is.
-    is_resumed: Whether another process began it.
-    gap_s: How long nothing was measured before it was resumed, seconds at the station.
-    coverage: What units deliver in the step that is recorded.
+    Raises BadInput if the run was started as another one; StoreError if its state cannot be read, or, from every
+    method, not be written. `plan` is the SHA-256 of the steps.
     """
 
     def __init__(
@@ -67,13 +49,11 @@ class RunLog(RunRecord[StationRunState]):
             found = StationRunState(run=run, procedure=procedure, plan=plan, units=units, t0_ns=now_ns, seen_ns=now_ns)
         check_same(found, procedure, plan, units)
         super().__init__(found, spool.folder / STATE_FILE, spool, station.place)
-        self._station = station
-        self._clock = clock
-        self._limits = NO_LIMITS
+        self._station, self._clock, self._limits = station, clock, NO_LIMITS
         self._first: dict[StreamId, int] = {}
         self._counting = threading.Lock()
         self._notes = 0
-        self.gap_s = 0.0
+        self.gap_s = 0.0  # how long nothing was measured before it was resumed, seconds at the station
         self.coverage = StepCoverage(found.units)
 
     def epoch_of(self, name: str) -> UUID:
@@ -81,10 +61,7 @@ class RunLog(RunRecord[StationRunState]):
         return UUID(self.state.epochs[name])
 
     def deliver(self, batch: SampleBatch) -> None:
-        """Send samples; from the thread of any source.
-
-        Numbers go on where the spool stands, so that a source may count anew from 0 after a restart.
-        """
+        """Send samples, from the thread of any source; they are numbered on, also where a source counts anew from 0."""
         assert self._sender is not None
         key = sample_key(self.place, batch.unit, batch.signal)
         stream = StreamId(key, batch.epoch.hex)
@@ -97,47 +74,25 @@ class RunLog(RunRecord[StationRunState]):
         self.coverage.see(batch)
 
     def begin(
-        self,
-        sender: Sender,
-        mounted: Iterable[AnyDocument],
-        about: Mapping[str, str],
-        *,
-        operator: str | None,
-        lot: str | None,
-        at: int | None = None,
-        warnings: Iterable[str] = (),
-        limits: RunLimits = NO_LIMITS,
-    ) -> None:
-        """Send the documents with which the run starts or resumes.
+        self, sender: Sender, mounted: Iterable[AnyDocument], about: Mapping[str, str], *, operator: str | None,
+        lot: str | None, at: int | None = None, warnings: Iterable[str] = (), limits: RunLimits = NO_LIMITS,
+    ) -> None:  # fmt: skip
+        """Send the documents with which the run starts or resumes, from the step `at` on.
 
-        Parameters
-        ----------
-        sender: Takes documents and samples, from now on.
-        mounted: Which units are where.
-        about: Further details of the run.
-        operator, lot: Who is responsible, and the production lot.
-        at: Index of the step that it resumes with; by default that at which it was.
-        warnings: What the operator was warned of; noted with a run that starts.
-        limits: Limits on its units.
+        `mounted` tells which units are where, `about` further details; `warnings`, of which the operator was warned,
+        are noted with a run that starts.
         """
-        self._sender = sender
-        self._limits = limits
+        self._sender, self._limits = sender, limits
         if self.state.phase == "starting":
             self._save()  # killed from here on, it is resumed as the same run
             self._send(
                 RunStarted(
-                    run=self.state.run,
-                    t_ns=self.state.t0_ns,
-                    uid=self._uid("started"),
-                    simulated=self._station.table.simulated,
-                    source=f"station {self._station.table.name}",
-                    units=self.state.units,
-                    procedure=self.state.procedure,
-                    details=dict(about),
-                    operator=operator,
+                    run=self.state.run, t_ns=self.state.t0_ns, uid=self._uid("started"),
+                    simulated=self._station.table.simulated, source=f"station {self._station.table.name}",
+                    units=self.state.units, procedure=self.state.procedure, details=dict(about), operator=operator,
                     lot=lot,
                 )
-            )
+            )  # fmt: skip
             for document in (*mounted, *limits.at_start(self.state.run, self.state.t0_ns)):
                 self._send(document)
             for warning in warnings:

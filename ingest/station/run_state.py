@@ -7,62 +7,39 @@ from pathlib import Path
 
 import msgspec
 
-from ingest.run_record import Outcome, Phase
-from ingest.state_file import read_state
+from ingest.run_record import Outcome, Phase, read_state
 from stream.errors import BadInput
 
 STATE_FILE = "procedure.json"
 
 
 class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A procedure's run as it stands.
-
-    Parameters
-    ----------
-    run: Its id.
-    procedure, plan: Name of the procedure, and the SHA-256 of its steps as they were planned.
-    units: Serial numbers.
-    t0_ns, seen_ns: The station's clock when it started, and when it was last seen going on.
-    starts: How many processes have worked on it.
-    phase, outcome: How far it is, and how it ended.
-    step, steps_done: Index of the step that is worked on, and how many are completed.
-    open_steps: Identity of the document of the step that is being recorded, by unit.
-    epochs: Epoch of every unit's power-on by unit; none for one that is off.
-    is_powered, powered_ns: Whether the units have power, and since when.
-    closed_steps, closed_as, closed_ns: The step that has ended last: the identity of its document by unit, how and
-        when it ended; sent again after a crash.
-    short_records: Records of a unit in a step that lack samples.
-    """
+    """A procedure's run as it stands."""
 
     format: int = 1
-    run: str
+    run: str  # its id
     procedure: str
-    plan: str
-    units: tuple[str, ...]
-    t0_ns: int
-    seen_ns: int
-    starts: int = 1
+    plan: str  # SHA-256 of its steps as they were planned
+    units: tuple[str, ...]  # serial numbers
+    t0_ns: int  # the station's clock when it started
+    seen_ns: int  # the station's clock when it was last seen going on
+    starts: int = 1  # how many processes have worked on it
     phase: Phase = "starting"
     outcome: Outcome = "completed"
-    step: int = 0
-    open_steps: dict[str, str] = {}
-    epochs: dict[str, str] = {}
+    step: int = 0  # index of the step that is worked on
+    open_steps: dict[str, str] = {}  # identity of the document of the step that is being recorded, by unit
+    epochs: dict[str, str] = {}  # epoch of every unit's power-on by unit; none for one that is off
     steps_done: int = 0
-    is_powered: bool = False
-    powered_ns: int = 0
-    closed_steps: dict[str, str] = {}
-    closed_as: str = ""
-    closed_ns: int = 0
-    short_records: int = 0
+    is_powered: bool = False  # whether the units have power
+    powered_ns: int = 0  # since when
+    closed_steps: dict[str, str] = {}  # identity of the document of the last step, by unit; sent again after a crash
+    closed_as: str = ""  # how it ended
+    closed_ns: int = 0  # when it ended
+    short_records: int = 0  # records of a unit in a step that lack samples
 
 
 def read_station_run(folder: Path) -> StationRunState | None:
-    """The run that is kept in a folder; None where there is none.
-
-    Raises
-    ------
-    StoreError: If it cannot be read.
-    """
+    """The run that is kept in a folder; None where there is none. Raises StoreError if it cannot be read."""
     return read_state(folder / STATE_FILE, StationRunState)
 
 

@@ -24,25 +24,10 @@ class Sampler:
     """Reads one instrument at its `sample_interval_s`, in a thread of its own.
 
     A failure is reported once; the instrument is reopened after 0.5 s, 1 s, 2 s and so on to 30 s, until it answers,
-    which is reported too. The time between is a gap.
+    which is reported too. The time between is a gap; `missed` readings were due and not made. The name of the opened
+    instrument is the unit of its samples, which wait `batch_s` of the computer at most. `deliver` takes each batch in
+    this sampler's thread; if it raises, sampling ends and that is reported. `first_seq` numbers are by default 0.
 
-    Parameters
-    ----------
-    instrument: Opened; its name is the unit of its samples.
-    deliver: Takes each batch, in this sampler's thread. If it raises, sampling ends and that is reported.
-    report: Takes sentences for people.
-    lock: Held while the instrument is used; by default the instrument's own.
-    batch_s: Longest time that a sample waits for its batch, seconds of the computer.
-    first_seq: Number of the first sample of a signal; by default 0.
-
-    Attributes
-    ----------
-    samples: Delivered so far, all signals together.
-    missed: Readings that were due and not made.
-    error: What ended the sampler early.
-
-    Examples
-    --------
     >>> from ingest.instruments.base import Options
     >>> from ingest.station_clock import StationClock
     >>> class Thermometer(Instrument):
@@ -58,25 +43,16 @@ class Sampler:
     """
 
     def __init__(
-        self,
-        instrument: Instrument,
-        run: str,
-        epoch: UUID,
-        deliver: Callable[[SampleBatch], None],
-        report: Callable[[str], None],
-        *,
-        lock: AbstractContextManager[object] | None = None,
-        batch_s: float = 1.0,
+        self, instrument: Instrument, run: str, epoch: UUID, deliver: Callable[[SampleBatch], None],
+        report: Callable[[str], None], *, lock: AbstractContextManager[object] | None = None, batch_s: float = 1.0,
         first_seq: dict[str, int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._instrument = instrument
-        self._who = (
-            f"the {instrument.names['en']} {instrument.name}" if hasattr(instrument, "names") else instrument.name
-        )
+        kind = f"the {instrument.names['en']} " if hasattr(instrument, "names") else ""
+        self._who = f"{kind}{instrument.name}"
         self._run, self._epoch = run, epoch
-        self._deliver, self._report = deliver, report
+        self._deliver, self._report, self._batch_s = deliver, report, batch_s
         self._lock = instrument.lock if lock is None else lock
-        self._batch_s = batch_s
         self._interval_s = float(instrument.options.sample_interval_s)
         self._waiting: dict[str, list[Reading]] = {}
         self._next = dict(first_seq or {})
@@ -84,8 +60,7 @@ class Sampler:
         self._dt_ns: dict[str, int] = {}  # of traces
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self.samples = 0
-        self.missed = 0
+        self.samples = self.missed = 0
         self.error: Exception | None = None
 
     def start(self) -> None:
@@ -163,10 +138,8 @@ class Sampler:
             self._last_ns[reading.signal] = reading.t_ns
             self._waiting.setdefault(reading.signal, []).append(reading)
         if refused:
-            self._report(
-                f"{self._who}: {refused} of {len(readings)} readings are left out: "
-                f"not finite, or not later than the one before"
-            )
+            left_out = f"{self._who}: {refused} of {len(readings)} readings are left out"
+            self._report(f"{left_out}: not finite, or not later than the one before")
         if any(len(waiting) >= _MOST_IN_BATCH for waiting in self._waiting.values()):
             self._flush()
 
@@ -187,15 +160,7 @@ class Sampler:
             dt_ns = self._dt_ns[signal] = shortest
         off = np.abs(gaps - np.maximum(1, np.rint(gaps / dt_ns)) * dt_ns)
         return SampleBatch(
-            self._instrument.name,
-            signal,
-            self._run,
-            self._epoch,
-            self._next.get(signal, 0),
-            int(times_ns[0]),
-            dt_ns,
-            self._instrument.signals[signal],
-            values=np.array([reading.value for reading in readings]),
-            times_ns=times_ns,
-            irregular=bool((off > _GRID_TOLERANCE * dt_ns).any()),
-        )
+            self._instrument.name, signal, self._run, self._epoch, self._next.get(signal, 0), int(times_ns[0]), dt_ns,
+            self._instrument.signals[signal], values=np.array([reading.value for reading in readings]),
+            times_ns=times_ns, irregular=bool((off > _GRID_TOLERANCE * dt_ns).any()),
+        )  # fmt: skip

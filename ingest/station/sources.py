@@ -22,26 +22,14 @@ from stream.quantities import is_angular_rate
 
 
 class StationSources:
-    """Makes the sources of a run at a station.
-
-    Parameters
-    ----------
-    instruments: Opened, by name.
-    units: The units that are tested; each must be on a bus or a line.
-
-    Raises
-    ------
-    BadInput: If a database, mapping or layout cannot be read, or a unit is on no bus or line.
-    """
+    """Makes the sources of a run for the tested units; raises BadInput if one has none, or a file is unusable."""
 
     def __init__(
         self, station: Station, instruments: Mapping[str, Instrument], clock: StationClock, units: tuple[str, ...]
     ) -> None:
-        self._station = station
-        self._instruments = instruments
-        self._clock = clock
-        self._units = frozenset(units)
-        self._epoch = uuid4()
+        self._station, self._instruments, self._clock = station, instruments, clock
+        self._units, self._epoch = frozenset(units), uuid4()
+        self._lines = {name: line for name, line in station.lines.items() if line.unit in self._units}
         self._plans = {
             name: _of_units(load_mapping(station.beside(bus.mapping), list(map(station.beside, bus.dbc))), self._units)
             for name, bus in station.buses.items()
@@ -62,7 +50,7 @@ class StationSources:
         """Angular rates that each unit delivers."""
         found: dict[str, list[str]] = {unit: [] for unit in sorted(self._units)}
         came = [signal for plan in self._plans.values() for signal in plan.signals]
-        for name, line in self._station.lines.items():
+        for name, line in self._lines.items():
             came += [(line.unit, field.signal, field.unit) for field in self._layouts[name].fields]
         for unit, signal, unit_of_measure in came:
             if unit in found and is_angular_rate(unit_of_measure):
@@ -72,12 +60,8 @@ class StationSources:
     def _check_twice(self) -> None:
         """Refuse a signal that has two sources: its samples could not be numbered."""
         ways: dict[tuple[str, str], str] = {}
-        found = [
-            (f"buses.{name}", unit, signal) for name, plan in self._plans.items() for unit, signal, _ in plan.signals
-        ]
-        found += [
-            (f"lines.{name}", line.unit, "") for name, line in self._station.lines.items() if line.unit in self._units
-        ]
+        found = [(f"buses.{name}", *signal[:2]) for name, plan in self._plans.items() for signal in plan.signals]
+        found += [(f"lines.{name}", line.unit, "") for name, line in self._lines.items()]
         for way, unit, signal in found:
             if (other := ways.setdefault((unit, signal), way)) != way:
                 what = f"signal {signal} of unit {unit}" if signal else f"unit {unit}"
@@ -90,45 +74,27 @@ class StationSources:
         found = []
         for name in self._plans:
             try:
-                open_intake(self._station.buses[name].bus, ReceiveClock(self._clock, _nobody))[0].close()
+                open_intake(self._station.buses[name].bus, ReceiveClock(self._clock, lambda _: None))[0].close()
             except InstrumentError as error:
                 found.append(f"buses.{name} of {self._station.path}: {error}")
-        for name, line in self._station.lines.items():
-            if line.unit in self._units:
-                try:
-                    open_port(line.port, line.baud, self._layouts[name], f"unit {line.unit} at {line.port}").close()
-                except InstrumentError as error:
-                    found.append(f"lines.{name} of {self._station.path}: {error}")
+        for name, line in self._lines.items():
+            try:
+                open_port(line.port, line.baud, self._layouts[name], f"unit {line.unit} at {line.port}").close()
+            except InstrumentError as error:
+                found.append(f"lines.{name} of {self._station.path}: {error}")
         return found
 
     def make(self, log: RunLog, report: Callable[[str], None]) -> list[RunSource]:
         """Sources for the present power-ons, of the tested units only."""
-        made: list[RunSource] = [
-            CanBus(
-                self._station.buses[name].bus,
-                self._clock,
-                CanDecoder(plan, run=log.state.run, epoch_of=log.epoch_of),
-                log.deliver,
-                report,
-                wanted=plan.wanted,
-            )
-            for name, plan in self._plans.items()
-        ]
-        for name, line in self._station.lines.items():
-            if line.unit in self._units:
-                made.append(
-                    SerialLine(
-                        line.port,
-                        line.baud,
-                        self._layouts[name],
-                        line.unit,
-                        log.state.run,
-                        log.epoch_of(line.unit),
-                        self._clock,
-                        log.deliver,
-                        report,
-                    )
-                )
+        made: list[RunSource] = []
+        run = log.state.run
+        for name, plan in self._plans.items():
+            decoder = CanDecoder(plan, run=run, epoch_of=log.epoch_of)
+            options = self._station.buses[name].bus
+            made.append(CanBus(options, self._clock, decoder, log.deliver, report, wanted=plan.wanted))
+        for name, line in self._lines.items():
+            layout, unit, epoch = self._layouts[name], line.unit, log.epoch_of(line.unit)
+            made.append(SerialLine(line.port, line.baud, layout, unit, run, epoch, self._clock, log.deliver, report))
         return made
 
     def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[RunSource]:
@@ -142,7 +108,3 @@ class StationSources:
 
 def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
     return CanPlan(tuple(route for route in plan.routes if route.unit in units), plan.remarks)
-
-
-def _nobody(_sentence: str) -> None:
-    """Ignore reports of a bus that is closed at once."""

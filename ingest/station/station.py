@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import msgspec
 
@@ -66,12 +67,7 @@ class StationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     @property
     def location(self) -> StationLocation:
         """Where it stands."""
-        return StationLocation(
-            latitude_deg=self.latitude_deg,
-            time_zone=self.time_zone,
-            altitude_m=self.altitude_m,
-            gravity_m_per_s2=self.gravity_m_per_s2,
-        )
+        return StationLocation(**{name: getattr(self, name) for name in StationLocation.__struct_fields__})
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,23 +81,20 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Station(msgspec.Struct, frozen=True, kw_only=True):
-    """A station as its file describes it, checked.
+    """A station as its file describes it, checked."""
 
-    Parameters
-    ----------
-    path: The file; other files that it names lie beside it.
-    instruments: Kind and options of every instrument by its name.
-    settings: Instrument of each setting of a procedure: ``{"rate": "table"}``.
-    """
-
-    path: Path
+    path: Path  # the file; other files that it names lie beside it
     table: StationTable
     clock: ClockTable
-    instruments: Mapping[str, tuple[str, Options]]
+    instruments: Mapping[str, tuple[str, Options]]  # kind and options of every instrument by its name
     buses: Mapping[str, BusTable]
     lines: Mapping[str, LineTable]
     slots: Mapping[str, SlotTable]
-    settings: Mapping[str, str]
+    settings: Mapping[str, str]  # instrument of each setting of a procedure: ``{"rate": "table"}``
+
+    def day(self, t_ns: int) -> dt.date:
+        """The day at the station."""
+        return dt.datetime.fromtimestamp(t_ns / 1e9, ZoneInfo(self.table.time_zone)).date()
 
     @property
     def place(self) -> Place:
@@ -119,12 +112,7 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Have the station for one run alone.
-
-        Raises
-        ------
-        BadInput: If another run of this computer has it.
-        """
+        """Have the station for one run alone; raises BadInput if another run of this computer has it."""
         with self.path.open("rb") as file:
             with suppress(OSError):  # some file systems have no locks
                 try:
@@ -156,12 +144,7 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def load_station(path: Path) -> Station:
-    """Read a station file.
-
-    Raises
-    ------
-    BadInput: If it cannot be read, or does not describe a station; the message says where in it.
-    """
+    """Read a station file; raises BadInput, with the place in it, if it cannot be read or describes no station."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -175,16 +158,12 @@ def load_station(path: Path) -> Station:
     file.station.location.check(lambda field: f"{path}: station.{field}")
     _check_clock(path, file.clock)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
+    slots = {name: _slot(path, name, slot, instruments) for name, slot in file.slots.items()}
+    settings = _settings(path, file.settings, instruments)
     return Station(
-        path=path,
-        table=file.station,
-        clock=file.clock,
-        instruments=instruments,
-        buses=file.buses,
-        lines=file.lines,
-        slots={name: _slot(path, name, slot, instruments) for name, slot in file.slots.items()},
-        settings=_settings(path, file.settings, instruments),
-    )
+        path=path, table=file.station, clock=file.clock, instruments=instruments, buses=file.buses, lines=file.lines,
+        slots=slots, settings=settings,
+    )  # fmt: skip
 
 
 def _check_clock(path: Path, clock: ClockTable) -> None:

@@ -23,8 +23,6 @@ class _Seen:
 class StepCoverage:
     """Counts the samples of `units` in the evaluated part of a step; batches come from any thread.
 
-    Examples
-    --------
     >>> from uuid import UUID
     >>> import numpy as np
     >>> coverage = StepCoverage(["FOG-1", "FOG-2"])
@@ -37,8 +35,7 @@ class StepCoverage:
     """
 
     def __init__(self, units: Sequence[str]) -> None:
-        self._units = tuple(units)
-        self._known = frozenset(units)
+        self._units, self._known = tuple(units), frozenset(units)
         self._seen: dict[tuple[str, str], _Seen] = {}
         self._begin_ns = self._end_ns = 0
         self._lock = threading.Lock()

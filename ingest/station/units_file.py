@@ -28,28 +28,21 @@ _NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/unit-mounted")
 
 
 class UnitEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One unit that is tested.
+    """One unit that is tested."""
 
-    Parameters
-    ----------
-    serial: Its serial number, which is its name in the data.
-    details: The file's other columns, by their titles.
-    line: Its line in the file, from 1.
-    """
-
-    serial: str
+    serial: str  # its serial number, which is its name in the data
     slot: str | None = None
     lot: str | None = None
     operator: str | None = None
     fixture: str | None = None
     firmware: str | None = None
     product: str | None = None
-    details: dict[str, str] = {}
-    line: int = 0
+    details: dict[str, str] = {}  # the file's other columns, by their titles
+    line: int = 0  # its line in the file, from 1
 
 
 class UnitsFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A file of units: the entries in its order, and how it was read; `empty_lines` were passed over."""
+    """A file of units: the entries in its order, and how it was read."""
 
     source: str
     entries: tuple[UnitEntry, ...]
@@ -65,16 +58,10 @@ def load_units(path: str | Path, slots: Iterable[str] | None = None) -> tuple[Un
 def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFile:
     """Read which units are tested from a file, or from standard input where the path is ``-``.
 
-    Parameters
-    ----------
-    path: A table with a first line of titles, one of them ``serial`` (comma, semicolon or tab between columns), or
-        plain text with one serial a line. UTF-8, GB 18030, or UTF-16 with its mark.
-    slots: The station's slots; others are refused.
-
-    Raises
-    ------
-    BadInput: If it cannot be read, or units are missing, named twice, put into one slot or a slot that is not there;
-        all problems are listed with their lines.
+    It is a table with a first line of titles, one of them ``serial`` (comma, semicolon or tab between columns), or
+    plain text with one serial a line; UTF-8, GB 18030, or UTF-16 with its mark. Only the station's `slots` are taken.
+    Raises BadInput if it cannot be read, or units are missing, named twice, put into one slot or a slot that is not
+    there; all problems are listed with their lines.
     """
     if str(path) == STDIN:
         content, source = sys.stdin.buffer.read(_MOST_BYTES + 1), "standard input"
@@ -93,8 +80,6 @@ def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFil
 def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None) -> UnitsFile:
     r"""Read which units are tested; see `read_units`.
 
-    Examples
-    --------
     >>> found = parse_units("serial,slot,colour\nFOG-1,A1,red\n\nFOG-2,A2,\n".encode(), "units.csv")
     >>> [(each.serial, each.slot, each.details) for each in found.entries], found.empty_lines
     ([('FOG-1', 'A1', {'colour': 'red'}), ('FOG-2', 'A2', {})], 1)
@@ -127,17 +112,7 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
 
 
 def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEntry, ...]:
-    """Entries without a slot get the free ones in order, as units are scanned in the order in which they stand.
-
-    Raises
-    ------
-    BadInput: If there are fewer slots than units.
-
-    Examples
-    --------
-    >>> [each.slot for each in assigned([UnitEntry(serial="a"), UnitEntry(serial="b", slot="1")], ["1", "2"])]
-    ['2', '1']
-    """
+    """Give free slots to entries without one, in the order in which they are scanned; raises BadInput if too few."""
     taken = {entry.slot for entry in entries}
     free = [slot for slot in slots if slot not in taken]
     wanting = sum(entry.slot is None for entry in entries)
@@ -148,34 +123,23 @@ def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEn
 
 
 def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tuple[UnitMounted, ...]:
-    """Documents of the units; for the same run and `t_ns` on the station's clock they have the same identities.
+    """Documents of the units; for the same run and `t_ns` on the station's clock they have the same identities."""
 
-    Examples
-    --------
-    >>> mounted_documents([UnitEntry(serial="FOG-1", slot="A1")], "r1", 0)[0].slot
-    'A1'
-    """
+    def uid(entry: UnitEntry) -> str:
+        content = msgspec.json.encode([run, t_ns, msgspec.structs.replace(entry, line=0)])
+        return uuid5(_NAMESPACE, content.decode()).hex
+
     return tuple(
         UnitMounted(
-            run=run,
-            t_ns=t_ns,
-            uid=uuid5(
-                _NAMESPACE, msgspec.json.encode([run, t_ns, msgspec.structs.replace(entry, line=0)]).decode()
-            ).hex,
-            unit=entry.serial,
-            details=entry.details,
+            run=run, t_ns=t_ns, uid=uid(entry), unit=entry.serial, details=entry.details,
             **{name: getattr(entry, name) for name in COLUMNS[1:]},
         )
         for entry in entries
-    )
+    )  # fmt: skip
 
 
 def _decoded(content: bytes, source: str) -> tuple[str, str]:
-    if content.startswith(_UTF16_MARKS):
-        encodings: tuple[str, ...] = ("utf-16",)
-    else:
-        encodings = _ENCODINGS
-    for encoding in encodings:
+    for encoding in ("utf-16",) if content.startswith(_UTF16_MARKS) else _ENCODINGS:
         try:
             text = content.decode(encoding)
         except UnicodeDecodeError:

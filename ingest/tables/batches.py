@@ -55,28 +55,10 @@ def splits_at_gaps(sampling: Sampling) -> bool:
 
 
 class Batcher:
-    """Collects samples of one signal and gives them out in batches, numbered from 0.
-
-    Parameters
-    ----------
-    head: What its batches share.
-    batch_samples: Samples in a full batch.
-    splits_at_gaps: Whether a batch ends before a gap.
-
-    Examples
-    --------
-    >>> head = SignalHead("G1", "rate", "r1", UUID(int=1), 10, "deg/s", irregular=False)
-    >>> batcher = Batcher(head, batch_samples=2, splits_at_gaps=True)
-    >>> [len(batch) for batch in batcher.push(np.array([0, 10, 20]), np.zeros(3))]
-    [2]
-    >>> [batch.seq for batch in batcher.flush()]
-    [2]
-    """
+    """Collects samples of one signal and gives them out in batches, numbered from 0."""
 
     def __init__(self, head: SignalHead, batch_samples: int, *, splits_at_gaps: bool) -> None:
-        self._head = head
-        self._batch_samples = batch_samples
-        self._splits_at_gaps = splits_at_gaps
+        self._head, self._batch_samples, self._splits_at_gaps = head, batch_samples, splits_at_gaps
         self._buffer: tuple[IntArray, FloatArray | CountArray] | None = None
         self._seq = 0
 
@@ -104,7 +86,6 @@ class Batcher:
             yield self._batch(times_ns, data, is_even=bool((np.diff(times_ns) == self._head.dt_ns).all()))
 
     def _ends(self, intervals_ns: IntArray, samples: int) -> Iterator[int]:
-        """Ends of the full batches."""
         gaps = np.flatnonzero(is_gap(intervals_ns, self._head.dt_ns)) + 1 if self._splits_at_gaps else np.array([], int)
         begin = 0
         for gap in gaps.tolist():

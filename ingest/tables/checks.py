@@ -34,29 +34,20 @@ class Owner(NamedTuple):
 
 @dataclass(frozen=True)
 class GoodRows:
-    """Rows of one unit and run that keep the contract, in time order.
-
-    Parameters
-    ----------
-    times_ns: shape (n,); strictly increasing, on the run's clock.
-    signals: By name of the signal, shape (n,) each.
-    stretches: Consecutive stretches of rows (from, to, words of their step).
-    done: Fraction of the file that is read, 0 to 1.
-    """
+    """Rows of one unit and run that keep the contract, in time order."""
 
     owner: Owner
-    times_ns: IntArray
-    signals: dict[str, NumberCells]
-    stretches: list[tuple[int, int, StepWords | None]]
-    done: float
+    times_ns: IntArray  # shape (n,); strictly increasing, on the run's clock
+    signals: dict[str, NumberCells]  # by name of the signal, shape (n,) each
+    stretches: list[tuple[int, int, StepWords | None]]  # consecutive stretches of rows (from, to, words of their step)
+    done: float  # fraction of the file that is read, 0 to 1
 
 
 class RowFilter:
     """Selects the good rows of a file, block by block, and logs the bad ones."""
 
     def __init__(self, path: Path, columns: Columns, options: TableOptions) -> None:
-        self._path = path
-        self._columns = columns
+        self._path, self._columns = path, columns
         self._rate_hz = options.sample_rate_hz
         self._common_words = options.words
         self._unit = None if columns.unit else check_name("unit", options.unit or "")
@@ -72,19 +63,18 @@ class RowFilter:
         units = self._names(block, "unit", self._columns.unit)
         runs = self._names(block, "run", self._columns.run)
         words = [_read_texts(block, column.title, column.read) for column in self._columns.words]
-        passed: list[tuple[Owner, IndexArray, IntArray]] = []
+        passed: list[tuple[Owner, IndexArray]] = []
         owned = list(self._owned(units, runs, len(block.numbers)))
         written_ns = self._written_times(block, owned)
         self._settle_clock(block, written_ns)
         times_ns = self.clock.place(written_ns)
         for owner, rows in owned:
-            rows = rows[~block.sieve.bad[rows]]
-            rows = self._in_order(block, owner, rows, times_ns)
+            rows = self._in_order(block, owner, rows[~block.sieve.bad[rows]], times_ns)
             if len(rows):
-                passed.append((owner, rows, times_ns))
+                passed.append((owner, rows))
         self.rows += len(block.numbers)
         self.log.add(int(block.sieve.bad.sum()), block.sieve.reasons())
-        return [self._good_rows(block, owner, rows, times_ns, words) for owner, rows, times_ns in passed]
+        return [self._good_rows(block, owner, rows, times_ns, words) for owner, rows in passed]
 
     def _names(self, block: CellBlock, kind: str, title: str | None) -> TextCells | None:
         if title is None:
@@ -181,7 +171,7 @@ class RowFilter:
         signals = block.signals
         if len(rows) < len(block.numbers):
             times_ns = times_ns[rows]
-            signals = {name: _taken(cells, rows) for name, cells in signals.items()}
+            signals = {name: cells.at(rows) for name, cells in signals.items()}
         return GoodRows(owner, times_ns, signals, self._stretches(rows, words), block.done)
 
     def _stretches(self, rows: IndexArray, words: list[TextCells]) -> list[tuple[int, int, StepWords | None]]:
@@ -192,10 +182,8 @@ class RowFilter:
         edges = [0, *(np.flatnonzero(changed) + 1).tolist(), len(rows)]
         stretches = []
         for begin, end in pairwise(edges):
-            values = [
-                cells.values[code[begin]] if code[begin] >= 0 else None
-                for cells, code in zip(words, codes, strict=True)
-            ]
+            coded = zip(words, codes, strict=True)
+            values = [cells.values[code[begin]] if code[begin] >= 0 else None for cells, code in coded]
             words_here = with_common_words(step_words(self._columns.words, values), self._common_words)
             stretches.append((begin, end, words_here))
         return stretches
@@ -230,7 +218,3 @@ def _read_texts(block: CellBlock, title: str, read: Callable[[object], Any]) -> 
 
 def _unreadable(block: CellBlock, title: str, found: str, expected: str) -> Callable[[int], BadRow]:
     return lambda row: BadRow(block.place, int(block.numbers[row]), title, found, expected)
-
-
-def _taken(cells: NumberCells, rows: IndexArray) -> NumberCells:
-    return NumberCells(cells.values[rows], None if cells.valid is None else cells.valid[rows])

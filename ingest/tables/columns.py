@@ -32,41 +32,19 @@ _SQUARE = "name it like 'rate[deg/s]'"
 
 @dataclass(frozen=True)
 class TableOptions:
-    """What the command line adds to a table.
+    """What the command line adds to a table; raises BadInput if a number is outside its range."""
 
-    Parameters
-    ----------
-    unit, run: Whose samples these are, if no column says so. The default run is the file's name without suffix.
-    start_ns: The run's start, nanoseconds UTC: added to times that count from it.
-    sample_rate_hz: Sampling rate in Hz of a file without a time column.
-    skip_bad: Leave bad rows out instead of refusing the file.
-    batch_samples: Most samples in a batch.
-    words: Step words of all rows, if no column has them.
-    renames: Title of a column, or its name without unit, and what it is to be called: ``gyro_x`` or ``gyro_x[deg/s]``.
-    time_zone: Of time stamps that name none.
-
-    Raises
-    ------
-    BadInput: If a number is outside its range.
-
-    Examples
-    --------
-    >>> TableOptions(unit="FOG-0231").batch_samples
-    1000
-    """
-
-    unit: str | None = None
-    run: str | None = None
-    start_ns: int | None = None
-    sample_rate_hz: float | None = None
-    skip_bad: bool = False
-    batch_samples: int = 1000
-    words: StepWords | None = None
-    renames: tuple[tuple[str, str], ...] = ()
-    time_zone: str | None = None
+    unit: str | None = None  # whose samples these are, if no column says so
+    run: str | None = None  # likewise; by default the file's name without suffix
+    start_ns: int | None = None  # the run's start, nanoseconds UTC: added to times that count from it
+    sample_rate_hz: float | None = None  # sampling rate in Hz of a file without a time column
+    skip_bad: bool = False  # leave bad rows out instead of refusing the file
+    batch_samples: int = 1000  # most samples in a batch
+    words: StepWords | None = None  # step words of all rows, if no column has them
+    renames: tuple[tuple[str, str], ...] = ()  # a column's title or name, and another: ``gyro_x``, ``gyro_x[deg/s]``
+    time_zone: str | None = None  # of time stamps that name none
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         if self.sample_rate_hz is not None and not 1e-9 <= self.sample_rate_hz <= 1e9:
             raise BadInput(f"sample rate {self.sample_rate_hz!r} Hz: give a number from 1e-9 to 1e9")
         if self.start_ns is not None and not -MAX_NS <= self.start_ns <= MAX_NS:
@@ -112,18 +90,7 @@ class Columns:
 
 
 def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps: Collection[str] = ()) -> Columns:
-    """Find the meaning of the columns with `titles`; those of `stamps` hold ISO 8601 time stamps.
-
-    Raises
-    ------
-    BadInput: If a title does not keep the contract, or something is missing or given twice.
-
-    Examples
-    --------
-    >>> columns = read_header(Path("a.csv"), ["time[s]", "rate[deg/s]", "unit"], TableOptions())
-    >>> columns.signals
-    [SignalColumn(title='rate[deg/s]', name='rate', unit_of_measure='deg/s')]
-    """
+    """Find the meaning of columns, `stamps` those of ISO 8601; raises BadInput if titles break the contract."""
     try:
         _refuse_repeated("column", titles)
         reader = _HeaderReader(titles, options, stamps)

@@ -29,40 +29,19 @@ _SAMPLE_LINES = 1000
 
 
 class CsvTable:
-    """A text file of cells separated by comma, semicolon, tab or blanks, as blocks of rows.
-
-    Lines that begin with ``#`` are comments.
-
-    Parameters
-    ----------
-    block_bytes: How much is read at a time.
-    """
+    """A text file of cells between commas, semicolons, tabs or blanks; lines that begin with ``#`` are comments."""
 
     def __init__(self, path: Path, block_bytes: int = BLOCK_BYTES) -> None:
-        self._path = path
-        self._block_bytes = block_bytes
+        self._path, self._block_bytes = path, block_bytes
         self._size = max(path.stat().st_size, 1)
         self._dialect = self._find_dialect()
+        self.titles, self.stamp_titles = self._dialect.titles, self._dialect.stamp_titles
+        self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
         # Digits after the point that times need beyond whole nanoseconds: none until the first that has them.
         self._spare_digits = 0
         self._comments = 0
         self._time_zone = "UTC"
         self._has_stamps_without_zone = False
-
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """Titles of the columns."""
-        return self._dialect.titles
-
-    @property
-    def integer_titles(self) -> frozenset[str]:
-        """No column of a text file has a type."""
-        return frozenset()
-
-    @property
-    def stamp_titles(self) -> frozenset[str]:
-        """Titles of the columns whose first cell is an ISO 8601 time stamp."""
-        return self._dialect.stamp_titles
 
     @property
     def remarks(self) -> list[str]:
@@ -80,8 +59,7 @@ class CsvTable:
 
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
         """Set the meaning of the columns."""
-        self._columns = columns
-        self._time_zone = time_zone
+        self._columns, self._time_zone = columns, time_zone
         numeric = [signal.title for signal in columns.signals]
         if columns.time is not None and not columns.time.is_stamp:
             numeric.append(columns.time.title)
@@ -134,7 +112,7 @@ class CsvTable:
         except BadInput as error:
             header = next(i for i, (text, _) in enumerate(lines, 1) if text.strip() and not text.startswith("#"))
             raise BadInput(f"{self._path}, line {header}: {error}") from error
-        if not dialect.has_rows and not has_more:
+        if not dialect.sample and not has_more:
             raise BadInput(f"{self._path}: a header and no rows; nothing to import")
         return dialect
 
@@ -152,12 +130,10 @@ class CsvTable:
         while data := file.read(self._block_bytes):
             cut = data.rfind(b"\n") + 1
             if cut:
-                block = rest + data[:cut]
-                yield block
-                line += _lines(block)
-                rest = data[cut:]
-            else:
-                rest += data
+                yield rest + data[:cut]
+                line += _lines(rest) + _lines(data[:cut])
+                rest = b""
+            rest += data[cut:]
             if len(rest) > LONGEST_LINE_BYTES:
                 raise BadInput(f"{self._path}, line {line}: longer than 8 MiB; this is no table of rows")
         if rest:
@@ -195,27 +171,23 @@ class CsvTable:
             times_ns = self._times(table.column(self._columns.time.title))
             if times_ns is None:
                 return None
-        signals = {signal.name: _numbers(table.column(signal.title)) for signal in self._columns.signals}
+        columns = {signal.name: table.column(signal.title) for signal in self._columns.signals}
+        signals = {name: NumberCells.of(column.combine_chunks()) for name, column in columns.items()}
         if not all(np.isfinite(cells.values).all() for cells in signals.values()):
             return None
         texts = {title: _texts(table.column(title)) for title in self._columns.text_titles}
         return CellBlock("line", numbers, times_ns, signals, texts, Sieve(len(numbers)), done)
 
     def _read_typed(self, block: bytes) -> pa.Table | None:
+        read = arrow_csv.ReadOptions(column_names=self.titles, block_size=_ARROW_BLOCK_BYTES)
+        parse = arrow_csv.ParseOptions(delimiter=self._dialect.delimiter)
         for spare in sorted({self._spare_digits, _SPARE_DIGITS}):
+            convert = arrow_csv.ConvertOptions(
+                column_types=self._types(spare), null_values=[""], strings_can_be_null=True, check_utf8=False,
+                decimal_point=self._decimal_mark,
+            )  # fmt: skip
             try:
-                table = arrow_csv.read_csv(
-                    pa.BufferReader(block),
-                    read_options=arrow_csv.ReadOptions(column_names=self.titles, block_size=_ARROW_BLOCK_BYTES),
-                    parse_options=arrow_csv.ParseOptions(delimiter=self._dialect.delimiter),
-                    convert_options=arrow_csv.ConvertOptions(
-                        column_types=self._types(spare),
-                        null_values=[""],
-                        strings_can_be_null=True,
-                        check_utf8=False,
-                        decimal_point=self._decimal_mark,
-                    ),
-                )
+                table = arrow_csv.read_csv(pa.BufferReader(block), read, parse, convert)
             except pa.ArrowInvalid:
                 continue
             self._spare_digits = spare
@@ -251,13 +223,6 @@ def _is_text(raw: bytes) -> bool:
     except UnicodeDecodeError:
         return False
     return True
-
-
-def _numbers(column: pa.ChunkedArray) -> NumberCells:
-    array = column.combine_chunks()
-    if array.null_count == 0:
-        return NumberCells(array.to_numpy(), None)
-    return NumberCells(array.fill_null(0.0).to_numpy(), array.is_valid().to_numpy(zero_copy_only=False))
 
 
 def _texts(column: pa.ChunkedArray) -> TextCells:

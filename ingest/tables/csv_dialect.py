@@ -18,27 +18,15 @@ _BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a table is written.
-
-    Parameters
-    ----------
-    first_line, first_byte: Where the rows begin; lines are counted from 1.
-    comments: Comment lines before that place, a header among them excepted.
-    sample: Cells of the first rows.
-    """
+    """How a table is written."""
 
     titles: tuple[str, ...]
     delimiter: str
-    first_line: int
+    first_line: int  # of the rows, counted from 1
     first_byte: int
-    comments: int
+    comments: int  # comment lines before that place, a header among them excepted
     is_header_comment: bool
-    sample: tuple[tuple[str, ...], ...]
-
-    @property
-    def has_rows(self) -> bool:
-        """Whether there are rows among the first lines."""
-        return bool(self.sample)
+    sample: tuple[tuple[str, ...], ...]  # cells of the first rows
 
     @property
     def stamp_titles(self) -> frozenset[str]:
@@ -70,8 +58,6 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
 
     A header in a comment, as NumPy writes it, is taken if the first line that is none consists of numbers.
 
-    Examples
-    --------
     >>> found = find_dialect([("# bench 3", 10), ("Time (s);Rate (deg/s)", 32), ("0,5;1", 38)])
     >>> found.titles, found.delimiter, found.comments, found.first_line, found.decimal_mark(["Time (s)"])
     (('Time (s)', 'Rate (deg/s)'), ';', 1, 3, ',')

@@ -17,24 +17,13 @@ _RANGE = "a time within 146 years of 1970 (or of the run's start)"
 
 
 class LineReader:
-    """Reads single lines of a file with known columns.
-
-    Parameters
-    ----------
-    titles: Titles of the columns, in order.
-    delimiter: Character between cells.
-    decimal_mark: ``.`` or ``,``.
-    time_zone: Of time stamps that name none.
-    """
+    """Reads single lines of a file with known columns; `time_zone` is that of time stamps that name none."""
 
     def __init__(
         self, titles: Sequence[str], columns: Columns, delimiter: str, decimal_mark: str = ".", time_zone: str = "UTC"
     ) -> None:
-        self._titles = titles
-        self._columns = columns
-        self._delimiter = delimiter
-        self._decimal_mark = decimal_mark
-        self._time_zone = time_zone
+        self._titles, self._columns, self._delimiter = titles, columns, delimiter
+        self._decimal_mark, self._time_zone = decimal_mark, time_zone
         self._signals = {column.title: column.name for column in columns.signals}
         self._texts = frozenset(columns.text_titles)
 
@@ -50,7 +39,8 @@ class LineReader:
             try:
                 self._read_cells(rows, row, split_line(text, self._delimiter))
             except _BadCell as bad:
-                rows.sieve.refuse_row(row, BadRow("line", number, bad.column, bad.found, bad.expected))
+                reason = BadRow("line", number, bad.column, bad.found, bad.expected)
+                rows.sieve.refuse(np.array([row]), lambda _, reason=reason: reason)  # type: ignore[misc]
         numbers = np.array([number for number, _ in lines], np.int64)
         return rows.block(numbers, self._columns.time is not None, done)
 
@@ -117,8 +107,6 @@ class LineReader:
 def split_line(line: str, delimiter: str) -> list[str]:
     """Take a line apart into cells.
 
-    Examples
-    --------
     >>> split_line('1.5;"FOG;1"', ";")
     ['1.5', 'FOG;1']
     """
@@ -135,9 +123,7 @@ def split_line(line: str, delimiter: str) -> list[str]:
 class _BadCell(BadInput):
     def __init__(self, column: str, found: str, expected: str) -> None:
         super().__init__(f"found {found!r}, expected {expected}")
-        self.column = column
-        self.found = found
-        self.expected = expected
+        self.column, self.found, self.expected = column, found, expected
 
 
 class _Rows:

@@ -31,19 +31,9 @@ _INT32 = np.iinfo(np.int32)
 
 
 class TableFile:
-    r"""A CSV or Parquet file that keeps the import contract.
+    r"""A CSV or Parquet file that keeps the import contract; raises BadInput if the file cannot be read or its header
+    does not keep the contract.
 
-    Parameters
-    ----------
-    path: The file: .csv, .tsv, .txt, .parquet or .pq.
-    options: What the command line adds to its columns.
-
-    Raises
-    ------
-    BadInput: If the file cannot be read or its header does not keep the contract.
-
-    Examples
-    --------
     >>> import tempfile
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = Path(folder.name) / "drift.csv"
@@ -57,8 +47,7 @@ class TableFile:
     """
 
     def __init__(self, path: Path, options: TableOptions) -> None:
-        self._path = path
-        self._options = options
+        self._path, self._options = path, options
         self._reader = _open(path)
         self._columns = read_header(path, self._reader.titles, options, self._reader.stamp_titles)
         self._reader.bind(self._columns, options.time_zone or "UTC")
@@ -69,10 +58,7 @@ class TableFile:
     def check(self, progress: Progress | None = None) -> TableSummary:
         """Read the whole file and check every row; `progress` is called with the fraction that is read, 0 to 1.
 
-        Raises
-        ------
-        BadRows: If rows are bad and `skip_bad` is not set; it carries them.
-        BadInput: If the file as a whole cannot be used.
+        Raises BadRows, with the bad rows, unless `skip_bad` is set; BadInput if the file as a whole cannot be used.
         """
         rows = self._new_filter()
         grids: dict[tuple[Owner, str], SamplingGrid] = {}
@@ -110,12 +96,7 @@ class TableFile:
         return self._summary
 
     def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
-        """Every sample of the good rows, signal by signal and block by block; runs `check` if it has not run.
-
-        Raises
-        ------
-        BadInput: As `check`, and if the file has changed since.
-        """
+        """Every sample of the good rows, signal by signal and block by block; runs `check` first, raises as it."""
         counts = self._counts()
         for good in self._good_rows(self._new_filter(), progress):
             for name, cells in good.signals.items():
@@ -128,17 +109,9 @@ class TableFile:
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         """Batches of samples and the steps around them, in time order for each unit and run.
 
-        A batch lies in one step. Samples of each signal are numbered from 0 as they are delivered.
-
-        Parameters
-        ----------
-        epoch_of: From unit and run to the epoch of their samples.
-        keep: From unit, run, signal and times in nanoseconds to a mask of the samples to deliver; steps are always
-            delivered.
-
-        Raises
-        ------
-        BadInput: As `check`, which runs first if it has not run; and if the file has changed since.
+        A batch lies in one step. Samples of each signal are numbered from 0 as they are delivered. Raises BadInput as
+        `check`, which runs first if it has not run; and if the file has changed since. `keep` makes a mask of the
+        samples to deliver of unit, run, signal and times in nanoseconds; steps are always delivered.
         """
         counts = self._counts()
         batchers = self._batchers(epoch_of)
@@ -149,11 +122,9 @@ class TableFile:
                 if not tracker.is_open(*good.owner, words):
                     yield from _flushed(mine)
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
-                for document in tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns):
-                    if document is not None:
-                        yield document
+                yield from filter(None, tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns))
                 for name, cells in good.signals.items():
-                    times_ns, data = _samples(good.times_ns[begin:end], _sliced(cells, begin, end))
+                    times_ns, data = _samples(good.times_ns[begin:end], cells.at(slice(begin, end)))
                     if keep is not None and len(times_ns):
                         kept = keep(*good.owner, name, times_ns)
                         times_ns, data = times_ns[kept], data[kept]
@@ -161,9 +132,7 @@ class TableFile:
                         yield from mine[name].push(times_ns, data.astype(np.int32) if counts[name] else data)
         for owner, mine in batchers.items():
             yield from _flushed(mine)
-            ended = tracker.close(*owner)
-            if ended is not None:
-                yield ended
+            yield from filter(None, [tracker.close(*owner)])
 
     def _good_rows(self, rows: RowFilter, progress: Progress | None) -> Iterator[GoodRows]:
         self._stamp.check()
@@ -187,14 +156,9 @@ class TableFile:
         for found in self._checked().signals:
             sampling = found.sampling
             head = SignalHead(
-                unit=found.unit,
-                signal=found.signal,
-                run=found.run,
-                epoch=epoch_of(found.unit, found.run),
-                dt_ns=sampling.dt_ns,
-                unit_of_measure=found.unit_of_measure,
-                irregular=sampling.irregular,
-            )
+                unit=found.unit, signal=found.signal, run=found.run, epoch=epoch_of(found.unit, found.run),
+                dt_ns=sampling.dt_ns, unit_of_measure=found.unit_of_measure, irregular=sampling.irregular,
+            )  # fmt: skip
             batcher = Batcher(head, self._options.batch_samples, splits_at_gaps=splits_at_gaps(sampling))
             batchers.setdefault(Owner(found.unit, found.run), {})[found.signal] = batcher
         return batchers
@@ -225,10 +189,6 @@ def _samples(times_ns: IntArray, cells: NumberCells) -> tuple[IntArray, FloatArr
     if cells.valid is None:
         return times_ns, cells.values
     return times_ns[cells.valid], cells.values[cells.valid]
-
-
-def _sliced(cells: NumberCells, begin: int, end: int) -> NumberCells:
-    return NumberCells(cells.values[begin:end], None if cells.valid is None else cells.valid[begin:end])
 
 
 def _are_int32(values: FloatArray) -> bool:

@@ -19,15 +19,11 @@ _RESTART = 10.5
 class Sampling:
     """Times of one signal in short.
 
-    Parameters
-    ----------
-    dt_ns: Nominal interval, nanoseconds: the mean of the first 10,000 intervals, a gap divided by the intervals it
-        lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has
-        a median of 10 ms.)
-    off_grid: Intervals further than a tenth of the nominal one from every multiple of it, gaps of more than ten
-        intervals excepted: after such a gap the source may have restarted with another grid.
-    worst_ns: Largest distance of such an interval from a multiple of the nominal one, nanoseconds.
-    gaps: Intervals longer than 1.5 nominal ones.
+    `dt_ns`: nominal interval, nanoseconds: the mean of the first 10,000 intervals, a gap divided by the intervals it
+    lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has a
+    median of 10 ms.)
+    `off_grid`: intervals further than a tenth of the nominal one from every multiple of it, gaps of more than ten
+    intervals excepted: after such a gap the source may have restarted with another grid.
     """
 
     samples: int
@@ -35,8 +31,8 @@ class Sampling:
     t_last_ns: int
     dt_ns: int
     off_grid: int
-    worst_ns: int
-    gaps: int
+    worst_ns: int  # largest distance of such an interval from a multiple of the nominal one, nanoseconds
+    gaps: int  # intervals longer than 1.5 nominal ones
 
     @property
     def irregular(self) -> bool:
@@ -47,12 +43,8 @@ class Sampling:
 class SamplingGrid:
     """Finds the sampling of one signal from its times, in pieces of any size.
 
-    Parameters
-    ----------
-    nominal: From the first intervals and their measured nominal interval to the nominal interval, all nanoseconds.
+    `nominal` makes the nominal interval of the first intervals and the measured one, all nanoseconds.
 
-    Examples
-    --------
     >>> grid = SamplingGrid()
     >>> grid.add(np.array([0, 10, 20, 50, 61]))
     >>> grid.finish()

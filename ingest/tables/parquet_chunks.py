@@ -21,12 +21,7 @@ _PAGE_BYTES = 1 << 18
 
 
 class ParquetTable:
-    """A Parquet file as blocks of rows.
-
-    Parameters
-    ----------
-    block_rows: Most rows in a block; fewer if there are many columns.
-    """
+    """A Parquet file as blocks of rows."""
 
     def __init__(self, path: Path, block_rows: int = BLOCK_ROWS) -> None:
         self._path = path
@@ -34,29 +29,16 @@ class ParquetTable:
             with self._open() as file:
                 schema: pa.Schema = file.schema_arrow
                 self._rows: int = file.metadata.num_rows
-            self._titles = tuple(str(name) for name in schema.names)
-            self._types = {name: _plain(schema.field(i).type) for i, name in enumerate(self._titles)}
+            self.titles = tuple(str(name) for name in schema.names)
+            self._types = {name: _plain(schema.field(i).type) for i, name in enumerate(self.titles)}
         except Exception as error:  # the decoder raises whatever a damaged file makes it meet
             raise self._damaged(error) from error
         if self._rows == 0:
             raise BadInput(f"{path}: no rows; nothing to import")
         self._time_zone = "UTC"
-        self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self._titles), 1)))
-
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """Titles of the columns."""
-        return self._titles
-
-    @property
-    def integer_titles(self) -> frozenset[str]:
-        """Titles of the columns that hold integers by their type."""
-        return frozenset(title for title, kind in self._types.items() if pa.types.is_integer(kind))
-
-    @property
-    def stamp_titles(self) -> frozenset[str]:
-        """Titles of the columns that hold time stamps by their type."""
-        return frozenset(title for title, kind in self._types.items() if pa.types.is_timestamp(kind))
+        self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self.titles), 1)))
+        self.integer_titles = frozenset(title for title, kind in self._types.items() if pa.types.is_integer(kind))
+        self.stamp_titles = frozenset(title for title, kind in self._types.items() if pa.types.is_timestamp(kind))
 
     @property
     def remarks(self) -> list[str]:
@@ -67,8 +49,7 @@ class ParquetTable:
 
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
         """Set the meaning of the columns."""
-        self._columns = columns
-        self._time_zone = time_zone
+        self._columns, self._time_zone = columns, time_zone
         numeric = [signal.title for signal in columns.signals]
         if columns.time is not None and not columns.time.is_stamp:
             numeric.append(columns.time.title)
@@ -127,8 +108,7 @@ class ParquetTable:
             times_ns = self._times(batch.column(self._columns.time.title), first, sieve)
         signals: dict[str, NumberCells] = {}
         for signal in self._columns.signals:
-            cells = _numbers(batch.column(signal.title))
-            signals[signal.name] = cells
+            signals[signal.name] = cells = NumberCells.of(_float64(_decoded(batch.column(signal.title))))
             wrong = ~np.isfinite(cells.values)
             if wrong.any():
                 expected = "a finite number (null for no sample)"
@@ -202,13 +182,6 @@ def _decoded(array: pa.Array) -> pa.Array:
 
 def _float64(array: pa.Array) -> pa.Array:
     return array if pa.types.is_float64(array.type) else array.cast(pa.float64(), safe=False)
-
-
-def _numbers(array: pa.Array) -> NumberCells:
-    numbers = _float64(_decoded(array))
-    if numbers.null_count == 0:
-        return NumberCells(numbers.to_numpy(), None)
-    return NumberCells(numbers.fill_null(0.0).to_numpy(), numbers.is_valid().to_numpy(zero_copy_only=False))
 
 
 def _texts(array: pa.Array) -> TextCells:

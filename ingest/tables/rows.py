@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
@@ -22,23 +23,11 @@ _FOUND_CHARACTERS = 60
 
 @dataclass(frozen=True)
 class BadRow:
-    """A row that does not keep the import contract.
+    """A row that does not keep the import contract."""
 
-    Parameters
-    ----------
-    place: What `number` counts: ``line`` of a text file (as an editor counts, the header among them) or ``row`` of a
-        Parquet file, both from 1.
-    column: Title of the column, or '' for the row as a whole.
-
-    Examples
-    --------
-    >>> print(BadRow("line", 17, "rate[deg/s]", "fast", "a number"))
-    line 17, column rate[deg/s]: found 'fast', expected a number
-    """
-
-    place: str
+    place: str  # what `number` counts from 1: ``line`` of a text file as in an editor, or ``row`` of a Parquet file
     number: int
-    column: str
+    column: str  # title of the column, or '' for the row as a whole
     found: str
     expected: str
 
@@ -59,15 +48,12 @@ class BadRows(BadInput):
         advice = "correct the file, or leave them out with --skip-bad"
         head = f"{path}: {count} {noun} not keep the import contract; {advice}"
         super().__init__("\n".join([head, *shown]))
-        self.bad = bad
-        self.count = count
+        self.bad, self.count = bad, count
 
 
 class Sieve:
     """Which rows of a block are bad, and why the first of them are.
 
-    Examples
-    --------
     >>> sieve = Sieve(3)
     >>> sieve.refuse(np.array([1]), lambda row: BadRow("row", row + 1, "rate[deg/s]", "NaN", "a number"))
     >>> sieve.bad.tolist(), len(sieve.reasons())
@@ -84,10 +70,6 @@ class Sieve:
         self.bad[fresh] = True
         for row in fresh[:BAD_ROWS_KEPT].tolist():
             self._reasons[row] = why(row)
-
-    def refuse_row(self, row: int, reason: BadRow) -> None:
-        """Mark one row as bad."""
-        self.refuse(np.array([row]), lambda _: reason)
 
     def reasons(self) -> list[BadRow]:
         """Why rows are bad, in the order of the rows; of many only the first."""
@@ -125,45 +107,37 @@ class NumberCells:
     values: FloatArray
     valid: BoolArray | None
 
+    @classmethod
+    def of(cls, array: pa.Array) -> "NumberCells":
+        """Cells of an array of float64, which are empty where it has nulls."""
+        if array.null_count == 0:
+            return cls(array.to_numpy(), None)
+        return cls(array.fill_null(0.0).to_numpy(), array.is_valid().to_numpy(zero_copy_only=False))
+
+    def at(self, rows: npt.NDArray[np.intp] | slice) -> "NumberCells":
+        """Cells of some rows."""
+        return NumberCells(self.values[rows], None if self.valid is None else self.valid[rows])
+
 
 @dataclass(frozen=True)
 class CellBlock:
-    """A block of n rows of the file.
+    """A block of n rows of the file."""
 
-    Parameters
-    ----------
-    place: ``line`` or ``row``.
-    numbers: shape (n,); line or row number of every row.
-    times_ns: shape (n,); times as written, in nanoseconds; None without a time column.
-    signals: By name of the signal.
-    texts: By title of the column: unit, run and the step words.
-    sieve: Rows that are bad already; their cells have no meaning.
-    done: Fraction of the file that is read, 0 to 1.
-    """
-
-    place: str
-    numbers: IntArray
-    times_ns: IntArray | None
-    signals: dict[str, NumberCells]
-    texts: dict[str, TextCells]
-    sieve: Sieve
-    done: float
+    place: str  # ``line`` or ``row``
+    numbers: IntArray  # shape (n,); line or row number of every row
+    times_ns: IntArray | None  # shape (n,); times as written, in nanoseconds; None without a time column
+    signals: dict[str, NumberCells]  # by name of the signal
+    texts: dict[str, TextCells]  # by title of the column: unit, run and the step words
+    sieve: Sieve  # rows that are bad already; their cells have no meaning
+    done: float  # fraction of the file that is read, 0 to 1
 
 
 class TableReader(Protocol):
     """A table of any format as blocks of rows."""
 
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """Titles of the columns, as in the file."""
-
-    @property
-    def integer_titles(self) -> frozenset[str]:
-        """Titles of the columns that hold integers by their type."""
-
-    @property
-    def stamp_titles(self) -> frozenset[str]:
-        """Titles of the columns that hold ISO 8601 time stamps."""
+    titles: tuple[str, ...]  # of the columns, as in the file
+    integer_titles: frozenset[str]  # of the columns that hold integers by their type
+    stamp_titles: frozenset[str]  # of the columns that hold ISO 8601 time stamps
 
     @property
     def remarks(self) -> list[str]:

@@ -30,30 +30,18 @@ class SignalSummary:
 
 @dataclass(frozen=True)
 class TableSummary:
-    """Result of the first pass.
+    """Result of the first pass."""
 
-    Parameters
-    ----------
-    rows: Rows of the file, without header, comments and blank lines.
-    bad_rows: Number of bad rows; `bad` holds the first 1000.
-    date_known: Whether times are UTC; otherwise they count from an unknown moment.
-    steps: Steps that the step words define.
-    counted: What `rows` counts, for messages.
-    damage: Defect of the file whose good part is used; empty if there is none.
-    remarks: Sentences for the user.
-    words: Step words that apply to all rows.
-    """
-
-    rows: int
-    bad_rows: int
+    rows: int  # rows of the file, without header, comments and blank lines
+    bad_rows: int  # number of bad rows; `bad` holds the first 1000
     bad: tuple[BadRow, ...]
-    date_known: bool
-    steps: int
+    date_known: bool  # whether times are UTC; otherwise they count from an unknown moment
+    steps: int  # steps that the step words define
     signals: tuple[SignalSummary, ...]
-    counted: str = "rows"
-    damage: str = ""
-    remarks: tuple[str, ...] = ()
-    words: StepWords | None = None
+    counted: str = "rows"  # what `rows` counts, for messages
+    damage: str = ""  # defect of the file whose good part is used; empty if there is none
+    remarks: tuple[str, ...] = ()  # sentences for the user
+    words: StepWords | None = None  # step words that apply to all rows
 
 
 @dataclass(frozen=True)
@@ -83,21 +71,7 @@ class SampleFile(Protocol):
 
 
 class FileStamp:
-    """Size and modification time of a file, to detect changes between two passes.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "drift.csv"
-    ...     _ = path.write_text("1")
-    ...     stamp = FileStamp(path)
-    ...     stamp.check()
-    ...     _ = path.write_text("12")
-    ...     stamp.check()  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    stream.errors.BadInput: ...drift.csv: changed while it was read; import it again once it is complete
-    """
+    """Size and modification time of a file, to detect changes between two passes."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -42,13 +42,7 @@ class WordColumn:
     decimal_mark: str = field(default=".", repr=False)
 
     def read(self, cell: object) -> Any:
-        """Value of a cell, None if it is empty; BadInput says what is expected instead of an unreadable one.
-
-        Examples
-        --------
-        >>> WordColumn("repeat", "repeat").read(" 3 "), WordColumn("room", "room").read("yes")
-        (3, True)
-        """
+        """Value of a cell, None if it is empty; BadInput says what is expected instead of an unreadable one."""
         text = cell_text(cell)
         if not text:
             return None
@@ -74,8 +68,6 @@ class WordColumn:
 def cell_text(cell: object) -> str:
     """Text of a cell of a name or a step word of any type; '' if it is empty, BadInput if it is NaN or infinite.
 
-    Examples
-    --------
     >>> cell_text(231.0), cell_text(" FOG-1 "), cell_text(None)
     ('231', 'FOG-1', '')
     """
@@ -87,13 +79,7 @@ def cell_text(cell: object) -> str:
 
 
 def word_column(title: str, name: str, unit: str | None) -> WordColumn:
-    """Column of the step word `name`, whose values are in `unit` (None if the title names none).
-
-    Examples
-    --------
-    >>> word_column("rate_command[rpm]", "rate_command", "rpm")
-    WordColumn(title='rate_command[rpm]', word='rate_command_deg_per_s', factor=6.0, offset=0.0)
-    """
+    """Column of the step word `name`, whose values are in `unit` (None if the title names none)."""
     if name not in _NUMBER_WORDS:
         if unit is not None:
             raise BadInput(f"column {title!r}: the step word {name} is written without a unit; name it {name!r}")
@@ -112,27 +98,13 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
 
 
 def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWords | None:
-    """Words of a step from the values of its columns; None if all are empty.
-
-    Examples
-    --------
-    >>> words = step_words([WordColumn("step", "step"), WordColumn("repeat", "repeat")], ["still", 2])
-    >>> words.step, words.repeat, words.axis
-    ('still', 2, None)
-    """
+    """Words of a step from the values of its columns; None if all are empty."""
     words = {column.word: value for column, value in zip(columns, values, strict=True) if value is not None}
     return StepWords(**words) if words else None
 
 
 def with_common_words(words: StepWords | None, common: StepWords | None) -> StepWords | None:
-    """Words of a step, completed by those that apply to the whole file.
-
-    Examples
-    --------
-    >>> words = with_common_words(StepWords(step="still"), StepWords(procedure="static_bias"))
-    >>> words.procedure, words.step
-    ('static_bias', 'still')
-    """
+    """Words of a step, completed by those that apply to the whole file."""
     if common is None or words is None:
         return words or common
     own = {name: value for name in words.__struct_fields__ if (value := getattr(words, name)) is not None}
@@ -143,16 +115,6 @@ class StepTracker:
     """Tracks the step of every unit of every run; turns changes of its words into documents.
 
     The documents' identities are hashes of their content, so that one file gives the same documents each time.
-
-    Examples
-    --------
-    >>> tracker = StepTracker()
-    >>> tracker.follow("G1", "r1", StepWords(step="a"), first_ns=0, last_ns=10)[1].words.step
-    'a'
-    >>> tracker.follow("G1", "r1", StepWords(step="a"), first_ns=20, last_ns=30)
-    (None, None)
-    >>> tracker.close("G1", "r1").t_ns
-    30
     """
 
     def __init__(self) -> None:

@@ -32,13 +32,7 @@ _ZONE = r"(Z|[+-]\d\d(:?\d\d)?)$"
 
 
 def ns_per_unit(unit: str) -> int:
-    """Nanoseconds in one `unit` of time.
-
-    Examples
-    --------
-    >>> ns_per_unit("ms"), ns_per_unit("min")
-    (1000000, 60000000000)
-    """
+    """Nanoseconds in one `unit` of time."""
     factor, _ = conversion(unit, "ns")
     if factor < 1 or factor != int(factor):
         raise BadInput(f"unit of time {unit!r} is no whole number of nanoseconds; use s or ns")
@@ -89,8 +83,6 @@ def ns_from_decimals(times: pa.Array, places: int) -> tuple[IntArray, BoolArray]
 def ns_from_text(text: str, ns: int) -> int | None:
     """Nanosecond nearest to the number in `text`, in units of `ns` nanoseconds; None if out of range.
 
-    Examples
-    --------
     >>> ns_from_text("1763683200.0100000005", 10**9)
     1763683200010000000
     """
@@ -111,8 +103,6 @@ def ns_from_text(text: str, ns: int) -> int | None:
 def ns_from_stamp(text: str, zone: str) -> int | None:
     """Nanoseconds UTC of a time stamp in ISO 8601, in `zone` if it names none; None if it is no moment.
 
-    Examples
-    --------
     >>> ns_from_stamp("2026-11-21 18:00:00.5", "Asia/Shanghai"), ns_from_stamp("2026-11-21T10:00:00,5Z", "UTC")
     (1795255200500000000, 1795255200500000000)
     """
@@ -173,8 +163,6 @@ def ns_from_index(index: IntArray, rate_hz: float) -> IntArray:
 def seconds_text(ns: int) -> str:
     """`ns` nanoseconds in seconds with all digits, for messages.
 
-    Examples
-    --------
     >>> seconds_text(-1_500_000_000), seconds_text(0)
     ('-1.5 s', '0 s')
     """
@@ -184,15 +172,7 @@ def seconds_text(ns: int) -> str:
 
 
 class RunClock:
-    """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides.
-
-    Examples
-    --------
-    >>> clock = RunClock(start_ns=None)
-    >>> clock.settle(0)
-    >>> clock.is_utc, clock.date_known
-    (False, False)
-    """
+    """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides."""
 
     def __init__(self, start_ns: int | None) -> None:
         self._start_ns = start_ns

@@ -49,8 +49,6 @@ def database_unit(text: str | None, signal: str) -> tuple[str, bool]:
 
     In a database "g" on an acceleration is standard gravity, not gram, and "C" a temperature, not coulomb.
 
-    Examples
-    --------
     >>> database_unit("°/s", "YawRate"), database_unit("smoots", "Length"), database_unit("g", "AccX")
     (('deg/s', True), ('smoots', False), ('g_0', True))
     """
@@ -71,8 +69,6 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
 
     A unit that pint knows stays as it is written.
 
-    Examples
-    --------
     >>> column_unit("dps", "rate"), column_unit("dph", "rate")
     (('dps', ''), ('deg/h', ''))
     >>> column_unit("g", "acceleration_x")

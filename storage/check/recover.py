@@ -21,10 +21,10 @@ from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_p
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.copies import mend_copies
 from storage.store import Store, WriterLock
-from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
 from stream.events import StoreNoted, encode_event, new_uid
 from stream.identity import Place, event_key
+from stream.wire.acknowledgement import StreamId
 from stream.worker.checkpoint import quarantine as quarantine_checkpoint
 
 _NOTES_KEY = event_key(Place("store", "recover"))

@@ -13,9 +13,9 @@ from storage.lake.lake import parts
 from storage.manifests.lake import Part
 from storage.specifications.copies import specification_findings
 from storage.store import Store, writer_is_active
-from stream.delivery.publisher import StreamId
 from stream.delivery.spool import held_messages
 from stream.errors import EstimatorError, GyrofleetError, StoreError
+from stream.wire.acknowledgement import StreamId
 from stream.worker.checkpoint import generations, read_checkpoint
 
 CHECKPOINT = Path("checkpoints") / "estimate.checkpoint"
@@ -46,15 +46,10 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
     except StoreError:
         in_force = []
     verification = Verification(
-        store=str(store.folder),
-        segments=len(state.samples),
-        messages=state.messages,
-        samples=sum(state.samples.values()),
-        parts=len(in_force),
-        lake_samples=sum(part.samples for part in in_force),
-        findings=tuple(findings),
-        seconds=time.monotonic() - began,
-    )
+        store=str(store.folder), segments=len(state.samples), messages=state.messages,
+        samples=sum(state.samples.values()), parts=len(in_force), lake_samples=sum(part.samples for part in in_force),
+        findings=tuple(findings), seconds=time.monotonic() - began,
+    )  # fmt: skip
     return verification, state
 
 

@@ -18,10 +18,10 @@ from storage.segments.disk import sha256_of
 from storage.segments.reader import SegmentScan, read_segment
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store, writer_is_active
-from stream.delivery.publisher import StreamId
 from stream.errors import GyrofleetError, OutOfMemory, StoreError
 from stream.events import RunEnded, StoreNoted, decode_event
 from stream.identity import parse_key, sample_key
+from stream.wire.acknowledgement import StreamId
 from stream.wire.event_validation import invalid_reason
 
 _SALVAGE = "salvage its readable part, keep the file in log/aside, and document the loss in the log"
@@ -31,24 +31,14 @@ _LISTED_WITHIN_S = 2.0
 
 @dataclass
 class LogState:
-    """Content of the log and what is wrong with it.
+    """Content of the log and what is wrong with it; segments by name.
 
-    Attributes
-    ----------
-    store: Identity of the store.
-    entries, lost: Entries of the manifest: segments, and those that are documented as lost.
-    gone: Listed segments that do not exist.
-    samples: Readable samples of each sealed segment, by name.
-    messages: Readable messages of all of them.
-    check: Positions of the streams, and what is missing in them.
-    damaged: Sealed segments that are not what was written.
-    before: Positions of the streams before each of those.
-    undocumented: Losses without a document in the log.
-    undocumented_salvage: Salvaged segments without a document in the log.
-    declared: Segments that documents declare damaged or missing.
-    uids: The store's own documents.
-    documented: Lost stretches that have a document.
-    totals: Run and number of samples at the end of each stream.
+    `entries` and `lost` are those of the manifest, `gone` are listed segments that do not exist. `samples` of each
+    sealed segment and `messages` of all are those that can be read. `damaged` segments are not what was written;
+    `before` are the positions of the streams before each of them. `undocumented` and `undocumented_salvage` are losses
+    and salvaged segments without a document in the log, `declared` segments that documents declare damaged or missing,
+    `documented` the lost stretches that have one. `uids` are those of the store's own documents, `totals` run and
+    number of samples at the end of each stream.
     """
 
     store: str

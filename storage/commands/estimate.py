@@ -19,44 +19,25 @@ if TYPE_CHECKING:
 @click.command("estimate")
 @store_option
 @click.option(
-    "--average",
-    "averages_s",
-    type=click.FloatRange(min=1e-9),
-    multiple=True,
-    metavar="SECONDS",
+    "--average", "averages_s", type=click.FloatRange(min=1e-9), multiple=True, metavar="SECONDS",
     help="Bias stability at this averaging time too, besides raw samples and 1, 10 and 100 s.",
-)
+)  # fmt: skip
 @click.option(
-    "--checkpoint-every",
-    "checkpoint_every_s",
-    type=click.FloatRange(min=0.1),
-    default=30.0,
-    show_default=True,
+    "--checkpoint-every", "checkpoint_every_s", type=click.FloatRange(min=0.1), default=30.0, show_default=True,
     help="Seconds between checkpoints, from which it resumes after a stop or a kill.",
-)
+)  # fmt: skip
 @click.option("--connect", help="Address of the recorder; by default of the one that writes the store.")
 @click.option(
-    "--every",
-    "every_s",
-    type=click.FloatRange(min=0.001),
-    default=60.0,
-    show_default=True,
+    "--every", "every_s", type=click.FloatRange(min=0.001), default=60.0, show_default=True,
     help="Seconds of signal time between estimates; resumed signals keep theirs.",
-)
+)  # fmt: skip
 @click.option("--no-spectrum", is_flag=True, help="Omit the spectral density and its lines, a third of the work.")
 @estimates_option
 @reporting
 def estimate(
-    folder: Path,
-    connect: str | None,
-    every_s: float,
-    averages_s: tuple[float, ...],
-    checkpoint_every_s: float,
-    estimated: tuple[str, ...],
-    *,
-    no_spectrum: bool,
-    as_json: bool,
-) -> None:
+    folder: Path, connect: str | None, every_s: float, averages_s: tuple[float, ...], checkpoint_every_s: float,
+    estimated: tuple[str, ...], *, no_spectrum: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Estimate bias stability, Allan deviation, spectrum and noise of the rates on the bus, until stopped.
 
     It estimates angular rates, signals with limits, and those that --estimates names. It keeps a checkpoint in the
@@ -106,17 +87,10 @@ def estimate(
         publisher = stack.enter_context(DurablePublisher(bus, timeout_s=10.0, only_store=only_store))
         stopped = stack.enter_context(until_stopped())
         worker = EstimationWorker(
-            bus,
-            publisher,
-            every_s=every_s,
-            estimators={**default_estimators(), **also},
-            on_document=show,
-            log=log,
-            checkpoint=checkpoint,
-            checkpoint_every_s=checkpoint_every_s,
-            spectrum=not no_spectrum,
+            bus, publisher, every_s=every_s, estimators={**default_estimators(), **also}, on_document=show, log=log,
+            checkpoint=checkpoint, checkpoint_every_s=checkpoint_every_s, spectrum=not no_spectrum,
             estimated=EstimatedSignals.named(estimated),
-        )
+        )  # fmt: skip
         with worker:
             resumed = f", resumed from {checkpoint}" if worker.resumed else ""
             console.print(f"estimating what arrives on {connect}{resumed}; Ctrl-C ends", soft_wrap=True)
@@ -144,8 +118,6 @@ def estimate(
 def describe(document: "AnyDocument") -> str | None:
     """A document in one line for people; None if it is not for them now.
 
-    Examples
-    --------
     >>> from stream.events import EstimatePublished
     >>> describe(EstimatePublished(run="r1", t_ns=0, unit="FOG-1", signal="rate", estimator="allan_deviation",
     ...     unit_of_measure="deg/h", confidence=0.95, samples=1, missing=0, sample_interval_s=1.0, reason="too few",

@@ -24,12 +24,9 @@ _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw
 @store_option
 @click.option("--once", is_flag=True, help="Do what is due, and end.")
 @click.option(
-    "--grace-s",
-    type=click.FloatRange(min=0),
-    default=3600.0,
-    show_default=True,
+    "--grace-s", type=click.FloatRange(min=0), default=3600.0, show_default=True,
     help="Seconds that replaced files stay for running queries.",
-)
+)  # fmt: skip
 @_older_than
 @_max_size
 @reporting
@@ -97,11 +94,9 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
             progress.update(task, completed=step.done, total=step.of)
     manifest = read_manifest(store)
     done = {
-        "segments": len(manifest.segments),
-        "parts": len(manifest.parts),
-        "samples": sum(part.samples for part in manifest.parts),
-        "aside": [str(path) for path in left_aside(store)],
-    }
+        "segments": len(manifest.segments), "parts": len(manifest.parts),
+        "samples": sum(part.samples for part in manifest.parts), "aside": [str(path) for path in left_aside(store)],
+    }  # fmt: skip
     if as_json:
         print_json(done)
         return
@@ -180,8 +175,6 @@ def _note_waiting(*, as_json: bool) -> None:
 def describe(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:
     """What retention did, in one line.
 
-    Examples
-    --------
     >>> from storage.upkeep.retention import Dropped, Rule
     >>> describe(Dropped(1, 2, 3000, 4000), Rule(max_bytes=10))
     'dropped: raw rows of 3,000 samples in 2 segments, 4,000 bytes (beyond 10 bytes)'

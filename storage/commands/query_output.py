@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from stream.atomic_file import replacement
 from stream.console import csv_text, json_text, notes, results, styled
 from stream.errors import BadInput, GyrofleetError, QueryError
 from stream.result_table import ResultTable
@@ -86,20 +87,16 @@ def write_parquet(result: "Result", path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fresh = path.with_name(path.name + ".part")
     count = 0
     try:
-        with pq.ParquetWriter(fresh, result.schema, compression="zstd") as writer:
+        with replacement(path) as fresh, pq.ParquetWriter(fresh, result.schema, compression="zstd") as writer:
             for batch in result.batches:
                 writer.write_batch(batch)
                 count += batch.num_rows
-        fresh.replace(path)
     except pa.ArrowNotImplementedError as error:
         raise QueryError(f"{error}; cast such a column with COLUMN::varchar in the statement") from error
     except OSError as error:
         raise BadInput(f"cannot write {path}: {error}; give --parquet a file in a folder you can write") from error
-    finally:
-        fresh.unlink(missing_ok=True)
     notes().print(f"{count:,} rows written to {path}")
 
 

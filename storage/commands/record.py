@@ -26,39 +26,23 @@ _SILENCE_S = 30.0
 )
 @click.option("--connect", help="Connect to a `gyrofleet router` at this address instead of listening.")
 @click.option(
-    "--rotate-mb",
-    type=click.IntRange(min=1),
-    default=128,
-    show_default=True,
+    "--rotate-mb", type=click.IntRange(min=1), default=128, show_default=True,
     help="Payload of a segment of the log before it is sealed.",
-)
+)  # fmt: skip
 @click.option(
-    "--rotate-s",
-    type=click.FloatRange(min=1),
-    default=300.0,
-    show_default=True,
+    "--rotate-s", type=click.FloatRange(min=1), default=300.0, show_default=True,
     help="Age of a segment in seconds before it is sealed and reaches the lake.",
-)
+)  # fmt: skip
 @click.option(
-    "--sync-ms",
-    type=click.IntRange(min=1, max=10_000),
-    default=100,
-    show_default=True,
+    "--sync-ms", type=click.IntRange(min=1, max=10_000), default=100, show_default=True,
     help="Milliseconds between fdatasync and acknowledgement.",
-)
+)  # fmt: skip
 @click.option("--no-lake", is_flag=True, help="Leave the lake to a separate `gyrofleet lake`.")
 @reporting
 def record(
-    folder: Path,
-    listen: str | None,
-    connect: str | None,
-    rotate_mb: int,
-    rotate_s: float,
-    sync_ms: int,
-    *,
-    no_lake: bool,
-    as_json: bool,
-) -> None:
+    folder: Path, listen: str | None, connect: str | None, rotate_mb: int, rotate_s: float, sync_ms: int, *,
+    no_lake: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Record everything that sources send, until stopped."""
     from storage.log.event_log import EventLog
     from storage.recording.recorder import Recorder
@@ -136,8 +120,7 @@ class _Progress:
     """Reports the progress of recording, and when nothing arrives any more."""
 
     def __init__(self, recorder: "Recorder", *, as_json: bool) -> None:
-        self._recorder = recorder
-        self._as_json = as_json
+        self._recorder, self._as_json = recorder, as_json
         self._reported_at = self._moved_at = time.monotonic()
         self._messages = self._samples = 0
         self._is_silent = False

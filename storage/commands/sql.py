@@ -20,11 +20,9 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @store_option
 @click.option("--tables", is_flag=True, help="List the tables, or the columns of the table named by STATEMENT.")
 @click.option(
-    "--catalogue",
-    "catalogue_path",
-    type=click.Path(path_type=Path),
+    "--catalogue", "catalogue_path", type=click.Path(path_type=Path),
     help="Write a DuckDB database with all tables, for any DuckDB client.",
-)
+)  # fmt: skip
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV.")
 @click.option("--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file.")
 @click.option(
@@ -37,18 +35,9 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.option("--max-rows", type=click.IntRange(min=1), help="Rows that the result may have.  [default: 100,000,000]")
 @reporting
 def sql(
-    statement: str | None,
-    folder: Path,
-    parquet_path: Path | None,
-    catalogue_path: Path | None,
-    time_s: float | None,
-    memory_gib: float | None,
-    max_rows: int | None,
-    *,
-    tables: bool,
-    as_csv: bool,
-    as_json: bool,
-) -> None:
+    statement: str | None, folder: Path, parquet_path: Path | None, catalogue_path: Path | None, time_s: float | None,
+    memory_gib: float | None, max_rows: int | None, *, tables: bool, as_csv: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
     STATEMENT runs in a process that can only read the store. One that would do more, fails, or exceeds --max-time,

@@ -16,12 +16,7 @@ _STATEMENTS = {
 
 
 class StoredName(click.ParamType[str]):
-    """Text that the shell completes from the store of the command line.
-
-    Parameters
-    ----------
-    kind: unit, run or signal.
-    """
+    """Text that the shell completes from the store of the command line; `kind` is unit, run or signal."""
 
     name = "text"
 

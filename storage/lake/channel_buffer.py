@@ -1,4 +1,9 @@
-"""Samples of one channel, buffered from a segment's messages, and their columns."""
+"""Samples of one channel, buffered from a segment's messages, their columns, and the stretches of its clock.
+
+Clock stretches have the least delay of a source's messages, arrival minus source time, per minute of arrival. A delay
+is at least the clock offset plus the least travel time, so that the least of a stretch is the lower envelope. A stretch
+ends with the minute of the recorder's clock, and where the source's time leaps.
+"""
 
 from array import array
 from collections.abc import Iterator
@@ -7,12 +12,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from storage.lake.clock_stretches import Messages, clock_table
 from storage.lake.rollups import Rollup, joined, roll_up
-from storage.lake.tables import ROW_GROUP, SAMPLE_COLUMNS
-from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
+from storage.lake.tables import CLOCK_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
+from stream.batch import BoolArray, CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
 
+STRETCH_NS = 60_000_000_000
+_LEAP_NS = 1_000_000
+_IRREGULAR_LEAP_NS = 10_000_000_000
 _FIELDS = 6  # of a message: seq, n, t0_ns, last_ns, dt_ns, arrival_ns
 _OF_FIRST = ("unit", "signal", "run", "unit_of_measure", "scale", "offset", "dt_ns")
 _BLOCK = 4096
@@ -21,12 +28,57 @@ _SMOOTH = 0.9
 _INT32_MAX = 2**31 - 1
 
 
+class Messages:
+    """Numbers, times and arrivals of the messages of one channel in a segment, in the order of arrival."""
+
+    def __init__(self, rows: IntArray) -> None:
+        self.seq, self.n, self.t0_ns, self.last_ns, self.dt_ns, self.arrival_ns = rows.T
+
+
+def leaps(messages: Messages, *, irregular: bool) -> BoolArray:
+    """Whether the source's time leaps before each message: backwards, or beyond what the numbers imply."""
+    step_ns = np.zeros(len(messages.seq), np.int64)
+    step_ns[1:] = (
+        messages.t0_ns[1:]
+        - messages.last_ns[:-1]
+        - messages.dt_ns[:-1] * (messages.seq[1:] - messages.seq[:-1] - messages.n[:-1] + 1)
+    )
+    if irregular:
+        leaps_at = (step_ns > _IRREGULAR_LEAP_NS) | (step_ns <= -messages.dt_ns - _LEAP_NS)
+    else:
+        leaps_at = np.abs(step_ns) > messages.dt_ns // 2 + _LEAP_NS
+    return np.asarray(leaps_at, np.bool_)
+
+
+def clock_table(
+    channel: int, messages: Messages, backward: IntArray, backward_most_ns: IntArray, *, irregular: bool
+) -> pa.Table:
+    """Rows of one channel's stretches; `irregular` samples are on no grid.
+
+    `backward` and `backward_most_ns` are, per message, the number of samples not later than the one before, and the
+    largest step.
+    """
+    delay_ns = messages.arrival_ns - messages.last_ns
+    minute = messages.arrival_ns // STRETCH_NS
+    begins = leaps(messages, irregular=irregular) | (np.diff(minute, prepend=minute[0] - 1) != 0)
+    starts = np.flatnonzero(begins)
+    ends = np.append(starts[1:], len(minute)) - 1
+    least_ns = np.minimum.reduceat(delay_ns, starts)
+    index = np.arange(len(minute))
+    at = np.minimum.reduceat(np.where(delay_ns == least_ns[np.cumsum(begins) - 1], index, len(index)), starts)
+    columns = [
+        np.full(len(starts), channel, np.int64), messages.seq[starts], ends - starts + 1, messages.t0_ns[starts],
+        messages.last_ns[ends], messages.arrival_ns[starts], messages.arrival_ns[ends], messages.last_ns[at],
+        least_ns, np.add.reduceat(backward, starts), np.maximum.reduceat(backward_most_ns, starts),
+    ]  # fmt: skip
+    return pa.Table.from_arrays([pa.array(column) for column in columns], schema=CLOCK_COLUMNS)
+
+
 class ChannelBuffer:
     """Samples of one channel within a segment, copied from its messages; `first` is its first batch."""
 
     def __init__(self, identity: int, place: Place, first: SampleBatch) -> None:
-        self.identity = identity
-        self.place = place
+        self.identity, self.place = identity, place
         self.first = first.part(0, 1)
         self.irregular = False
         self.samples = 0
@@ -61,21 +113,13 @@ class ChannelBuffer:
         """Its row in the table of channels."""
         first, messages = self.first, self._matrix()
         return {name: getattr(first, name) for name in _OF_FIRST} | {
-            "channel": self.identity,
-            "site": self.place.site,
-            "station": self.place.station,
-            "epoch": str(first.epoch),
-            "is_counts": first.counts is not None,
-            "irregular": self.irregular,
-            "samples": self.samples,
-            "seq_first": int(messages.seq.min()),
-            "seq_next": int((messages.seq + messages.n).max()),
-            "t_first_ns": int(messages.t0_ns.min()),
-            "t_last_ns": int(messages.last_ns.max()),
-            "arrival_first_ns": int(messages.arrival_ns.min()),
-            "arrival_last_ns": int(messages.arrival_ns.max()),
-            "overlapping": False,
-        }
+            "channel": self.identity, "site": self.place.site, "station": self.place.station,
+            "epoch": str(first.epoch), "is_counts": first.counts is not None, "irregular": self.irregular,
+            "samples": self.samples, "seq_first": int(messages.seq.min()),
+            "seq_next": int((messages.seq + messages.n).max()), "t_first_ns": int(messages.t0_ns.min()),
+            "t_last_ns": int(messages.last_ns.max()), "arrival_first_ns": int(messages.arrival_ns.min()),
+            "arrival_last_ns": int(messages.arrival_ns.max()), "overlapping": False,
+        }  # fmt: skip
 
     def tables(self) -> Iterator[tuple[pa.Table, Rollup, IntArray]]:
         """Its samples in pieces of at most a row group: rows, 1 s buckets, and steps back of time within messages.
@@ -150,13 +194,6 @@ def counts_columns(counts: CountArray) -> list[pa.Array]:
 
     Noise is smallest as offsets from a base of its block, split into bytes, nearly all below 256. A smooth ramp is
     smallest as a base of its own for each sample, stored as differences.
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(1).normal(1234.0, 50.0, 5000).round().astype(np.int32)
-    >>> base, above = (column.to_numpy() for column in counts_columns(noise))
-    >>> len(np.unique(base)), bool(np.all(base + above == noise))
-    (2, True)
     """
     n = len(counts)
     starts = np.arange(0, n, _BLOCK)

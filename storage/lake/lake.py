@@ -33,7 +33,8 @@ from storage.manifests.lake import (
     write_part,
 )
 from storage.manifests.log import LogManifest, read_log_manifest
-from storage.store import Store, only_one, sync_folder
+from storage.store import Store, only_one
+from stream.atomic_file import sync_folder
 from stream.errors import StoreError
 
 GRACE_S = 3600.0
@@ -201,12 +202,9 @@ class Lake:
 
     def _built(self, segment: str) -> BuiltPart:
         return build_part(
-            self.store.log / f"{segment}.mcap",
-            self.store.tmp / f"lake-{segment}",
-            self.free_name(segment),
-            store=self.store.identity,
-            without_raw=self.manifest.dropped.get(segment),
-        )
+            self.store.log / f"{segment}.mcap", self.store.tmp / f"lake-{segment}", self.free_name(segment),
+            store=self.store.identity, without_raw=self.manifest.dropped.get(segment),
+        )  # fmt: skip
 
     def _adopt_parts(self) -> None:
         known = {part.name for part in self.manifest.parts} | {each.path for each in self.manifest.replaced}
@@ -243,20 +241,14 @@ class Lake:
         """Drop raw rows by the manifest; a part of which only some segments are dropped is split."""
         for part in self.manifest.parts:
             due = [segment for segment in part.segments if segment in self.manifest.dropped]
-            if part.dropped is not None and len(due) < len(part.segments):
-                with suppress(StoreError):  # the segment is missing or damaged: it stays without rows
-                    self.rebuild_part(part.name)
-                continue
-            if part.dropped is not None or not due:
-                continue
-            if len(due) == len(part.segments):
+            if part.dropped is None and due and len(due) == len(part.segments):
                 without = without_samples(part, self.manifest.dropped[due[-1]])
                 write_part(self.store.lake / part.name, without)
                 parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
                 gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
                 self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
-            else:
-                with suppress(StoreError):  # the segment is damaged: it keeps its rows until that is repaired
+            elif len(due) < len(part.segments) and (due or part.dropped is not None):
+                with suppress(StoreError):  # a segment is missing or damaged: the part stays as it is
                     self.rebuild_part(part.name)
 
 

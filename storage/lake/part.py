@@ -142,14 +142,9 @@ class _Segment:
 
 
 def build_part(segment: Path, fresh: Path, name: str, *, store: str, without_raw: str | None = None) -> BuiltPart:
-    """Build the part of one sealed segment.
+    """Build the part of one sealed segment in the folder `fresh`, emptied first; `name` is its name in the lake.
 
-    Parameters
-    ----------
-    fresh: Folder to build it in, emptied first.
-    name: Name in the lake.
-    store: Identity of the store.
-    without_raw: Document by which its raw rows are dropped, if they are.
+    `store` is the identity of the store, `without_raw` the document by which its raw rows are dropped, if they are.
     """
     content = _Segment(store, segment.stem)
     try:
@@ -185,18 +180,13 @@ def _written(segment: Path, fresh: Path, name: str, content: _Segment, without_r
     content.events += content.quarantine.rows()
     files, rows = _write_tables(fresh, content)
     part = Part(
-        name=name,
-        segments=(segment.stem,),
-        sources={segment.stem: sha256_of(segment)},
-        files=files,
+        name=name, segments=(segment.stem,), sources={segment.stem: sha256_of(segment)}, files=files,
         samples=sum(row["samples"] for row in rows),
         t_first_ns=min((row["t_first_ns"] for row in rows), default=None),
-        t_last_ns=max((row["t_last_ns"] for row in rows), default=None),
-        arrival_first_ns=content.arrival_first_ns,
-        arrival_last_ns=content.arrival_last_ns,
-        quarantined=content.quarantine.messages,
+        t_last_ns=max((row["t_last_ns"] for row in rows), default=None), arrival_first_ns=content.arrival_first_ns,
+        arrival_last_ns=content.arrival_last_ns, quarantined=content.quarantine.messages,
         quarantined_samples=content.quarantine.samples,
-    )
+    )  # fmt: skip
     if without_raw is not None:
         part = without_samples(part, without_raw)
         (fresh / SAMPLES_FILE).unlink()

@@ -35,11 +35,9 @@ class Quarantine:
     """The messages of one segment that cannot be built, and the samples in them as far as they can be read."""
 
     def __init__(self, store: str, segment: str) -> None:
-        self._store = store
-        self._segment = segment
+        self._store, self._segment = store, segment
         self._kinds: dict[tuple[str, str], _Kind] = {}
-        self.messages = 0
-        self.samples = 0
+        self.messages = self.samples = 0
 
     def add(self, record: LogRecord, error: Exception) -> None:
         """Leave out a message."""
@@ -72,11 +70,8 @@ class Quarantine:
             f"brought to the lake: {kind.reason}; the log keeps them"
         )
         details: dict[str, object] = {
-            "store": self._store,
-            "segment": self._segment,
-            "key": kind.key,
-            "reason": kind.reason,
-        }
+            "store": self._store, "segment": self._segment, "key": kind.key, "reason": kind.reason,
+        }  # fmt: skip
         details |= {"messages": kind.messages, "samples": kind.samples, "first_seq": kind.first_seq}
         uid = uuid5(NAMESPACE_OID, f"{self._store}\x00{self._segment}\x00{kind.key}\x00{kind.reason}").hex
         document = StoreNoted(run="", t_ns=kind.arrival_ns, uid=uid, what=QUARANTINED, text=text, details=details)

@@ -27,8 +27,6 @@ class Rollup(NamedTuple):
 def roll_up(t_ns: IntArray, data: CountArray | FloatArray, scale: float = 1.0, offset: float = 0.0) -> Rollup:
     """Buckets of one second, floor(t / 1 s), of the finite values.
 
-    Examples
-    --------
     >>> half_seconds = np.arange(4) * 500_000_000
     >>> rollup = roll_up(half_seconds, np.array([1, 3, 5, 9], np.int32), scale=0.5)
     >>> rollup.bucket.tolist(), rollup.n.tolist(), rollup.mean.tolist(), rollup.m2.tolist()
@@ -43,8 +41,6 @@ def roll_up(t_ns: IntArray, data: CountArray | FloatArray, scale: float = 1.0, o
 def merge(rollup: Rollup, every: int = 1) -> Rollup:
     """Merge equal buckets, and each `every` buckets into one, by the formula of Chan, Golub and LeVeque.
 
-    Examples
-    --------
     >>> seconds = roll_up(np.arange(20) * 1_000_000_000, np.arange(20.0))
     >>> tens = merge(seconds, every=10)
     >>> tens.bucket.tolist(), tens.n.tolist(), tens.mean.tolist(), tens.m2.tolist()

@@ -17,8 +17,8 @@ from storage.segments.disk import DISK, Disk
 from storage.segments.reader import SegmentScan, read_marks
 from storage.segments.records import LogRecord
 from storage.store import Store
-from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
+from stream.wire.acknowledgement import StreamId
 
 DEFAULT_ROTATE_BYTES = 128 << 20
 DEFAULT_ROTATE_S = 300.0
@@ -28,28 +28,16 @@ _MOST_CHANNELS = 60_000  # of 65,535 that a segment has room for
 class EventLog:
     """The log of one store, open for appending; the caller holds its writer lock.
 
-    Parameters
-    ----------
-    rotate_bytes, rotate_s: Payload and age at which a segment is sealed.
-
-    Attributes
-    ----------
-    marks: Number that each stream expects next, from the log itself.
-    recovered: Segments that an earlier process left open.
-    warnings: Irregularities that do not prevent recording.
+    A segment is sealed at a payload of `rotate_bytes` or an age of `rotate_s`. `marks` are the numbers that the streams
+    expect next, from the log itself, `recovered` the segments that an earlier process left open, and `warnings`
+    irregularities that do not prevent recording.
     """
 
     def __init__(
-        self,
-        store: Store,
-        *,
-        rotate_bytes: int = DEFAULT_ROTATE_BYTES,
-        rotate_s: float = DEFAULT_ROTATE_S,
+        self, store: Store, *, rotate_bytes: int = DEFAULT_ROTATE_BYTES, rotate_s: float = DEFAULT_ROTATE_S,
         disk: Disk = DISK,
-    ) -> None:
-        self._store = store
-        self._disk = disk
-        self._rotate_bytes = rotate_bytes
+    ) -> None:  # fmt: skip
+        self._store, self._disk, self._rotate_bytes = store, disk, rotate_bytes
         self._rotate_s = rotate_s
         self._segment: SegmentWriter | None = None
         self._tally = SegmentTally()

@@ -79,8 +79,6 @@ def highest_number(store: Store) -> int:
 def next_free(path: Path) -> Path:
     """The name after all segments beside `path`, open and abandoned ones included.
 
-    Examples
-    --------
     >>> next_free(Path("/nowhere/00000041.mcap")).name
     '00000042.mcap'
     """

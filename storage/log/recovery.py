@@ -18,8 +18,8 @@ from storage.segments.disk import DISK, Disk, sha256_of
 from storage.segments.reader import SegmentScan, read_marks, read_segment
 from storage.segments.records import SealedSegment
 from storage.store import Store
-from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
+from stream.wire.acknowledgement import StreamId
 
 _ABANDONED = re.compile(r"(\d+\.mcap)\.abandoned-(\d+)")
 _OPEN = re.compile(r"(\d+\.mcap)\.open")
@@ -30,13 +30,9 @@ _COPY = ".recovering"
 class Recovery:
     """Result of recovering a segment that was left open, or was damaged.
 
-    Parameters
-    ----------
-    segment: Original name of the file.
-    records: Messages that it has now.
-    kept_aside: The quarantined original, if anything of it was left out.
-    entry: The sealed segment; None if there was no message.
-    positions: Positions that its streams have reached.
+    `segment` is the original name of the file, `records` are the messages that it has now, `positions` those that its
+    streams have reached. `kept_aside` is the quarantined original, if anything of it was left out; `entry` is the
+    sealed segment, None if there was no message.
     """
 
     segment: str
@@ -61,12 +57,11 @@ class Recovery:
 
 def left_open(store: Store) -> list[Path]:
     """Segments that are not sealed, in their order."""
-    found = [
+    return sorted(
         path
         for path in store.log.glob("*.mcap.*")
         if (_ABANDONED.fullmatch(path.name) or _OPEN.fullmatch(path.name)) and is_own(store, path)
-    ]
-    return sorted(found)
+    )
 
 
 def abandoned_name(path: Path, durable_bytes: int) -> Path:
@@ -155,11 +150,11 @@ def _seal(
     if scan.damaged:
         recovery = _copy(store, sealed, SegmentScan(path, scan.limit), known, {}, disk)
         return replace(recovery, segment=path.name, kept_aside=_quarantine(store, path, disk))
-    if not tally.messages and scan.torn is None:
+    if not tally.messages:
+        if scan.torn is not None:
+            return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
         disk.remove(path)  # created, and nothing was written
         return Recovery(path.name)
-    if not tally.messages:
-        return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
     aside = None if scan.torn is None else _keep_tail(store, path, scan.whole_bytes, disk)
     suffix = path.name.removeprefix(sealed.name)
     with (
@@ -175,15 +170,9 @@ def _seal(
 
 
 def _copy(
-    store: Store,
-    sealed: Path,
-    scan: SegmentScan,
-    known: dict[StreamId, int],
-    reached: dict[StreamId, int],
-    disk: Disk,
-    *,
-    replaces: bool = False,
-) -> Recovery:
+    store: Store, sealed: Path, scan: SegmentScan, known: dict[StreamId, int], reached: dict[StreamId, int],
+    disk: Disk, *, replaces: bool = False,
+) -> Recovery:  # fmt: skip
     copy = sealed.with_name(sealed.name + _COPY)
     copy.unlink(missing_ok=True)
     tally = SegmentTally()
@@ -242,10 +231,5 @@ def _keep_tail(store: Store, path: Path, begin: int, disk: Disk) -> Path:
     with path.open("rb") as file:
         file.seek(begin)
         rest = file.read()
-    copy = disk.create(aside)
-    try:
-        disk.write(copy, rest)
-        disk.sync(copy)
-    finally:
-        disk.close(copy)
+    disk.write_whole(disk.create(aside), rest)
     return aside

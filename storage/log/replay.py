@@ -42,17 +42,12 @@ class StoredEstimate(NamedTuple):
 class StoredRun:
     """A run in the log of a store; NotFound if the log holds nothing of it.
 
-    Attributes
-    ----------
-    estimates: Published estimates, by the identity of the document.
-    every_ns: Intervals of publication, ns.
-    averages_s: Averaging times of its bias stabilities.
-    signals: Signals that were estimated.
+    `estimates` are those published, by the identity of the document, at the intervals `every_ns`, of the `signals` and
+    with bias stabilities of the averaging times `averages_s`.
     """
 
     def __init__(self, store: Store, run: str) -> None:
-        self._store = store
-        self.run = run
+        self._store, self.run = store, run
         entries = read_log_manifest(store).entries
         self._without = {name for name, entry in entries.items() if run not in entry.runs}
         self.estimates: dict[str, StoredEstimate] = {}
@@ -110,12 +105,10 @@ class StoredRun:
 
 @dataclass
 class Comparison:
-    """New documents compared with the stored ones.
+    """New documents compared with the stored ones: how many are stored, were made, and agree to the last bit.
 
-    Attributes
-    ----------
-    stored, made, equal: How many are stored, were made, and agree to the last bit.
-    different, missing, extra: Names of those that differ, were not made, and are not stored; the first hundred each.
+    `different`, `missing` and `extra` are names of those that differ, were not made, and are not stored; the first
+    hundred each.
     """
 
     stored: int
@@ -165,8 +158,6 @@ class Comparing:
 def name_of(document: Estimated) -> str:
     """Name of an estimator's document for people.
 
-    Examples
-    --------
     >>> name_of(NoiseFitted(run="r1", t_ns=5, unit="FOG-1", signal="rate"))
     'FOG-1 rate NoiseFitted at 5 ns'
     """

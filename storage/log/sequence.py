@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 from storage.manifests.log import SegmentEntry
 from storage.segments.records import EVENTS, SAMPLES, LogRecord, SealedSegment
-from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
 from stream.events import RunEnded, decode_event
 from stream.identity import SampleKey, parse_key
+from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import read_batch_head
 
 DOCUMENTS = "documents"
@@ -110,10 +110,7 @@ class SegmentTally:
     """Counts of one segment and the positions of its streams, for its manifest entry and its marks."""
 
     def __init__(self) -> None:
-        self.messages = 0
-        self.samples = 0
-        self.arrival_first_ns = 0
-        self.arrival_last_ns = 0
+        self.messages = self.samples = self.arrival_first_ns = self.arrival_last_ns = 0
         self.positions: dict[StreamId, int] = {}
         self._runs: dict[str, None] = {}
         self._ended: dict[str, None] = {}
@@ -141,17 +138,10 @@ class SegmentTally:
     def entry(self, sealed: SealedSegment, origin: str) -> SegmentEntry:
         """Its entry in the manifest."""
         return SegmentEntry(
-            segment=sealed.path.name,
-            size=sealed.size,
-            sha256=sealed.sha256,
-            messages=self.messages,
-            samples=self.samples,
-            arrival_first_ns=self.arrival_first_ns,
-            arrival_last_ns=self.arrival_last_ns,
-            runs=tuple(self._runs),
-            ended=tuple(self._ended),
-            origin=origin,
-        )
+            segment=sealed.path.name, size=sealed.size, sha256=sealed.sha256, messages=self.messages,
+            samples=self.samples, arrival_first_ns=self.arrival_first_ns, arrival_last_ns=self.arrival_last_ns,
+            runs=tuple(self._runs), ended=tuple(self._ended), origin=origin,
+        )  # fmt: skip
 
 
 def place_of(record: LogRecord) -> LogPlace | None:

@@ -27,8 +27,6 @@ _BYTES = 32
 def store_document(store: str, what: str, text: str, details: dict[str, Any]) -> StoreNoted:
     """A document of the store with that identity, dated now.
 
-    Examples
-    --------
     >>> document = store_document("5e", "disk_low", "", {})
     >>> is_own(document, "5e"), is_own(document, "6f")
     (True, False)

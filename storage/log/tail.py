@@ -1,53 +1,110 @@
-"""Reading a store's log from given positions, to catch up with it."""
+"""Reading a store's log from given positions, to catch up with it, and where each run begins in every stream."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Set
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 from storage.log.files import is_own
 from storage.log.recovery import left_open
-from storage.log.runs import RunScan, first_to_read
-from storage.log.sequence import place_of, positions_of, raise_positions
+from storage.log.sequence import LogPlace, place_of, positions_of, raise_positions
+from storage.manifests.log import read_log_manifest
 from storage.segments.reader import SegmentScan, read_marks, read_segment
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
-from stream.delivery.publisher import StreamId
+from stream.delivery.recorded_log import LogBeginning, LoggedMessage
 from stream.errors import BadInput, WireError
-from stream.events import AnyDocument, decode_event
-from stream.identity import EstimateKey, EventKey, parse_key
+from stream.events import AnyDocument, SpectralLinesFound, decode_event
+from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.wire.acknowledgement import StreamId
 
 
-class TailMessage(NamedTuple):
-    """A numbered message of the log, and the number that follows it."""
+def first_to_read(store: Store, sealed: list[str]) -> int:
+    """Index of the first sealed segment that may hold an unfinished run; the number of segments if none may.
 
-    stream: StreamId
-    next_seq: int
-    payload: bytes
+    The last estimates of a run may be in the segment after its end; anything later resumes the run.
+    """
+    entries = read_log_manifest(store).entries
+    first: dict[str, int] = {}
+    ended: dict[str, int] = {}
+    unlisted = len(sealed)
+    for number, name in enumerate(sealed):
+        entry = entries.get(name)
+        if entry is None:
+            unlisted = min(unlisted, number)
+            continue
+        for run in entry.runs:
+            first.setdefault(run, number)
+            if number > ended.get(run, number) + 1:
+                del ended[run]
+        ended.update((run, number) for run in entry.ended)
+    return min([unlisted, *(number for run, number in first.items() if run not in ended)])
 
 
-class Beginning(NamedTuple):
-    """Positions from which unfinished runs are complete, and the runs that have ended."""
+class RunScan:
+    """Reads a log in its order and keeps where runs begin and whether they have ended.
 
-    positions: dict[StreamId, int]
-    ended: frozenset[str]
+    `open_runs` have samples or documents other than estimates after their last end.
+    """
+
+    def __init__(self) -> None:
+        self.runs: set[str] = set()
+        self.open_runs: set[str] = set()
+        self._first: dict[tuple[StreamId, str], int] = {}
+        self._next: dict[StreamId, int] = {}
+        self._signals: set[tuple[str, str, str]] = set()
+        self._estimated: set[tuple[str, str, str]] = set()
+        self._finished: set[tuple[str, str, str]] = set()
+
+    def follow(self, record: LogRecord, place: LogPlace | None) -> None:
+        """Take the next message."""
+        if place is None:
+            return
+        stream, run = place.stream, place.run
+        self._next[stream] = max(place.next_seq, self._next.get(stream, 0))
+        if not run:
+            return
+        self.runs.add(run)
+        self._first.setdefault((stream, run), place.seq)
+        key = parse_key(stream.key)
+        if isinstance(key, EstimateKey):
+            name = (run, key.unit, key.signal)
+            self._estimated.add(name)
+            if isinstance(decode_event(record.data).document, SpectralLinesFound):
+                self._finished.add(name)
+            return
+        if isinstance(key, SampleKey):
+            self._signals.add((run, key.unit, key.signal))
+        if place.is_end:
+            self.open_runs.discard(run)
+        else:
+            self.open_runs.add(run)
+
+    @property
+    def unfinished_runs(self) -> set[str]:
+        """Estimated runs of which a signal lacks its final document."""
+        estimated = {run for run, _, _ in self._estimated}
+        return {name[0] for name in self._signals - self._finished if name[0] in estimated}
+
+    def positions(self, runs: set[str]) -> dict[StreamId, int]:
+        """Position of the first message of any of `runs` in each stream, else the end of the stream."""
+        found = dict(self._next)
+        for (stream, run), first in self._first.items():
+            if run in runs:
+                found[stream] = min(found[stream], first)
+        return found
 
 
 class LogTail:
     """Reads the log of a store from given positions on, while another process may be writing it."""
 
     def __init__(self, store: Store) -> None:
+        self.identity = store.identity
         self._store = store
         self._marks: dict[str, dict[StreamId, int]] = {}
 
-    @property
-    def identity(self) -> str:
-        """Identity of the store."""
-        return self._store.identity
-
-    def beginning(self, *, thorough: bool = False) -> Beginning:
+    def beginning(self, *, thorough: bool = False) -> LogBeginning:
         """Where to begin without a checkpoint: unfinished runs from their first message, all else from its end.
 
         `thorough` reads the whole log, and includes ended runs whose last estimates are missing.
@@ -65,9 +122,9 @@ class LogTail:
         for record in open_records(self._store):
             scan.follow(record, place_of(record))
         runs = scan.open_runs | (scan.unfinished_runs if thorough else set())
-        return Beginning({**positions, **scan.positions(runs)}, frozenset(scan.runs - runs))
+        return LogBeginning({**positions, **scan.positions(runs)}, frozenset(scan.runs - runs))
 
-    def since(self, positions: Mapping[StreamId, int]) -> Iterator[TailMessage]:
+    def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
         """Messages beyond `positions`, in the order of the log; streams not named count from 0."""
         return self._since(positions, lambda _key: True)
 
@@ -76,7 +133,7 @@ class LogTail:
         for message in self._since(positions, _is_key_of(EstimateKey)):
             yield decode_event(message.payload).document.uid
 
-    def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[TailMessage]:
+    def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[LoggedMessage]:
         def is_needed(segment: str) -> bool:
             marks = self._marks_of(segment).items()
             return any(next_seq > positions.get(stream, 0) and wanted(stream.key) for stream, next_seq in marks)
@@ -84,7 +141,7 @@ class LogTail:
         for record in records_of(self._store, is_needed, wanted):
             place = place_of(record)
             if place is not None and place.next_seq > positions.get(place.stream, 0):
-                yield TailMessage(place.stream, place.next_seq, record.data)
+                yield LoggedMessage(place.stream, place.next_seq, record.data)
 
     def _marks_of(self, name: str) -> dict[StreamId, int]:
         if name not in self._marks:
@@ -101,10 +158,7 @@ def open_records(store: Store) -> Iterator[LogRecord]:
 def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool]) -> Iterator[LogRecord]:
     """Messages of the log in their order, while another process may be writing it.
 
-    Parameters
-    ----------
-    is_needed: Whether to read the sealed segment of a name.
-    wanted: Whether to yield messages of a key expression.
+    Sealed segments are read if `is_needed` is true of their name, messages are yielded if `wanted` is of their key.
     """
     done: set[str] = set()
     begun: Counter[str] = Counter()  # messages read of a segment before it was sealed

@@ -44,36 +44,20 @@ _LEVEL = 3
 class SegmentWriter:
     """Writes one segment under a temporary name until it is sealed; to be abandoned after any OSError.
 
-    Parameters
-    ----------
-    path: Name of the sealed segment.
-    suffix: Added to the name until then.
-    found: Whole records at the beginning of an existing file and their summary: the rest is cut off, and writing
-        resumes there. Without it the file is created.
-    open_path: The file's present name, if it is not `path` with the suffix.
-
-    Attributes
-    ----------
-    durable_bytes: Length of the file that is durable; it ends at the end of a chunk.
+    Until `path` is its name, the file has `suffix` behind it, or is `open_path`. `found` are whole records at the
+    beginning of an existing file and their summary: the rest is cut off, and writing resumes there; without it the file
+    is created. `durable_bytes` is the length of the file that is durable; it ends at the end of a chunk.
     """
 
     def __init__(
-        self,
-        path: Path,
-        suffix: str = ".open",
-        disk: Disk = DISK,
-        *,
-        store: str = "",
-        found: tuple[memoryview, SegmentSummary] | None = None,
-        open_path: Path | None = None,
-    ) -> None:
+        self, path: Path, suffix: str = ".open", disk: Disk = DISK, *, store: str = "",
+        found: tuple[memoryview, SegmentSummary] | None = None, open_path: Path | None = None,
+    ) -> None:  # fmt: skip
         self.path = path
         self.open_path = open_path or path.with_name(path.name + suffix)
-        self.payload_bytes = 0
-        self.durable_bytes = 0
+        self.payload_bytes = self.durable_bytes = 0
         self._disk = disk
-        self._size = 0
-        self._crc = 0
+        self._size = self._crc = 0
         self._hash = hashlib.sha256()
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._summary = SegmentSummary() if found is None else found[1]

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import msgspec
 
-from storage.store import Store, sync_folder
-from stream.atomic_file import write_durably
+from storage.store import Store
+from stream.atomic_file import sync_folder, write_durably
 from stream.errors import StoreError
 
 LAKE_FORMAT = 1
@@ -55,18 +55,10 @@ class DroppedRows(msgspec.Struct, frozen=True):
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True):
-    """A part of the lake.
+    """A part of the lake: the folder `name`, made from the sealed `segments`, in order.
 
-    Parameters
-    ----------
-    name: Of its folder.
-    segments: Sealed segments that it was made from, in order.
-    samples: Samples in its segments.
-    t_first_ns, t_last_ns: Range of the source time of its samples.
-    arrival_first_ns, arrival_last_ns: Range of the arrival of its messages.
-    dropped: Set once its raw rows are dropped.
-    sources: SHA-256 of its segments; empty in parts of an older gyrofleet.
-    quarantined, quarantined_samples: Messages that cannot be built, and their samples; the log keeps them.
+    `samples` are those in its segments, `sources` their SHA-256 (empty in parts of an older gyrofleet). `dropped` is
+    set once its raw rows are. `quarantined` messages cannot be built; the log keeps them and their samples.
     """
 
     name: str
@@ -89,13 +81,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def day(self) -> str:
-        """UTC day of its first arrival; empty for an empty part.
-
-        Examples
-        --------
-        >>> Part(name="00000001", segments=("00000001",), files={}, samples=0, arrival_first_ns=0).day
-        '1970-01-01'
-        """
+        """UTC day of its first arrival; empty for an empty part."""
         if self.arrival_first_ns is None:
             return ""
         return datetime.fromtimestamp(self.arrival_first_ns // 10**9, UTC).strftime("%Y-%m-%d")
@@ -109,15 +95,10 @@ class Replaced(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
-    """What is in force.
+    """What is in force: parts in the order of their first segments.
 
-    Parameters
-    ----------
-    parts: In the order of their first segments.
-    replaced: Folders and files to be removed later.
-    dropped: Segments whose raw rows are dropped, and the document of it.
-    restored: Segments whose raw rows were restored, and the documents that no longer apply to them.
-    number: Number of changes.
+    `replaced` is removed later. `dropped` are segments whose raw rows are dropped, with the document of it, `restored`
+    those restored, with the documents that no longer apply to them. `number` counts changes.
     """
 
     format: int = LAKE_FORMAT
@@ -177,7 +158,11 @@ def read_manifest(store: Store) -> Manifest:
     except OSError as error:
         raise LakeManifestDamaged(f"{path} cannot be read: {error}; {_REMEDY}") from error
     try:
-        manifest = _checked(msgspec.json.decode(_unsealed(content), type=Manifest), path)
+        manifest = msgspec.json.decode(_unsealed(content), type=Manifest)
+        if manifest.format > LAKE_FORMAT:
+            raise StoreError(
+                f"{path} has lake format {manifest.format}, this gyrofleet reads up to {LAKE_FORMAT}: upgrade gyrofleet"
+            )
         for part in manifest.parts:
             _check_names(part)
         for each in manifest.replaced:
@@ -273,14 +258,6 @@ def _check_within(names: list[str]) -> None:
     """Refuse paths that lead out of the lake: folders and files are removed by these names."""
     if len(names) > 2 or any(_NAME.fullmatch(name) is None for name in names):
         raise ValueError(f"{'/'.join(names)!r} is not a path within the lake")
-
-
-def _checked(manifest: Manifest, path: Path) -> Manifest:
-    if manifest.format > LAKE_FORMAT:
-        raise StoreError(
-            f"{path} has lake format {manifest.format}, this gyrofleet reads up to {LAKE_FORMAT}: upgrade gyrofleet"
-        )
-    return manifest
 
 
 def _write(path: Path, value: Manifest | Part) -> None:

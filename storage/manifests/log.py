@@ -24,16 +24,11 @@ _SEGMENT = re.compile(r"\d+\.mcap")
 
 
 class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A sealed segment.
+    """A sealed segment: name, bytes and SHA-256 of its file, and what it holds.
 
-    Parameters
-    ----------
-    segment: Name of its file.
-    size, sha256: Its length in bytes and its hash.
-    arrival_first_ns, arrival_last_ns: Range of arrival of its messages, by the recorder's clock.
-    runs, ended: Runs that it has samples or documents of, and those whose end it has.
-    origin: recorded, recovered (was left open), salvaged (readable part of a damaged one), found (sealed, without a
-        line), or lost (documented in the log).
+    Arrivals are by the recorder's clock. `runs` are those that it has samples or documents of, `ended` those whose end
+    it has. `origin` is recorded, recovered (was left open), salvaged (readable part of a damaged one), found (sealed,
+    without a line), or lost (documented in the log).
     """
 
     segment: str
@@ -127,11 +122,7 @@ class ManifestWriter:
         line = text + b"\t" + chained.encode() + b"\n"
         is_new = not self._path.exists()
         file = self._disk.create(self._path) if is_new else self._disk.reopen(self._path, self._whole_bytes)
-        try:
-            self._disk.write(file, line)
-            self._disk.sync(file)
-        finally:
-            self._disk.close(file)
+        self._disk.write_whole(file, line)
         if is_new:
             self._disk.sync_folder(self._path.parent)
         self._whole_bytes += len(line)
@@ -150,12 +141,7 @@ def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk =
         text = msgspec.json.encode(entry)
         last = _chain(last, text)
         lines.append(text + b"\t" + last.encode() + b"\n")
-    file = disk.create(fresh)
-    try:
-        disk.write(file, b"".join(lines))
-        disk.sync(file)
-    finally:
-        disk.close(file)
+    disk.write_whole(disk.create(fresh), b"".join(lines))
     aside = None
     if path.exists():
         store.aside.mkdir(exist_ok=True)

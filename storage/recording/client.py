@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 from uuid import uuid4
 
@@ -32,15 +31,9 @@ _RELEASE_S = 1.0  # else it ends with its lease
 
 
 class RecorderClient:
-    """Sends requests to the recorder of one store over a bus; `store` is the identity of the store.
+    """Sends requests to the recorder of one store, whose identity is `store`, over a bus.
 
-    Parameters
-    ----------
-    wanted: Identity of the store that is preferred if several recorders answer.
-
-    Raises
-    ------
-    DeliveryError: If no recorder answers.
+    If several recorders answer, that of the store `wanted` is preferred. Raises a DeliveryError if none does.
     """
 
     def __init__(self, bus: Bus, *, wanted: str | None = None, patience_s: float = _PATIENCE_S) -> None:
@@ -54,10 +47,7 @@ class RecorderClient:
     def ask(self, question: requests.Question, patience_s: float = _PATIENCE_S) -> Any:
         """The answer to a question.
 
-        Raises
-        ------
-        StoreError: If the recorder cannot answer.
-        DeliveryError: If it does not answer in time.
+        Raises a StoreError if the recorder cannot answer, a DeliveryError if it does not answer in time.
         """
         (reply,) = self._ask(question, patience_s)
         if reply.error:
@@ -84,12 +74,9 @@ class RecorderClient:
             return unpacked(*answer)
         if last_ns <= first_ns:
             raise StoreError(f"unit {unit}, signal {signal}, run {run}: the recorder has too many samples at one time")
-        middle_ns = (first_ns + last_ns) // 2
-        parts = [
-            self.samples(unit, signal, run, first_ns, middle_ns),
-            self.samples(unit, signal, run, middle_ns + 1, last_ns),
-        ]
-        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+        earlier = self.samples(unit, signal, run, first_ns, (first_ns + last_ns) // 2)
+        later = self.samples(unit, signal, run, (first_ns + last_ns) // 2 + 1, last_ns)
+        return np.concatenate([earlier[0], later[0]]), np.concatenate([earlier[1], later[1]])
 
     def _ask(self, question: requests.Question, patience_s: float, others_s: float = 0.0) -> list[requests.Reply]:
         """All answers to a question within `others_s` of the first."""
@@ -125,30 +112,18 @@ class RecorderClient:
 
 
 class HeldClaim:
-    """The exclusive right to send samples of some units and runs, renewed until it is released.
+    """The exclusive right to send samples of some units and runs (`owners`), renewed until it is released.
 
-    Parameters
-    ----------
-    owners: Units and runs.
-    what: Description of the source, for the message that another one gets.
-    on_loss: Called once, with the reason, if another source has taken over.
-    holder: Identity of the source; with the same one a restarted source does not wait for its own claim.
-
-    Raises
-    ------
-    StoreError: If another source holds the claim.
+    `what` describes the source in the message that another one gets. `on_loss` is called once, with the reason, if
+    another source has taken over. With the same `holder` a restarted source does not wait for its own claim. Raises a
+    StoreError if another source holds the claim.
     """
 
     def __init__(
-        self,
-        client: RecorderClient,
-        owners: Iterable[tuple[str, str]],
-        what: str,
-        on_loss: Callable[[str], None] | None = None,
-        holder: str | None = None,
-    ) -> None:
-        self._client = client
-        self.on_loss = on_loss
+        self, client: RecorderClient, owners: Iterable[tuple[str, str]], what: str,
+        on_loss: Callable[[str], None] | None = None, holder: str | None = None,
+    ) -> None:  # fmt: skip
+        self._client, self.on_loss = client, on_loss
         text = f"{what} on {socket.gethostname()}, process {os.getpid()}"
         self._claim = requests.Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))))
         self._stop = threading.Event()
@@ -191,9 +166,7 @@ class HeldClaim:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
 
@@ -214,11 +187,8 @@ def record_documents(
 ) -> None:
     """Append documents to the log of a store, durably: through its recorder, else through a temporary one.
 
-    Parameters
-    ----------
-    role: Who writes, for the message that another writer gets.
-    place: Where the documents are from.
-    builds_lake: Whether a temporary recorder also builds the lake.
+    `role` is who writes, for the message that another writer gets, `place` where the documents are from. A temporary
+    recorder also builds the lake if `builds_lake`.
     """
     endpoint = writer_endpoint(store.folder)
     if endpoint is not None:

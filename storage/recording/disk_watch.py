@@ -20,8 +20,7 @@ class DiskWatch:
     """
 
     def __init__(self, folder: Path, disk: Disk) -> None:
-        self._folder = folder
-        self._disk = disk
+        self._folder, self._disk = folder, disk
         space = disk.space(folder)
         self.reserve_bytes = min(_RESERVE_BYTES, int(_RESERVE_SHARE * space.total))
         self._looked_at = 0.0
@@ -39,10 +38,8 @@ class DiskWatch:
         space = self._disk.space(self._folder)
         room = f"{format_bytes(space.free)} free of {format_bytes(space.total)} on the disk of {self._folder}"
         if space.free < self.reserve_bytes:
-            return (
-                f"{room}, {format_bytes(self.reserve_bytes)} are kept in reserve: free space, recording then resumes",
-                None,
-            )
+            reserve = format_bytes(self.reserve_bytes)
+            return f"{room}, {reserve} are kept in reserve: free space, recording then resumes", None
         return None, self._warning(now, space.free, room)
 
     def _warning(self, now: float, free: int, room: str) -> str | None:
@@ -51,12 +48,9 @@ class DiskWatch:
         rate = max(0.0, (was - free) / (now - since)) if now - since >= _RATE_OVER_S / 2 else 0.0
         hours = (free - self.reserve_bytes) / rate / 3600 if rate > 0.0 else None
         is_low = free < _EARLY_RESERVES * self.reserve_bytes or (hours is not None and hours < _EARLY_H)
-        if not is_low:
-            self._has_warned = False
+        had_warned, self._has_warned = self._has_warned, is_low
+        if had_warned or not is_low:
             return None
-        if self._has_warned:
-            return None
-        self._has_warned = True
         forecast = "" if hours is None else f", enough for {hours:.3g} h at the rate of the last minute"
         return f"the disk is running full: {room}{forecast}"
 
@@ -68,8 +62,6 @@ class DiskWatch:
 def format_bytes(size: int) -> str:
     """A size with its unit.
 
-    Examples
-    --------
     >>> format_bytes(8_123_456), format_bytes(512), format_bytes(3_000_000_000)
     ('8.1 MB', '512 B', '3.0 GB')
     """

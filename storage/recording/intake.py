@@ -11,10 +11,10 @@ from storage.log.store_documents import forgery
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
-from stream.delivery.publisher import StreamId
 from stream.errors import GyrofleetError, WireError
 from stream.events import AnyDocument, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch, encode_preview, read_batch_head
 from stream.wire.event_validation import decode_received
 
@@ -72,8 +72,6 @@ class RecentMessages:
 
     Python's salted hashes: another process cannot make a message of equal digest.
 
-    Examples
-    --------
     >>> recent = RecentMessages()
     >>> recent.add(("k", "e"), 0, b"a")
     >>> recent.differs(("k", "e"), 0, b"a"), recent.differs(("k", "e"), 0, b"b"), recent.differs(("k", "e"), 7, b"b")
@@ -94,28 +92,21 @@ class RecentMessages:
     def differs(self, stream: tuple[str, str], seq: int, payload: bytes) -> bool | None:
         """Whether another message was recorded under that number; None if that is no longer known."""
         name = hash((stream, seq))
-        found = self._young.get(name)
-        if found is None:
-            found = self._old.get(name)
+        found = self._young.get(name, self._old.get(name))
         return None if found is None else found != hash(payload)
 
 
 class Intake:
     """Appends messages to a log in the order of their numbers.
 
-    Attributes
-    ----------
-    moved: Streams whose source waits for an acknowledgement.
-    received: Number after the last message received of each stream; no more is acknowledged, whatever the log has.
-    rewinds: Streams of which messages are missing, to be requested.
-    clock_steps: Steps back of a source's clock.
-    conflicts: Messages whose numbers are recorded with other content.
-    ended_runs, late: Number of run ends, and of messages after the end of their run (resent ones, estimates).
+    `moved` are streams whose source waits for an acknowledgement, `received` the number after the last message received
+    of each: no more is acknowledged, whatever the log has. `rewinds` are streams of which messages are missing, to be
+    requested; `conflicts` messages whose numbers are recorded with other content. `ended_runs` counts ends of runs,
+    `late` messages after the end of their run (resent ones, estimates).
     """
 
     def __init__(self, log: EventLog, store: Store) -> None:
-        self._log = log
-        self._store = store
+        self._log, self._store = log, store
         self._recent = RecentMessages()
         self.conflicts: list[NumberConflict] = []
         self.counts = RecorderCounts()

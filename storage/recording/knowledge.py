@@ -1,6 +1,7 @@
 """What a store knows of runs that are to be extended, from its lake or from a remote recorder."""
 
 import json
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -37,13 +38,9 @@ class KnownStep(NamedTuple):
 class KnownRuns(NamedTuple):
     """What is known of some runs.
 
-    Attributes
-    ----------
-    dated: Of each stored run, whether its date is known.
-    open: Runs without an end.
-    uids: Documents of the starts of runs and steps.
-    mounted: Documents of mounted units, as JSON.
-    stated: Statements about the station of each run, at its start and later.
+    `dated` says of each stored run whether its date is known; `open` are runs without an end, `uids` documents of the
+    starts of runs and steps, `mounted` documents of mounted units, as JSON, and `stated` statements about the station
+    of each run, at its start and later.
     """
 
     dated: dict[str, bool]
@@ -75,19 +72,12 @@ class CatalogKnowledge:
 
     def signals(self, runs: list[str]) -> list[KnownSignal]:
         """As of `Knowledge`."""
-        rows = self._catalog.rows(
-            "select unit, run, signal, unit_of_measure, t_first_ns, t_last_ns, samples from signals "
-            "where run in (select unnest($runs))",
-            {"runs": runs},
-        )
-        return [KnownSignal(*row) for row in rows]
+        sql = "select unit, run, signal, unit_of_measure, t_first_ns, t_last_ns, samples from signals where"
+        return [KnownSignal(*row) for row in self._of_runs(runs, sql)]
 
     def runs(self, runs: list[str]) -> KnownRuns:
         """As of `Knowledge`."""
-
-        def of_runs(sql: str, order: str = "") -> list[tuple[Any, ...]]:
-            return self._catalog.rows(f"{sql} run in (select unnest($runs)) {order}", {"runs": runs})
-
+        of_runs = partial(self._of_runs, runs)
         found = of_runs("select run, date_known, outcome = 'open' from runs where")
         known = of_runs("select uid from events where (kind like 'Step%' or kind = 'RunStarted') and")
         mounted = of_runs("select document from events join units using (run, unit, uid) where")
@@ -104,18 +94,19 @@ class CatalogKnowledge:
             details.setdefault(str(run), {}).update(json.loads(text or "{}"))
         return KnownRuns(
             dated={str(run): bool(is_dated) for run, is_dated, _ in found},
-            open=[str(run) for run, _, is_open in found if is_open],
-            uids=[str(uid) for (uid,) in known],
-            mounted=[str(document) for (document,) in mounted],
-            stated=details,
+            open=[str(run) for run, _, is_open in found if is_open], uids=[str(uid) for (uid,) in known],
+            mounted=[str(document) for (document,) in mounted], stated=details,
             steps=[KnownStep(*row) for row in steps],
-        )
+        )  # fmt: skip
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
         """As of `Knowledge`."""
         from storage.sql.reading import stored_between
 
         return stored_between(self._catalog, unit, signal, run, first_ns, last_ns)
+
+    def _of_runs(self, runs: list[str], sql: str, order: str = "") -> list[tuple[Any, ...]]:
+        return self._catalog.rows(f"{sql} run in (select unnest($runs)) {order}", {"runs": runs})
 
 
 def packed(times_ns: IntArray, values: FloatArray) -> list[bytes]:
@@ -126,8 +117,6 @@ def packed(times_ns: IntArray, values: FloatArray) -> list[bytes]:
 def unpacked(times: bytes, values: bytes) -> tuple[IntArray, FloatArray]:
     """Times and values from their wire form.
 
-    Examples
-    --------
     >>> times, values = unpacked(*packed(np.array([1, 2]), np.array([0.5, 1.5])))
     >>> times.tolist(), values.tolist()
     ([1, 2], [0.5, 1.5])

@@ -14,15 +14,12 @@ class LakeBuilder:
     """A thread that builds the lake from sealed segments; a failure goes to `on_warning`, and is retried."""
 
     def __init__(
-        self,
-        store: Store,
-        *,
-        on_lake: Callable[[str], None] | None = None,
+        self, store: Store, *, on_lake: Callable[[str], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._store = store
-        self._on_lake = on_lake
-        self._on_warning = on_warning
+        self._on_lake: Callable[[str], None] = on_lake or (lambda _segment: None)
+        self._on_warning: Callable[[str], None] = on_warning or (lambda _text: None)
         self._failure: StoreError | None = None
         self._is_wanted = True  # segments that an earlier process sealed
         self._closing = False
@@ -61,7 +58,7 @@ class LakeBuilder:
                 is_last, self._is_wanted = self._closing, False
             self._failure = self._build()
             self._caught_up.set()
-            if self._failure is not None and str(self._failure) != reported and self._on_warning is not None:
+            if self._failure is not None and str(self._failure) != reported:
                 reported = str(self._failure)
                 self._on_warning(reported)
             if is_last:
@@ -71,8 +68,7 @@ class LakeBuilder:
         try:
             with builder_lock(self._store):
                 for name in build_missing(self._store):
-                    if self._on_lake is not None:
-                        self._on_lake(name)
+                    self._on_lake(name)
         except LakeBusy:
             return None  # the other builder builds it
         except StoreError as error:

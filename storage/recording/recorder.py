@@ -9,22 +9,22 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Self
 
 from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments
 from storage.manifests.lake import read_manifest
 from storage.recording.disk_watch import DiskWatch
-from storage.recording.intake import Intake, RecorderCounts
+from storage.recording.intake import Intake
 from storage.recording.lake_builder import LakeBuilder
 from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
 from storage.segments.disk import DISK, Disk
 from storage.store import Store
-from stream.delivery.publisher import StreamId, StreamPosition, encode_acknowledgement
+from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
-from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
+from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
 from stream.transport.bus import Bus
+from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 
 _QUEUE_BYTES = 64 << 20
 _OVERHEAD_BYTES = 300  # of a message in the queue, beside its key and payload
@@ -33,48 +33,31 @@ _SEAL_GRACE_S = 1.0  # the last estimates of a run arrive just after its end
 _SETTLE_S = 120.0
 _RECOVER_AFTER_S = 5.0  # an abandoned segment is sealed with the next one, before that is full
 _RETRY_S = 1.0
-_CONFLICTS_EVERY_S = 1.0
-_CLOCK_STEP_NS = 100_000_000
-_DOCUMENTS_KEY = event_key(Place("store", "recorder"))
 
 
-class Recorder:
+class Recorder(Closing):
     """Writes everything on the bus to a store, whose writer lock the caller holds.
 
     The bus callback only appends to a bounded queue. A writer thread appends a message if it is the next of its stream,
-    drops duplicates, requests a rewind if one is missing, and acknowledges after fdatasync. Another thread builds the
-    lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
+    drops duplicates, requests a rewind if one is missing, and acknowledges after an fdatasync every `sync_interval_s`.
+    Another thread builds the lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
 
-    Parameters
-    ----------
-    sync_interval_s: Interval of fdatasync and acknowledgement.
-    builds_lake: Whether to build the lake; else another process does.
-    on_lake: Called with the name of each segment that has reached the lake.
-    on_warning: Called with messages for people: pauses, disk errors, low disk space.
-    on_failure: Called once, when recording has ended by a failure.
-    disk: Whose free space is watched.
+    `builds_lake` says whether this process builds the lake; `on_lake` gets the name of each segment that has reached
+    it, `on_warning` messages for people: pauses, disk errors, low disk space. `on_failure` is called once, when
+    recording has ended by a failure.
     """
 
     def __init__(
-        self,
-        store: Store,
-        bus: Bus,
-        log: EventLog,
-        *,
-        sync_interval_s: float = 0.1,
-        builds_lake: bool = True,
-        on_lake: Callable[[str], None] | None = None,
-        on_warning: Callable[[str], None] | None = None,
-        on_failure: Callable[[GyrofleetError], None] | None = None,
-        disk: Disk = DISK,
-    ) -> None:
-        self._store = store
-        self._bus = bus
-        self._log = log
+        self, store: Store, bus: Bus, log: EventLog, *, sync_interval_s: float = 0.1, builds_lake: bool = True,
+        on_lake: Callable[[str], None] | None = None, on_warning: Callable[[str], None] | None = None,
+        on_failure: Callable[[GyrofleetError], None] | None = None, disk: Disk = DISK,
+    ) -> None:  # fmt: skip
+        self._store, self._bus, self._log = store, bus, log
         self._sync_interval_s = sync_interval_s
-        self._on_warning = on_warning
-        self._on_failure = on_failure
+        self._warn: Callable[[str], None] = on_warning or (lambda _text: None)
+        self._on_failure: Callable[[GyrofleetError], None] = on_failure or (lambda _error: None)
         self._intake = Intake(log, store)
+        self.counts = self._intake.counts
         self._reports = Reports(store, log, self._intake, self._warn)
         self._watch = DiskWatch(store.folder, disk)
         self.failure: GyrofleetError | None = None
@@ -93,11 +76,6 @@ class Recorder:
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
         self._service = RecorderService(store, bus, self.settle)
-
-    @property
-    def counts(self) -> RecorderCounts:
-        """Totals since the start."""
-        return self._intake.counts
 
     def end(self) -> None:
         """Write what has arrived and seal the log; `close` then completes the lake."""
@@ -129,9 +107,8 @@ class Recorder:
             self._state.notify_all()
             while self._settle_done < number:
                 if self._closing or self.failure is not None or time.monotonic() >= until:
-                    raise StoreError(
-                        f"{self._store.folder} cannot seal now: {self.paused or self.failure or 'closing'}"
-                    )
+                    why = self.paused or self.failure or "closing"
+                    raise StoreError(f"{self._store.folder} cannot seal now: {why}")
                 self._state.wait(0.1)
         while missing := {path.stem for path in sealed_segments(self._store)} - read_manifest(self._store).segments:
             if self._builder is not None:
@@ -142,12 +119,6 @@ class Recorder:
                     f"{min(missing)}; is a `gyrofleet lake` at work there?"
                 )
             time.sleep(0.05)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _on_message(self, key: str, payload: bytes) -> None:
         size = _size(key, payload)
@@ -189,8 +160,7 @@ class Recorder:
             with self._state:
                 self.failure = error
                 self._state.notify_all()
-            if self._on_failure is not None:
-                self._on_failure(error)
+            self._on_failure(error)
 
     def _write_chunk(self) -> bool:
         """Write a chunk of messages; whether it was the last."""
@@ -209,8 +179,8 @@ class Recorder:
             # once no more of it comes: a run that is extended for hours must not be cut into seconds
             self._late = self._intake.late
             self._quiet_at = now + _SEAL_GRACE_S
-        if self._intake.rewinds:
-            missing, self._intake.rewinds = self._intake.rewinds, []
+        missing, self._intake.rewinds = self._intake.rewinds, []
+        if missing:
             self._request_rewind(missing)
         if is_last or now - self._synced_at >= self._sync_interval_s:
             self._sync()
@@ -251,9 +221,8 @@ class Recorder:
         moved, self._intake.moved = self._intake.moved, set()
         if moved:
             marks, received = self._log.marks, self._intake.received
-            self._acknowledge(
-                tuple(StreamPosition(s.key, s.epoch, min(marks.get(s, 0), received.get(s, 0))) for s in moved)
-            )
+            reached = {stream: min(marks.get(stream, 0), received.get(stream, 0)) for stream in moved}
+            self._acknowledge(tuple(StreamPosition(*stream, next_seq) for stream, next_seq in reached.items()))
 
     def _seal(self) -> None:
         self._seal_at = self._quiet_at = None
@@ -326,10 +295,6 @@ class Recorder:
         text = f"recording resumes after a pause of {paused_s:.1f} s: {reason}"
         self._warn(text)
         self._reports.append("recording_paused", text, {"paused_s": paused_s, "reason": reason})
-
-    def _warn(self, text: str) -> None:
-        if self._on_warning is not None:
-            self._on_warning(text)
 
 
 def _size(key: str, payload: bytes) -> int:

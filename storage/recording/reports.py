@@ -12,9 +12,9 @@ from storage.recording.disk_watch import monotonic_and_wall_ns
 from storage.recording.intake import Intake
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
-from stream.delivery.publisher import StreamId
 from stream.events import encode_event
 from stream.identity import Place, event_key
+from stream.wire.acknowledgement import StreamId
 
 _CONFLICTS_EVERY_S = 1.0
 _CLOCK_STEP_NS = 100_000_000
@@ -25,9 +25,7 @@ class Reports:
     """Appends documents of the store to its log; called by the writer thread of a recorder."""
 
     def __init__(self, store: Store, log: EventLog, intake: Intake, warn: Callable[[str], None]) -> None:
-        self._store = store
-        self._log = log
-        self._intake = intake
+        self._store, self._log, self._intake = store, log, intake
         self._warn = warn
         self._stream = StreamId(_KEY, uuid4().hex)
         self._recoveries = 0
@@ -65,10 +63,9 @@ class Reports:
             text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
             self.append("source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns})
         monotonic_ns, wall_ns = monotonic_and_wall_ns()
-        ahead_ns = wall_ns - monotonic_ns
-        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, ahead_ns
-        if before_ns is not None and abs(ahead_ns - before_ns) > _CLOCK_STEP_NS:
-            step_ns = ahead_ns - before_ns
+        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, wall_ns - monotonic_ns
+        step_ns = 0 if before_ns is None else self._wall_ahead_ns - before_ns
+        if abs(step_ns) > _CLOCK_STEP_NS:
             text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"
             self._warn(text)
             self.append("arrival_clock_step", text, {"step_ns": step_ns})
@@ -79,8 +76,7 @@ class Reports:
             return
         self._conflicts_at = now
         found, self._intake.conflicts = self._intake.conflicts, []
-        first = found[0]
-        more = f" and {len(found) - 1} more messages" if len(found) > 1 else ""
+        first, more = found[0], f" and {len(found) - 1} more messages" if len(found) > 1 else ""
         text = (
             f"{first.key}: numbers {first.seq} to {first.next_seq - 1} of epoch {first.epoch} came with other content "
             f"than is recorded{more}; they are kept beside it in the log: two sources send under one name, or one "

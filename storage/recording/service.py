@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from queue import Empty, Full, Queue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,8 +27,6 @@ class _Held(NamedTuple):
 class Claims:
     """Exclusive rights to send samples of a unit in a run.
 
-    Examples
-    --------
     >>> claims = Claims()
     >>> claims.claim(requests.Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
     >>> claims.claim(requests.Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
@@ -54,15 +53,10 @@ class Claims:
 
 
 class RecorderService:
-    """Answers requests on a bus for the recorder of one store, in its own threads.
-
-    `settle` brings everything received to the lake.
-    """
+    """Answers requests for the recorder of one store, in its own threads; `settle` brings all received to the lake."""
 
     def __init__(self, store: Store, bus: Bus, settle: Callable[[], None]) -> None:
-        self._store = store
-        self._bus = bus
-        self._settle = settle
+        self._store, self._bus, self._settle = store, bus, settle
         self._claims = Claims()
         self._catalog: Catalog | None = None
         self._closing = False
@@ -92,10 +86,8 @@ class RecorderService:
         if request.store not in {"", self._store.identity} or self._closing:
             return
         is_quick = isinstance(request.question, requests.Hello | requests.Claim | requests.Release)
-        try:
+        with suppress(Full):  # else it is requested again
             (self._quick if is_quick else self._slow).put_nowait(request)
-        except Full:
-            return  # it is requested again
 
     def _loop(self, queue: "Queue[requests.Request]") -> None:
         while not self._closing:

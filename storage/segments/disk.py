@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from stream.atomic_file import sync_folder
+
 _AT_FDCWD = -100
 _NOREPLACE = 1
 _NOT_HERE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}  # kernel or file system without that flag
@@ -60,6 +62,14 @@ class Disk:
         """Make what was written and the file's metadata durable."""
         os.fsync(file.descriptor)
 
+    def write_whole(self, file: OpenFile, content: bytes) -> None:
+        """Append all of `content`, durably, and close."""
+        try:
+            self.write(file, content)
+            self.sync(file)
+        finally:
+            self.close(file)
+
     def close(self, file: OpenFile) -> None:
         """Close; what is not durable may be lost."""
         os.close(file.descriptor)
@@ -85,11 +95,7 @@ class Disk:
 
     def sync_folder(self, folder: Path) -> None:
         """Make the names in a folder durable."""
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_folder(folder)
 
     def space(self, folder: Path) -> Space:
         """Free and total space of a folder's file system."""

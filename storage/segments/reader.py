@@ -150,23 +150,13 @@ def _end_of_data(content: Buffer) -> int:
 class SegmentScan:
     """Reads a segment chunk by chunk and skips damage. Iterate once; then the attributes are complete.
 
-    Parameters
-    ----------
-    limit: Byte from which on the file is not valid.
-    sealed: Whether the file was finished, so that it cannot be torn.
-
-    Attributes
-    ----------
-    damaged: Unreadable bytes, without `torn`.
-    torn: Bytes of an incomplete record at the end.
-    whole_bytes: Length of the undamaged beginning, up to the end of a chunk and its indexes.
-    summary: Summary of that beginning.
+    From byte `limit` on the file is not valid; a `sealed` one was finished, so that it cannot be torn. `damaged` are
+    unreadable bytes, `torn` those of an incomplete record at the end. `whole_bytes` is the length of the undamaged
+    beginning, up to the end of a chunk and its indexes, and `summary` its summary.
     """
 
     def __init__(self, path: Path, limit: int | None = None, *, sealed: bool = False) -> None:
-        self.path = path
-        self.limit = limit
-        self._sealed = sealed
+        self.path, self.limit, self._sealed = path, limit, sealed
         self.damaged: list[ByteSpan] = []
         self.torn: ByteSpan | None = None
         self.whole_bytes = 0
@@ -197,7 +187,11 @@ class SegmentScan:
             if frame is None or (chunk is None and not _is_plain(content, position, *frame)):
                 found = _next_chunk(content, position + 1, end)
                 if found is None:
-                    self._note_rest(content, position, end, frame)
+                    cut = {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA}
+                    if frame is None and content[position] in cut and not self._sealed:
+                        self.torn = ByteSpan(position, end)
+                    else:
+                        self.damaged.append(ByteSpan(position, end))
                     return
                 self.damaged.append(ByteSpan(position, found))
                 position = found
@@ -207,15 +201,6 @@ class SegmentScan:
             elif frame[0] == Opcode.DATA_END:
                 return  # what follows in a sealed segment only repeats
             position = frame[1]
-
-    def _note_rest(self, content: Buffer, position: int, end: int, frame: tuple[int, int] | None) -> None:
-        """The rest without chunks is torn or damaged."""
-        rest = ByteSpan(position, end)
-        is_cut = frame is None and content[position] in {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA}
-        if is_cut and not self._sealed:
-            self.torn = rest
-        else:
-            self.damaged.append(rest)
 
     def _extend(self, content: Buffer, chunk: _Chunk, index: ChannelIndex, end: int) -> None:
         """Extend the undamaged beginning by this chunk, if it reaches up to it."""
@@ -291,20 +276,17 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
 
 def _next_chunk(content: Buffer, position: int, end: int) -> int | None:
     """Begin of the next intact chunk from `position` on."""
-    found = content.find(_NEEDLE, position, end)
-    while found >= 0:
+    found = position - 1
+    while (found := content.find(_NEEDLE, found + 1, end)) >= 0:
         if found - _NEEDLE_AT >= position and _chunk_at(content, found - _NEEDLE_AT, end) is not None:
             return found - _NEEDLE_AT
-        found = content.find(_NEEDLE, found + 1, end)
     return None
 
 
 def _messages(
-    content: bytes,
-    channels: dict[int, tuple[str, str]],
-    index: ChannelIndex | None = None,
+    content: bytes, channels: dict[int, tuple[str, str]], index: ChannelIndex | None = None,
     summary: SegmentSummary | None = None,
-) -> Iterator[LogRecord]:
+) -> Iterator[LogRecord]:  # fmt: skip
     """Messages of a chunk's content; adds its channels to `channels` and the places of messages to `index`."""
     position, end = 0, len(content)
     unpack, head = MESSAGE.unpack_from, MESSAGE.size

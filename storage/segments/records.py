@@ -46,8 +46,6 @@ def written_by(store: str, path: Path) -> str:
 def origin_of(library: str) -> tuple[str, str] | None:
     """Identity and number from the text of `written_by`; None if it lacks them or is damaged.
 
-    Examples
-    --------
     >>> origin_of(written_by("5e0f", Path("00000007.mcap.open")))
     ('5e0f', '00000007')
     """
@@ -128,34 +126,24 @@ class SegmentSummary:
             self.counts[channel] = self.counts.get(channel, 0) + len(places) // 2
             offsets[channel] = at
             at += _INDEX_HEAD.size + 8 * len(places)
-        self.chunks.append(
-            ChunkIndex(
-                chunk_length=head.frame_bytes,
-                chunk_start_offset=begin,
-                compression=COMPRESSION.decode(),
-                compressed_size=head.packed_bytes,
-                message_end_time=head.last_ns,
-                message_index_length=indexes,
-                message_index_offsets=offsets if indexes else {},
-                message_start_time=head.first_ns,
-                uncompressed_size=head.content_bytes,
-            )
-        )
+        chunk = ChunkIndex(
+            chunk_start_offset=begin, chunk_length=head.frame_bytes, message_start_time=head.first_ns,
+            message_end_time=head.last_ns, compression=COMPRESSION.decode(), compressed_size=head.packed_bytes,
+            uncompressed_size=head.content_bytes, message_index_length=indexes,
+            message_index_offsets=offsets if indexes else {},
+        )  # fmt: skip
+        self.chunks.append(chunk)
 
     def records(self, metadata: MetadataIndex) -> list[list[McapRecord]]:
         """The records of the summary section, by kind."""
         used = [chunk for chunk in self.chunks if chunk.message_index_offsets]
         statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self.channels),
-            channel_message_counts=self.counts,
-            chunk_count=len(self.chunks),
-            message_count=sum(self.counts.values()),
+            attachment_count=0, channel_count=len(self.channels), channel_message_counts=self.counts,
+            chunk_count=len(self.chunks), message_count=sum(self.counts.values()),
             message_start_time=min((chunk.message_start_time for chunk in used), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in used), default=0),
-            metadata_count=1,
+            message_end_time=max((chunk.message_end_time for chunk in used), default=0), metadata_count=1,
             schema_count=len(SCHEMA_IDS) - 1,
-        )
+        )  # fmt: skip
         channels = [self.channels[number] for number in sorted(self.channels)]
         return [list(schemas()), list(channels), [statistics], list(self.chunks), [metadata]]
 
@@ -182,8 +170,6 @@ def encoded(*records: McapRecord) -> bytes:
 def checksum(marks: dict[str, str]) -> str:
     """Checksum of the positions of streams; MCAP has none for metadata.
 
-    Examples
-    --------
     >>> checksum({"gyrofleet/plant/bench/U1/rate 01": "500"})
     '9427e9cb'
     """

@@ -53,16 +53,9 @@ class Chain(NamedTuple):
 
 
 def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
-    """Specification documents of a store, including those not yet in the lake.
+    """Specification documents of a store, including those not yet in the lake; `catalog` is its, if one is open.
 
-    Parameters
-    ----------
-    store: Which store.
-    catalog: Its catalogue, if one is open.
-
-    Raises
-    ------
-    StoreError: If the lake or the log is damaged.
+    Raises a StoreError if the lake or the log is damaged.
     """
     if catalog is None:
         with Catalog(store) as opened:
@@ -80,20 +73,7 @@ def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
 
 
 def chain_of(documents: Iterable[tuple[SpecificationEntered, int]]) -> Chain:
-    """Order documents, given with their times of arrival, by their hashes.
-
-    Examples
-    --------
-    >>> first = SpecificationEntered(run="", t_ns=0, action="added", name="fog", revision="A", by="Li")
-    >>> second = SpecificationEntered(
-    ...     run="", t_ns=1, action="withdrawn", name="fog", revision="A", by="Li", previous=hash_of(first)
-    ... )
-    >>> chain = chain_of([(second, 7), (first, 5)])
-    >>> [link.document.action for link in chain.links], chain.head == hash_of(second), chain.breaks
-    (['added', 'withdrawn'], True, ())
-    >>> chain_of([(second, 7)]).breaks[0].what
-    'the document before it is not in the log'
-    """
+    """Order documents, given with their times of arrival, by their hashes."""
     by_hash = {hash_of(each): (each, arrival) for each, arrival in sorted(documents, key=lambda e: (e[1], e[0].t_ns))}
     following: defaultdict[str, list[str]] = defaultdict(list)
     for mark, (document, _) in by_hash.items():
@@ -118,9 +98,7 @@ def hash_of(document: SpecificationEntered) -> str:
 def append_document(store: Store, document: SpecificationEntered) -> None:
     """Append a document to the log, with the store's seal; it is on disk when this returns.
 
-    Raises
-    ------
-    StoreError, DeliveryError: If it cannot be written.
+    Raises a StoreError or a DeliveryError if it cannot be written.
     """
     record_documents(store, [signed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 

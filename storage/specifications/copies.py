@@ -16,12 +16,7 @@ FOLDER = "products"
 
 
 def write_copy(store: Store, document: SpecificationEntered) -> None:
-    """Write the copy of a revision.
-
-    Raises
-    ------
-    StoreError: If it cannot be written.
-    """
+    """Write the copy of a revision; StoreError if it cannot be written."""
     path = store.folder / FOLDER / f"{document.name}-{document.revision}.toml"
     fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

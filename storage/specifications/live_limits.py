@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from storage.specifications.chain import read_chain
+from storage.specifications.screening_file import METRICS, WALK, WALK_UNIT
 from storage.specifications.specification import Specification, SpecificationLimit, format_parameter
 from storage.specifications.validity import Period, in_force, ordered_periods
 from storage.store import Store
@@ -11,25 +12,16 @@ from stream.errors import NotFound, UnknownUnit
 from stream.events import Limit
 from stream.quantities import is_angular_rate, result_factor
 
-_WALK, _WALK_UNIT = "angle_random_walk", "deg/sqrt(h)"
 # metric -> characteristic of a live limit, and the parameter that is its averaging time
-_LIVE = {
-    "bias_stability_averaged": ("bias_stability", "average_s"),
-    "allan_deviation": ("allan_deviation", "tau_s"),
-    _WALK: (_WALK, None),
-}
+_LIVE = {metric: (characteristic, parameter) for characteristic, (metric, parameter) in METRICS.items()}
 # averaging times of the metric, all of which a limit without `average_s` is on
 _AVERAGES_S = (1.0, 10.0, 100.0)
 
 
 class UnitLimits(NamedTuple):
-    """Limits on one unit.
+    """Limits on one unit: names and revisions of the specifications, such as ``FOG-70-B``, and what they limit.
 
-    Parameters
-    ----------
-    label: Names and revisions of the specifications, such as ``FOG-70-B``.
-    live: Limits that live estimators can judge.
-    after: Subjects of the limits that are judged after the run.
+    Live estimators can judge those in `live`; `after` are subjects of the limits that are judged after the run.
     """
 
     label: str
@@ -38,19 +30,11 @@ class UnitLimits(NamedTuple):
 
 
 def chosen_periods(store: Store, t_ns: int, wanted: str | None = None) -> list[Period]:
-    """Specifications of a store that are valid at a moment, or the one that is wanted.
+    """Specifications of a store that are valid at `t_ns` (UTC), or the one that is wanted.
 
-    Parameters
-    ----------
-    store: Which store.
-    t_ns: The moment, ns UTC.
-    wanted: ``NAME``, for its revision of that moment, or ``NAME@REVISION``.
-
-    Raises
-    ------
-    NotFound: If the wanted one is not in force; the message has the names that are. Or if the chain of documents is
-        broken, so that no limit counts.
-    StoreError: If the lake or the log is damaged.
+    It is wanted as ``NAME``, for its revision of that moment, or ``NAME@REVISION``. Raises a NotFound if that is not in
+    force (the message has the names that are) or if the chain of documents is broken, so that no limit counts; a
+    StoreError if the lake or the log is damaged.
     """
     chain = read_chain(store)
     if chain.breaks:
@@ -82,13 +66,9 @@ def chosen_periods(store: Store, t_ns: int, wanted: str | None = None) -> list[P
 def unit_limits(
     specifications: Iterable[Specification], product: str | None, signals: Sequence[str]
 ) -> UnitLimits | None:
-    """Limits on a unit; None where the specifications have none for its product.
+    """Limits on a unit; None where the specifications in force have none for its product.
 
-    Parameters
-    ----------
-    specifications: Those in force.
-    product: Product of the unit, where it is known; limits for every product apply to each unit.
-    signals: Its angular rates, which limits without a signal apply to.
+    Limits for every product apply to each unit, limits without a signal to `signals`, its angular rates.
     """
     labels: list[str] = []
     live: dict[Limit, None] = {}
@@ -110,13 +90,6 @@ def live_limits(limit: SpecificationLimit, signals: Sequence[str]) -> Iterator[L
 
     They take upper limits on the standard deviation of averages, the Allan deviation at an averaging time, and the
     angle random walk, which they read from the Allan deviation at 1 s.
-
-    Examples
-    --------
-    >>> limit = SpecificationLimit(metric="bias_stability_averaged", parameters={"average_s": 100}, upper=0.05,
-    ...     unit_of_measure="deg/h")
-    >>> [(each.characteristic, each.signal, each.tau_s) for each in live_limits(limit, ["rate"])]
-    [('bias_stability', 'rate', 100.0)]
     """
     characteristic, time = _LIVE.get(limit.metric, (None, None))
     times = _averaging_times(limit, time)
@@ -124,8 +97,8 @@ def live_limits(limit: SpecificationLimit, signals: Sequence[str]) -> Iterator[L
         return
     unit, factor = limit.unit_of_measure, 1.0
     try:
-        if characteristic == _WALK:
-            unit, factor = _WALK_UNIT, result_factor(unit, _WALK_UNIT)
+        if characteristic == WALK:
+            unit, factor = WALK_UNIT, result_factor(unit, WALK_UNIT)
         elif not is_angular_rate(unit) and limit.signal in {None, *signals}:
             return
     except UnknownUnit:
@@ -133,12 +106,9 @@ def live_limits(limit: SpecificationLimit, signals: Sequence[str]) -> Iterator[L
     for signal in signals if limit.signal is None else [limit.signal]:
         for tau_s in times:
             yield Limit(
-                characteristic=characteristic,
-                signal=signal,
-                tau_s=tau_s,
-                upper=limit.upper * factor,
+                characteristic=characteristic, signal=signal, tau_s=tau_s, upper=limit.upper * factor,
                 unit_of_measure=unit,
-            )
+            )  # fmt: skip
 
 
 def _averaging_times(limit: SpecificationLimit, time: str | None) -> tuple[float | None, ...] | None:
@@ -157,8 +127,6 @@ def _averaging_times(limit: SpecificationLimit, time: str | None) -> tuple[float
 def format_limit(limit: Limit) -> str:
     """A live limit in one line.
 
-    Examples
-    --------
     >>> limit = SpecificationLimit(metric="allan_deviation", parameters={"tau_s": 100}, upper=0.2,
     ...     unit_of_measure="deg/h")
     >>> format_limit(*live_limits(limit, ["rate"]))

@@ -13,12 +13,12 @@ from stream.errors import BadInput, UnknownUnit
 from stream.quantities import is_angular_rate
 from stream.toml_text import decode_toml
 
-_WALK = "angle_random_walk"
-_WALK_UNIT = "deg/sqrt(h)"
-_METRICS = {
+WALK = "angle_random_walk"
+WALK_UNIT = "deg/sqrt(h)"
+METRICS = {
     "bias_stability": ("bias_stability_averaged", "average_s"),
     "allan_deviation": ("allan_deviation", "tau_s"),
-    _WALK: (_WALK, None),
+    WALK: (WALK, None),
 }
 
 
@@ -38,23 +38,8 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def converted_limits(content: str | bytes, where: str) -> tuple[str, list[dict[str, Any]]] | None:
     """Revision and limits of a file of screening limits, the limits as a specification has them; None for other files.
 
-    Raises
-    ------
-    BadInput: If a limit is not right; the message names its place.
-    DecodeError: If the content is not TOML, or not a file of screening limits.
-
-    Examples
-    --------
-    >>> converted_limits('''
-    ... revision = "A"
-    ... [[limit]]
-    ... characteristic = "bias_stability"
-    ... signal = "rate"
-    ... tau_s = 10.0
-    ... upper = 0.5
-    ... unit_of_measure = "deg/h"
-    ... ''', "limits.toml")[1][0]["parameters"]
-    {'average_s': 10.0}
+    Raises a BadInput if a limit is not right; the message names its place. Raises a DecodeError if the content is not
+    TOML, or not a file of screening limits.
     """
     raw = decode_toml(content, dict[str, Any])
     limits = raw.get("limit")
@@ -64,7 +49,7 @@ def converted_limits(content: str | bytes, where: str) -> tuple[str, list[dict[s
     found = []
     for at, entry in enumerate(file.limit):
         _check(entry, f"{where}: $.limit[{at}] ({entry.characteristic})")
-        metric, parameter = _METRICS[entry.characteristic]
+        metric, parameter = METRICS[entry.characteristic]
         limit = {"metric": metric, "signal": entry.signal, "upper": entry.upper}
         limit |= {"unit_of_measure": entry.unit_of_measure}
         found.append(limit if parameter is None else limit | {"parameters": {parameter: entry.tau_s}})
@@ -74,9 +59,9 @@ def converted_limits(content: str | bytes, where: str) -> tuple[str, list[dict[s
 def _check(entry: _Entry, where: str) -> None:
     if not math.isfinite(entry.upper) or not math.isfinite(entry.tau_s or 0.0):
         raise BadInput(f"{where}: upper and tau_s are finite numbers")
-    if entry.characteristic == _WALK:
-        if entry.unit_of_measure != _WALK_UNIT:
-            raise BadInput(f"{where}: unit_of_measure is {_WALK_UNIT!r}, not {entry.unit_of_measure!r}")
+    if entry.characteristic == WALK:
+        if entry.unit_of_measure != WALK_UNIT:
+            raise BadInput(f"{where}: unit_of_measure is {WALK_UNIT!r}, not {entry.unit_of_measure!r}")
         if entry.tau_s not in (None, 1.0):
             raise BadInput(f"{where}: it is read at 1 s; leave tau_s out")
         return

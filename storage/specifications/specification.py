@@ -24,15 +24,11 @@ _DAY = timedelta(days=1)
 class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One product of a specification, `[product."FOG-70"]`.
 
-    Parameters
-    ----------
-    scale_factor: Nominal, in `scale_factor_unit` per deg/s.
-    scale_factor_unit: Unit of measure of the output.
-    max_rate_deg_per_s: Largest input rate.
-    nonlinearity_ppm: Limit of the scale factor's nonlinearity, which bounds the input range.
-    startup_band_deg_per_h: Error band of the output that ends the start-up.
-    expected_threshold_deg_per_h: Threshold from which the rates of the resolution test follow.
-    average_s: Averaging time of the product's bias stability, besides 1, 10 and 100 s; at least 1 ms.
+    `scale_factor` is nominal, in `scale_factor_unit` (of the output) per deg/s; `max_rate_deg_per_s` is the largest
+    input rate, `nonlinearity_ppm` the limit of the scale factor's nonlinearity, which bounds the input range.
+    `startup_band_deg_per_h` is the error band of the output that ends the start-up, `expected_threshold_deg_per_h` the
+    threshold from which the rates of the resolution test follow, `average_s` the averaging time of the product's bias
+    stability besides 1, 10 and 100 s.
     """
 
     scale_factor: float | None = None
@@ -51,15 +47,10 @@ class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One `[[limit]]`.
+    """One `[[limit]]`: `lower` and `upper` are the least and greatest value of `metric` that pass.
 
-    Parameters
-    ----------
-    metric: Metric that is limited.
-    unit_of_measure: Unit of `lower` and `upper`.
-    lower, upper: Least and greatest value that passes.
-    parameters: Selects among the metric's values, such as ``{average_s = 100}``; omitted parameters match all values.
-    product, signal, standard: Product, signal and standard that it applies to; all where left out.
+    `parameters` select among the metric's values, such as ``{average_s = 100}``; omitted parameters match all values.
+    So do product, signal and standard where they are left out.
     """
 
     metric: str
@@ -87,14 +78,9 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 class Specification(NamedTuple):
-    """A revision of a specification.
+    """A revision of a specification; the revisions of one name follow each other.
 
-    Parameters
-    ----------
-    name, revision: Together they identify it; the revisions of one name follow each other.
-    from_ns, until_ns: When it is valid; without an end, until the next revision begins.
-    products: Numbers of products.
-    limits: In the file's order.
+    Without an end it is valid until the next revision begins. `limits` are in the file's order.
     """
 
     name: str
@@ -121,12 +107,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_specification(path: Path) -> bytes:
-    """Content of a specification file.
-
-    Raises
-    ------
-    BadInput: If it cannot be read.
-    """
+    """Content of a specification file; BadInput if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -136,19 +117,9 @@ def read_specification(path: Path) -> bytes:
 def parse_specification(content: str | bytes, source: str) -> Specification:
     r"""Read a specification; whether its metrics exist and its units fit is not checked.
 
-    A file of screening limits (`storage.specifications.screening_file`) is converted.
+    A file of screening limits (`storage.specifications.screening_file`) is converted. `source` is the file, for
+    messages and for the name of a specification that gives none. Raises a BadInput that names the file and the key.
 
-    Parameters
-    ----------
-    content: The TOML.
-    source: The file it comes from: for messages, and for its name where the file gives none.
-
-    Raises
-    ------
-    BadInput: If it is not such a file; the message names the file and the key.
-
-    Examples
-    --------
     >>> found = parse_specification(b'''
     ... revision = "B"
     ... valid_from = 2026-01-01
@@ -172,13 +143,10 @@ def parse_specification(content: str | bytes, source: str) -> Specification:
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(f"{where}: {error}") from error
     found = Specification(
-        file.name or Path(source).stem.removesuffix(f"-{file.revision}"),
-        file.revision,
+        file.name or Path(source).stem.removesuffix(f"-{file.revision}"), file.revision,
         _moment_ns(file.valid_from, f"{where}: valid_from"),
-        _moment_ns(file.valid_until, f"{where}: valid_until", is_end=True),
-        file.product,
-        file.limit,
-    )
+        _moment_ns(file.valid_until, f"{where}: valid_until", is_end=True), file.product, file.limit,
+    )  # fmt: skip
     check_names(found, where)
     if found.from_ns is not None and found.until_ns is not None and found.from_ns >= found.until_ns:
         raise BadInput(f"{where}: valid_until {file.valid_until} lies before valid_from {file.valid_from}")
@@ -196,24 +164,20 @@ def check_names(specification: Specification, where: str) -> None:
             )
 
 
-def format_parameter(value: Parameter) -> str:
+def format_parameter(value: object) -> str:
     """A parameter as text.
 
-    Examples
-    --------
     >>> format_parameter(100), format_parameter(0.5), format_parameter("X"), format_parameter(True)
     ('100', '0.5', 'X', 'true')
     """
     if isinstance(value, bool):
         return str(value).lower()
-    return value if isinstance(value, str) else f"{value:g}"
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
 def _moment_ns(value: object, where: str, *, is_end: bool = False) -> int | None:
     """First moment of a date, or with `is_end` the moment after it; a moment with a time zone; ns UTC.
 
-    Examples
-    --------
     >>> _moment_ns(date(1970, 1, 2), "valid_from"), _moment_ns(date(1970, 1, 1), "valid_until", is_end=True)
     (86400000000000, 86400000000000)
     """

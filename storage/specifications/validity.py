@@ -33,13 +33,9 @@ class Period(NamedTuple):
 
 
 class Edition(NamedTuple):
-    """A period as it was known for a time: later documents may end it, or withdraw it.
+    """A period as it was known for a time by the recorder's clock: later documents may end it, or withdraw it.
 
-    Parameters
-    ----------
-    period: The specification, and when it is valid.
-    revisions: How many revisions of its name were known.
-    known_from_ns, known_until_ns: When this was known, by the recorder's clock.
+    `revisions` of its name were known then.
     """
 
     period: Period
@@ -54,12 +50,7 @@ def _parsed(name: str, revision: str, content: str) -> Specification:
 
 
 def in_force(links: Iterable[Link]) -> list[Specification]:
-    """Specifications that were added and not withdrawn, in the order in which they were added.
-
-    Raises
-    ------
-    BadInput: If this gyrofleet cannot read one of them.
-    """
+    """Specifications that were added and not withdrawn, in that order; BadInput if one of them cannot be read."""
     found: dict[str, SpecificationEntered] = {}
     for link in links:
         _apply(link, found)
@@ -67,21 +58,14 @@ def in_force(links: Iterable[Link]) -> list[Specification]:
 
 
 def stored_specifications(store: Store) -> list[Specification]:
-    """Specifications in force in a store.
-
-    Raises
-    ------
-    StoreError: If the lake or the log is damaged.
-    """
+    """Specifications in force in a store; StoreError if the lake or the log is damaged."""
     return in_force(read_chain(store).links)
 
 
 def specification_named(store: Store, label: str) -> tuple[Period, str]:
-    """A specification of a store by ``NAME-REVISION``, withdrawn or not, and its TOML; by its name, its last revision.
+    """A specification of a store by ``NAME-REVISION``, withdrawn or not, or by its name the last revision; its TOML.
 
-    Raises
-    ------
-    NotFound: If there is none.
+    Raises a NotFound if there is none.
     """
     links = read_chain(store).links
     contents = {link.label: link.document for link in links if link.document.content}
@@ -121,9 +105,7 @@ def editions_of(links: Sequence[Link]) -> list[Edition]:
 def periods_of(specifications: Sequence[Specification]) -> list[Period]:
     """When each of them is valid, by name and begin.
 
-    Raises
-    ------
-    BadInput: If two revisions of one name are valid at one time, or two names limit the same at one time.
+    Raises a BadInput if two revisions of one name are valid at one time, or two names limit the same at one time.
     """
     for each, after in pairwise(sorted(specifications, key=_place)):
         if each.name == after.name:
@@ -150,8 +132,6 @@ def ordered_periods(specifications: Iterable[Specification]) -> list[Period]:
 def format_moment(t_ns: int | None) -> str | None:
     """A moment as ``2026-11-21`` or ``2026-11-21T10:00:00Z``.
 
-    Examples
-    --------
     >>> format_moment(0), format_moment(3_600_000_000_000)
     ('1970-01-01', '1970-01-01T01:00:00Z')
     """

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -15,27 +15,24 @@ import pyarrow as pa
 from storage.findings import Finding
 from storage.lake.tables import TABLES
 from storage.manifests.lake import Part, read_manifest
-from storage.sql.guard import check_statement, plain_message
-from storage.sql.macros import conversion_macros
+from storage.sql.guard import check_statement, one_statement, plain_message, refused
 from storage.store import Store
-from stream.errors import QueryError, StoreError
+from stream.closing import Closing
+from stream.errors import QueryError, StoreError, UnknownUnit
+from stream.quantities import conversion, is_angular_rate
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
-STORAGE_VERSION = "v1.0.0"
-"""Version of the file format of a written catalogue: DuckDB from 1.0 reads it."""
+_ALWAYS_CONVERTED = ("deg/s", "deg/h", "rad/s", "degC", "K", "degF")
+STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
 _SQL_TYPES = {
-    pa.int64(): "bigint",
-    pa.int32(): "integer",
-    pa.uint8(): "utinyint",
-    pa.float64(): "double",
-    pa.string(): "varchar",
-    pa.bool_(): "boolean",
-}
+    pa.int64(): "bigint", pa.int32(): "integer", pa.uint8(): "utinyint", pa.float64(): "double",
+    pa.string(): "varchar", pa.bool_(): "boolean",
+}  # fmt: skip
 
 
 class NotKept(Exception):
@@ -48,12 +45,9 @@ class Layer(Protocol):
     Its tables are computed when a statement first names one of them.
     """
 
-    tables: tuple[str, ...]
-    """Names of its tables and views for users."""
-    folder: str
-    """Folder in the store in which it keeps what it has computed."""
-    examples: Mapping[str, str]
-    """Questions and the statements that answer them."""
+    tables: tuple[str, ...]  # names of its tables and views for users
+    folder: str  # folder in the store in which it keeps what it has computed
+    examples: Mapping[str, str]  # questions and the statements that answer them
 
     @property
     def columns(self) -> Mapping[str, Mapping[str, str]]:
@@ -78,34 +72,22 @@ def known_tables() -> list[str]:
     return [*VIEWS, *(table for layer in layers() for table in layer.tables)]
 
 
-class Catalog:
+class Catalog(Closing):
     """The views of a store, `VIEWS` and the tables of layers, over the lake as it was when the catalogue was opened.
 
-    What they are made of is in the schema `internal`.
-
-    Parameters
-    ----------
-    file: DuckDB database to create with the same views; by default they are in memory.
-    progress: Called by a layer with the numbers of steps done and in total.
-    parts: Parts of the lake; by default those in force now.
-    kept: Folder in which layers keep what they compute; by default the store's.
-    frozen: Layers raise `NotKept` instead of computing anything.
-    memory_bytes: Limit of DuckDB, which then uses no disk either; by default most of the machine's memory.
+    What they are made of is in the schema `internal`. A `file` is a DuckDB database to create with the same views; by
+    default they are in memory. `progress` is called by a layer with the numbers of steps done and in total. `parts` of
+    the lake are by default those in force now; layers keep what they compute in the folder `kept`, by default the
+    store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes` is the limit of DuckDB, which
+    then uses no disk either; by default most of the machine's memory.
     """
 
     def __init__(
-        self,
-        store: Store,
-        file: Path | None = None,
-        *,
-        progress: Progress | None = None,
-        parts: Iterable[Part] | None = None,
-        kept: Path | None = None,
-        frozen: bool = False,
+        self, store: Store, file: Path | None = None, *, progress: Progress | None = None,
+        parts: Iterable[Part] | None = None, kept: Path | None = None, frozen: bool = False,
         memory_bytes: int | None = None,
-    ) -> None:
-        self.store = store
-        self.progress = progress
+    ) -> None:  # fmt: skip
+        self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
@@ -115,10 +97,9 @@ class Catalog:
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
             self._attach(f"internal.lake_{table}", table, self.parts)
-        self._attach("internal.lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
-        self._attach(
-            "internal.lake_channels_dropped", "channels", [part for part in self.parts if part.dropped is not None]
-        )
+        for name, is_dropped in (("kept", False), ("dropped", True)):
+            own = [part for part in self.parts if (part.dropped is not None) == is_dropped]
+            self._attach(f"internal.lake_channels_{name}", "channels", own)
         for script in sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
@@ -199,15 +180,9 @@ class Catalog:
         """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
         self._fill(sql)
         try:
-            statements = self._connection.extract_statements(sql)
-            if len(statements) != 1:
-                raise QueryError(f"{len(statements)} statements found, one is expected: give them one at a time")
-            kind = statements[0].type
+            kind = one_statement(self._connection, sql).type
             if kind not in _READING:
-                raise QueryError(
-                    f"{kind.name} is refused: the store is only read here. What runs is SELECT (also WITH, FROM, "
-                    f"DESCRIBE, SUMMARIZE, EXPLAIN); to keep a result use --csv or --parquet FILE"
-                )
+                raise refused(kind.name)
             return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise _failed(error) from error
@@ -252,16 +227,31 @@ class Catalog:
         """Close the connection."""
         self._connection.close()
 
-    def __enter__(self) -> "Catalog":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def _failed(error: duckdb.Error) -> QueryError:
     reason = plain_message(error)
     if "disabled by configuration" in reason:
         reason += "; only the store is read here, import other data first"
-    known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])
-    return QueryError(f"{reason} (views: {known})")
+    return QueryError(f"{reason} (views: {', '.join(known_tables())})")
+
+
+def conversion_macros(units: Iterable[str]) -> str:
+    """Statements that define ``deg_per_h(value, unit_of_measure)`` and ``deg_c(value, unit_of_measure)``.
+
+    Both give null for units of other quantities.
+
+    >>> "when 'rpm' then value * '21600.0'::double + '0.0'::double" in conversion_macros(["rpm"])
+    True
+    """
+    cases: dict[str, list[str]] = {"deg/h": [], "degC": []}
+    for unit in sorted({*units, *_ALWAYS_CONVERTED}):
+        with suppress(UnknownUnit):
+            target = "deg/h" if is_angular_rate(unit) else "degC"
+            factor, offset = conversion(unit, target)
+            quoted = unit.replace("'", "''")
+            # plain literals would be decimals, whose products overflow
+            cases[target].append(f"when '{quoted}' then value * '{factor!r}'::double + '{offset!r}'::double")
+    return "".join(
+        f"create or replace macro {name}(value, unit_of_measure) as case unit_of_measure {' '.join(cases[target])} end;"
+        for name, target in (("deg_per_h", "deg/h"), ("deg_c", "degC"))
+    )

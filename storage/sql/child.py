@@ -31,26 +31,18 @@ _SYSTEM = (
     "/usr", "/lib", "/lib64", "/bin", "/opt", "/nix", "/proc", "/sys", "/dev/null", "/dev/urandom", "/etc/ld.so.cache",
     "/etc/localtime", "/etc/timezone", "/etc/ssl/openssl.cnf",
 )  # fmt: skip
-
-
 _HEAD = struct.Struct("<cQ")
 
 
 class FrameKind(Enum):
     """Kind of a frame."""
 
-    REQUEST = b"?"
-    """Pickle; from the parent."""
-    READY = b"R"
-    """JSON with `landlock`: whether the kernel enforces that nothing is written."""
-    ROWS = b"B"
-    """An Arrow stream: the schema and some rows of the result."""
-    DONE = b"O"
-    """The result is complete."""
-    FAILED = b"E"
-    """JSON with `kinds`, the names of the error's classes, and `message`."""
-    NOT_KEPT = b"N"
-    """A table that the statement names must be computed first."""
+    REQUEST = b"?"  # pickle; from the parent
+    READY = b"R"  # JSON with `landlock`: whether the kernel enforces that nothing is written
+    ROWS = b"B"  # an Arrow stream: the schema and some rows of the result
+    DONE = b"O"  # the result is complete
+    FAILED = b"E"  # JSON with `kinds`, the names of the error's classes, and `message`
+    NOT_KEPT = b"N"  # a table that the statement names must be computed first
 
 
 class Closed(Exception):
@@ -160,11 +152,9 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
 
     return Catalog(
         Store(Path(setup["folder"]), setup["identity"]),
-        parts=msgspec.json.decode(setup["parts"], type=tuple[Part, ...]),
-        kept=Path(setup["kept"]),
-        frozen=True,
+        parts=msgspec.json.decode(setup["parts"], type=tuple[Part, ...]), kept=Path(setup["kept"]), frozen=True,
         memory_bytes=setup["memory_bytes"],
-    )
+    )  # fmt: skip
 
 
 def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], timer: _Timer, memory_bytes: int) -> None:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Generator
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, NamedTuple, Self
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -20,6 +20,7 @@ import stream.errors
 from storage.manifests.lake import read_manifest
 from storage.sql.child import Closed, FrameKind, read_frame, write_frame
 from storage.store import Store
+from stream.closing import Closing
 from stream.errors import GyrofleetError, QueryError, StoreError
 
 if TYPE_CHECKING:
@@ -42,8 +43,7 @@ class Result:
     """Rows of a statement's result as they come; iterating may raise a `QueryError`."""
 
     def __init__(self, schema: "pa.Schema", batches: "Generator[pa.RecordBatch, None, None]") -> None:
-        self.schema = schema
-        self.batches = batches
+        self.schema, self.batches = schema, batches
 
     def read_all(self) -> "pa.Table":
         """All rows."""
@@ -52,23 +52,12 @@ class Result:
         return pa.Table.from_batches(self.batches, self.schema)
 
 
-class SqlDoor:
-    """Runs users' statements on a store as it was when the door was opened.
+class SqlDoor(Closing):
+    """Runs users' statements on a store as it was when the door was opened; StoreError if its lake is damaged.
 
-    Parameters
-    ----------
-    landlock: Whether the kernel enforces that nothing is written; otherwise only the other guards do.
+    With `landlock` the kernel enforces that nothing is written, else only the other guards do; `is_enforced` says
+    whether it does, and is None until the first statement.
 
-    Attributes
-    ----------
-    is_enforced: Whether the kernel does; None until the first statement.
-
-    Raises
-    ------
-    StoreError: If the lake is damaged.
-
-    Examples
-    --------
     >>> with SqlDoor(Store.open(Path("night"))) as door:  # doctest: +SKIP
     ...     table = door.ask("select unit, signal, samples from signals").read_all()
     """
@@ -86,9 +75,7 @@ class SqlDoor:
     def ask(self, statement: str, parameters: object = None) -> Result:
         """Run one statement; `parameters` fill its ``$name`` or ``?``.
 
-        Raises
-        ------
-        QueryError: If it would do more than read, fails, or exceeds its limits.
+        Raises a QueryError if it would do more than read, fails, or exceeds its limits.
         """
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()
@@ -134,10 +121,9 @@ class SqlDoor:
             raise process.why_it_ended(self.limits) from None
         if kind is FrameKind.FAILED:
             failure = json.loads(content)
-            if "MemoryError" in failure["kinds"]:
-                self._end()
-                raise _too_much_memory(self.limits)
-            if failure["message"].startswith("Out of Memory Error"):
+            if "MemoryError" in failure["kinds"] or failure["message"].startswith("Out of Memory Error"):
+                if "MemoryError" in failure["kinds"]:
+                    self._end()
                 raise _too_much_memory(self.limits)
             known = [getattr(stream.errors, name, None) for name in failure["kinds"]]
             kinds = [each for each in known if isinstance(each, type) and issubclass(each, GyrofleetError)]
@@ -147,15 +133,11 @@ class SqlDoor:
     def _started(self) -> "_Process":
         self._process = process = _Process()
         setup = {
-            "folder": str(self.store.folder.resolve()),
-            "identity": self.store.identity,
-            "parts": msgspec.json.encode(self._parts).decode(),
-            "kept": str(self._kept.resolve()),
-            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())],
-            "time_s": self.limits.time_s,
-            "memory_bytes": self.limits.memory_bytes,
-            "landlock": self._landlock,
-        }
+            "folder": str(self.store.folder.resolve()), "identity": self.store.identity,
+            "parts": msgspec.json.encode(self._parts).decode(), "kept": str(self._kept.resolve()),
+            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())], "time_s": self.limits.time_s,
+            "memory_bytes": self.limits.memory_bytes, "landlock": self._landlock,
+        }  # fmt: skip
         process.send(FrameKind.REQUEST, json.dumps(setup).encode())
         try:
             _, content = self._received(process)
@@ -194,12 +176,6 @@ class SqlDoor:
         if self._scratch is not None:
             self._scratch.cleanup()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 class _Process:
     """The process, and the end of its standard error."""
@@ -207,17 +183,11 @@ class _Process:
     def __init__(self) -> None:
         folders = os.pathsep.join(each for each in sys.path if each)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "storage.sql.child"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [sys.executable, "-P", "-m", "storage.sql.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env={
-                **os.environ,
-                "PYTHONPATH": folders,
-                "MALLOC_ARENA_MAX": "2",  # memory that arenas reserve would count
-                "NUMBA_DISABLE_JIT": "1",  # nothing is computed there, and the cache is not writable
-            },
-        )
+            # memory that arenas reserve would count; nothing is compiled there, and numba's cache is not writable
+            env={**os.environ, "PYTHONPATH": folders, "MALLOC_ARENA_MAX": "2", "NUMBA_DISABLE_JIT": "1"},
+        )  # fmt: skip
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._requests: IO[bytes] = self._process.stdin

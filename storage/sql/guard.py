@@ -14,7 +14,6 @@ import duckdb
 from stream.errors import QueryError
 
 _NODES = {"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"}
-_READS = "What runs is SELECT (also WITH, FROM, DESCRIBE, SUMMARIZE, EXPLAIN)"
 TABLE_FUNCTIONS = frozenset(
     {
         "duckdb_columns", "duckdb_constraints", "duckdb_databases", "duckdb_dependencies", "duckdb_functions",
@@ -33,13 +32,8 @@ REFUSED_FUNCTIONS = frozenset({"currval", "nextval", "setseed", "setval", "sleep
 def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Collection[str]) -> None:
     """Refuse, by a QueryError, everything but one statement that only reads the store.
 
-    Parameters
-    ----------
-    connection: Used for its parser only.
-    macros: The store's own table macros.
+    Its parser is that of `connection`; `macros` are the store's own table macros.
 
-    Examples
-    --------
     >>> connection = duckdb.connect()
     >>> check_statement(connection, "explain analyze select 1", ())
     >>> check_statement(connection, "explain analyze copy (select 1) to 'x'", ())
@@ -47,22 +41,28 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
     stream.errors.QueryError: COPY is refused: the store is only read here. What runs is SELECT (also ...
     """
     try:
-        statements = connection.extract_statements(sql)
+        statement = one_statement(connection, sql)
     except duckdb.Error as error:
         raise QueryError(plain_message(error)) from error
-    if len(statements) != 1:
-        raise QueryError(f"{len(statements)} statements found, one is expected: give them one at a time")
     try:
-        kind, text = statements[0].type, statements[0].query
+        kind, text = statement.type, statement.query
     except ValueError:  # a kind without a name in the list, as UPDATE EXTENSIONS
-        raise _refused("this kind of statement") from None
+        raise refused("this kind of statement") from None
     if kind == duckdb.StatementType.EXPLAIN:
         for inner in _explained(connection, text):
             check_statement(connection, inner, macros)
         return
     if kind != duckdb.StatementType.SELECT:
-        raise _refused(kind.name)
+        raise refused(kind.name)
     _check_tree(_tree(connection, text), {*TABLE_FUNCTIONS, *macros})
+
+
+def one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.Statement:
+    """The statement in a text; QueryError if there is not exactly one."""
+    statements = connection.extract_statements(sql)
+    if len(statements) != 1:
+        raise QueryError(f"{len(statements)} statements found, one is expected: give them one at a time")
+    return statements[0]
 
 
 def plain_message(error: Exception) -> str:
@@ -70,9 +70,11 @@ def plain_message(error: Exception) -> str:
     return " ".join(str(error).split("\n\nLINE")[0].split())
 
 
-def _refused(what: str) -> QueryError:
+def refused(what: str) -> QueryError:
+    """The error of a statement that does more than read."""
     return QueryError(
-        f"{what} is refused: the store is only read here. {_READS}; to keep a result use --csv or --parquet FILE"
+        f"{what} is refused: the store is only read here. What runs is SELECT (also WITH, FROM, DESCRIBE, SUMMARIZE, "
+        f"EXPLAIN); to keep a result use --csv or --parquet FILE"
     )
 
 
@@ -92,7 +94,7 @@ def _explained(connection: duckdb.DuckDBPyConnection, text: str) -> list[str]:
             if not rest.startswith("("):
                 break  # what follows belongs to it
     if not found:
-        raise _refused("EXPLAIN of this")
+        raise refused("EXPLAIN of this")
     return found
 
 
@@ -113,17 +115,17 @@ def _check_tree(tree: dict[str, Any], functions: Collection[str]) -> None:
         if not isinstance(kind, str):
             continue
         if kind.endswith("_NODE") and kind not in _NODES:
-            raise _refused(f"{kind.removesuffix('_NODE').removesuffix('_QUERY')} inside of a statement")
+            raise refused(f"{kind.removesuffix('_NODE').removesuffix('_QUERY')} inside of a statement")
         if kind == "TABLE_FUNCTION":
             name = str(each["function"].get("function_name", each["function"].get("type"))).lower()
             if name not in functions:
-                raise _refused(f"the function {name}()")
+                raise refused(f"the function {name}()")
         elif kind == "FUNCTION" and str(each.get("function_name")).lower() in REFUSED_FUNCTIONS:
-            raise _refused(f"the function {each['function_name']}()")
+            raise refused(f"the function {each['function_name']}()")
         elif kind in {"BASE_TABLE", "SHOW_REF"}:
             name = str(each.get("table_name") or "")
             if re.search(r"[./\\*?:\[]", name.strip('\\"')):  # DuckDB would read it as a file name
-                raise _refused(f"the file {name}, and every other,")
+                raise refused(f"the file {name}, and every other,")
 
 
 def _objects(tree: Any) -> Iterator[dict[str, Any]]:

@@ -2,12 +2,13 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
 from storage.sql.door import QueryLimits, SqlDoor
 from storage.store import Store
+from stream.closing import Closing
 
 if TYPE_CHECKING:
     import polars as pl
@@ -36,15 +37,11 @@ class Answer:
         return list(self._table.to_pylist())
 
 
-class OpenedStore:
+class OpenedStore(Closing):
     """A store as it is when it is opened; `limits` are the time, memory and rows of one statement.
 
-    Raises
-    ------
-    StoreError: If the folder is not a store.
+    Raises a StoreError if the folder is not a store.
 
-    Examples
-    --------
     >>> from storage import open_store
     >>> with open_store("gyrofleet-data") as store:  # doctest: +SKIP
     ...     frame = store.sql("select unit, value, lo, hi from unit_metrics where metric = 'bias'").polars()
@@ -56,18 +53,10 @@ class OpenedStore:
     def sql(self, statement: str, parameters: object = None) -> Answer:
         """Run one reading statement; `parameters` fill its ``$name`` or ``?``.
 
-        Raises
-        ------
-        QueryError: If it would do more than read the store, fails, or exceeds the limits.
+        Raises a QueryError if it would do more than read the store, fails, or exceeds the limits.
         """
         return Answer(self.door.ask(statement, parameters).read_all())
 
     def close(self) -> None:
         """Close it."""
         self.door.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -78,21 +78,12 @@ def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]
             data = table.column(2).to_numpy()
             is_exact = not irregular and bool(np.all(np.diff(t_ns) == dt_ns))
             yield SampleBatch(
-                unit=record.unit,
-                signal=record.signal,
-                run=record.run,
-                epoch=UUID(epoch),
-                seq=table.column(0)[0].as_py(),
-                t0_ns=int(t_ns[0]),
-                dt_ns=dt_ns,
-                unit_of_measure=record.unit_of_measure,
-                counts=data if is_counts else None,
-                values=None if is_counts else data,
-                times_ns=None if is_exact else t_ns,
-                irregular=irregular,
-                scale=scale,
-                offset=offset,
-            )
+                unit=record.unit, signal=record.signal, run=record.run, epoch=UUID(epoch),
+                seq=table.column(0)[0].as_py(), t0_ns=int(t_ns[0]), dt_ns=dt_ns,
+                unit_of_measure=record.unit_of_measure, counts=data if is_counts else None,
+                values=None if is_counts else data, times_ns=None if is_exact else t_ns, irregular=irregular,
+                scale=scale, offset=offset,
+            )  # fmt: skip
 
 
 class _Stretch(NamedTuple):

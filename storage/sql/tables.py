@@ -10,6 +10,7 @@ import msgspec
 
 from storage.sql.catalog import Catalog, known_tables, layers
 from storage.store import Store
+from stream.atomic_file import replacement
 from stream.errors import BadInput, GyrofleetError, NotFound
 
 ColumnTexts = Mapping[str, Mapping[str, str]]
@@ -63,13 +64,7 @@ def read_texts(file: Traversable) -> ColumnTexts:
 
 
 def column_texts(table: str) -> dict[str, str]:
-    """Meaning of the columns of a table.
-
-    Examples
-    --------
-    >>> column_texts("samples")["unit"], column_texts("runs")["duration_s"]
-    ('serial number of the device', 'from its first sample to its last, s')
-    """
+    """Meaning of the columns of a table."""
     found: dict[str, str] = {}
     own = read_texts(files("storage.sql").joinpath("schema", "columns.toml"))
     for texts in (own, *(layer.columns for layer in layers() if table in layer.tables)):
@@ -96,15 +91,13 @@ def comment_columns(catalog: Catalog) -> None:
 
 def export_catalogue(store: Store, path: Path) -> None:
     """Write or replace a DuckDB database: views over the store's Parquet files as they are now, metrics as tables."""
-    fresh = path.with_name(path.name + ".part")
+    fresh = path.with_name(f"{path.name}.part")
     fresh.unlink(missing_ok=True)
     try:
-        with Catalog(store, fresh) as catalog:
+        with replacement(path, fresh), Catalog(store, fresh) as catalog:
             catalog.fill()
             comment_columns(catalog)
-        fresh.replace(path)
     except (OSError, duckdb.IOException) as error:
         raise BadInput(f"cannot write {path}: {error}; give --catalogue a file in a folder you can write") from error
     finally:
-        for each in (fresh, fresh.with_name(fresh.name + ".wal")):
-            each.unlink(missing_ok=True)
+        fresh.with_name(f"{fresh.name}.wal").unlink(missing_ok=True)

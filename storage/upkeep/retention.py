@@ -35,8 +35,6 @@ class Rule(NamedTuple):
 def format_age(age_s: float) -> str:
     """An age in its largest whole unit.
 
-    Examples
-    --------
     >>> format_age(7776000.0), format_age(90.0)
     ('90 d', '90 s')
     """
@@ -56,8 +54,6 @@ class Dropped(NamedTuple):
 def parse_age(text: str) -> float:
     """Seconds of an age like ``90d``, ``12h`` or ``2w``.
 
-    Examples
-    --------
     >>> parse_age("90d")
     7776000.0
     """
@@ -73,8 +69,6 @@ def parse_age(text: str) -> float:
 def parse_size(text: str) -> int:
     """Bytes of a size like ``500GB``.
 
-    Examples
-    --------
     >>> parse_size("1.5 GB")
     1500000000
     """
@@ -140,38 +134,28 @@ def restore_raw(lake: Lake) -> Dropped:
     document = signed(lake.store, store_document(lake.store.identity, RAW_ROWS_RESTORED, text, details))
     record_documents(lake.store, [document], role="gyrofleet rebuild --raw")
     lake.restore_raw({segment: (*lake.manifest.restored.get(segment, ()), by) for segment, by in there.items()})
-    back = [part for part in lake.manifest.parts if part.dropped is None and part.name not in before]
-    return _sum(back)
+    return _sum([part for part in lake.manifest.parts if part.dropped is None and part.name not in before])
 
 
 def _sum(chosen: list[Part]) -> Dropped:
     return Dropped(
-        parts=len(chosen),
-        segments=sum(len(part.segments) for part in chosen),
-        samples=sum(part.samples for part in chosen),
-        bytes=sum(part.files[SAMPLES_FILE].bytes for part in chosen),
-    )
+        len(chosen), sum(len(part.segments) for part in chosen), sum(part.samples for part in chosen),
+        sum(part.files[SAMPLES_FILE].bytes for part in chosen),
+    )  # fmt: skip
 
 
 def _document(store: str, chosen: list[Part], rule: Rule, dropped: Dropped) -> StoreNoted:
     first_ns = min(part.t_first_ns or 0 for part in chosen)
     last_ns = max(part.t_last_ns or 0 for part in chosen)
-    return store_document(
-        store,
-        RAW_ROWS_DROPPED,
-        text=(
-            f"raw rows of {dropped.samples:,} samples from {_moment(first_ns)} to {_moment(last_ns)} were dropped "
-            f"from the lake ({dropped.bytes:,} bytes, rule: {rule}); rollups, estimates, events and the log stay"
-        ),
-        details={
-            "segments": sorted(segment for part in chosen for segment in part.segments),
-            "samples": dropped.samples,
-            "bytes": dropped.bytes,
-            "t_first_ns": first_ns,
-            "t_last_ns": last_ns,
-            "rule": str(rule),
-        },
+    text = (
+        f"raw rows of {dropped.samples:,} samples from {_moment(first_ns)} to {_moment(last_ns)} were dropped "
+        f"from the lake ({dropped.bytes:,} bytes, rule: {rule}); rollups, estimates, events and the log stay"
     )
+    details = {
+        "segments": sorted(segment for part in chosen for segment in part.segments), "samples": dropped.samples,
+        "bytes": dropped.bytes, "t_first_ns": first_ns, "t_last_ns": last_ns, "rule": str(rule),
+    }  # fmt: skip
+    return store_document(store, RAW_ROWS_DROPPED, text, details)
 
 
 def _moment(t_ns: int) -> str:

@@ -29,8 +29,7 @@ class Outbox:
     """
 
     def __init__(self, window_bytes: int, resend_after_s: float, spool: Spool | None, store: str | None = None) -> None:
-        self._window_bytes = window_bytes
-        self._resend_after_s = resend_after_s
+        self._window_bytes, self._resend_after_s = window_bytes, resend_after_s
         self._longest_wait_s = max(_LONGEST_PATIENCE_S, resend_after_s)
         self._spool = spool
         self.store = store or (None if spool is None else spool.store or None)

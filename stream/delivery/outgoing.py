@@ -31,8 +31,6 @@ class OutgoingStream:
     that ever was. `pumping`: a thread is about to publish some, so that no other may overtake it. From number `base` on
     the stream is sent under an epoch of its own, because the messages before it are lost.
 
-    Examples
-    --------
     >>> stream = OutgoingStream(StreamId("k", "00000000000000000000000000000001"), 2.0)
     >>> stream.held.extend([HeldMessage(0, 10, b"a"), HeldMessage(10, 20, b"b"), HeldMessage(20, 30, b"c")])
     >>> stream.sent = 3

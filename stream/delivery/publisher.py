@@ -21,24 +21,8 @@ from stream.errors import DeliveryError, GyrofleetError, WireError
 from stream.events import AnyDocument, encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY
 from stream.transport.bus import Bus
-from stream.wire.acknowledgement import (
-    Acknowledgement,
-    StreamId,
-    StreamPosition,
-    decode_acknowledgement,
-    encode_acknowledgement,
-)
+from stream.wire.acknowledgement import StreamId, decode_acknowledgement
 from stream.wire.event_validation import decode_received
-
-__all__ = [
-    "Acknowledgement",
-    "DurablePublisher",
-    "Sender",
-    "StreamId",
-    "StreamPosition",
-    "decode_acknowledgement",
-    "encode_acknowledgement",
-]
 
 _TICK_S = 0.25
 
@@ -60,40 +44,25 @@ class DurablePublisher:
     from there, in an amount that grows with what is acknowledged. Without an answer, the first and the last message of
     the stream are sent again: the recorder then reports what it has, or what it lacks.
 
-    Parameters
-    ----------
-    bus: Where to send.
-    window_bytes: How much may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on
-        disk. It bounds the memory of the source and of the recorder's queue alike.
-    resend_after_s: Silence of a stream after which the recorder is polled; doubled each time, up to 10 s.
-    timeout_s: Silence after which waiting ends with an error. A recorder that reports a pause is not silent.
-    only_store: Identity of the store to send to; by default that of the first recorder that has taken something.
-        Answers of recorders of other stores are ignored.
-    spool: Keeps messages on disk; earlier ones are sent first. The caller closes it after the publisher.
+    `window_bytes` may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on disk.
+    It bounds the memory of the source and of the recorder's queue alike. After a silence of `resend_after_s` in a
+    stream the recorder is polled, doubled each time, up to 10 s; after `timeout_s` waiting ends with an error. A
+    recorder that reports a pause is not silent. All goes to the store of the identity `only_store`, by default that of
+    the first recorder that has taken something; answers of recorders of other stores are ignored. A `spool` keeps
+    messages on disk, and earlier ones are sent first; the caller closes it after the publisher.
     """
 
     def __init__(
-        self,
-        bus: Bus,
-        *,
-        window_bytes: int = 32 << 20,
-        resend_after_s: float = 2.0,
-        timeout_s: float = 60.0,
-        only_store: str | None = None,
-        spool: Spool | None = None,
-    ) -> None:
-        self._bus = bus
-        self._window_bytes = window_bytes
-        self._resend_after_s = resend_after_s
-        self._timeout_s = timeout_s
-        self._spool = spool
+        self, bus: Bus, *, window_bytes: int = 32 << 20, resend_after_s: float = 2.0, timeout_s: float = 60.0,
+        only_store: str | None = None, spool: Spool | None = None,
+    ) -> None:  # fmt: skip
+        self._bus, self._window_bytes, self._resend_after_s = bus, window_bytes, resend_after_s
+        self._timeout_s, self._spool = timeout_s, spool
         self._out = Outbox(window_bytes, resend_after_s, spool, only_store)
         self._epoch = uuid4().hex
         self._event_seq: dict[str, int] = {}
         self._by_key: dict[str, OutgoingStream] = {}
-        self._is_reported = False
-        self._is_loading = False
-        self._closed = False
+        self._is_reported = self._is_loading = self._closed = False
         self._numbering = threading.Lock()
         self._lock = threading.Lock()
         self._state = threading.Condition(self._lock)
@@ -131,12 +100,8 @@ class DurablePublisher:
     def send_batch(self, key: str, batch: SampleBatch) -> None:
         """Send samples under `key`; waits while the window, or the spool, is full.
 
-        The batches of one key come from one thread.
-
-        Raises
-        ------
-        DeliveryError: If nothing is acknowledged for `timeout_s`.
-        WireError: If the batch or the key is larger than a recorder takes.
+        The batches of one key come from one thread. Raises a DeliveryError if nothing is acknowledged for `timeout_s`,
+        a WireError if the batch or the key is larger than a recorder takes.
         """
         stream = self._by_key.get(key)
         if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
@@ -174,9 +139,7 @@ class DurablePublisher:
     def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
         """Wait until everything is acknowledged, or until `given_up`, which is polled, returns True.
 
-        Raises
-        ------
-        DeliveryError: If nothing is acknowledged for `timeout_s`; the message says what is outstanding.
+        Raises a DeliveryError if nothing is acknowledged for `timeout_s`; the message says what is outstanding.
         """
         began = time.monotonic()
         while not given_up():
@@ -195,9 +158,7 @@ class DurablePublisher:
     def close(self) -> None:
         """Stop sending, without waiting.
 
-        Raises
-        ------
-        DeliveryError: If messages are outstanding and no error has reported it before; `drain` waits for them.
+        Raises a DeliveryError if messages are outstanding and no error has reported it before; `drain` waits for them.
         """
         self._stop()
         if (self._out.bytes or self._is_spooled()) and not self._is_reported:
@@ -309,7 +270,8 @@ class DurablePublisher:
         try:
             while True:
                 with self._state:
-                    if not self._closed and not self._has_work():
+                    has_work = self._out.credit > 0 and (self._out.behind or self._can_load())
+                    if not self._closed and not has_work:
                         self._state.wait(min(0.05, tick_s))
                     if self._closed:
                         return
@@ -329,9 +291,6 @@ class DurablePublisher:
                             self._out.behind[stream] = None
         except GyrofleetError as error:
             self.fail(str(error))
-
-    def _has_work(self) -> bool:
-        return self._out.credit > 0 and (bool(self._out.behind) or self._can_load())
 
     def _can_load(self) -> bool:
         is_waiting = self._spool is not None and self._spool.waiting > 0

@@ -2,36 +2,27 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from stream.delivery.publisher import StreamId
 from stream.events import AnyDocument
+from stream.wire.acknowledgement import StreamId
 
 
-class LoggedMessage(Protocol):
-    """A message of a numbered stream that was recorded."""
+class LoggedMessage(NamedTuple):
+    """A numbered message of a log, and the number that follows it."""
 
-    @property
-    def stream(self) -> StreamId:
-        """Which stream."""
-
-    @property
-    def payload(self) -> bytes:
-        """The message as sent."""
+    stream: StreamId
+    next_seq: int
+    payload: bytes
 
 
-class LogBeginning(Protocol):
-    """Start positions in a log."""
+class LogBeginning(NamedTuple):
+    """Positions from which unfinished runs are complete, and the runs that have ended, which are left out."""
 
-    @property
-    def positions(self) -> dict[StreamId, int]:
-        """First numbers of the streams."""
-
-    @property
-    def ended(self) -> frozenset[str]:
-        """Runs that are left out after these positions."""
+    positions: dict[StreamId, int]
+    ended: frozenset[str]
 
 
 class RecordedLog(Protocol):
@@ -68,8 +59,6 @@ class DocumentSender(Protocol):
 class Identities:
     """A set of document identities in 8 bytes each: after weeks there are millions.
 
-    Examples
-    --------
     >>> "b" in Identities(["a", "b"]), "c" in Identities(["a", "b"])
     (True, False)
     """

@@ -11,12 +11,12 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from stream.atomic_file import sync_folder
+from stream.closing import Closing
 from stream.delivery.spool_frames import FIRST_STREAM, SpoolFrame, encode_frame, parse_frames
-from stream.delivery.spool_scan import SUFFIX, SpoolError, SpoolFile, held_messages, scan
-from stream.delivery.spool_streams import StreamState, StreamTable
+from stream.delivery.spool_streams import SUFFIX, SpoolError, SpoolFile, StreamState, StreamTable, held_messages, scan
 from stream.wire.acknowledgement import StreamId
 
 __all__ = ["Spool", "SpoolError", "SpoolFull", "SpooledMessage", "held_messages"]
@@ -40,25 +40,16 @@ class SpooledMessage(NamedTuple):
     payload: bytes
 
 
-class Spool:
+class Spool(Closing):
     """Messages of one publisher on disk.
 
     Appended messages survive the process, and after at most `sync_interval_s` a power loss as well. `damages` lists
     what was found damaged; `failure` is why nothing can be written at the moment.
 
-    Parameters
-    ----------
-    folder: Folder of the files, created if missing. One process at a time.
-    max_bytes: Size of all files.
-    file_bytes: Size of a file; at most a quarter of `max_bytes`.
-    sync_interval_s: Interval at which files are synced to disk, and acknowledgements written.
+    It lies in `folder`, which is created if missing and has one process at a time. All files have `max_bytes` together,
+    one `file_bytes`, at most a quarter of that. Files are synced to disk, and acknowledgements written, every
+    `sync_interval_s`. Raises a SpoolError if it cannot be opened, or another process has it.
 
-    Raises
-    ------
-    SpoolError: If it cannot be opened, or another process has it.
-
-    Examples
-    --------
     >>> import tempfile
     >>> stream = StreamId("gyrofleet/plant/bench/U1/rate", "e")
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -135,10 +126,8 @@ class Spool:
     def append(self, stream: StreamId, seq: int, next_seq: int, payload: bytes, *, taken: bool = False) -> None:
         """Keep a message; one that is `taken` is not read back by this process.
 
-        Raises
-        ------
-        SpoolFull: If there is no room; there is when more has been acknowledged.
-        SpoolError: If it cannot be written. It is then not kept; after a second a new file is tried.
+        Raises a SpoolFull if there is no room; there is when more has been acknowledged. Raises a SpoolError if it
+        cannot be written. It is then not kept; after a second a new file is tried.
         """
         with self._lock:
             if self.failure is not None and time.monotonic() - self._failed_at < _RETRY_S:
@@ -226,12 +215,6 @@ class Spool:
                 os.close(descriptor)
             self._unsynced, self._out = [], -1
             self._lock_file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _hold_lock(self) -> None:
         try:

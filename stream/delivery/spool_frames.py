@@ -36,14 +36,7 @@ class Parsed(NamedTuple):
 
 
 def encode_frame(number: int, seq: int, next_seq: int, payload: bytes) -> bytes:
-    """A frame as bytes.
-
-    Examples
-    --------
-    >>> data = encode_frame(2, 0, 100, b"hello")
-    >>> parse_frames(data, is_end=True).frames
-    [SpoolFrame(number=2, seq=0, next_seq=100, payload=b'hello')]
-    """
+    """A frame as bytes."""
     rest = _REST.pack(len(payload), number, seq, next_seq)
     return b"".join((_MARK, zlib.crc32(payload, zlib.crc32(rest)).to_bytes(4, "little"), rest, payload))
 
@@ -53,8 +46,6 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
 
     If it does not reach the end of the file (`is_end`), reading stops, at `used`, at the first frame that is not sound.
 
-    Examples
-    --------
     >>> data = bytearray(encode_frame(2, 0, 1, b"one") + encode_frame(2, 1, 2, b"two"))
     >>> data[33] ^= 1
     >>> found = parse_frames(bytes(data), is_end=True)

@@ -21,9 +21,7 @@ OCTAVE_DIVISIONS = frozenset({1, 2, 4, 8})
 class AllanDeviation(PointEstimator):
     """Overlapping Allan deviation at octaves of the averaging time, in bounded memory.
 
-    Parameters
-    ----------
-    points_per_octave: 1, 2, 4 or 8 averaging times in an octave; another number is an EstimatorError.
+    An octave has `points_per_octave`, 1, 2, 4 or 8, averaging times; another number is an EstimatorError.
 
     Notes
     -----
@@ -73,21 +71,21 @@ class AllanDeviation(PointEstimator):
         return {"points_per_octave": self._points_per_octave}
 
     def _take_run(self, first_slot: int, values: FloatArray) -> None:
-        if self._tracker.irregular:
+        if self.tracker.irregular:
             return
         if self._reference != self._reference:  # NaN: no finite value yet
             self._reference = first_finite(values)
         push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
 
     def _continue_from(self, earlier: Self) -> None:
-        begin_at(self._state, earlier._tracker.next_slot)
+        begin_at(self._state, earlier.tracker.next_slot)
 
     def _append(self, later: Self) -> None:
         merge(*self._state, self._lags, LEAST_SHARE, *later._state)
 
     def estimate(self) -> Points | NoEstimate:
         """Deviation at every averaging time that has at least one pair of windows, shortest first."""
-        if self._tracker.irregular:
+        if self.tracker.irregular:
             return self._no_grid("Allan deviation")
         state = self._state
         levels, columns = np.nonzero(state.windows)
@@ -101,15 +99,11 @@ class AllanDeviation(PointEstimator):
         values = np.sqrt(variances) * self._factor
         if not np.isfinite(values).all():
             return self._too_large()
+        noises = identify(factors, variances, windows, lags)
+        rows = zip(factors.tolist(), values.tolist(), windows.tolist(), noises, strict=True)
         return tuple(
-            allan_point(factor * self._tracker.dt_ns / 1e9, value, n, noise, self.confidence)
-            for factor, value, n, noise in zip(
-                factors.tolist(),
-                values.tolist(),
-                windows.tolist(),
-                identify(factors, variances, windows, lags),
-                strict=True,
-            )
+            allan_point(factor * self.tracker.dt_ns / 1e9, value, n, noise, self.confidence)
+            for factor, value, n, noise in rows
         )
 
     def _too_little(self) -> str:

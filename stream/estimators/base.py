@@ -41,43 +41,36 @@ class EstimatorState(NamedTuple):
 
 
 class SignalInput:
-    """The one signal that is taken in, and the grid that its samples lie on."""
+    """The one signal that is taken in, and the grid that its samples lie on (`tracker`).
+
+    `unit_of_measure` is that of the results, deg/h for angular rates; empty before the first batch.
+    """
 
     def __init__(self) -> None:
-        self._tracker = GridTracker()
+        self.tracker = GridTracker()
         self._signal = ("", "", "")
-        self._report_unit = ""
+        self.unit_of_measure = ""
         self._factor = 1.0
-
-    @property
-    def unit_of_measure(self) -> str:
-        """Unit of the results, deg/h for angular rates; empty before the first batch."""
-        return self._report_unit
-
-    @property
-    def tracker(self) -> GridTracker:
-        """Where the samples lie in time; read-only."""
-        return self._tracker
 
     @property
     def samples(self) -> int:
         """Samples with a finite value that were taken in."""
-        return self._tracker.samples
+        return self.tracker.samples
 
     @property
     def missing(self) -> int:
         """Slots of the grid up to the last sample that hold no finite value."""
-        return self._tracker.missing
+        return self.tracker.missing
 
     @property
     def late(self) -> int:
         """Samples left out because their time was not after that of one already taken in."""
-        return self._tracker.late
+        return self.tracker.late
 
     @property
     def sample_interval_s(self) -> float:
         """Nominal sample interval in seconds, 0 before the first batch."""
-        return self._tracker.sample_interval_s
+        return self.tracker.sample_interval_s
 
     def _no_grid(self, quantity: str) -> NoEstimate:
         unit, signal, _ = self._signal
@@ -92,14 +85,14 @@ class SignalInput:
 
     def _begin(self, batch: SampleBatch, what: str) -> None:
         """Take the signal of the first batch; refuse a batch of another one. `what` is computed, for the message."""
-        if self._report_unit:
+        if self.unit_of_measure:
             unit, signal, measure = self._signal
             raise EstimatorError(
                 f"run {batch.run}: the {what} of unit {unit}, signal {signal} in {measure} cannot take a batch of unit "
                 f"{batch.unit}, signal {batch.signal} in {batch.unit_of_measure}; begin a new one for each signal"
             )
         self._signal = (batch.unit, batch.signal, batch.unit_of_measure)
-        self._report_unit, self._factor = report_unit(batch.unit_of_measure)
+        self.unit_of_measure, self._factor = report_unit(batch.unit_of_measure)
 
 
 class Estimator(SignalInput, ABC, Generic[Result]):
@@ -111,13 +104,9 @@ class Estimator(SignalInput, ABC, Generic[Result]):
     Neighbouring parts of a signal can be estimated separately and merged (`continuation`, `merge`).
     One instance is used by one thread at a time; different instances share nothing.
 
-    Attributes
-    ----------
-    key: Its name in key expressions and files.
-    names: Its names for people, by language: ``en`` and ``zh``.
-    confidence: Confidence level of its bounds.
-    variants: Arguments of the instances that every signal has by default.
-    has_points: Whether `estimate` gives points over an averaging time, which are published while the signal flows.
+    `key` is its name in key expressions and files, `names` are those for people, by language: ``en`` and ``zh``.
+    `confidence` is the level of its bounds. `variants` are arguments of the instances that every signal has by default;
+    `has_points` says whether `estimate` gives points over an averaging time, published while the signal flows.
     """
 
     key: str
@@ -156,20 +145,19 @@ class Estimator(SignalInput, ABC, Generic[Result]):
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal.
 
-        Raises
-        ------
-        EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it.
+        Raises an EstimatorError if the batch is of another signal, unit of measure or sample interval than those before
+        it.
         """
         if (batch.unit, batch.signal, batch.unit_of_measure) != self._signal:
             self._begin(batch, self.names["en"])
         values = batch.values
         if values is None or not (values.flags.writeable and values.flags.c_contiguous):
             values = batch.own_values
-        first_slot = self._tracker.place_next(batch, len(values))
+        first_slot = self.tracker.place_next(batch, len(values))
         if first_slot >= 0:
             self._take_run(first_slot, values)
             return
-        pieces = self._tracker.place(batch)
+        pieces = self.tracker.place(batch)
         if pieces:
             self._take(batch, pieces)
 
@@ -186,14 +174,12 @@ class Estimator(SignalInput, ABC, Generic[Result]):
     def export_state(self) -> EstimatorState:
         """Copy everything that is kept of the signal."""
         arrays = tuple(array.copy() for array in self._state)
-        return EstimatorState(self._signal, self._tracker.export_state(), self._reference, arrays)
+        return EstimatorState(self._signal, self.tracker.export_state(), self._reference, arrays)
 
     def import_state(self, state: EstimatorState) -> None:
         """Take over the state of another instance with the same arguments.
 
-        Raises
-        ------
-        EstimatorError: If the arrays have other shapes or types than this estimator's.
+        Raises an EstimatorError if the arrays have other shapes or types than this estimator's.
         """
         room = self._room_for(state.arrays)
         mine, theirs = (", ".join(f"{each.dtype} {each.shape}" for each in arrays) for arrays in (room, state.arrays))
@@ -205,11 +191,11 @@ class Estimator(SignalInput, ABC, Generic[Result]):
         for array, values in zip(room, state.arrays, strict=True):
             array[...] = values
         self._state = room
-        self._tracker.import_state(state.tracker)
+        self.tracker.import_state(state.tracker)
         self._reference = state.reference
         self._signal = state.signal
         if state.signal[2]:
-            self._report_unit, self._factor = report_unit(state.signal[2])
+            self.unit_of_measure, self._factor = report_unit(state.signal[2])
 
     def _room_for(self, arrays: tuple[npt.NDArray[Any], ...]) -> tuple[npt.NDArray[Any], ...]:  # noqa: ARG002
         """Arrays that imported ones are copied to: those of the state, where their sizes never change."""
@@ -228,30 +214,28 @@ class Estimator(SignalInput, ABC, Generic[Result]):
         be merged with others, as a rolling window does.
         """
         later: Self = type(self)(**self.arguments)
-        later._signal, later._report_unit, later._factor = self._signal, self._report_unit, self._factor
+        later._signal, later.unit_of_measure, later._factor = self._signal, self.unit_of_measure, self._factor
         later._reference = self._reference
-        later._tracker = self._tracker.continuation()
+        later.tracker = self.tracker.continuation()
         later._continue_from(self)
         return later
 
     def merge(self, later: Self) -> None:
         """Become the estimator of both parts; `later` begins where this one ends, and is not changed.
 
-        Raises
-        ------
-        EstimatorError: If `later` is of another kind, signal or setting, or is no `continuation` of this one as it is
-            now.
+        Raises an EstimatorError if `later` is of another kind, signal or setting, or is no `continuation` of this one
+        as it is now.
         """
         if type(later) is not type(self) or later.arguments != self.arguments:
             raise EstimatorError(
                 f"the {self.names['en']} {dict(self.arguments)} cannot be merged with the {later.names['en']} "
                 f"{dict(later.arguments)}: kind and settings must agree"
             )
-        if self._report_unit and later._signal != self._signal:
+        if self.unit_of_measure and later._signal != self._signal:
             mine, theirs = (f"unit {unit}, signal {name} in {si}" for unit, name, si in (self._signal, later._signal))
             raise EstimatorError(f"the {self.names['en']} of {mine} cannot be merged with that of {theirs}")
-        self._tracker.merge(later._tracker)
-        self._signal, self._report_unit, self._factor = later._signal, later._report_unit, later._factor
+        self.tracker.merge(later.tracker)
+        self._signal, self.unit_of_measure, self._factor = later._signal, later.unit_of_measure, later._factor
         if math.isnan(self._reference):
             self._reference = later._reference
         self._append(later)
@@ -263,8 +247,6 @@ PointEstimator = Estimator[Points]
 def estimator_classes() -> tuple[type[Estimator[Any]], ...]:
     """Every concrete estimator of this package, by class name.
 
-    Examples
-    --------
     >>> [cls.__name__ for cls in estimator_classes()]
     ['AllanDeviation', 'BiasStability', 'SpectralDensity']
     """
@@ -281,8 +263,6 @@ def estimator_classes() -> tuple[type[Estimator[Any]], ...]:
 def all_estimators() -> dict[str, Callable[[], Estimator[Any]]]:
     """Factories of every estimator that a signal has by default, by their keys.
 
-    Examples
-    --------
     >>> sorted(all_estimators().keys() - default_estimators().keys())
     ['spectral_density']
     """
@@ -293,8 +273,6 @@ def all_estimators() -> dict[str, Callable[[], Estimator[Any]]]:
 def default_estimators() -> dict[str, Callable[[], PointEstimator]]:
     """Factories of those whose points are published while the signal flows.
 
-    Examples
-    --------
     >>> sorted(default_estimators())  # doctest: +NORMALIZE_WHITESPACE
     ['allan_deviation', 'bias_stability_100s', 'bias_stability_10s', 'bias_stability_10s_over_3600s',
      'bias_stability_1s', 'bias_stability_raw']

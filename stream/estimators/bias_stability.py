@@ -38,10 +38,8 @@ _MOST_AVERAGES = 1_000_000
 class BiasStability(PointEstimator):
     """Standard deviation of consecutive means of `average_s` seconds, of the whole record or a rolling window.
 
-    Parameters
-    ----------
-    average_s: Averaging time P in seconds, 1e-9 to 1e9 and at least one sample interval; 0 for the raw samples.
-    window_s: Length of the rolling window in seconds, 2 to 1,000,000 averages; 0 for the whole record.
+    The averaging time P is `average_s`, 1e-9 to 1e9 s and at least one sample interval; 0 for the raw samples. A
+    rolling window of `window_s` has 2 to 1,000,000 averages; 0 is the whole record.
 
     Notes
     -----
@@ -86,8 +84,7 @@ class BiasStability(PointEstimator):
         if average_s != 0.0 and not 1e-9 <= average_s <= _MOST_SECONDS:
             raise EstimatorError(f"averages of {average_s} s: bias stability takes 1e-9 to 1e9 s, or 0 for raw samples")
         averages = _averages_in(window_s, average_s)
-        self.average_s = average_s
-        self.window_s = window_s
+        self.average_s, self.window_s = average_s, window_s
         of = f"{average_s:g}s" if average_s else "raw"
         over = f"_over_{window_s:g}s" if window_s else ""
         self.key = f"bias_stability_{of}{over}"
@@ -105,7 +102,7 @@ class BiasStability(PointEstimator):
         return {"average_s": self.average_s, "window_s": self.window_s}
 
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
-        if self._tracker.irregular and self._tracker.dt_ns <= self._average_ns:
+        if self.tracker.irregular and self.tracker.dt_ns <= self._average_ns:
             self._take_timed(batch, pieces)
         else:
             super()._take(batch, pieces)
@@ -114,32 +111,26 @@ class BiasStability(PointEstimator):
         self._set_reference(values)
         if self._average_ns == 0:
             take_samples(*self._state, self._reference, first_slot, values)
-        elif self._average_ns >= self._tracker.dt_ns:
-            dt_ns = self._tracker.dt_ns
+        elif self._average_ns >= self.tracker.dt_ns:
+            dt_ns = self.tracker.dt_ns
             average_grid(*self._state, self._reference, self._average_ns, LEAST_SHARE, dt_ns, first_slot, values)
 
     def _take_timed(self, batch: SampleBatch, pieces: list[Piece]) -> None:
-        tracker = self._tracker
+        tracker = self.tracker
         times_ns, values = writable(batch.time_array), batch.own_values
         for _, start, stop in pieces:
             self._set_reference(values[start:stop])
             average_times(
-                *self._state,
-                self._reference,
-                self._average_ns,
-                LEAST_SHARE,
-                tracker.dt_ns,
-                tracker.first_ns,
-                times_ns[start:stop],
-                values[start:stop],
-            )
+                *self._state, self._reference, self._average_ns, LEAST_SHARE, tracker.dt_ns, tracker.first_ns,
+                times_ns[start:stop], values[start:stop],
+            )  # fmt: skip
 
     def _set_reference(self, values: FloatArray) -> None:
         if math.isnan(self._reference):
             self._reference = first_finite(values)
 
     def _continue_from(self, earlier: Self) -> None:
-        tracker, block = self._tracker, int(earlier._state.places[BLOCK])
+        tracker, block = self.tracker, int(earlier._state.places[BLOCK])
         if self._average_ns == 0:
             is_within = False
         elif tracker.irregular or tracker.dt_ns == 0:
@@ -149,10 +140,10 @@ class BiasStability(PointEstimator):
         begin_at(self._state.places, block, is_within=is_within)
 
     def _append(self, later: Self) -> None:
-        block, dt_ns = int(self._state.places[BLOCK]), later._tracker.dt_ns
+        block, dt_ns = int(self._state.places[BLOCK]), later.tracker.dt_ns
         if self._average_ns == 0:
             expected = 1.0
-        elif later._tracker.irregular or dt_ns == 0:
+        elif later.tracker.irregular or dt_ns == 0:
             expected = self._average_ns / max(dt_ns, 1)
         else:
             first, end = (first_slot_of(each, self._average_ns, dt_ns) for each in (block, block + 1))
@@ -161,7 +152,7 @@ class BiasStability(PointEstimator):
 
     def estimate(self) -> Points | NoEstimate:
         """One point at tau = P, from two averages on."""
-        if 0 < self._average_ns < self._tracker.dt_ns:
+        if 0 < self._average_ns < self.tracker.dt_ns:
             unit, signal, _ = self._signal
             return NoEstimate(
                 f"unit {unit}, signal {signal}: averages of {self.average_s:g} s are shorter than the sample "
@@ -225,8 +216,6 @@ def _averages_in(window_s: float, average_s: float) -> int:
 def effective_degrees(n: int, correlation: float) -> float:
     """Degrees of freedom of the variance of `n` values with correlated neighbours: Bartlett's, within 1 and n - 1.
 
-    Examples
-    --------
     >>> effective_degrees(101, 0.0), effective_degrees(101, 0.5), effective_degrees(101, 1.0)
     (100.0, 60.0, 1.0)
     """

@@ -21,8 +21,6 @@ class BlockMeans:
 
     Blocks are not shorter than the nominal sample interval.
 
-    Examples
-    --------
     >>> from uuid import UUID
     >>> means = BlockMeans(2.0)
     >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10**9, "deg/h",
@@ -38,8 +36,7 @@ class BlockMeans:
         self._t0_ns: int | None = None
         self._index = 0
         self._sum = 0.0
-        self._count = 0
-        self._seq = 0
+        self._count = self._seq = 0
 
     def export_state(self) -> dict[str, Any]:
         """The state, in plain values."""
@@ -61,48 +58,27 @@ class BlockMeans:
         n = len(batch)
         blocks, means = np.empty(n, np.int64), np.empty(n)
         self._index, self._sum, self._count, found, is_even = _close_blocks(
-            self._block_ns,
-            batch.t0_ns - self._t0_ns,
-            batch.dt_ns,
-            _NO_TIMES if batch.times_ns is None else batch.times_ns - self._t0_ns,
-            batch.own_values,
-            self._index,
-            self._sum,
-            self._count,
-            blocks,
-            means,
-        )
+            self._block_ns, batch.t0_ns - self._t0_ns, batch.dt_ns,
+            _NO_TIMES if batch.times_ns is None else batch.times_ns - self._t0_ns, batch.own_values, self._index,
+            self._sum, self._count, blocks, means,
+        )  # fmt: skip
         if found == 0:
             return None
         seq = self._seq
         self._seq += found
         return checked_batch(
-            unit=batch.unit,
-            signal=batch.signal,
-            run=batch.run,
-            epoch=batch.epoch,
-            seq=seq,
-            t0_ns=self._t0_ns + int(blocks[0]) * self._block_ns,
-            dt_ns=self._block_ns,
-            unit_of_measure=batch.unit_of_measure,
-            values=means[:found],
+            unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch, seq=seq,
+            t0_ns=self._t0_ns + int(blocks[0]) * self._block_ns, dt_ns=self._block_ns,
+            unit_of_measure=batch.unit_of_measure, values=means[:found],
             times_ns=None if is_even else self._t0_ns + blocks[:found] * self._block_ns,
-        )
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
 def _close_blocks(
-    block_ns: int,
-    first_ns: int,
-    dt_ns: int,
-    times_ns: IntArray,
-    values: FloatArray,
-    index: int,
-    total: float,
-    count: int,
-    blocks: IntArray,
-    means: FloatArray,
-) -> tuple[int, float, int, int, bool]:
+    block_ns: int, first_ns: int, dt_ns: int, times_ns: IntArray, values: FloatArray, index: int, total: float,
+    count: int, blocks: IntArray, means: FloatArray,
+) -> tuple[int, float, int, int, bool]:  # fmt: skip
     """Take in values; the block being filled, its sum and count, how many means were written, and if without a gap.
 
     Times are relative to the beginning of block 0; empty where they are exactly on the grid.

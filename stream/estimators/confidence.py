@@ -25,11 +25,6 @@ def sw(t: FloatArray, alpha: int) -> FloatArray:
     """Generalised autocovariance of the phase of noise `alpha`, equation (7): abs(t)**n, n odd, or t**n ln abs(t).
 
     Up to a factor that depends on `alpha` alone and may be negative; it cancels in ratios of covariances.
-
-    Examples
-    --------
-    >>> sw(np.array([0.0, -2.0]), 0).tolist(), sw(np.array([0.0, 1.0]), 1).tolist()
-    ([0.0, 8.0], [0.0, 0.0])
     """
     size = np.abs(t)
     if alpha % 2 == 0:
@@ -98,24 +93,16 @@ def _partial_sums(
 def edf(alpha: int, d: int, averaging_factor: int, windows: int, stride_per_tau: int) -> float:
     """Equivalent degrees of freedom of an unmodified variance of d-th differences, equation (6).
 
-    Parameters
-    ----------
-    alpha: Noise exponent, +2 .. -2, with alpha + 2 d > 1.
-    d: Order of the difference: 2 for the Allan variance, 3 for Hadamard's.
-    averaging_factor: tau over the sample interval.
-    windows: How many squares were averaged, at least 1: as many as there truly were, not those of a record without
-        gaps.
-    stride_per_tau: tau over the distance of neighbouring windows: the averaging factor for a full overlap, 1 for none.
+    `alpha` is the noise exponent, +2 .. -2, and `d` the order of the difference: 2 for the Allan variance, 3 for
+    Hadamard's; alpha + 2 d > 1. `averaging_factor` is tau over the sample interval; `windows`, at least 1, how many
+    squares were truly averaged, not those of a record without gaps; `stride_per_tau` tau over the distance of
+    neighbouring windows: the averaging factor for a full overlap, 1 for none.
 
-    Notes
-    -----
     edf = M / (sum over pairs of windows of their squared correlation / M), between 1 and M.
     Windows that gaps have driven apart are less correlated than assumed here, so that the result is on the safe side.
     A modified variance averages the phase over all of tau, F = 1: its edf are those for `averaging_factor` 1, whatever
     tau is, with its own windows and stride.
 
-    Examples
-    --------
     >>> round(edf(alpha=0, d=2, averaging_factor=64, windows=873, stride_per_tau=64), 1)
     20.9
     """
@@ -128,11 +115,6 @@ def least_edf(averaging_factor: int, windows: int, stride_per_tau: int, d: int =
     For unknown noise: the bounds keep their level with each of them. Quantisation (+2) has the least at tau of one or
     two intervals, random walk (-2) at long ones; bounds for white noise become wider by at most the root of 1.7. Where
     the curve identifies the noise, `noise_exponent` leaves out the exponents that it excludes.
-
-    Examples
-    --------
-    >>> least_edf(averaging_factor=64, windows=873, stride_per_tau=64) < edf(0, 2, 64, 873, 64)
-    True
     """
     return min(edf(alpha, d, averaging_factor, windows, stride_per_tau) for alpha in NOISE_EXPONENTS)
 
@@ -140,13 +122,9 @@ def least_edf(averaging_factor: int, windows: int, stride_per_tau: int, d: int =
 def deviation_bounds(value: float, edf: float, confidence: float) -> tuple[float, float]:
     """Two-sided bounds of a deviation whose square follows chi-square, NIST SP 1065 equation (45).
 
-    Notes
-    -----
     s * sqrt(edf / chi2), chi2 the quantiles at (1 + confidence)/2 and (1 - confidence)/2. A deviation of 0 has the
     bounds 0 and 0.
 
-    Examples
-    --------
     >>> lo, hi = deviation_bounds(1.0, edf=10.0, confidence=0.95)
     >>> round(lo, 4), round(hi, 4)
     (0.6987, 1.7549)

@@ -36,23 +36,13 @@ _decoder = msgspec.msgpack.Decoder(_Content)
 
 
 def take_snapshot(estimator: Estimator[Any]) -> bytes:
-    """State of an estimator; the one that `restore` makes of it continues as if there had been no interruption.
-
-    Examples
-    --------
-    >>> from stream.estimators.bias_stability import BiasStability
-    >>> restore(take_snapshot(BiasStability(10.0))).key
-    'bias_stability_10s'
-    """
+    """State of an estimator; the one that `restore` makes of it continues as if there had been no interruption."""
     state = estimator.export_state()
     content = _Content(
-        estimator=type(estimator).__name__,
-        arguments=dict(estimator.arguments),
-        signal=state.signal,
-        tracker=state.tracker,
-        reference=state.reference,
+        estimator=type(estimator).__name__, arguments=dict(estimator.arguments), signal=state.signal,
+        tracker=state.tracker, reference=state.reference,
         arrays=tuple(_Array(a.dtype.str, a.shape, np.ascontiguousarray(a).tobytes()) for a in state.arrays),
-    )
+    )  # fmt: skip
     packed = zstandard.ZstdCompressor(level=1).compress(msgspec.msgpack.encode(content))
     return _HEAD.pack(_MARK, SNAPSHOT_VERSION, zlib.crc32(packed, SNAPSHOT_VERSION)) + packed
 
@@ -60,9 +50,7 @@ def take_snapshot(estimator: Estimator[Any]) -> bytes:
 def restore(snapshot: bytes) -> Estimator[Any]:
     """The estimator that a snapshot was taken of.
 
-    Raises
-    ------
-    EstimatorError: If the bytes are no snapshot, are damaged, or are of another version.
+    Raises an EstimatorError if the bytes are no snapshot, are damaged, or are of another version.
     """
     if len(snapshot) < _HEAD.size:
         raise EstimatorError(f"{len(snapshot)} bytes are no snapshot of an estimator")

@@ -30,10 +30,8 @@ FIRST_BIN = 2
 class SpectralDensity(Estimator[Spectrum]):
     """One-sided power spectral density of one signal by Welch's method, in bounded memory.
 
-    Parameters
-    ----------
-    segment_samples: Samples N of a segment, a power of two from 128 to 2**20. The bins lie 1/(N dt) apart.
-    confidence: Confidence level of all bounds.
+    A segment has N = `segment_samples`, a power of two from 128 to 2**20; the bins lie 1/(N dt) apart. `confidence` is
+    the level of all bounds.
 
     Notes
     -----
@@ -80,8 +78,7 @@ class SpectralDensity(Estimator[Spectrum]):
             )
         if not 0.0 < confidence < 1.0:
             raise EstimatorError(f"a confidence of {confidence}: it lies between 0 and 1")
-        self.segment_samples = segment_samples
-        self.confidence = confidence
+        self.segment_samples, self.confidence = segment_samples, confidence
         self._state: SegmentState = empty_state(segment_samples)
 
     @property
@@ -97,10 +94,10 @@ class SpectralDensity(Estimator[Spectrum]):
     @property
     def segments_left_out(self) -> int:
         """Segments up to the last sample that are not averaged because one of their slots holds no finite value."""
-        if self._tracker.irregular:
+        if self.tracker.irregular:
             return 0
         half = self.segment_samples // 2
-        ended = (self._tracker.next_slot - self.segment_samples) // half + 1
+        ended = (self.tracker.next_slot - self.segment_samples) // half + 1
         first = -(-int(self._state.places[START]) // half)
         return max(0, ended - first) - self.segments
 
@@ -116,7 +113,7 @@ class SpectralDensity(Estimator[Spectrum]):
         return (FIRST_BIN + REACH_BINS) * self.bin_width_hz, last * self.bin_width_hz
 
     def _take_run(self, first_slot: int, values: FloatArray) -> None:
-        if self._tracker.irregular:
+        if self.tracker.irregular:
             return
         if math.isnan(self._reference):
             self._reference = first_finite(values)
@@ -144,23 +141,16 @@ class SpectralDensity(Estimator[Spectrum]):
         density = average.density[used]
         bins = np.arange(FIRST_BIN, self.segment_samples // 2, dtype=np.float64)
         return Spectrum(
-            frequency_hz=np.asarray(bins * average.bin_width_hz, np.float64),
-            density=density,
-            lo=density * lo**2,
-            hi=density * hi**2,
-            unit_of_measure=f"({self._report_unit})^2/Hz",
-            confidence=self.confidence,
-            edf=average.edf,
-            segments=self.segments,
-        )
+            frequency_hz=np.asarray(bins * average.bin_width_hz, np.float64), density=density, lo=density * lo**2,
+            hi=density * hi**2, unit_of_measure=f"({self.unit_of_measure})^2/Hz", confidence=self.confidence,
+            edf=average.edf, segments=self.segments,
+        )  # fmt: skip
 
     def lines(self, false_alarm_probability: float = 0.01) -> tuple[SpectralLine, ...] | NoEstimate:
         """Sinusoids above the smooth background, lowest frequency first; none is an empty tuple.
 
         A spectrum without any line shows one with at most the false-alarm probability, over all its bins.
 
-        Notes
-        -----
         `spectral_lines.find_lines` describes the test and the intervals. Searched are the bins from 30 to N/2 - 29,
         which have neighbours on both sides; a longer segment reaches lower. A line is assumed to keep its frequency
         and amplitude; one that wanders over bins appears broader and weaker.
@@ -173,7 +163,7 @@ class SpectralDensity(Estimator[Spectrum]):
         return find_lines(average, false_alarm_probability, self.confidence)
 
     def _average(self) -> WelchAverage | NoEstimate:
-        if self._tracker.irregular:
+        if self.tracker.irregular:
             return self._no_grid("power spectral density")
         if self.segments == 0:
             missing = f", {self.missing} missing" if self.missing else ""

@@ -5,6 +5,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable
 from typing import Protocol, Self
 
+from stream.closing import Closing
+
 Handler = Callable[[str, bytes], None]
 
 
@@ -30,14 +32,12 @@ class Bus(Protocol):
         """Close."""
 
 
-class LocalBus:
+class LocalBus(Closing):
     """A bus within one process: a message is handled before `publish` returns.
 
     Key expressions are matched in two forms: exact, and ``prefix/**``, which matches no key that has a chunk
     beginning with ``@`` below the prefix.
 
-    Examples
-    --------
     >>> bus, seen = LocalBus(), []
     >>> bus.subscribe("gyrofleet/**", lambda key, payload: seen.append(key))
     >>> bus.publish("gyrofleet/plant/chamber-2/event", b"")
@@ -53,12 +53,8 @@ class LocalBus:
     def publish(self, key: str, payload: bytes) -> None:
         """Hand `payload` to every handler that matches."""
         with self._lock:
-            matching = [
-                handler
-                for expression, handlers in self._handlers.items()
-                if _matches(expression, key)
-                for handler in handlers
-            ]
+            found = [handlers for expression, handlers in self._handlers.items() if _matches(expression, key)]
+            matching = [handler for handlers in found for handler in handlers]
         call_handlers(matching, key, payload)
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
@@ -76,18 +72,10 @@ class LocalBus:
         with self._lock:
             self._handlers.clear()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def call_handlers(handlers: Iterable[Handler], key: str, payload: bytes) -> None:
     """Call all handlers with a message; an error is reported by `threading.excepthook`, and the next one is called.
 
-    Examples
-    --------
     >>> seen, raised, hook = [], [], threading.excepthook
     >>> threading.excepthook = lambda failure: raised.append(failure.exc_type)
     >>> call_handlers([lambda key, payload: 1 / 0, lambda key, payload: seen.append(key)], "gyrofleet/x", b"")

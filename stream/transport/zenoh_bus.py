@@ -8,11 +8,12 @@ import json
 import re
 import threading
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
 from stream.bounds import MAX_MESSAGE_BYTES
+from stream.closing import Closing
 from stream.errors import BusError
 from stream.transport.bus import Handler, call_handlers
 
@@ -32,15 +33,11 @@ _SOURCE_WAITS_US = 8_000_000
 _ROUTER_WAITS_US = 200_000
 
 
-class ZenohBus:
+class ZenohBus(Closing):
     """A session on Zenoh with endpoints, such as ``tcp/127.0.0.1:7447``; without any the bus is inside the process.
 
-    Raises
-    ------
-    BusError: If an endpoint cannot be listened on or reached.
+    Raises a BusError if an endpoint cannot be listened on or reached.
 
-    Examples
-    --------
     >>> import time
     >>> with ZenohBus() as bus:
     ...     seen = []
@@ -128,15 +125,9 @@ class ZenohBus:
 
     def close(self) -> None:
         """Leave the bus."""
-        for subscriber, thread in list(self._subscribers.values()):
-            _end(subscriber, thread)
+        for found in list(self._subscribers.values()):
+            _end(*found)
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _end(subscriber: Any, thread: threading.Thread) -> None:

@@ -40,13 +40,7 @@ _decoder = msgspec.msgpack.Decoder(Acknowledgement)
 
 
 def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...], paused: str = "") -> bytes:
-    """The wire form of positions.
-
-    Examples
-    --------
-    >>> decode_acknowledgement(encode_acknowledgement("s", (StreamPosition("k", "e", 7),))).positions[0].next_seq
-    7
-    """
+    """The wire form of positions."""
     return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions, paused))
 
 

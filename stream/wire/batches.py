@@ -14,49 +14,29 @@ from stream.batch import INT64_MAX, CountArray, SampleBatch, are_moments, checke
 from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
 from stream.errors import NewerSchema, WireError
 from stream.wire import samples_pb2
-from stream.wire.count_planes import MOST_PLANES, join_counts, split_counts
+from stream.wire.count_planes import join_counts, split_counts
 
 SAMPLE_SCHEMA = 2
 MAX_SAMPLES_PER_BATCH = 1_000_000
 
-_ITEM_BYTES = {
-    "counts": (4,),
-    "count_planes": tuple(range(1, MOST_PLANES + 1)),
-    "values": (8,),
-    "times_ns": (8,),
-    "flags": (1,),
-}
+_ITEM_BYTES = {"counts": (4,), "count_planes": (1, 2, 3, 4), "values": (8,), "times_ns": (8,), "flags": (1,)}
 
 
 def encode_batch(batch: SampleBatch) -> bytes:
     """The wire form of a batch.
 
-    Examples
-    --------
     >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, "deg/s",
     ...                     counts=np.array([1, 2, 3], np.int32), scale=0.5)
     >>> decode_batch(encode_batch(batch)) == batch
     True
     """
     message = samples_pb2.SampleBatch(
-        schema=SAMPLE_SCHEMA,
-        unit=batch.unit,
-        signal=batch.signal,
-        run=batch.run,
-        epoch=batch.epoch.bytes,
-        seq=batch.seq,
-        samples=len(batch),
-        t0_ns=batch.t0_ns,
-        dt_ns=batch.dt_ns,
-        irregular=batch.irregular,
-        unit_of_measure=batch.unit_of_measure,
-        scale=batch.scale,
-        offset=batch.offset,
-        times_ns=_bytes(batch.times_ns, "<i8"),
-        values=_bytes(batch.values, "<f8"),
-        flags=_bytes(batch.flags, "u1"),
+        schema=SAMPLE_SCHEMA, unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch.bytes,
+        seq=batch.seq, samples=len(batch), t0_ns=batch.t0_ns, dt_ns=batch.dt_ns, irregular=batch.irregular,
+        unit_of_measure=batch.unit_of_measure, scale=batch.scale, offset=batch.offset,
+        times_ns=_bytes(batch.times_ns, "<i8"), values=_bytes(batch.values, "<f8"), flags=_bytes(batch.flags, "u1"),
         count_planes=b"" if batch.counts is None else split_counts(batch.counts),
-    )
+    )  # fmt: skip
     return bytes(message.SerializeToString())
 
 
@@ -103,27 +83,13 @@ def read_batch_head(payload: bytes, *, bounded: bool = True) -> WireBatchHead:
     """Read the head of a batch; raises where `decode_batch` does, without making arrays.
 
     Without `bounded`, numbers beyond their bounds are accepted: old logs may contain them.
-
-    Examples
-    --------
-    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 7, 0, 10, "deg/s", counts=np.array([1, 2], np.int32))
-    >>> head = read_batch_head(encode_batch(batch))
-    >>> head.seq, head.next_seq, head.last_ns
-    (7, 9, 10)
     """
     message, last_ns = _checked(payload, bounded=bounded)
     seq = message.seq
     return WireBatchHead(
-        message.unit,
-        message.signal,
-        message.run,
-        message.epoch.hex(),
-        seq,
-        seq + message.samples,
-        message.t0_ns,
-        last_ns,
-        message.dt_ns,
-    )
+        message.unit, message.signal, message.run, message.epoch.hex(), seq, seq + message.samples, message.t0_ns,
+        last_ns, message.dt_ns,
+    )  # fmt: skip
 
 
 def read_wire_batch(payload: bytes) -> WireBatch:
@@ -131,47 +97,26 @@ def read_wire_batch(payload: bytes) -> WireBatch:
     message, last_ns = _checked(payload)
     seq, counts = message.seq, _counts(message)
     return WireBatch(
-        message.unit,
-        message.signal,
-        message.run,
-        seq,
-        seq + message.samples,
-        message.t0_ns,
-        last_ns,
+        message.unit, message.signal, message.run, seq, seq + message.samples, message.t0_ns, last_ns,
         (message.epoch, message.dt_ns, message.unit_of_measure, message.irregular, message.scale, message.offset),
-        b"" if counts is None else counts.tobytes(),
-        message.values,
-        message.times_ns,
-    )
+        b"" if counts is None else counts.tobytes(), message.values, message.times_ns,
+    )  # fmt: skip
 
 
 def decode_batch(payload: bytes) -> SampleBatch:
     """Read a batch from its wire form.
 
-    Raises
-    ------
-    NewerSchema: If it was written by a newer gyrofleet.
-    WireError: If it is not a batch, or not a whole one.
+    Raises a NewerSchema if it was written by a newer gyrofleet, a WireError if it is not a batch, or not a whole one.
     """
     message, _ = _checked(payload)
     values, times_ns, flags = message.values, message.times_ns, message.flags
     return checked_batch(
-        unit=message.unit,
-        signal=message.signal,
-        run=message.run,
-        epoch=epoch_of(message.epoch),
-        seq=message.seq,
-        t0_ns=message.t0_ns,
-        dt_ns=message.dt_ns,
-        unit_of_measure=message.unit_of_measure,
-        counts=_counts(message),
+        unit=message.unit, signal=message.signal, run=message.run, epoch=epoch_of(message.epoch), seq=message.seq,
+        t0_ns=message.t0_ns, dt_ns=message.dt_ns, unit_of_measure=message.unit_of_measure, counts=_counts(message),
         values=np.frombuffer(values, "<f8") if values else None,
-        times_ns=np.frombuffer(times_ns, "<i8") if times_ns else None,
-        irregular=message.irregular,
-        scale=message.scale,
-        offset=message.offset,
-        flags=np.frombuffer(flags, "u1") if flags else None,
-    )
+        times_ns=np.frombuffer(times_ns, "<i8") if times_ns else None, irregular=message.irregular,
+        scale=message.scale, offset=message.offset, flags=np.frombuffer(flags, "u1") if flags else None,
+    )  # fmt: skip
 
 
 @functools.lru_cache(65_536)

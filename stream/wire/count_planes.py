@@ -10,14 +10,10 @@ from numba import njit
 
 from stream.batch import CountArray
 
-MOST_PLANES = 4
-
 
 def split_counts(counts: CountArray) -> bytes:
     """Split counts, at least one, into 1 to 4 planes of a byte a sample, the lowest byte first; two's complement.
 
-    Examples
-    --------
     >>> split_counts(np.array([1, -2], np.int32)).hex(" ")
     '01 fe'
     >>> split_counts(np.array([1, 300, -2], np.int32)).hex(" ")
@@ -27,13 +23,7 @@ def split_counts(counts: CountArray) -> bytes:
 
 
 def join_counts(planes: bytes, n: int) -> CountArray:
-    """The `n` counts of planes; their length must be 1 to 4 times n.
-
-    Examples
-    --------
-    >>> join_counts(bytes.fromhex("01 2c fe 00 01 ff"), 3)
-    array([  1, 300,  -2], dtype=int32)
-    """
+    """The `n` counts of planes; their length must be 1 to 4 times n."""
     return _join(np.frombuffer(planes, np.uint8), n)
 
 

@@ -13,15 +13,6 @@ class BatchEncoder:
 
     Fields that are the same in all batches of a stream are encoded once. Fields encoded separately and joined in the
     order of their numbers give the same bytes as `encode_batch`.
-
-    Examples
-    --------
-    >>> from uuid import UUID
-    >>> import numpy as np
-    >>> from stream.wire.batches import encode_batch
-    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10, "deg/s", counts=np.array([1, 2], np.int32))
-    >>> BatchEncoder().encode(batch) == encode_batch(batch)
-    True
     """
 
     def __init__(self) -> None:
@@ -38,8 +29,7 @@ class BatchEncoder:
         parts = [self._head, position.SerializeToString(), self._interval]
         if batch.times_ns is not None:
             parts += _field(11, batch.times_ns.astype("<i8", copy=False).tobytes())
-        parts.append(self._measure)
-        parts.append(self._scale)
+        parts += (self._measure, self._scale)
         if batch.values is not None:
             parts += _field(16, batch.values.astype("<f8", copy=False).tobytes())
         if batch.flags is not None:
@@ -61,19 +51,13 @@ class BatchEncoder:
         self._like = batch
 
 
-def _is_like(batch: SampleBatch, other: SampleBatch) -> bool:
+def _is_like(a: SampleBatch, b: SampleBatch) -> bool:
     # floats by identity: 0.0 and -0.0 are equal, and differ on the wire
     return (
-        (batch.epoch is other.epoch or batch.epoch == other.epoch)
-        and batch.scale is other.scale
-        and batch.offset is other.offset
-        and batch.dt_ns == other.dt_ns
-        and batch.irregular == other.irregular
-        and batch.run == other.run
-        and batch.unit == other.unit
-        and batch.signal == other.signal
-        and batch.unit_of_measure == other.unit_of_measure
-    )
+        (a.epoch is b.epoch or a.epoch == b.epoch) and a.scale is b.scale and a.offset is b.offset
+        and a.dt_ns == b.dt_ns and a.irregular == b.irregular and a.run == b.run and a.unit == b.unit
+        and a.signal == b.signal and a.unit_of_measure == b.unit_of_measure
+    )  # fmt: skip
 
 
 def _field(number: int, data: bytes) -> tuple[bytes, bytes]:

@@ -19,15 +19,11 @@ from stream.identity import check_name
 
 _EPOCH = re.compile(r"[0-9A-Za-z-]{1,64}")
 _MOST_SAMPLES = 2**53
-_LOST_TEXTS = ("key", "epoch")
-_LOST_NUMBERS = ("first_seq", "last_seq")
 
 
 def decode_received(payload: bytes) -> EventMessage:
     """Read a document from the wire; raises WireError if it is none, or is invalid.
 
-    Examples
-    --------
     >>> from stream.events import RunEnded, StreamTotal, encode_event
     >>> total = StreamTotal(unit="U1", signal="rate", epoch="zzz", samples=7)
     >>> decode_received(encode_event(RunEnded(run="r1", t_ns=0, totals=(total,)), "e", 0))
@@ -49,8 +45,6 @@ def decode_received(payload: bytes) -> EventMessage:
 def invalid_reason(document: AnyDocument) -> str | None:
     """Why a document is invalid; None if it is valid.
 
-    Examples
-    --------
     >>> from stream.events import NoteAdded
     >>> invalid_reason(NoteAdded(run="r1", t_ns=0, text="door opened"))
     >>> invalid_reason(StoreNoted(run="", t_ns=0, what="numbers_missing", text="", details={"lost": 7}))
@@ -60,9 +54,7 @@ def invalid_reason(document: AnyDocument) -> str | None:
         return reason
     if isinstance(document, RunEnded):
         return next((reason for total in document.totals if (reason := _invalid_total(total)) is not None), None)
-    if isinstance(document, StoreNoted):
-        return _invalid_details(document)
-    return None
+    return _invalid_details(document) if isinstance(document, StoreNoted) else None
 
 
 def _invalid_total(total: StreamTotal) -> str | None:
@@ -101,8 +93,7 @@ def _are_texts(value: object) -> bool:
 
 
 def _is_stretch(lost: object) -> bool:
-    return (
-        isinstance(lost, dict)
-        and all(isinstance(lost.get(name), str) for name in _LOST_TEXTS)
-        and all(type(lost.get(name)) is int for name in _LOST_NUMBERS)
-    )
+    if not isinstance(lost, dict):
+        return False
+    is_named = all(isinstance(lost.get(name), str) for name in ("key", "epoch"))
+    return is_named and all(type(lost.get(name)) is int for name in ("first_seq", "last_seq"))

@@ -4,7 +4,7 @@ Requests have one key, replies a key for each request. A chunk of a key that sta
 wildcard, so that neither is recorded.
 """
 
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -63,6 +63,7 @@ class AskSamples(msgspec.Struct, frozen=True, tag=True):
 
 
 Question = Hello | Claim | Release | Settle | AskSignals | AskRuns | AskSamples
+Message = TypeVar("Message")
 
 
 class Request(msgspec.Struct, frozen=True):
@@ -92,29 +93,21 @@ def reply_key(request_id: str) -> str:
 
 
 def encode(message: Request | Reply) -> bytes:
-    """The wire form of a request or a reply.
-
-    Examples
-    --------
-    >>> decode_request(encode(Request("1", "", Hello())))
-    Request(id='1', store='', question=Hello())
-    """
+    """The wire form of a request or a reply."""
     return msgspec.msgpack.encode(message)
 
 
 def decode_request(payload: bytes) -> Request:
     """Read a request; raises WireError."""
-    request: Request = _decoded(_request_decoder, payload)
-    return request
+    return _decoded(_request_decoder, payload)
 
 
 def decode_reply(payload: bytes) -> Reply:
     """Read a reply; raises WireError."""
-    reply: Reply = _decoded(_reply_decoder, payload)
-    return reply
+    return _decoded(_reply_decoder, payload)
 
 
-def _decoded(decoder: msgspec.msgpack.Decoder[Any], payload: bytes) -> Any:
+def _decoded(decoder: msgspec.msgpack.Decoder[Message], payload: bytes) -> Message:
     if len(payload) > MAX_MESSAGE_BYTES:
         raise WireError(f"{len(payload)} bytes are more than a message may have")
     try:

@@ -22,16 +22,11 @@ _MARK = b"GFCP"
 
 
 class Checkpoint(msgspec.Struct, frozen=True):
-    """State of a worker.
+    """State of a worker; the log of the store of that identity continues where it ends.
 
-    Parameters
-    ----------
-    store: Identity of the store whose log continues where the checkpoint ends.
-    positions: Key, epoch and next number of every stream.
-    ended: Runs whose messages beyond those positions are left out.
-    limits: Limits of the runs in progress.
-    signals: Signals of the runs in progress.
-    compensated: Compensated signals among them, whose samples the end of a run waits for.
+    `positions` are key, epoch and next number of every stream; messages of `ended` runs beyond those are left out.
+    `limits` and `signals` are those of the runs in progress; `compensated` are signals among them whose samples the end
+    of a run waits for.
     """
 
     store: str
@@ -46,22 +41,14 @@ _decoder = msgspec.msgpack.Decoder(Checkpoint)
 
 
 def generations(path: Path) -> tuple[Path, Path]:
-    """Files of the newest checkpoint and of the one before it.
-
-    Examples
-    --------
-    >>> [each.name for each in generations(Path("estimate.checkpoint"))]
-    ['estimate.checkpoint', 'estimate.checkpoint.previous']
-    """
+    """Files of the newest checkpoint and of the one before it."""
     return path, path.with_name(path.name + ".previous")
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write the newest checkpoint; the one before becomes the previous one.
 
-    Raises
-    ------
-    EstimatorError: If it cannot be written; an earlier one is then still there.
+    Raises an EstimatorError if it cannot be written; an earlier one is then still there.
     """
     content = msgspec.msgpack.encode(checkpoint)
     head = _HEAD.pack(_MARK, CHECKPOINT_VERSION, _digest(CHECKPOINT_VERSION, content))
@@ -79,10 +66,8 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 def read_checkpoint(path: Path) -> Checkpoint | None:
     """The checkpoint in a file; None where there is none.
 
-    Raises
-    ------
-    CheckpointDamaged: If its checksum is wrong, or it is of an older version.
-    EstimatorError: If it cannot be read, or is of a newer version.
+    Raises a CheckpointDamaged if its checksum is wrong, or it is of an older version, an EstimatorError if it cannot be
+    read, or is of a newer version.
     """
     try:
         content = path.read_bytes()
@@ -113,12 +98,7 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
 
 
 def quarantine(path: Path) -> Path:
-    """Rename a checkpoint that cannot be used; returns its new path.
-
-    Raises
-    ------
-    EstimatorError: If it cannot be renamed.
-    """
+    """Rename a checkpoint that cannot be used; returns its new path, or raises an EstimatorError if it cannot be."""
     aside = path.with_name(f"{path.name}.damaged-{time.time_ns()}")
     try:
         path.rename(aside)

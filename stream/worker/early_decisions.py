@@ -34,17 +34,11 @@ class DecisionLook(NamedTuple):
         """The run document with that head."""
         decision = self.decision
         return EarlyDecision(
-            **head,
-            limit=self.limit,
-            outcome=decision.outcome.value,
-            rule=decision.rule.value,
+            **head, limit=self.limit, outcome=decision.outcome.value, rule=decision.rule.value,
             error_probability=None if decision.outcome is Outcome.UNDECIDED else decision.error_probability,
-            looked_at_fraction=decision.looked_at_fraction,
-            reason=decision.reason_en,
-            reason_zh=decision.reason_zh,
-            forecast_s=decision.forecast_s,
-            forecast_latest_s=decision.forecast_latest_s,
-        )
+            looked_at_fraction=decision.looked_at_fraction, reason=decision.reason_en, reason_zh=decision.reason_zh,
+            forecast_s=decision.forecast_s, forecast_latest_s=decision.forecast_latest_s,
+        )  # fmt: skip
 
 
 class _ExactTau:
@@ -159,8 +153,7 @@ class EarlyDecisions:
         return tuple(found)
 
     def _decided(self, number: int) -> Decision | None:
-        test = self._tests.get(number)
-        return None if test is None else test.decision
+        return self._tests[number].decision if number in self._tests else None
 
     def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[DecisionLook]:
         """Compare the estimates after `elapsed_s`, by the key of their estimator, with each limit."""
@@ -175,14 +168,12 @@ class EarlyDecisions:
         decided = self._decided(number)
         if decided is not None:
             return decided
-        tau_s = _tau_s(limit)
-        key = estimator_key(limit)
+        tau_s, key = _tau_s(limit), estimator_key(limit)
         estimate = estimates.get(key)
         if estimate is None:
             return _cannot(f"{key} is not estimated while the signal flows", f"运行中不估计 {key}")
         points = estimate.points
-        exact = self._exact.get(number)
-        if exact is not None:
+        if (exact := self._exact.get(number)) is not None:
             found = exact.allan.estimate()
             points = () if isinstance(found, NoEstimate) else found
         point = next((each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s), None)
@@ -213,12 +204,8 @@ class EarlyDecisions:
         else:
             factor, offset = conversion(limit.unit_of_measure, estimate.unit_of_measure)
         lag = _STEPS if number in self._exact else round(_tau_s(limit) / estimate.sample_interval_s)
-        return DecisionPlan(
-            tau_s=_tau_s(limit),
-            limit=limit.upper * factor + offset,
-            duration_s=self._planned_s,
-            windows_per_tau=max(1, lag),
-        )
+        limit_value = limit.upper * factor + offset
+        return DecisionPlan(_tau_s(limit), limit_value, self._planned_s, windows_per_tau=max(1, lag))
 
     def export_state(self) -> dict[str, Any]:
         """The state, in plain values."""
@@ -227,14 +214,11 @@ class EarlyDecisions:
             for number, test in self._tests.items()
         }
         return {
-            "planned_s": self._planned_s,
-            "limits": [msgspec.to_builtins(limit) for limit in self._limits],
-            "tests": tests,
-            "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
-            "since_ns": self.since_ns,
-            "estimators": [take_snapshot(estimator) for estimator in self.estimators],
+            "planned_s": self._planned_s, "limits": [msgspec.to_builtins(limit) for limit in self._limits],
+            "tests": tests, "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
+            "since_ns": self.since_ns, "estimators": [take_snapshot(estimator) for estimator in self.estimators],
             "next": None if self._next is None else msgspec.json.encode(self._next),
-        }
+        }  # fmt: skip
 
     @classmethod
     def from_state(cls, signal: str, state: dict[str, Any]) -> Self:

@@ -18,8 +18,6 @@ class EstimatedSignals(NamedTuple):
     `names` are estimated whatever they measure; `rates`: also angular rates, and signals named ``rate`` or ``rate_*``
     in other units, such as counts; `everything`: every signal.
 
-    Examples
-    --------
     >>> chosen = EstimatedSignals.named(["supply_voltage"])
     >>> chosen.includes("rate", "count"), chosen.includes("table_rate", "deg/s"), chosen.includes("temperature", "degC")
     (True, True, False)

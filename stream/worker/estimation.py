@@ -4,11 +4,11 @@ import functools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from stream.delivery.publisher import StreamId
 from stream.errors import BadInput, WireError
 from stream.estimators.base import PointEstimator
 from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
+from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import WireBatch, read_wire_batch
 from stream.wire.event_validation import decode_received
 from stream.worker.checkpoint import Checkpoint
@@ -36,40 +36,26 @@ class EstimationCounts:
 class Estimation:
     """Takes the messages of all streams, keeps an analysis of every signal, and publishes the documents that are due.
 
-    Parameters
-    ----------
-    every_ns: Interval between estimates in a signal's time, nanoseconds; a signal keeps its first one.
-    publish: Given the key expression and the document.
-    fill: Given a stream and a number: reads the missing messages before that number from a log, if it has them soon. A
-        message after a gap that remains is left out, and comes again from the log; and the end of a run waits for all
-        its samples. Without `fill`, gaps are skipped, and a stream may be joined in its middle.
-    spectrum: Whether to estimate the spectral density.
-    estimated: Which signals are estimated, beside those that a run has limits on.
+    Estimates are due after every `every_ns` of a signal's time; a signal keeps its first interval. `publish` gets the
+    key expression and the document. `fill` gets a stream and a number, and reads the missing messages before that
+    number from a log, if it has them soon. A message after a gap that remains is left out (`left_out` is then set), and
+    comes again from the log; and the end of a run waits for all its samples. Without `fill`, gaps are skipped, and a
+    stream may be joined in its middle. `estimated` are the signals that are estimated beside those that a run has
+    limits on.
 
-    Attributes
-    ----------
-    positions: Next number of every stream.
-    catching_up: Set while messages come from the log, which has no gaps.
-    ended: Runs to be left out.
-    left_out: Set when messages are left to be read from the log.
+    `positions` are the next numbers of the streams; `catching_up` is set while messages come from the log, which has no
+    gaps; runs that have `ended` are left out.
     """
 
     def __init__(
-        self,
-        every_ns: int,
-        factories: Mapping[str, Callable[[], PointEstimator]],
-        publish: Callable[[str, AnyDocument], None],
-        fill: Callable[[StreamId, int], None] | None = None,
-        *,
-        spectrum: bool = True,
-        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
-    ) -> None:
-        self._every_ns = every_ns
-        self._estimated = estimated
+        self, every_ns: int, factories: Mapping[str, Callable[[], PointEstimator]],
+        publish: Callable[[str, AnyDocument], None], fill: Callable[[StreamId, int], None] | None = None, *,
+        spectrum: bool = True, estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    ) -> None:  # fmt: skip
+        self._every_ns, self._estimated = every_ns, estimated
         self._not_estimated: set[tuple[str, str, str]] = set()
         self._new_estimators = functools.partial(new_estimators, factories, spectrum=spectrum)
-        self._publish = publish
-        self._fill = fill
+        self._publish, self._fill = publish, fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[tuple[str, str | None], LimitsApplied] = {}
         self._compensated: dict[str, list[CompensationStarted]] = {}

@@ -38,8 +38,6 @@ class CurveReading(NamedTuple):
 def estimator_key(limit: Limit) -> str:
     """Key of the estimator whose result `limit` is compared with.
 
-    Examples
-    --------
     >>> limit = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=1.0, unit_of_measure="deg/h")
     >>> estimator_key(limit)
     'bias_stability_10s'
@@ -48,21 +46,12 @@ def estimator_key(limit: Limit) -> str:
 
 
 def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> CurveReading:
-    """Read a curve at `tau_s`: a point within 1 % of it, else log-log between its neighbours, never beyond.
+    """Read a curve at `tau_s` seconds: a point within 1 % of it, else log-log between its neighbours, never beyond.
 
-    Parameters
-    ----------
-    points: The curve, in any order.
-    tau_s: Averaging time, seconds.
-
-    Notes
-    -----
     Between (tau_1, y_1) and (tau_2, y_2): ln y = ln y_1 + w (ln y_2 - ln y_1), w =
     ln(tau/tau_1)/ln(tau_2/tau_1); the confidence bounds likewise. Where one y is 0 no logarithm exists and y
     itself is interpolated over ln tau.
 
-    Examples
-    --------
     >>> point = lambda tau_s, y: EstimatePoint(tau_s=tau_s, value=y, lo=0.5 * y, hi=2 * y, edf=9, n=9)
     >>> curve = [point(1.0, 8.0), point(4.0, 2.0)]
     >>> [round(y, 9) for y in read_curve(curve, 2.0)[:3]]
@@ -92,21 +81,13 @@ def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> CurveReading:
 def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     """Compare one limit with the latest matching estimate of one unit.
 
-    Parameters
-    ----------
-    limit: The limit; its characteristic names the estimator, see `estimator_key`. `angle_random_walk` is the Allan
-        deviation at 1 s in deg/h, divided by 60 (N = sigma(1 s) sqrt(1 s)): true where white noise dominates at 1 s.
-    estimates: Estimates of the unit.
+    Its characteristic names the estimator, see `estimator_key`. `angle_random_walk` is the Allan deviation at 1 s in
+    deg/h, divided by 60 (N = sigma(1 s) sqrt(1 s)): true where white noise dominates at 1 s.
 
-    Returns
-    -------
-    Check
-        PASS if the upper confidence bound is at or below the limit, FAIL if the lower one is above it,
-        MARGINAL in between (the data do not decide), NO_DATA with the reason if there is no estimate. Values
-        are in the limit's unit of measure.
+    PASS if the upper confidence bound is at or below the limit, FAIL if the lower one is above it, MARGINAL in between
+    (the data do not decide), NO_DATA with the reason if there is no estimate. Values are in the limit's unit of
+    measure.
 
-    Examples
-    --------
     >>> limit = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=1.0, unit_of_measure="deg/h")
     >>> judge(limit, []).reason
     'no bias_stability_10s of signal rate was published'
@@ -131,23 +112,16 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     if value is None or lo is None or hi is None:
         return _no_data(limit, reason or "the estimate has no points")
     value, lo, hi = value * factor, lo * factor, hi * factor
-    if hi <= limit.upper:
-        return Check(limit=limit, verdict=Verdict.PASS, value=value, lo=lo, hi=hi)
-    if lo > limit.upper:
-        return Check(limit=limit, verdict=Verdict.FAIL, value=value, lo=lo, hi=hi)
-    reason = f"the limit lies inside the {estimate.confidence:.0%} confidence limits: the data do not decide"
-    return Check(limit=limit, verdict=Verdict.MARGINAL, value=value, lo=lo, hi=hi, reason=reason)
+    verdict = Verdict.PASS if hi <= limit.upper else Verdict.FAIL if lo > limit.upper else Verdict.MARGINAL
+    if verdict is Verdict.MARGINAL:
+        reason = f"the limit lies inside the {estimate.confidence:.0%} confidence bounds: the data do not decide"
+    return Check(limit=limit, verdict=verdict, value=value, lo=lo, hi=hi, reason=reason)
 
 
 def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
     """Worst of a unit's checks: FAIL, then MARGINAL, then NO_DATA, then PASS; NO_DATA without any check.
 
     An aborted run gives ABORTED whatever its checks say: what stopped it may have disturbed the samples.
-
-    Examples
-    --------
-    >>> unit_verdict([]).value, unit_verdict([], aborted=True).value
-    ('NO_DATA', 'ABORTED')
     """
     if aborted:
         return Verdict.ABORTED
@@ -158,15 +132,9 @@ def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
 def unit_verdicts(
     ended: RunEnded, applied: Iterable[LimitsApplied], final: Sequence[EstimatePublished]
 ) -> Iterator[VerdictGiven]:
-    """Verdict of each unit that limits were applied to.
+    """Verdict of each unit that limits were applied to, by its `final` estimates.
 
     Limits on a unit take the place of those on every unit of the run.
-
-    Parameters
-    ----------
-    ended: The end of the run.
-    applied: Limits of the run.
-    final: The estimates that they are compared with.
     """
     by_unit = {each.unit: each for each in applied}
     common = by_unit.pop(None, None)

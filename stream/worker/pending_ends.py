@@ -26,8 +26,6 @@ class _Waiting:
 class PendingEnds:
     """Documents that are not processed yet, by stream.
 
-    Examples
-    --------
     >>> pending, stream = PendingEnds(), StreamId("gyrofleet/plant/bench/event", "e")
     >>> ended = EventMessage(schema=1, epoch="e", seq=4, document=RunEnded(run="r1", t_ns=0))
     >>> pending.hold(stream, Place("plant", "bench"), ended, is_recorded=True)

@@ -37,17 +37,6 @@ class PieceBuffer(msgspec.Struct, dict=True):
 
     `name` is unit, signal and run; documents are due every `every_ns` of the signal's own time from its first sample
     on.
-
-    Examples
-    --------
-    >>> from stream.wire.batches import encode_batch, read_wire_batch
-    >>> from uuid import UUID
-    >>> buffer = PieceBuffer(("FOG-1", "rate", "r1"), every_ns=30)
-    >>> for seq in (0, 2, 4):
-    ...     batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), seq, 10 * seq, 10, "deg/s", values=np.zeros(2))
-    ...     for piece in buffer.take(read_wire_batch(encode_batch(batch))):
-    ...         print(len(piece.batch), piece.is_due, piece.last_ns)
-    4 True 30
     """
 
     name: tuple[str, str, str]
@@ -155,21 +144,11 @@ class PieceBuffer(msgspec.Struct, dict=True):
         last_ns = self.next_ns - dt_ns if times is None else int(times.max())
         unit, signal, run = self.name
         piece = checked_batch(
-            unit=unit,
-            signal=signal,
-            run=run,
-            epoch=epoch_of(epoch),
-            seq=self.next_seq - len(samples),
-            t0_ns=self.t0_ns,
-            dt_ns=dt_ns,
-            unit_of_measure=unit_of_measure,
-            counts=samples if self.dtype == _COUNTS else None,
-            values=samples if self.dtype == _VALUES else None,
-            times_ns=times,
-            irregular=irregular,
-            scale=scale,
-            offset=offset,
-        )
+            unit=unit, signal=signal, run=run, epoch=epoch_of(epoch), seq=self.next_seq - len(samples),
+            t0_ns=self.t0_ns, dt_ns=dt_ns, unit_of_measure=unit_of_measure,
+            counts=samples if self.dtype == _COUNTS else None, values=samples if self.dtype == _VALUES else None,
+            times_ns=times, irregular=irregular, scale=scale, offset=offset,
+        )  # fmt: skip
         self.data, self.times = bytearray(), None
         self._set_border()
         return BufferedPiece(piece, is_due, last_ns)

@@ -131,18 +131,12 @@ class SignalAnalysis:
     def _estimate(self, estimator: PointEstimator, *, final: bool) -> EstimatePublished:
         estimate = NoEstimate(self._refusal) if self._refusal else estimator.estimate()
         return EstimatePublished(
-            **self._head(estimator.key, final=final),
-            estimator=estimator.key,
-            unit_of_measure=estimator.unit_of_measure,
-            confidence=estimator.confidence,
-            samples=estimator.samples,
-            missing=estimator.missing,
-            sample_interval_s=estimator.sample_interval_s,
-            every_ns=self._every_ns,
-            final=final,
-            points=() if isinstance(estimate, NoEstimate) else estimate,
+            **self._head(estimator.key, final=final), estimator=estimator.key,
+            unit_of_measure=estimator.unit_of_measure, confidence=estimator.confidence, samples=estimator.samples,
+            missing=estimator.missing, sample_interval_s=estimator.sample_interval_s, every_ns=self._every_ns,
+            final=final, points=() if isinstance(estimate, NoEstimate) else estimate,
             reason=estimate.reason if isinstance(estimate, NoEstimate) else None,
-        )
+        )  # fmt: skip
 
     def _noise(self, allan: AllanDeviation, estimate: EstimatePublished) -> NoiseFitted:
         head = self._head(NOISE_COEFFICIENTS, final=True)
@@ -160,26 +154,19 @@ class SignalAnalysis:
             return SpectralLinesFound(**head, lines=None, reason=lines.reason)
         lo_hz, hi_hz = spectral.searched_hz
         return SpectralLinesFound(
-            **head,
-            unit_of_measure=spectral.unit_of_measure,
-            lines=tuple(msgspec.to_builtins(line) for line in lines),
-            searched_lo_hz=lo_hz,
-            searched_hi_hz=hi_hz,
-            bin_width_hz=spectral.bin_width_hz,
-            segments=spectral.segments,
-        )
+            **head, unit_of_measure=spectral.unit_of_measure,
+            lines=tuple(msgspec.to_builtins(line) for line in lines), searched_lo_hz=lo_hz, searched_hi_hz=hi_hz,
+            bin_width_hz=spectral.bin_width_hz, segments=spectral.segments,
+        )  # fmt: skip
 
     def export_state(self) -> SignalState:
         """The state, for a checkpoint."""
         return SignalState(
-            place=(self.place.site, self.place.station),
-            buffer=self._pieces,
-            first_ns=self._first_ns,
-            last_ns=self._last_ns,
-            refusal=self._refusal,
+            place=(self.place.site, self.place.station), buffer=self._pieces, first_ns=self._first_ns,
+            last_ns=self._last_ns, refusal=self._refusal,
             snapshots=tuple(take_snapshot(estimator) for estimator in self._estimators),
             decisions=self._decisions.export_state(),
-        )
+        )  # fmt: skip
 
     @classmethod
     def from_state(cls, state: SignalState) -> Self:

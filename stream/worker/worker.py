@@ -5,18 +5,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Self
 
-from stream.delivery.publisher import StreamId
+from stream.closing import Closing
 from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
 from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
 from stream.transport.bus import Bus
+from stream.wire.acknowledgement import StreamId
 from stream.worker.checkpoint import generations, quarantine, read_checkpoint, write_checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
-from stream.worker.estimation import Estimation, EstimationCounts
+from stream.worker.estimation import Estimation
 
 # A worker that falls behind must block neither the recorder, which shares its subscription, nor the bus that it
 # publishes on: sources in the same process wait for room; messages of others that it cannot hold are left out.
@@ -34,7 +34,7 @@ _SETTLE_S = 1.0
 _SETTLE_AGAIN_S = 5.0
 
 
-class EstimationWorker:
+class EstimationWorker(Closing):
     """Updates the estimators of every signal on the bus and publishes their estimates.
 
     Estimates are published whenever a signal's own time passes a multiple of `every_s`, and once more, marked
@@ -46,55 +46,31 @@ class EstimationWorker:
     in progress when the worker starts is read from its beginning. With a checkpoint, a worker that was stopped or
     killed resumes, and publishes the same documents, each once.
 
-    Parameters
-    ----------
-    every_s: Interval between estimates in the signal's time, seconds; signals in a checkpoint keep theirs.
-    estimators: Factories of the estimators of a signal, by default `default_estimators`.
-    on_document: Called with every document that is published, in the worker's thread.
-    log: The log of the store that is recorded to.
-    checkpoint: File of the checkpoint, beside which the one before it is kept; it needs the log.
-    checkpoint_every_s: Interval between checkpoints, seconds.
-    spectrum: Whether to estimate the spectral density of each signal, for its lines; it is a third of the work.
-    estimated: Which signals are estimated; by default angular rates, and those that a run has limits on.
+    Signals in a checkpoint keep their interval. `estimators` are the factories of those of a signal, by default
+    `default_estimators`. `on_document` is called with every document that is published, in the worker's thread. `log`
+    is that of the store that is recorded to. The checkpoint, which needs it, is written every `checkpoint_every_s`; the
+    one before it is kept beside it. The spectral density of each signal is a third of the work. By default angular
+    rates are `estimated`, and signals that a run has limits on.
 
-    Raises
-    ------
-    EstimatorError: If the checkpoint cannot be read or is of a newer gyrofleet; the message says what to do.
-
-    Attributes
-    ----------
-    resumed: Whether it resumed from a checkpoint.
-    warnings: Problems that did not stop it.
+    An EstimatorError is raised if the checkpoint cannot be read or is of a newer gyrofleet; its message says what to
+    do. `warnings` are problems that did not stop the worker.
     """
 
     def __init__(
-        self,
-        bus: Bus,
-        publisher: DocumentSender,
-        *,
-        every_s: float = 60.0,
+        self, bus: Bus, publisher: DocumentSender, *, every_s: float = 60.0,
         estimators: Mapping[str, Callable[[], PointEstimator]] | None = None,
-        on_document: Callable[[AnyDocument], None] | None = None,
-        log: RecordedLog | None = None,
-        checkpoint: Path | None = None,
-        checkpoint_every_s: float = 30.0,
-        spectrum: bool = True,
+        on_document: Callable[[AnyDocument], None] | None = None, log: RecordedLog | None = None,
+        checkpoint: Path | None = None, checkpoint_every_s: float = 30.0, spectrum: bool = True,
         estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
-    ) -> None:
-        self._publisher = publisher
-        self._on_document = on_document
-        self._log = log
-        self._checkpoint = checkpoint
-        self._checkpoint_every_s = checkpoint_every_s
+    ) -> None:  # fmt: skip
+        self._publisher, self._on_document, self._log = publisher, on_document, log
+        self._checkpoint, self._checkpoint_every_s = checkpoint, checkpoint_every_s
         self._next_save = time.monotonic() + checkpoint_every_s
         self._estimation = Estimation(
-            round(every_s * 1e9),
-            default_estimators() if estimators is None else estimators,
-            self._publish,
-            None if log is None else self._fill,
-            spectrum=spectrum,
-            estimated=estimated,
-        )
+            round(every_s * 1e9), default_estimators() if estimators is None else estimators, self._publish,
+            None if log is None else self._fill, spectrum=spectrum, estimated=estimated,
+        )  # fmt: skip
+        self.counts = self._estimation.counts
         self._known = Identities(())
         self._fill_at = 0.0
         self._fill_wait_s = self._read_wait_s = _READ_AGAIN_S
@@ -110,11 +86,6 @@ class EstimationWorker:
         # subscribed before the log is read, so that no message between the two is missed
         bus.subscribe(EVERYTHING, self._on_message)
         self._thread.start()
-
-    @property
-    def counts(self) -> EstimationCounts:
-        """Counts since it started."""
-        return self._estimation.counts
 
     def close(self) -> None:
         """Process what has arrived, write a checkpoint, and stop; raises the error that had stopped it before.
@@ -135,12 +106,6 @@ class EstimationWorker:
             self._incoming.clear()
             self._state.notify_all()
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def wait_for_room(self) -> None:
         """Wait until the worker is not far behind; called by a source in the same process before it sends more."""

@@ -210,14 +210,14 @@ def recorded(tmp_path: Path) -> Recorded:
                 "latitude_deg": 40.0, "unit_of_measure": "deg/h", "n": 36_000, "duration_s": 3600.0, "freedom": 30.0,
                 "standard_uncertainty": 0.01, "n_effective": 1000.0,
             }  # fmt: skip
-            told: list[dict[str, Any]] = [
+            reported: list[dict[str, Any]] = [
                 {"index": i + 1, "t_start_ns": START_NS + i * 7200 * SECOND_NS} | plain | dict(row)
                 for i, row in enumerate(rows)
             ]
-            for each in told:
+            for each in reported:
                 each.setdefault("t_from_ns", each["t_start_ns"])
                 each.setdefault("t_to_ns", each["t_from_ns"] + round(each["duration_s"] * 1e9))
-            return _evaluated(catalog, pa.Table.from_pylist(told, schema=schema), metric)
+            return _evaluated(catalog, pa.Table.from_pylist(reported, schema=schema), metric)
 
     return run
 

@@ -138,17 +138,17 @@ def trace_all(folder: Path) -> dict[str, Any]:
     command = [sys.executable, "-m", "gyrofleet", "diagnose", "--store", str(folder), "--fleet", "--json"]
     begin = time.perf_counter()
     with (
-        tempfile.TemporaryFile("w+") as told,
+        tempfile.TemporaryFile("w+") as reported,
         subprocess.Popen(
-            [*command, "--model", "rate = bias + temperature"], stdout=told, cwd=Path(__file__).parents[2]
+            [*command, "--model", "rate = bias + temperature"], stdout=reported, cwd=Path(__file__).parents[2]
         ) as process,
     ):
         peak = 0.0
         while process.poll() is None:
             peak = max(peak, peak_mb(process.pid))
             time.sleep(0.2)
-        told.seek(0)
-        found = json.load(told)
+        reported.seek(0)
+        found = json.load(reported)
     if process.returncode != 0:
         raise SystemExit(f"gyrofleet diagnose ended with {process.returncode}")
     alone = [each["verdict"] for each in found["units"].values()]

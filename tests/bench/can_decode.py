@@ -14,9 +14,9 @@ from uuid import UUID
 import cantools
 import numpy as np
 
-from ingest.can.decode import FrameBytes, MessageLayout
+from ingest.can.decode import FrameBytes, MessageLayout, scaled
 from ingest.can.frames import FrameBlock
-from ingest.can.mapping import automatic_plan
+from ingest.can.mapping import CanMapping
 from ingest.can.stream import CanDecoder
 
 DBC = Path(__file__).parents[1] / "ingest" / "can_bench.dbc"
@@ -61,7 +61,7 @@ def main() -> None:
         for identifier, data in zip(block.arbitration_id, block.data, strict=True)
     ][:few]
 
-    plan = automatic_plan([DBC], "U1")
+    plan = CanMapping([DBC], unit="U1").plan()
 
     def by_cantools() -> None:
         for identifier, data in rows:
@@ -73,7 +73,7 @@ def main() -> None:
                 mine = np.flatnonzero(block.arbitration_id == identifier)
                 decoded = layout.decode(FrameBytes(block.data[mine], block.length[mine]), list(layout.signals))
                 for name, each in decoded.items():
-                    each.values(layout.signals[name].scale, layout.signals[name].offset)
+                    scaled(each.raw, layout.signals[name].scale, layout.signals[name].offset)
 
     def to_batches() -> None:
         decoder = CanDecoder(plan, run="r1", epoch_of=lambda unit: UUID(int=1))

@@ -187,7 +187,7 @@ def source(how: str, endpoint: str, folder: str, offer_per_s: float, seconds: fl
         received_s = time.time() - began_s
         publisher.drain()
         counts = decoder.counts
-        told = {
+        reported = {
             "sent": sent,
             "offered_s": offered_s,
             "received_s": received_s,
@@ -205,7 +205,7 @@ def source(how: str, endpoint: str, folder: str, offer_per_s: float, seconds: fl
             "clock": bus.clock_source,
             "bus": {name: value for name, value in vars(bus.counts).items() if value},
         }
-    print(json.dumps(told), flush=True)
+    print(json.dumps(reported), flush=True)
 
 
 def notes(text: str) -> None:
@@ -224,17 +224,17 @@ def measure(how: str, offer_per_s: float, seconds: float, folder: Path) -> dict[
     assert recorder.stdout is not None
     recorder.stdout.readline()
     role = [sys.executable, str(HERE), "--role", "source", how, endpoint, str(folder), str(offer_per_s), str(seconds)]
-    told: dict[str, object] = json.loads(subprocess.run(role, stdout=subprocess.PIPE, text=True, check=True).stdout)
+    reported: dict[str, object] = json.loads(subprocess.run(role, stdout=subprocess.PIPE, text=True, check=True).stdout)
     recorder.send_signal(signal.SIGINT)
     recorded = json.loads(recorder.stdout.read().splitlines()[-1])["samples"]
     recorder.wait(60)
-    sent, decoded = told["sent"], told["frames_decoded"]
+    sent, decoded = reported["sent"], reported["frames_decoded"]
     assert isinstance(sent, int)
     assert isinstance(decoded, int)
-    assert how == "receive" or recorded == told["samples"], (recorded, told)
-    return told | {
+    assert how == "receive" or recorded == reported["samples"], (recorded, reported)
+    return reported | {
         "how": how,
-        "frames_per_s": decoded / float(str(told["durable_s"])),
+        "frames_per_s": decoded / float(str(reported["durable_s"])),
         "recorded_samples": recorded,
         "lost_frames": sent - decoded,
     }

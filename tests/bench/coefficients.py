@@ -5,7 +5,7 @@
 
 Scenarios: `five` has all five terms, `white` angle random walk alone, `usual` N, B and K, `markov` N, K and Markov
 noise of 300 s, `filtered` the `usual` ones in the average of four samples. Printed are, for each coefficient, bias and
-RMS error relative to the truth, the share of runs whose 95 % limits hold the truth, and in how many the term counts as
+RMS error relative to the truth, the share of runs whose 95 % bounds hold the truth, and in how many the term counts as
 observable; beside it the fit that the standards print (GJB 2426A-2004 5.12.5.4.2 (31), JJF 2014-2022 (39): plain least
 squares of sigma^2 on tau^-2 .. tau^2), with the share of runs in which the square comes out negative. A term that is
 absent shows the median of the estimate for an error. Below stands how many curves depart from every model, and how far.

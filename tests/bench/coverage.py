@@ -1,4 +1,4 @@
-"""How often the 95 % limits of the Allan deviation hold the truth, by noise and by T/tau.
+"""How often the 95 % bounds of the Allan deviation hold the truth, by noise and by T/tau.
 
     .venv/bin/python tests/bench/coverage.py [--runs 2000] [--seed 1] [--json]
 

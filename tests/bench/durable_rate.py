@@ -85,8 +85,8 @@ def estimator(endpoint: str, store: str, *, spectrum: bool) -> None:
         while worker.counts.samples < wanted and worker.failure is None:
             time.sleep(0.02)
         counts = worker.counts
-        told = {"at": time.time(), "samples": counts.samples, "recalled": counts.recalled, "lost": counts.lost}
-        print(json.dumps(told | {"cpu_s": time.process_time()}), flush=True)
+        reported = {"at": time.time(), "samples": counts.samples, "recalled": counts.recalled, "lost": counts.lost}
+        print(json.dumps(reported | {"cpu_s": time.process_time()}), flush=True)
         worker.kill()
 
 

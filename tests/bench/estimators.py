@@ -158,7 +158,7 @@ def month() -> dict[str, float]:
     cpu_s = 0.0
     lot = 40 * BATCH
     first = 0
-    told = time.monotonic()
+    reported = time.monotonic()
     while first < MONTH:
         values = rng.standard_normal(lot)
         for estimator, block in ((plain, values), (shifted, values + MEAN_SIGMA)):
@@ -169,8 +169,8 @@ def month() -> dict[str, float]:
             if estimator is plain:
                 cpu_s += time.thread_time() - began
         first += lot
-        if time.monotonic() - told > 10.0:
-            told = time.monotonic()
+        if time.monotonic() - reported > 10.0:
+            reported = time.monotonic()
             print(f"{first / MONTH:.0%} of the month", file=sys.stderr)
     pairs = zip(points_of(plain), points_of(shifted), strict=True)
     off = max(abs(b.value / a.value - 1.0) for a, b in pairs)

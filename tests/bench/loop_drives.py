@@ -113,10 +113,29 @@ def drive(kind: str, number: int, rng: np.random.Generator, duration_s: float, s
     """Run `number` of a campaign, counted from 0, as a test of type `kind`."""
     time_s: FloatArray = (np.arange(round(duration_s / step_s), dtype=np.float64) + 0.5) * step_s
     bench = _Bench(time_s, rng)
-    zero = np.zeros(time_s.size)
     day = 0.9 * number + float(rng.uniform(0.0, 0.2))
-    orientation = np.tile(_AXES[rng.integers(3)] * rng.choice([-1.0, 1.0]), (time_s.size, 1))
-    asked = {
+    asked = _at_rest(bench, rng)
+    asked |= _PLANS[kind](bench, number)
+    since_s: FloatArray = time_s + float(rng.choice([0.0, 300.0, 1800.0, 9000.0]))
+    true = _physics(bench, asked, since_s) | {"day": day + time_s / 86400.0}
+    read = {
+        name: values + SENSOR_NOISE.get(name, 0.0) * rng.standard_normal(time_s.size) for name, values in true.items()
+    }
+    return Drive(kind, time_s, day, true, read)
+
+
+def physics_of(
+    time_s: FloatArray, asked: Mapping[str, FloatArray], since_s: FloatArray, rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """The true channels of a run at rest, but for what is asked for."""
+    bench = _Bench(time_s, rng)
+    return _physics(bench, {**_at_rest(bench, rng), **asked}, since_s)
+
+
+def _at_rest(bench: _Bench, rng: np.random.Generator) -> dict[str, FloatArray]:
+    zero = np.zeros(bench.time_s.size)
+    orientation = np.tile(_AXES[rng.integers(3)] * rng.choice([-1.0, 1.0]), (zero.size, 1))
+    return {
         "setpoint": zero + 25.0,
         "table_rate": zero,
         "angle0": zero + 22.5 * float(rng.integers(16)),
@@ -127,13 +146,6 @@ def drive(kind: str, number: int, rng: np.random.Generator, duration_s: float, s
         "humidity": 45.0 + bench.wander(2.0, 5000.0),
         **{f"magnetic_{axis}": bench.wander(2.0, 4000.0) for axis in "ios"},
     }
-    asked |= _PLANS[kind](bench, number)
-    since_s: FloatArray = time_s + float(rng.choice([0.0, 300.0, 1800.0, 9000.0]))
-    true = _physics(bench, asked, since_s) | {"day": day + time_s / 86400.0}
-    read = {
-        name: values + SENSOR_NOISE.get(name, 0.0) * rng.standard_normal(time_s.size) for name, values in true.items()
-    }
-    return Drive(kind, time_s, day, true, read)
 
 
 def _physics(bench: _Bench, asked: Mapping[str, FloatArray], since_s: FloatArray) -> dict[str, FloatArray]:

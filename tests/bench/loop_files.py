@@ -185,7 +185,7 @@ def main() -> None:
         for case in cases(row, asked.count, [asked.z], only, first=asked.first)
     ]
     lines = run(wanted, asked.results, processes=asked.processes, minutes=asked.minutes)
-    sys.exit(0 if told(lines, len(wanted)) else "a target is missed")
+    sys.exit(0 if reported(lines, len(wanted)) else "a target is missed")
 
 
 def run(wanted: Sequence[FileCase], results: Path, *, processes: int, minutes: float) -> list[dict[str, Any]]:
@@ -209,7 +209,7 @@ def _in_time(which: FileCase, *, until: float) -> dict[str, Any] | None:
     return traced(which) if time.monotonic() < until else None
 
 
-def told(lines: Sequence[dict[str, Any]], wanted: int) -> bool:
+def reported(lines: Sequence[dict[str, Any]], wanted: int) -> bool:
     """Print what became of the campaigns, and say whether the targets are met."""
     met = len(lines) == wanted
     print(f"\n{len(lines)} of {wanted} campaigns")

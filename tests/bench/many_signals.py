@@ -2,8 +2,8 @@
 
     .venv/bin/python -m tests.bench.many_signals [--signals 200000] [--samples 5] [--json]
 
-A source sends one batch of each signal to `gyrofleet record`; once all are acknowledged the recorder gets Ctrl-C. Told
-are the seconds until the log is complete, and until the lake has everything as well.
+A source sends one batch of each signal to `gyrofleet record`; once all are acknowledged the recorder gets Ctrl-C. It
+prints the seconds until the log is complete, and until the lake has everything as well.
 """
 
 import argparse
@@ -61,7 +61,7 @@ def main() -> None:
         log_s = time.monotonic() - began
         recorder.stderr.read()
         _, status, usage = os.wait4(recorder.pid, 0)
-        told = {
+        reported = {
             "signals": asked.signals,
             "samples": asked.samples,
             "log_complete_s": round(log_s, 1),
@@ -70,7 +70,7 @@ def main() -> None:
             "peak_mb": round(usage.ru_maxrss / 1024),
             "exit_status": status,
         }
-    print(json.dumps(told) if asked.json else "  ".join(f"{name} {value}" for name, value in told.items()))
+    print(json.dumps(reported) if asked.json else "  ".join(f"{name} {value}" for name, value in reported.items()))
 
 
 if __name__ == "__main__":

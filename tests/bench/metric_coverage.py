@@ -1,4 +1,4 @@
-"""How often the 95 % limits of the metrics hold the truth: ``python -m tests.bench.metric_coverage [--units 500]``.
+"""How often the 95 % bounds of the metrics hold the truth: ``python -m tests.bench.metric_coverage [--units 500]``.
 
 Units are simulated in the tests of the standards, each step by its samples; their records go through the metrics as
 they are. Coverage is to lie within 93 to 98 %; limits that are made to hold for several differences together, or where
@@ -31,7 +31,7 @@ from tests.bench.metric_steps import AXES, NOISE, Unit, metrics_of, records_of
 
 LEAST, MOST = 0.93, 0.98
 STATIC = 3600  # samples of a static step, 1 s apart
-Told = Mapping[str, Any]
+Reported = Mapping[str, Any]
 
 
 class Check(NamedTuple):
@@ -52,16 +52,16 @@ class Check(NamedTuple):
     """
 
     metric: str
-    truth: Callable[[Unit, Told], float]
+    truth: Callable[[Unit, Reported], float]
     conservative: bool = False
     where: Mapping[str, Any] = {}
     procedure: str = "static_bias"
 
 
-def scatter_of_bias(kind: str) -> Callable[[Unit, Told], float]:
+def scatter_of_bias(kind: str) -> Callable[[Unit, Reported], float]:
     """Of power-ons, two a day; the noise of a mean is taken off."""
 
-    def truth(unit: Unit, _: Told) -> float:
+    def truth(unit: Unit, _: Reported) -> float:
         within = unit.turn_on**2
         return math.sqrt(
             {"run_to_run": within, "day_to_day": unit.from_day_to_day**2 + within / 2}.get(
@@ -72,8 +72,9 @@ def scatter_of_bias(kind: str) -> Callable[[Unit, Told], float]:
     return truth
 
 
-def of_axis(values: Sequence[float]) -> Callable[[Unit, Told], float]:
-    return lambda _, told: abs(max(values, key=abs) if told["axis"] == "largest" else values[AXES.index(told["axis"])])
+def of_axis(values: Sequence[float]) -> Callable[[Unit, Reported], float]:
+    largest = max(values, key=abs)
+    return lambda _, row: abs(largest if row["axis"] == "largest" else values[AXES.index(row["axis"])])
 
 
 USUAL = Unit("")
@@ -87,7 +88,7 @@ CHECKS = [
     *(
         Check(
             "bias_stability_averaged",
-            lambda _, told: NOISE / math.sqrt(told["average_s"]),
+            lambda _, reported: NOISE / math.sqrt(reported["average_s"]),
             where={"average_s": average_s},
         )
         for average_s in (1.0, 10.0, 100.0)

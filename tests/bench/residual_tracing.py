@@ -25,8 +25,7 @@ import numpy as np
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
-from analytics.loop.tracing.search.candidates import candidates_for
-from analytics.loop.tracing.search.screening import screen
+from analytics.loop.tracing.search.screening import candidates_for, screen
 from tests.bench.loop_campaign import Campaign
 from tests.bench.tracing_cases import DECLARED, MODEL, ROWS, SIZES, Case, cases
 from tests.bench.tracing_outcomes import traced

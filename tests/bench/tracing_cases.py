@@ -13,8 +13,7 @@ import numpy as np
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import EffectKind, Role, Shape
 from analytics.loop.effects.registry import effect, effects
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import DECLARED_MODEL, MISSPECIFIED, Campaign, DenseWhitener, Planted
 
@@ -120,7 +119,7 @@ def built(case: Case) -> Built:
     if case.row == "outside":
         return Built(campaign, _with_outside(campaign, case), ())
     rng = np.random.default_rng((case.seed, 3))
-    planted = tuple(_planted(campaign, name, case.z, rng) for name in case.name.split(" + "))
+    planted = tuple(planted_in(campaign, name, case.z, rng) for name in case.name.split(" + "))
     return Built(campaign, campaign.runs(planted, noise_seed=case.noise_seed), planted)
 
 
@@ -149,7 +148,8 @@ def shape_of(name: str, campaign: Campaign, rng: np.random.Generator) -> Shape:
     return dict(shapes[int(rng.integers(len(shapes)))])
 
 
-def _planted(campaign: Campaign, name: str, z: float, rng: np.random.Generator) -> Planted:
+def planted_in(campaign: Campaign, name: str, z: float, rng: np.random.Generator) -> Planted:
+    """An effect of some shape, of the size that the ideal fit sees with significance `z`."""
     shape = shape_of(name, campaign, rng)
     width = len(effect(name).columns(shape))
     smooth = np.cos(np.linspace(0.0, 3.0, width) + rng.uniform(0.0, 3.0))

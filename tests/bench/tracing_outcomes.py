@@ -11,8 +11,7 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.live.residual_watch import THRESHOLD, cusum, stretches
 from analytics.loop.model.model_registry import ModelVersion
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
-from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from tests.bench.tracing_cases import DECLARED, MODEL, OUTSIDE, Built, Case, built
 from tests.bench.tracing_peers import peers
 
@@ -100,8 +99,8 @@ def _outside(channels: Sequence[str], said: Diagnosis) -> str:
         return {ModelVerdict.UNEXPLAINED: "unexplained", ModelVerdict.NOTHING_MISSING: "missed"}.get(
             said.verdict, "unreplicated"
         )
-    told = {channel for each in said.effects for channel in each.unknown_function_of}
-    if said.verdict is ModelVerdict.UNKNOWN_FUNCTION and told & set(channels):
+    reported = {channel for each in said.effects for channel in each.unknown_function_of}
+    if said.verdict is ModelVerdict.UNKNOWN_FUNCTION and reported & set(channels):
         return "exact"
     if said.verdict in (ModelVerdict.UNEXPLAINED, ModelVerdict.UNREPLICATED, ModelVerdict.CONFOUNDED):
         return said.verdict.value

@@ -17,7 +17,7 @@ from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER
-from analytics.loop.tracing.search.candidates import candidates_for
+from analytics.loop.tracing.search.screening import candidates_for
 from stream.batch import BoolArray, FloatArray, IntArray
 
 PEERS = ("stepwise p<0.01", "stepwise Bonferroni", "Newey-West p<0.01", "BIC", "LassoCV")
@@ -73,11 +73,11 @@ def ordinary(runs: Sequence[RunBlocks], model: ErrorModel) -> Ordinary:
     columns = candidates.columns(0)
     left = columns - basis @ (basis.T @ columns)
     length = np.linalg.norm(left, axis=0)
-    told = length > _LEAST_LEFT * np.linalg.norm(columns, axis=0)
+    reported = length > _LEAST_LEFT * np.linalg.norm(columns, axis=0)
     names = [item.effect.name for item in candidates.items for _ in range(item.width)]
     return Ordinary(
         value=record.value - basis @ (basis.T @ record.value),
-        columns=np.where(told, left / np.where(told, length, 1.0), 0.0),
+        columns=np.where(reported, left / np.where(reported, length, 1.0), 0.0),
         names=names,
         run=number,
     )
@@ -95,8 +95,8 @@ def stepwise(data: Ordinary, stops: Callable[[float, float], bool], *, robust: b
     freedom = data.value.size - data.run.max() - 4
     while len(chosen) < _MOST_TERMS:
         length = np.linalg.norm(columns, axis=0)
-        told: BoolArray = length > _LEAST_LEFT
-        along = np.where(told, columns.T @ residual / np.where(told, length, 1.0), 0.0)
+        reported: BoolArray = length > _LEAST_LEFT
+        along = np.where(reported, columns.T @ residual / np.where(reported, length, 1.0), 0.0)
         best = int(np.argmax(np.abs(along)))
         squares, won = float(residual @ residual), float(along[best] ** 2)
         unit = columns[:, best] / length[best]

@@ -86,7 +86,7 @@ def null_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
 
 
 def _false(lines: Sequence[Line]) -> tuple[int, int]:
-    """Campaigns with an effect before the held-out set, and after it; a jump is told but never counts as confirmed."""
+    """Campaigns with an effect before the held-out set, and after it; a jump never counts as confirmed."""
     confirmed = sum(any(found["replicates"] for found in each["found"]) for each in lines)
     return sum(bool(each["found"] or each["refused"]) for each in lines), confirmed
 
@@ -149,8 +149,8 @@ def design_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
         yield f"\n{what}: {_counted(Counter(each['outcome'] for each in own))}"
         for each in own:
             if not is_right(each):
-                told = f"{_said(each)} {each.get('watch') or ''}"
-                yield f"    {each['outcome']:20s} {each['name']} seed {each['seed']}: {told}"
+                reported = f"{_said(each)} {each.get('watch') or ''}"
+                yield f"    {each['outcome']:20s} {each['name']} seed {each['seed']}: {reported}"
         yield judged("right verdict", sum(map(is_right, own)), len(own), 0.9, most=False)
         wrong = sum(each["verdict"] == "effect_found" and each["outcome"] in ("wrong", "wrong_form") for each in own)
         yield judged("wrong single name", wrong, len(own), 1e-3, most=True)

@@ -169,8 +169,8 @@ def main() -> None:
         found = counted(planned, options.series)
         outside = is_outside(planned, found, len(CASES))
         failed |= outside
-        told = ", ".join(f"{key} {value}" for key, value in found._asdict().items())
-        print(f"{name:44} {told}{'  OUTSIDE' if outside else ''}", flush=True)
+        reported = ", ".join(f"{key} {value}" for key, value in found._asdict().items())
+        print(f"{name:44} {reported}{'  OUTSIDE' if outside else ''}", flush=True)
     sys.exit(failed)
 
 

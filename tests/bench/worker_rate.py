@@ -16,7 +16,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -24,11 +23,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from stream.batch import SampleBatch
-from stream.delivery.publisher import StreamId
-from stream.delivery.recorded_log import LoggedMessage
+from stream.delivery.recorded_log import LogBeginning, LoggedMessage
 from stream.events import AnyDocument, Limit, LimitsApplied, encode_event
 from stream.identity import Place, event_key, sample_key
 from stream.transport.bus import LocalBus
+from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import encode_batch
 from stream.worker.compile_kernels import warm_up
 from stream.worker.worker import EstimationWorker
@@ -60,16 +59,11 @@ class Sink:
         """Nothing is outstanding."""
 
 
-class Beginning(NamedTuple):
-    positions: dict[StreamId, int]
-    ended: frozenset[str]
-
-
 class EmptyLog:
     identity = "bench"
 
-    def beginning(self, *, thorough: bool = False) -> Beginning:
-        return Beginning({}, frozenset())
+    def beginning(self, *, thorough: bool = False) -> LogBeginning:
+        return LogBeginning({}, frozenset())
 
     def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
         return iter(())

@@ -181,7 +181,7 @@ def main() -> None:
             kinds = sorted(victims(store))
             kind = kinds[number] if number < len(kinds) else rng.choice(kinds)  # each at least once
             path = rng.choice(victims(store)[kind])
-            told, touched = inflict(rng, path)
+            reported, touched = inflict(rng, path)
             least = all_samples
             if kind == "segment":
                 original = whole / path.relative_to(folder)
@@ -189,7 +189,7 @@ def main() -> None:
             failure = judge(store, kind, path, all_samples, least)
             done[kind] += 1
             if failure is not None:
-                wrong.append(f"trial {number}, {kind}, {path.relative_to(folder)}, {told}: {failure}")
+                wrong.append(f"trial {number}, {kind}, {path.relative_to(folder)}, {reported}: {failure}")
                 print(wrong[-1], file=sys.stderr)
     seconds = round(time.monotonic() - began)
     result = {"trials": arguments.count, "by_kind": done, "wrong": wrong, "seconds": seconds}

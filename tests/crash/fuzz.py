@@ -329,17 +329,17 @@ class Trial:
 
 
 class Raising:
-    """A handler that fails at every message, and how often that was told."""
+    """A handler that fails at every message, and how often that was reported."""
 
     def __init__(self) -> None:
-        self.heard = self.told = 0
+        self.heard = self.reported = 0
 
     def __call__(self, key: str, payload: bytes) -> None:
         self.heard += 1
         raise ValueError("a handler with a mistake")
 
     def tell(self, failure: threading.ExceptHookArgs) -> None:
-        self.told += failure.exc_type is ValueError
+        self.reported += failure.exc_type is ValueError
         if failure.exc_type is not ValueError:
             sys.__excepthook__(failure.exc_type, failure.exc_value or failure.exc_type(), failure.exc_traceback)
 
@@ -374,8 +374,8 @@ def in_this_process(folder: Path, count: int, rng: random.Random, oversize: int)
         counted = (recorder.counts.rejected, recorder.counts.conflicts)
         if counted != trial.expected:
             wrong.append(f"{counted} were counted as rejected and conflicts, {trial.expected} are malformed")
-    if raising.told != raising.heard or not raising.heard:
-        wrong.append(f"a handler failed at {raising.heard} messages, {raising.told} times it was told")
+    if raising.reported != raising.heard or not raising.heard:
+        wrong.append(f"a handler failed at {raising.heard} messages, {raising.reported} times it was reported")
     found = trial.wrong(store)
     with Catalog(store) as catalog:
         if not catalog.rows("select 1 from estimates where unit = 'GOOD' and final limit 1"):

@@ -117,8 +117,10 @@ class Station:
                     return True
                 self.run += 1
             else:
-                told = self._output[role].with_suffix(".err").read_text()[-500:] + self._output[role].read_text()[-500:]
-                self.failures.append(f"{role} ended by itself with exit code {code}: {told}")
+                reported = (
+                    self._output[role].with_suffix(".err").read_text()[-500:] + self._output[role].read_text()[-500:]
+                )
+                self.failures.append(f"{role} ended by itself with exit code {code}: {reported}")
             self.start(role)
         return False
 
@@ -144,8 +146,8 @@ class Station:
         process.send_signal(signal.SIGINT)
         code = process.wait(PATIENCE_S)
         if code != 0:
-            told = self._output[role].with_suffix(".err").read_text()[-2000:]
-            raise Wrong(f"{role} stopped with exit code {code}: {told}")
+            reported = self._output[role].with_suffix(".err").read_text()[-2000:]
+            raise Wrong(f"{role} stopped with exit code {code}: {reported}")
 
     def close(self) -> None:
         """End whatever is left."""

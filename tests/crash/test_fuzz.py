@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 
+@pytest.mark.in_gate("over Zenoh")
 @pytest.mark.parametrize(("count", "how"), [(5000, ()), (2000, ("--process",))], ids=["in this process", "over Zenoh"])
 def test_what_is_malformed_is_kept_aside_and_hinders_nobody(count: int, how: tuple[str, ...]) -> None:
     program = str(Path(__file__).with_name("fuzz.py"))

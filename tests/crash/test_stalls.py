@@ -89,8 +89,8 @@ def stall(bench: Bench, stall_s: float, lasts_s: float) -> float:
     record.send(signal.SIGCONT)
     assert source.ended(90) == 0, source.errors
     late_s = time.monotonic() - due
-    told = source.said("ended")
-    assert (told["starts"], told["gap_s"]) == (1, 0.0)
+    reported = source.said("ended")
+    assert (reported["starts"], reported["gap_s"]) == (1, 0.0)
     record.stop()
     assert record.process.returncode == 0, record.errors
     return late_s
@@ -132,6 +132,7 @@ def test_stalls_of_a_recorder_and_the_loss_of_a_router_cost_nothing(bench: Bench
     assert max(late) < 20.0, late
 
 
+@pytest.mark.long
 def test_a_slow_consumer_beside_a_recorder_does_not_hold_it_up(bench: Bench) -> None:
     lasts_s = 40.0  # at its pace: 6 M samples, sent as fast as they go
 

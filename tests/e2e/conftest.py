@@ -70,8 +70,8 @@ class Bench:
         out, err = process.communicate(timeout=timeout_s)
         assert process.returncode == code, (out, err)
         assert "Traceback" not in err, err
-        told: dict[str, Any] = json.loads(out.splitlines()[-1])
-        return told, err
+        reported: dict[str, Any] = json.loads(out.splitlines()[-1])
+        return reported, err
 
     @staticmethod
     def refused(words: tuple[object, ...], store: Path) -> str:

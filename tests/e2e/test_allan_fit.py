@@ -83,9 +83,9 @@ def test_a_temperature_has_a_curve_and_no_coefficients(
     assert done.json["coefficients"] is None
     assert "unit FOG-1, signal temperature, run fast: the signal is in degC" in done.json["coefficients_reason"]
     assert len(done.json["tau_s"]) > 6
-    told = gyrofleet(*ask(store, "--fit", "--plot", "t.svg", signal="temperature"))
-    assert told.code == 0
-    assert "No noise coefficients (无噪声系数)" in told.out
+    reported = gyrofleet(*ask(store, "--fit", "--plot", "t.svg", signal="temperature"))
+    assert reported.code == 0
+    assert "No noise coefficients (无噪声系数)" in reported.out
     assert (tmp_path / "t.svg").exists()
 
 

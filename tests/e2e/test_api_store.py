@@ -81,10 +81,10 @@ def test_a_curve_is_that_of_the_array_and_of_the_command(
     plain = gf.allan_deviation(store.samples("G-1", "rate")["value"].to_numpy(), 1.0, unit_of_measure="deg/h")
     for name in ("tau_s", "deviation", "lo", "hi", "edf", "n"):
         np.testing.assert_allclose(getattr(found, name), getattr(plain, name), rtol=1e-12)
-    told = json.loads(
+    reported = json.loads(
         run_command("allan", "--unit", "G-1", "--signal", "rate", "--store", "S", "--json", cwd=folder).out
     )
-    np.testing.assert_allclose(told["value"], found.deviation, rtol=1e-12)
+    np.testing.assert_allclose(reported["value"], found.deviation, rtol=1e-12)
     with pytest.raises(BadInput, match="choose one of"):
         store.allan("G-1", "rate", deviation="tdev")
 

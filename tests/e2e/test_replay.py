@@ -68,8 +68,8 @@ def test_estimates_of_a_replay_equal_the_live_ones_bit_for_bit(
     estimates = found.json["estimates"]
     assert (found.json["every_s"], found.json["samples"]) == (300.0, 2 * n)
     assert estimates["equal"] == estimates["stored"] == estimates["made"] > 100
-    told = gyrofleet("replay", "a")
-    assert f"{estimates['equal']} of {estimates['equal']} estimates equal bit for bit" in told.out
+    reported = gyrofleet("replay", "a")
+    assert f"{estimates['equal']} of {estimates['equal']} estimates equal bit for bit" in reported.out
     other = gyrofleet("replay", "a", "--every", "200")
     assert other.code == 1
     assert "made, but not stored" in other.out

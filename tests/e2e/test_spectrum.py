@@ -67,15 +67,15 @@ def test_the_planted_sine_is_found_within_its_limits(gyrofleet: Callable[..., An
 def test_lines_and_levels_are_told(gyrofleet: Callable[..., Any], store: Path) -> None:
     done = gyrofleet(*ask(store))
     assert done.code == 0
-    told = " ".join(done.out.split())
+    reported = " ".join(done.out.split())
     for words in (
         "Lines (谱线) of FOG-1 rate_x, run long",
         "Power spectral density (功率谱密度)",
         "13 segments of 8,192 samples (40.96 s)",
         "Searched from 0.7324 to 99.29 Hz; of spectra without any line, at most 1 % show one",
     ):
-        assert words in told
-    assert re.search(r"│ 12\.34\d+ ± 0\.000\d+ │ [23]\.\d+ │", told)
+        assert words in reported
+    assert re.search(r"│ 12\.34\d+ ± 0\.000\d+ │ [23]\.\d+ │", reported)
 
 
 def test_without_a_line_that_is_said_with_what_was_tested(gyrofleet: Callable[..., Any], store: Path) -> None:

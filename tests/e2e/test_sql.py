@@ -116,14 +116,14 @@ def test_what_has_no_end_is_ended(statement: str, store: Store, unchanged: None)
 
 
 def test_limits_are_options(folder: Path, run_command: Callable[..., Any]) -> None:
-    def told(*options: object) -> str:
+    def reported(*options: object) -> str:
         done = run_command("sql", *options, "--store", "S", cwd=folder)
         assert done.code == 2
         return str(done.err)
 
-    assert "ended after 0.5 s" in told(sql_corpus.ENDLESS[2], "--max-time", 0.5)
-    assert "more memory than the 0.1 GiB" in told(sql_corpus.ENDLESS[1], "--max-memory", 0.1)
-    assert "more than 10 rows" in told("from samples", "--max-rows", 10, "--csv")
+    assert "ended after 0.5 s" in reported(sql_corpus.ENDLESS[2], "--max-time", 0.5)
+    assert "more memory than the 0.1 GiB" in reported(sql_corpus.ENDLESS[1], "--max-memory", 0.1)
+    assert "more than 10 rows" in reported("from samples", "--max-rows", 10, "--csv")
 
 
 def test_time_in_which_the_reader_rests_does_not_count(store: Store) -> None:

@@ -87,6 +87,7 @@ def _check_run_length(rules: list[int], expected: float, series: int, checks: in
 
 
 # Champ and Woodall 1987, table 1, without a shift: beyond 3 sigma with 2 of 3 beyond 2, with 4 of 5 beyond 1, and both
+@pytest.mark.in_gate("rules3-132.89")
 @pytest.mark.parametrize(
     ("rules", "published"), [([1], 370.40), ([1, 5], 225.44), ([1, 6], 166.05), ([1, 5, 6], 132.89)]
 )

@@ -53,21 +53,21 @@ def gyro_readings(rate: float) -> list[GyroReading]:
     ]
 
 
-def told(found: Separation, *names: str) -> list[float]:
+def reported(found: Separation, *names: str) -> list[float]:
     return [*(found.angles[name].value for name in names), found.gamma.value]
 
 
 @pytest.mark.parametrize("rate", TABLE_1)
 def test_gyro_table_is_reproduced(rate: float) -> None:
     found = gyro_separation(gyro_readings(rate), GYRO_SCALE)
-    np.testing.assert_allclose(told(found, "y0", "x0", "y1", "y2", "z2"), TABLE_1[rate][2], atol=0.1)
+    np.testing.assert_allclose(reported(found, "y0", "x0", "y1", "y2", "z2"), TABLE_1[rate][2], atol=0.1)
 
 
 @pytest.mark.parametrize(("outputs", "printed"), TABLE_2)
 def test_accelerometer_table_is_reproduced(outputs: tuple[float, ...], printed: tuple[float, ...]) -> None:
     readings = [AccelerometerReading(*each) for each in zip((0.0, 180.0, 90.0, 270.0), outputs, strict=True)]
     found = accelerometer_separation(readings, ACCELEROMETER_SCALE)
-    np.testing.assert_allclose(told(found, "y2", "z2"), printed, atol=0.1)
+    np.testing.assert_allclose(reported(found, "y2", "z2"), printed, atol=0.1)
 
 
 def test_mean_gamma_of_the_accelerometer_is_21_1() -> None:
@@ -92,7 +92,7 @@ def test_one_least_squares_over_all_speeds_is_the_closed_form_weighted_by_rate()
     assert found.angles["y2"].value == pytest.approx(closed, rel=1e-9)
     # 30 readings less 5 angles and a V0 for each of 5 positions
     assert found.freedom == 20
-    assert told(found, "y0", "x0", "y1", "y2", "z2") == pytest.approx(
+    assert reported(found, "y0", "x0", "y1", "y2", "z2") == pytest.approx(
         [-7.4602, 2.3853, -53.7849, -162.0727, 56.0242, 171.4826], abs=1e-4
     )
     errors = [found.angles[name].standard_error for name in ("y0", "x0", "y1", "y2", "z2")]

@@ -6,16 +6,16 @@ import pickle
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
-from uuid import UUID
 
 import numpy as np
 import pytest
 
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import Estimator, NoEstimate, all_estimators
 from stream.estimators.spectral_density import SpectralDensity
 from stream.estimators.spectrum.spectral_lines import Spectrum
 from stream.events import EstimatePoint
+from tests.batches import rate_batch
 
 DT_NS = 100_000_000
 
@@ -43,27 +43,7 @@ MOST_BYTES = {"spectral_density": 12 * 4096 + 1024}
 MOST_BYTES_BEHIND = {"spectral_density": 20 * 4096 + 1024}
 
 
-def make(
-    values: FloatArray,
-    first_slot: int = 0,
-    unit: str = "deg/s",
-    times_ns: IntArray | None = None,
-    irregular: bool = False,
-) -> SampleBatch:
-    t0_ns = first_slot * DT_NS if times_ns is None else int(times_ns[0])
-    return SampleBatch(
-        "FOG-1",
-        "rate",
-        "r1",
-        UUID(int=1),
-        max(first_slot, 0),
-        t0_ns,
-        DT_NS,
-        unit,
-        values=values,
-        times_ns=times_ns,
-        irregular=irregular,
-    )
+make = partial(rate_batch, unit="deg/s", dt_ns=DT_NS)
 
 
 def signal(n: int = 6000, seed: int = 1) -> FloatArray:

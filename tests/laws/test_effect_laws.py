@@ -16,8 +16,7 @@ import numpy.typing as npt
 import pytest
 
 from analytics.loop.blocks.run_blocks import Channel
-from analytics.loop.effects.base import Effect, EffectKind, Role
-from analytics.loop.effects.coefficient_units import coefficient_unit, parameter_unit
+from analytics.loop.effects.base import Effect, EffectKind, Role, coefficient_unit, parameter_unit
 from analytics.loop.effects.registry import effect, effects, effects_for, unavailable_effects
 from stream.errors import BadInput
 from stream.quantities import check_unit
@@ -105,7 +104,7 @@ def test_units_can_be_read_whatever_the_channels_are_in(name: str) -> None:
 
 
 @EVERY
-def test_columns_are_finite_as_many_as_told_and_leave_their_input_alone(name: str) -> None:
+def test_columns_are_finite_as_many_as_reported_and_leave_their_input_alone(name: str) -> None:
     for run in recorded(name):
         before = {each: (channel.mean.copy(), channel.spread.copy()) for each, channel in run.channels.items()}
         first = effect(name).regressors(run, shape_of(name))
@@ -184,7 +183,7 @@ def test_where_a_channel_has_no_reading_only_those_blocks_are_lost(name: str) ->
 
 
 @EVERY
-def test_a_missing_or_constant_channel_is_told(name: str) -> None:
+def test_a_missing_or_constant_channel_is_reported(name: str) -> None:
     runs = recorded(name)
     assert effect(name).unavailable(runs) is None
     for needed in effect(name).needs:

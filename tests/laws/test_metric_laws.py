@@ -173,10 +173,10 @@ def test_a_row_says_what_it_rests_on(simulated: Simulated, name: str) -> None:
         assert all(row[each] for each in ("unit_of_measure", "standard", "clause")), row
 
 
-def test_rows_are_told_apart_by_what_they_say(simulated: Simulated) -> None:
+def test_rows_are_distinguished_by_what_they_say(simulated: Simulated) -> None:
     keys = ["metric", "unit", "signal", "run", "parameters", "standard", "clause", "steps"]
-    told = [tuple(str(row[name]) for name in keys) for row in simulated.table.to_pylist()]
-    assert len(told) == len(set(told))
+    reported = [tuple(str(row[name]) for name in keys) for row in simulated.table.to_pylist()]
+    assert len(reported) == len(set(reported))
 
 
 def comparable(table: pa.Table) -> list[tuple[str, ...]]:

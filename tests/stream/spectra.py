@@ -1,13 +1,12 @@
 """Batches, spectra and their comparison."""
 
-from uuid import UUID
-
 import numpy as np
 
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
 from stream.estimators.spectral_density import SpectralDensity
 from stream.estimators.spectrum.spectral_lines import SpectralLine, Spectrum
+from tests.batches import rate_batch
 
 DT_NS = 10_000_000
 
@@ -15,27 +14,7 @@ DT_NS = 10_000_000
 RATE_HZ = 100.0
 
 
-def make(
-    values: FloatArray,
-    first_slot: int = 0,
-    unit: str = "deg/h",
-    times_ns: IntArray | None = None,
-    irregular: bool = False,
-) -> SampleBatch:
-    t0_ns = first_slot * DT_NS if times_ns is None else int(times_ns[0])
-    return SampleBatch(
-        "FOG-1",
-        "rate",
-        "r1",
-        UUID(int=1),
-        first_slot,
-        t0_ns,
-        DT_NS,
-        unit,
-        values=values,
-        times_ns=times_ns,
-        irregular=irregular,
-    )
+make = rate_batch
 
 
 def fed(batches: list[SampleBatch], segment_samples: int = 256) -> SpectralDensity:

@@ -1,4 +1,4 @@
-"""Run documents keep their content on the wire and are told apart by their kind."""
+"""Run documents keep their content on the wire and are distinguished by their kind."""
 
 import typing
 

@@ -3,13 +3,13 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
 
 from stream.batch import SampleBatch
-from stream.delivery.publisher import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
+from stream.delivery.publisher import DurablePublisher
+from stream.delivery.recorded_log import LogBeginning, LoggedMessage
 from stream.events import AnyDocument, Limit, LimitsApplied, RunEnded, StreamTotal, decode_event, encode_event
 from stream.identity import (
     ACKNOWLEDGEMENT_KEY,
@@ -22,6 +22,7 @@ from stream.identity import (
     sample_key,
 )
 from stream.transport.bus import LocalBus
+from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 from stream.wire.batches import decode_batch, encode_batch
 from stream.worker.worker import EstimationWorker
 
@@ -47,17 +48,6 @@ LIMITS = (
 )
 
 
-class Message(NamedTuple):
-    stream: StreamId
-    next_seq: int
-    payload: bytes
-
-
-class Beginning(NamedTuple):
-    positions: dict[StreamId, int]
-    ended: frozenset[str]
-
-
 class MemoryLog:
     """A recorder that keeps everything in memory and acknowledges it at once."""
 
@@ -65,16 +55,16 @@ class MemoryLog:
 
     def __init__(self, bus: LocalBus) -> None:
         self._bus = bus
-        self.messages: list[Message] = []
+        self.messages: list[LoggedMessage] = []
         bus.subscribe(EVERYTHING, self._on_message)
 
     def _on_message(self, key: str, payload: bytes) -> None:
         if isinstance(parse_key(key), SampleKey):
             batch = decode_batch(payload)
-            message = Message(StreamId(key, batch.epoch.hex), batch.next_seq, payload)
+            message = LoggedMessage(StreamId(key, batch.epoch.hex), batch.next_seq, payload)
         else:
             event = decode_event(payload)
-            message = Message(StreamId(key, event.epoch), event.seq + 1, payload)
+            message = LoggedMessage(StreamId(key, event.epoch), event.seq + 1, payload)
         if message.next_seq > self.positions().get(message.stream, 0):
             self.messages.append(message)
         position = StreamPosition(*message.stream, message.next_seq)
@@ -83,16 +73,16 @@ class MemoryLog:
     def positions(self) -> dict[StreamId, int]:
         return {message.stream: message.next_seq for message in self.messages}
 
-    def beginning(self, *, thorough: bool = False) -> Beginning:
+    def beginning(self, *, thorough: bool = False) -> LogBeginning:
         self.was_read_thoroughly = thorough
-        return Beginning({}, frozenset())
+        return LogBeginning({}, frozenset())
 
     def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
         for message in self.since(positions):
             if isinstance(parse_key(message.stream.key), EstimateKey):
                 yield decode_event(message.payload).document.uid
 
-    def since(self, positions: Mapping[StreamId, int]) -> Iterator[Message]:
+    def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
         return iter([each for each in self.messages if each.next_seq > positions.get(each.stream, 0)])
 
 

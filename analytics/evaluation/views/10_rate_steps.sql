@@ -1,7 +1,7 @@
 -- Steps of gyro outputs. `deg_per_h` turns the output into deg/h of the input: by the scale factor that was last valid
 -- before the step ended, also where the output is a rate already; else by the output's unit where that is an angular
 -- rate, else by the nominal scale factor of the product. `scale_source` says which. `output_unit` is what scale factors
--- are in: deg/s for all rates. A rate that is given or told by another instrument is no gyro's output.
+-- are in: deg/s for all rates. A rate that is given or measured by another instrument is no gyro's output.
 create or replace macro is_instrument_name(signal) as
   regexp_matches(lower(signal), '^(table|input|chamber|command|set_?point|vibration|stage|platform|encoder|earth)'
     '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$');

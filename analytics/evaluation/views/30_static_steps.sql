@@ -1,5 +1,5 @@
 -- Steps in which a unit stands still and records: the ground of the bias family, in deg/h. Where no rate was commanded
--- the table tells: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
+-- the table decides: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
 -- them, so the evaluation keeps them as the table still_steps once the scale factors are known.
 create or replace view internal.standing_steps as
@@ -8,7 +8,7 @@ with moving as (
     frequency is not null or case when rate_command is null then abs(coalesce(input_rate, 0)) > 0.01
       else rate_command <> 0 end as moves
   from rate_steps
-), told as (
+), turning as (
   select *, bool_or(moves) over (partition by run, unit, signal, "procedure") as turns from moving
 )
 select * exclude (moves),
@@ -18,7 +18,7 @@ select * exclude (moves),
   -- the position tells how the Earth's rate enters, the latitude how much
   earth_projection(position, 45, signal) is not null as is_attitude_known,
   case when date_known then cast(timezone(time_zone, make_timestamptz(t_from_ns // 1000)) as date) end as day
-from told
+from turning
 where not moves;
 
 create or replace table internal.still_steps as from internal.standing_steps limit 0;

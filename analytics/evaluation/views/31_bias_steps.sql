@@ -2,7 +2,7 @@
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
 -- `remark` flags what is shorter than the clauses ask for.
 create or replace view internal.bias_steps as
-with told as (
+with counted as (
   select *,
     count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure")
       as temperatures
@@ -17,6 +17,6 @@ select *,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
   case when duration_s < 3590 then
     'record of ' || round(duration_s)::bigint || ' s: the clauses ask for one hour as a rule' end as remark
-from told
+from counted
 where not turns and phase is null and axis is null and temperatures = 1
   and not is_no_bias_procedure("procedure");

@@ -4,7 +4,7 @@
 -- degC (of two that are as near, the one measured first), at most 10 degC from it; points nearer to it than 1 degC are
 -- no points, their quotient would be noise.
 create or replace view internal.bias_temperature_points as
-with told as (
+with placed as (
   select *,
     -- what was set tells the room: a unit warms itself above it
     coalesce(temperature_command, temperature) as set_to,
@@ -20,7 +20,7 @@ with told as (
     case when bool_or(room) over curve then room
       else coalesce(set_to = arg_min(set_to, (from_20, "index")) filter (n > 0) over curve and from_20 <= 10, false)
       end as is_room
-  from told
+  from placed
   where regexp_matches("procedure", '^bias_temperature|零偏温度') or temperatures > 1
     and not regexp_matches(coalesce("procedure", ''),
       '^(scale_factor|attitude_unit|misalignment|bias_(shock|vibration))')

@@ -1,5 +1,5 @@
 -- How the bias has changed from before a shock or vibration to after it: a row for each axis of a test, deg/h. Which
--- of the two it was (`cause`) is told by the name of the procedure, else of the step.
+-- of the two it was (`cause`) is known by the name of the procedure, else of the step.
 create or replace view internal.bias_changes as
 with phased as (
   select *,

@@ -8,7 +8,7 @@ with still as (
   select run, unit, signal, count(*) as all_steps from step_means group by all
 ), fitted as (
   select run, unit, signal, arg_max(document, t_ns) as document from events where kind = 'NoiseFitted' group by all
-), told as (
+), expected as (
   select s.*, f.document,
     unnest(['quantization_noise', 'angle_random_walk', 'bias_instability', 'rate_random_walk', 'rate_ramp'])
       as coefficient
@@ -18,7 +18,7 @@ with still as (
   where f.document is not null or regexp_matches(s."procedure", '^allan|Allan')
 ), parsed as (
   -- the fit is of the output in deg/h by its unit, the coefficients are of the input
-  select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale from told
+  select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale from expected
 )
 select unit, signal, run, "index", coefficient, n, duration_s,
   case when (found->>'$.observable')::boolean then (found->>'$.value')::double * scale end as value,

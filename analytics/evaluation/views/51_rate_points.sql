@@ -1,6 +1,6 @@
 -- Steps of which a scale factor is made: the table turning about the input axis, or at rest before and after. `output`
 -- is in deg/s where the source gives a rate, else in its own unit. Threshold and resolution tests hold a scale factor
--- too, whose steps are told by their names.
+-- too, whose steps are known by their names.
 create or replace view internal.rate_points as
 select
   run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, product, "index", n,

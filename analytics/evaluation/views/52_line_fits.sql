@@ -9,16 +9,16 @@ create or replace macro sum_of_products(a, b) as list_sum([z[1] * z[2] for z in 
 create or replace macro weighted_variance(weights, u, freedoms, residuals) as
   list_transform(list_transform(
     [{
-      told: case when list_count(u) = len(u) then list_sum([(z[1] * z[2]) ** 2 for z in list_zip(weights, u)]) end,
+      given: case when list_count(u) = len(u) then list_sum([(z[1] * z[2]) ** 2 for z in list_zip(weights, u)]) end,
       fourth: list_sum([(z[1] * z[2]) ** 4 / greatest(z[3], 1) for z in list_zip(weights, u, freedoms)]),
       seen: case when len(residuals) > 2
         then sum_of_products(weights, weights) * sum_of_products(residuals, residuals) / (len(residuals) - 2) end,
       spare: len(residuals) - 2
     }],
-    lambda q_: {told: q_.told, nu: case when q_.fourth > 0 then q_.told ** 2 / q_.fourth else 1e9 end, seen: q_.seen,
+    lambda q_: {given: q_.given, nu: case when q_.fourth > 0 then q_.given ** 2 / q_.fourth else 1e9 end, seen: q_.seen,
       spare: q_.spare}),
-    lambda q_: case when q_.seen > coalesce(q_.told, 0) then {variance: q_.seen, freedom: q_.spare::double}
-      else {variance: q_.told, freedom: q_.nu} end)[1];
+    lambda q_: case when q_.seen > coalesce(q_.given, 0) then {variance: q_.seen, freedom: q_.spare::double}
+      else {variance: q_.given, freedom: q_.nu} end)[1];
 
 -- Standard uncertainties of the residuals: sqrt(sum_k (delta_jk - H_jk)^2 u_k^2), H the hat matrix of the line; null
 -- where that of a point is unknown, as of a single sample.

@@ -6,20 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
+from analytics.loop.blocks import derived
 from analytics.loop.blocks import reduction_notes as notes_on
-from analytics.loop.blocks.derived import (
-    assumed_axis,
-    commanded_in,
-    source_of_input_rate,
-    split_at_power_ons,
-    with_motion,
-    with_times,
-    without_rest,
-)
+from analytics.loop.blocks.derived import unresolved
 from analytics.loop.blocks.join import ChannelJoiner
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.outliers import RateSeries
-from analytics.loop.blocks.rate_edges import unresolved
 from analytics.loop.blocks.record_checks import check_channels, check_labels, check_runs, clock_offsets
 from analytics.loop.blocks.reduction_notes import LEAST_SHARE, Note
 from analytics.loop.blocks.run_blocks import RunBlocks
@@ -55,19 +47,6 @@ class Reduction:
 class BlockReducer:
     """Reduces units of a store one after the other; the station's channels are reduced once for all units of a run.
 
-    Parameters
-    ----------
-    catalog: The store.
-    signal: Name of the signal; an angular rate is returned in deg/h, another signal in its own unit.
-    block_s: Length of a block, seconds. Whole seconds are read from rollups, others from the samples.
-    runs: Runs to reduce; by default all that have the signal.
-    since_ns, until_ns: Time range of the samples.
-    tolerance_s: Longest time from a reading at which a channel is valid; by default a block, or the channel's own
-        interval where that is longer.
-    channels: Other outputs of the units that are to be channels.
-
-    Notes
-    -----
     For the mean of a block and its uncertainty see `block_means`. A channel with four or more readings a block, or read
     at the times of the samples, is its mean over the block's readings; one with fewer is interpolated at the mean time
     of the signal's samples between readings at most two tolerances apart, else it is the nearest within the tolerance,
@@ -75,17 +54,16 @@ class BlockReducer:
     """
 
     catalog: Catalog
-    signal: str
+    signal: str  # an angular rate is returned in deg/h, another signal in its own unit
     _: KW_ONLY
-    block_s: float = BLOCK_S
-    runs: Collection[str] | None = None
+    block_s: float = BLOCK_S  # whole seconds are read from rollups, others from the samples
+    runs: Collection[str] | None = None  # by default all that have the signal
     since_ns: int | None = None
     until_ns: int | None = None
-    tolerance_s: float | None = None
-    channels: Collection[str] = ()
+    tolerance_s: float | None = None  # of a channel's readings; by default a block, or their interval if longer
+    channels: Collection[str] = ()  # other outputs of the units that are to be channels
 
     def __post_init__(self) -> None:
-        """Refuse lengths that are not positive."""
         if not 0 < self.block_s <= _LONGEST_S:
             raise BadInput(f"blocks of {self.block_s:g} s: give a positive number of seconds, {_LONGEST_S:g} at most")
         if self.tolerance_s is not None and not (np.isfinite(self.tolerance_s) and self.tolerance_s > 0):
@@ -99,10 +77,8 @@ class BlockReducer:
     def reduce(self, unit: str) -> Reduction:
         """Runs of a unit as blocks, with notes on the reduction.
 
-        Raises
-        ------
-        NotFound: If the store lacks the signal in that time range, or a named run.
-        BadInput: If the runs have the signal in incompatible units of measure.
+        NotFound if the store lacks the signal in that time range, or a named run; BadInput if the runs have the signal
+        in incompatible units of measure.
         """
         records = records_of(self.catalog, unit, self.signal, self.runs)
         found = self._means(unit, records)
@@ -122,7 +98,7 @@ class BlockReducer:
         notes += notes_on.power_ons(split, len(runs))
         blocks = [part for own in parts for part in own if len(part) > 0]
         if not any(source.name == "table_acceleration" for each in runs for source in each.sources):
-            blocks = without_rest(blocks)
+            blocks = derived.without_rest(blocks)
         if not blocks:
             raise NotFound(
                 f"unit {unit}, signal {self.signal}: no block is left: {'; '.join(note.text for note in notes)}"
@@ -211,14 +187,14 @@ class BlockReducer:
         """Add the channels that follow from the record, mark the blocks that they do not resolve, and note both."""
         recorded = [run.blocks for run in runs]
         numbers = position_numbers(self.catalog)
-        turns, notes = assumed_axis({run.name: run.steps for run in runs}, recorded)
+        turns, notes = derived.assumed_axis({run.name: run.steps for run in runs}, recorded)
         for run in runs:
-            run.blocks = with_motion(run.blocks, run.found, run.steps, turns, numbers)
+            run.blocks = derived.with_motion(run.blocks, run.found, run.steps, turns, numbers)
             if (source := run.reference) is not None:
                 changes = self._joiner.changes(source, run.blocks.slot, run.blocks.t0_ns)
-                commanded = commanded_in(run.blocks, run.found, run.steps)
+                commanded = derived.commanded_in(run.blocks, run.found, run.steps)
                 run.is_unresolved = unresolved(run.blocks, changes, source.interval_s, commanded, run.is_lost)
-        notes += source_of_input_rate(recorded, [run.blocks for run in runs])
+        notes += derived.source_of_input_rate(recorded, [run.blocks for run in runs])
         notes += notes_on.positions({step.position for run in runs for step in run.steps if step.position}, numbers)
         notes += notes_on.no_power_on([run.name for run in runs if not run.has_power_on], len(runs))
         interval_s = max((run.reference.interval_s for run in runs if run.reference is not None), default=0.0)
@@ -237,8 +213,8 @@ class BlockReducer:
         for run in runs:
             clean = run.blocks.part(~run.is_lost)
             counted_from = run.power_on_ns or ([] if run.blocks.is_table else [run.record.first_ns])
-            timed = with_times(clean, counted_from, first_day_ns)
-            parts.append(split_at_power_ons(timed, run.power_on_ns, _FEWEST_BLOCKS))
+            timed = derived.with_times(clean, counted_from, first_day_ns)
+            parts.append(derived.split_at_power_ons(timed, run.power_on_ns, _FEWEST_BLOCKS))
         return parts
 
     def _power_ons(self, unit: str) -> dict[str, list[int]]:

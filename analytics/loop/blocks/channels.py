@@ -1,4 +1,4 @@
-"""Channels beside a signal: put into their standard units and joined to its blocks by time."""
+"""Channels beside a signal: in standard units, joined to its blocks by time; angles, which may wrap, as phasors."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.loop.blocks.run_blocks import SECOND_NS, Channel
+from analytics.loop.blocks.run_blocks import HARMONICS, SECOND_NS, Channel, ComplexArray
 from analytics.loop.blocks.signal_blocks import Grid, SignalBlocks
 from stream.batch import FloatArray, IntArray
 from stream.errors import UnknownUnit
@@ -23,6 +23,9 @@ _STANDARD_UNITS = (
     (("angle",), "deg"),
     (("time_since_power_on",), "s"),
 )
+_HALF_TURN_DEG = 180.0
+_TURNING_DEG, _TRUSTED_DEG = 10.0, 15.0
+"""Angle between two readings above which a rate is compared with them, and the largest accepted difference."""
 
 
 class Readings(NamedTuple):
@@ -47,8 +50,6 @@ class StandardUnit(NamedTuple):
 def standard_unit(name: str, unit_of_measure: str) -> StandardUnit:
     """Standard unit of a channel; its own unit where that cannot be converted.
 
-    Examples
-    --------
     >>> tuple(standard_unit("case_temperature", "kelvin")), standard_unit("temperature", "count").name
     (('degC', 1.0, -273.15), 'count')
     """
@@ -68,8 +69,6 @@ def interpolated(at_s: FloatArray, readings: Readings, tolerance_s: float) -> Fl
 
     Else the value of the nearest reading within the tolerance; else NaN.
 
-    Examples
-    --------
     >>> readings = Readings(np.array([0.0, 10.0, 100.0]), np.array([0.0, 1.0, 7.0]))
     >>> interpolated(np.array([5.0, 14.0, 50.0, 104.0]), readings, 5.0).tolist()
     [0.5, 1.0, nan, 7.0]
@@ -109,8 +108,6 @@ def ranges(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: 
 
     Readings come as seconds that begin at `t_s`, with the least and the greatest value of each.
 
-    Examples
-    --------
     >>> t_s, value = np.array([0.0, 5.0, 10.0, 15.0, 20.0]), np.array([0.0, 0.0, 0.0, 7.0, 7.0])
     >>> ranges(np.array([0, 1, 2]), 5.0, t_s, value, value).tolist()
     [0.0, 0.0, 7.0]
@@ -133,3 +130,118 @@ def readings_of(batches: Iterable[pa.RecordBatch], grid: Grid) -> Readings:
         return Readings(np.empty(0), np.empty(0))
     t_ns, value = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Readings((t_ns - grid.t0_ns) / SECOND_NS, value)
+
+
+class AngleBlocks:
+    """Block means of an angle that is read piece by piece and may wrap; `factor_deg` converts it to degrees.
+
+    >>> angle = AngleBlocks(Grid(0, 0, 10**12), 2 * 10**9, 1.0)
+    >>> angle.update(np.array([0, 1, 2, 3]) * 10**9, np.array([350.0, 0.0, 10.0, 20.0]))
+    >>> angle.channel(np.array([0, 1])).mean.tolist()
+    [355.0, 375.0]
+    """
+
+    def __init__(self, grid: Grid, block_ns: int, factor_deg: float) -> None:
+        self._t0_ns, self._block_ns, self._factor = grid.t0_ns, block_ns, factor_deg
+        self._last_deg: float | None = None
+        self._slots: list[IntArray] = []
+        self._sums: list[ComplexArray] = []
+
+    def update(self, t_ns: IntArray, value: FloatArray) -> None:
+        """Add readings in the order of time."""
+        if len(t_ns) == 0:
+            return
+        wrapped = value * self._factor
+        before = wrapped[0] if self._last_deg is None else self._last_deg
+        degrees = before + np.cumsum(_wrapped(np.diff(wrapped, prepend=before)))
+        self._last_deg = float(degrees[-1])
+        slots = (t_ns - self._t0_ns) // self._block_ns
+        starts = np.flatnonzero(np.diff(slots, prepend=slots[0] - 1))
+        turn = np.exp(1j * np.radians(degrees))
+        columns = [np.ones_like(turn), degrees, degrees**2, *(turn**k for k in range(1, HARMONICS + 1))]
+        self._slots.append(slots[starts])
+        self._sums.append(np.array([np.add.reduceat(column, starts) for column in columns]).T)
+
+    def channel(self, slot: IntArray) -> Channel:
+        """The channel at these blocks; NaN where it has no readings."""
+        if not self._slots:
+            empty = np.full(len(slot), np.nan)
+            return Channel(empty, np.zeros(len(slot)), "deg", np.full((HARMONICS, len(slot)), np.nan + 0j))
+        return _channel(slot, np.concatenate(self._slots), np.concatenate(self._sums))
+
+
+def _channel(slot: IntArray, of: IntArray, terms: ComplexArray) -> Channel:
+    """An angle at some blocks from columns of weight, angle, its square and its phasors, each of the block `of`."""
+    slots, row = np.unique(of, return_inverse=True)
+    sums = np.zeros((len(slots), 3 + HARMONICS), np.complex128)
+    np.add.at(sums, row, terms)
+    means = sums[:, 1:] / sums[:, :1]
+    mean = means[:, 0].real
+    spread = np.sqrt(np.maximum(means[:, 1].real - mean**2, 0.0))
+    at = np.clip(np.searchsorted(slots, slot), 0, len(slots) - 1)
+    is_read = slots[at] == slot
+    return Channel(
+        np.where(is_read, mean[at], np.nan),
+        np.where(is_read, spread[at], 0.0),
+        "deg",
+        np.where(is_read, means[at, 2:].T, np.nan),
+    )
+
+
+def polled_angle(slot: IntArray, block_s: float, readings: Readings, rate_deg_per_s: FloatArray) -> Channel | None:
+    """An angle in degrees that is read once or a few times in a block, with a rate that continues it from there.
+
+    A reading is of one moment, the rate a mean over an interval: the interval that begins with the reading, ends with
+    it or is centred on it, whichever makes the readings consistent. The mean of exp(1j*k*angle) over an interval is
+    then known for any number of revolutions in it. None where the rate is not that of the angle. `rate_deg_per_s` is
+    the mean rate about each reading, NaN where it is unknown.
+
+    >>> t_s = np.arange(0.0, 300.0, 30.0)
+    >>> found = polled_angle(np.arange(10), 30.0, Readings(t_s, 20.0 * t_s % 360.0), np.full(10, 20.0))
+    >>> bool(np.abs(found.phasors).max() < 0.2)
+    True
+    """
+    t_s, degrees = readings
+    if len(t_s) < 2:
+        return None
+    interval_s = float(np.median(np.diff(t_s)))
+    rate = np.nan_to_num(rate_deg_per_s)
+    is_next = np.abs(np.diff(t_s) - interval_s) < 0.1 * interval_s
+    before, after = rate[:-1], rate[1:]
+    turned = {0.5: before, -0.5: after, 0.0: 0.5 * (before + after)}
+    moved = np.diff(degrees)
+    missed = {at: _wrapped(moved - each * interval_s) for at, each in turned.items()}
+    is_informative = is_next & (np.abs(after - before) * interval_s > _TURNING_DEG)
+    if not is_informative.any():
+        is_informative = is_next
+    middle = min(
+        missed, key=lambda at: float(np.abs(missed[at])[is_informative].mean()) if is_informative.any() else 0.0
+    )
+    is_turning = is_next & (np.abs(turned[middle]) * interval_s > _TURNING_DEG)
+    if is_turning.any() and float(np.median(np.abs(missed[middle][is_turning]))) > _TRUSTED_DEG:
+        return None
+    unwrapped = degrees[0] + np.concatenate([[0.0], np.cumsum(turned[middle] * interval_s + missed[middle])])
+    centre = unwrapped + middle * rate * interval_s
+    order = np.arange(1, HARMONICS + 1)[:, None]
+    phasors = np.exp(1j * np.radians(order * centre)) * np.sinc(order * rate * interval_s / 360.0)
+    width = np.abs(rate) * interval_s / np.sqrt(12.0)
+    terms = np.column_stack([np.ones_like(centre), centre, centre**2 + width**2, phasors.T])
+    return _channel(slot, np.floor(t_s / block_s).astype(np.int64), terms)
+
+
+def _wrapped(degrees: FloatArray) -> FloatArray:
+    return np.asarray(degrees - 360.0 * np.round(degrees / 360.0))
+
+
+def without_aliases(angle: Channel, rate_deg_per_s: FloatArray, interval_s: float) -> Channel:
+    """An angle where its readings resolve it: phasor k is 0 where k times the angle turns by half a revolution or more
+    between two of them, as of whole revolutions; the mean is NaN where the angle does.
+    """
+    if angle.phasors is None:
+        return angle
+    turned = np.abs(np.nan_to_num(rate_deg_per_s)) * interval_s
+    phasors = angle.phasors.copy()
+    for k in range(1, HARMONICS + 1):
+        phasors[k - 1, turned * k >= _HALF_TURN_DEG] = 0.0
+    mean = np.where(turned >= _HALF_TURN_DEG, np.nan, angle.mean)
+    return Channel(mean, angle.spread, angle.unit_of_measure, phasors)

@@ -7,15 +7,17 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.loop.blocks.angles import AngleBlocks, polled_angle, without_aliases
 from analytics.loop.blocks.channels import (
+    AngleBlocks,
     Readings,
     interpolated,
     joined_blocks,
     joined_readings,
+    polled_angle,
     ranges,
     readings_of,
     standard_unit,
+    without_aliases,
 )
 from analytics.loop.blocks.outliers import RateSeries, is_far_outside, motion, moves
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel
@@ -37,32 +39,18 @@ class Outliers(NamedTuple):
     farthest: float
 
 
-class JoinedChannels(NamedTuple):
-    """The channels of a run, their outliers by name, and the blocks in which the signal itself has an outlier."""
-
-    channels: dict[str, Channel]
-    outliers: dict[str, Outliers]
-    is_far: BoolArray
-
-
 class _Joined(NamedTuple):
-    """A channel at the blocks of a signal, without and with outliers; the blocks that contain outliers.
-
-    `reading` is the outlier of each block in the stored unit, NaN where there is none.
-    """
+    """A channel at the blocks of a signal, without and with outliers; the blocks that contain outliers."""
 
     channel: Channel
     with_far: Channel
     is_far: BoolArray
-    reading: FloatArray
+    reading: FloatArray  # outlier of each block in the stored unit; NaN where there is none
     outliers: Outliers = Outliers(0, 0.0)
 
 
 class ChannelJoiner:
-    """Joins channels to blocks; blocks of an instrument are reused for the next unit of its run.
-
-    For the parameters see `BlockReducer`.
-    """
+    """Joins channels to blocks, see `BlockReducer`; blocks of an instrument are reused for the next unit of its run."""
 
     def __init__(self, catalog: Catalog, block_s: float, tolerance_s: float | None = None) -> None:
         self._catalog = catalog
@@ -100,8 +88,8 @@ class ChannelJoiner:
 
     def channels(
         self, sources: Sequence[ChannelSource], signal: SignalBlocks, grid: Grid, own: RateSeries | None
-    ) -> JoinedChannels:
-        """Prepared channels of a run at the blocks of the signal, without outliers.
+    ) -> tuple[dict[str, Channel], dict[str, Outliers], BoolArray]:
+        """Prepared channels of a run without outliers, these by channel, and the blocks with one of the signal itself.
 
         An outlier that another rate shows as well, the signal included, is motion and kept; `own` is the signal if it
         is an angular rate.
@@ -122,7 +110,7 @@ class ChannelJoiner:
                 if angle.phasors is not None:
                     polled = self._polled(by_name[name], by_name["table_rate"], signal, grid)
                     found[name] = polled or without_aliases(angle, table.mean, by_name[name].interval_s)
-        return JoinedChannels(found, outliers, is_far)
+        return found, outliers, is_far
 
     def changes(self, source: ChannelSource, slot: IntArray, t0_ns: int) -> FloatArray:
         """Range of a channel about each block, in its standard unit, see `ranges`."""
@@ -169,7 +157,10 @@ class ChannelJoiner:
 
     def _readings(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         """A channel by its single readings."""
-        unit, readings = standard_unit(source.name, source.unit_of_measure), self._all_readings(source, grid)
+        unit, readings = (
+            standard_unit(source.name, source.unit_of_measure),
+            readings_of(self._batches(source, grid), grid),
+        )
         intervals = np.diff(readings.t_s)
         tolerance_s = self._tolerance(float(np.median(intervals)) if len(intervals) else 0.0)
         raw = joined_readings(signal, readings, unit, tolerance_s)
@@ -190,7 +181,7 @@ class ChannelJoiner:
             or rate.kept_raw < rate.samples
         ):
             return None
-        turned, rates = (self._all_readings(each, grid) for each in (angle, rate))
+        turned, rates = (readings_of(self._batches(each, grid), grid) for each in (angle, rate))
         if not len(rates.t_s):
             return None
         degrees = turned.value * standard_unit(angle.name, angle.unit_of_measure).factor
@@ -210,9 +201,6 @@ class ChannelJoiner:
     def _wide(self, grid: Grid) -> Grid:
         beside_ns = _BESIDE * self._block_ns
         return Grid(grid.t0_ns, grid.first_ns - beside_ns, grid.last_ns + beside_ns)
-
-    def _all_readings(self, source: ChannelSource, grid: Grid) -> Readings:
-        return readings_of(self._batches(source, grid), grid)
 
     def _batches(self, source: ChannelSource, grid: Grid) -> Iterator[pa.RecordBatch]:
         wide = self._wide(grid)
@@ -255,7 +243,6 @@ def _with_motion(joined: _Joined, shown: BoolArray) -> _Joined:
 
 
 def _plain(channel: Channel) -> _Joined:
-    """A channel without outliers."""
     blocks = len(channel.mean)
     return _Joined(channel, channel, np.zeros(blocks, dtype=np.bool_), np.full(blocks, np.nan))
 

@@ -1,7 +1,7 @@
 """What was left out of a record before anything was fitted, as shares of the information in it."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -10,7 +10,7 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray, FloatArray
 
-TOLD, GRAVE = 0.2, 0.5
+REPORTED, GRAVE = 0.2, 0.5
 """Share of a kind of run or of a channel's excitation that is worth a word, and one without which nothing is denied."""
 FAR_OUTSIDE = Bilingual("a reading of the signal lies far outside its neighbours", "信号有读数远离其前后读数")
 FEW_SAMPLES = Bilingual("they hold too few samples", "采样过少")
@@ -23,20 +23,12 @@ _AT_EDGES = frozenset({"table_acceleration"})  # blocks across an edge hold all 
 
 
 class LeftOut(msgspec.Struct, frozen=True):
-    """Something that was left out.
-
-    Parameters
-    ----------
-    what: Blocks, runs of a kind, a step, or a channel's excitation.
-    share: Part of it that was left out, 0 to 1.
-    why: As a sentence.
-    is_grave: Whether what remains cannot show that nothing is missing.
-    """
+    """Something that was left out: blocks, runs of a kind, a step, or a channel's excitation."""
 
     what: Bilingual
-    share: float
+    share: float  # part of it that was left out, 0 to 1
     why: Bilingual
-    is_grave: bool = False
+    is_grave: bool = False  # whether what remains cannot show that nothing is missing
 
     def document(self) -> dict[str, object]:
         """Return it as it stands in JSON."""
@@ -52,16 +44,10 @@ class LeftOut(msgspec.Struct, frozen=True):
 
 
 class Loss(msgspec.Struct, frozen=True):
-    """Blocks that were left out for one reason.
-
-    Parameters
-    ----------
-    why: The reason.
-    rows: Blocks of each run that were left out for it, by the name of the run; a run that lost none may be missing.
-    """
+    """Blocks that were left out for one reason."""
 
     why: Bilingual
-    rows: Mapping[str, BoolArray]
+    rows: Mapping[str, BoolArray]  # by the name of the run; a run that lost none may be missing
 
 
 def left_out(
@@ -69,46 +55,33 @@ def left_out(
 ) -> tuple[LeftOut, ...]:
     """Return what losses of blocks mean for runs: how many, of which kind of run, step and excitation; worst first.
 
-    Parameters
-    ----------
-    runs: All blocks, those that were left out included.
-    losses: Why, and which; a block that is in several counts for the first.
-    steps: By run and name of a step, the blocks that lie in it.
+    `runs` have all blocks, those left out included; a block in several losses counts for the first. `steps` are the
+    blocks that lie in each step, by run and name of the step.
     """
-    gone = _total(runs, losses)
+    gone = {run.run: np.zeros(len(run), dtype=np.bool_) for run in runs}
     blocks = sum(map(len, runs))
-    if blocks == 0 or not any(mask.any() for mask in gone.values()):
+    what = Bilingual(f"{blocks:,} blocks", f"{blocks:,}个数据块")
+    by_reason = []
+    for loss in losses:
+        count = 0
+        for name in gone.keys() & loss.rows.keys():
+            count += int((loss.rows[name] & ~gone[name]).sum())
+            gone[name] |= loss.rows[name]
+        if count:
+            by_reason.append(LeftOut(what, count / blocks, loss.why))
+    if not by_reason:
         return ()
     found = [*_kinds(runs, losses, gone), *_excitation(runs, losses, gone), *_steps(losses, gone, steps or {})]
-    counted = {run.run: np.zeros(len(run), dtype=np.bool_) for run in runs}
-    for loss in losses:
-        own = {name: rows & ~counted[name] for name, rows in loss.rows.items() if name in counted}
-        for name, rows in own.items():
-            counted[name] |= rows
-        if count := sum(int(rows.sum()) for rows in own.values()):
-            what = Bilingual(f"{blocks:,} blocks", f"{blocks:,}个数据块")
-            found.append(LeftOut(what, count / blocks, loss.why))
-    return tuple(sorted(found, key=lambda each: (not each.is_grave, -each.share)))
+    return tuple(sorted([*found, *by_reason], key=lambda each: (not each.is_grave, -each.share)))
 
 
 def kind_of_run(name: str) -> str:
     """What a run is called without its numbers: runs of one name are of one kind.
 
-    Examples
-    --------
     >>> kind_of_run("02-rate"), kind_of_run("temperature_cycle_3#2"), kind_of_run("2026-11-21")
     ('rate', 'temperature cycle', '')
     """
     return " ".join(re.findall(r"[^\W\d_]+", name)).lower()
-
-
-def _total(runs: Sequence[RunBlocks], losses: Sequence[Loss]) -> dict[str, BoolArray]:
-    gone = {run.run: np.zeros(len(run), dtype=np.bool_) for run in runs}
-    for loss in losses:
-        for name, rows in loss.rows.items():
-            if name in gone:
-                gone[name] |= rows
-    return gone
 
 
 def _mostly(losses: Sequence[Loss], weight: Mapping[str, FloatArray]) -> Bilingual:
@@ -120,29 +93,25 @@ def _mostly(losses: Sequence[Loss], weight: Mapping[str, FloatArray]) -> Bilingu
     return max(losses, key=weight_of).why
 
 
-def _kinds(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> list[LeftOut]:
+def _kinds(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> Iterator[LeftOut]:
     kinds: dict[str, list[RunBlocks]] = {}
     for run in runs:
         kinds.setdefault(kind_of_run(run.run), []).append(run)
-    found = []
     for kind, of_kind in kinds.items():
         share = sum(int(gone[run.run].sum()) for run in of_kind) / max(1, sum(map(len, of_kind)))
-        if share < TOLD:
+        if share < REPORTED:
             continue
+        what = Bilingual(f"runs '{kind}'", f"“{kind}”类试验")
         if len(kinds) == 1:
             what = Bilingual("all runs", "全部试验")
-        elif kind:
-            what = Bilingual(f"runs '{kind}'", f"“{kind}”类试验")
-        else:
+        elif not kind:
             what = Bilingual(f"runs {of_kind[0].run} and the like", f"{of_kind[0].run}一类试验")
         why = _mostly(losses, {run.run: np.ones(len(run)) for run in of_kind})
-        found.append(LeftOut(what, share, why, share >= GRAVE))
-    return found
+        yield LeftOut(what, share, why, share >= GRAVE)
 
 
-def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> list[LeftOut]:
+def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> Iterator[LeftOut]:
     """Of each channel the sum of squares about its middle, but for what it does in less than a twentieth of a run."""
-    found = []
     for name in sorted({name for run in runs for name in run.channels} - _DERIVED):
         clipped = {run.run: _clipped(run.mean(name)) for run in runs if name in run.channels}
         known = np.concatenate([each[np.isfinite(each)] for each in clipped.values()])
@@ -154,12 +123,10 @@ def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping
         lost = sum(float(each[gone[run]].sum()) for run, each in squares.items())
         blocks = sum(int(gone[run].sum()) for run in squares) / sum(map(len, squares.values()))
         # noise has its share of the squares in every block
-        if whole > 0 and lost / whole >= max(TOLD, 1.5 * blocks):
-            share = lost / whole
-            is_grave = share >= GRAVE and name not in _AT_EDGES
+        if whole > 0 and lost / whole >= max(REPORTED, 1.5 * blocks):
+            is_grave = lost / whole >= GRAVE and name not in _AT_EDGES
             what = Bilingual(f"the excitation of {name}", f"{name}的激励")
-            found.append(LeftOut(what, share, _mostly(losses, squares), is_grave))
-    return found
+            yield LeftOut(what, lost / whole, _mostly(losses, squares), is_grave)
 
 
 def _clipped(mean: FloatArray) -> FloatArray:
@@ -172,11 +139,9 @@ def _clipped(mean: FloatArray) -> FloatArray:
 
 def _steps(
     losses: Sequence[Loss], gone: Mapping[str, BoolArray], steps: Mapping[tuple[str, str], BoolArray]
-) -> list[LeftOut]:
-    found = []
+) -> Iterator[LeftOut]:
     for (run, step), rows in steps.items():
         if run in gone and rows.any() and gone[run][rows].all():
             why = _mostly(losses, {run: rows.astype(np.float64)})
             what = Bilingual(f"step {step} of run {run}", f"试验{run}的步骤{step}")
-            found.append(LeftOut(what, 1.0, why, is_grave=True))
-    return found
+            yield LeftOut(what, 1.0, why, is_grave=True)

@@ -8,10 +8,8 @@ import numpy as np
 from analytics.loop.blocks.signal_blocks import CALM, FAR
 from stream.batch import BoolArray, FloatArray
 
-_ALIKE = 3.0
-"""Largest ratio of two rates that sense the same motion about different axes."""
-_LEAST_SENTINEL = 99.0
-"""Two rates that suddenly read the same number, at least this large, read a fill value."""
+_ALIKE = 3.0  # largest ratio of two rates that sense the same motion about different axes
+_LEAST_SENTINEL = 99.0  # two rates that suddenly read the same number, at least this large, read a fill value
 _SAME = 1e-12
 
 
@@ -20,8 +18,6 @@ def is_far_outside(value: FloatArray) -> BoolArray:
 
     A reading among three on either side that move as well is motion.
 
-    Examples
-    --------
     >>> is_far_outside(np.array([20.0, 20.1, 20.0, -9999.0, 20.1, 20.2, 20.1])).nonzero()[0].tolist()
     [3]
     """
@@ -43,21 +39,16 @@ def _unrest(value: FloatArray) -> FloatArray:
 
 
 class RateSeries(NamedTuple):
-    """One angular rate in the blocks of a run, deg/s, outliers included; blocks with an outlier; and that outlier.
-
-    `reading` is in the unit in which it was stored; NaN where there is no outlier.
-    """
+    """One angular rate in the blocks of a run, deg/s, outliers included; blocks with an outlier; and that outlier."""
 
     value: FloatArray
     is_far: BoolArray
-    reading: FloatArray
+    reading: FloatArray  # in the unit in which it was stored; NaN where there is no outlier
 
 
 def moves(value: FloatArray) -> BoolArray:
     """Mark blocks in which a rate differs from the block before or after by far more than usual.
 
-    Examples
-    --------
     >>> moves(np.array([0.0, 0.1, 0.0, 50.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1])).nonzero()[0].tolist()
     [2, 3, 4]
     """
@@ -74,8 +65,6 @@ def motion(series: Mapping[str, RateSeries]) -> dict[str, BoolArray]:
     Two rates confirm each other where both leave their neighbours in one block by amounts within a factor of three. A
     fill value occurs in one column only, or in several as the same number.
 
-    Examples
-    --------
     >>> still, turned = np.array([0.0, 0, 0, 5, 0, 0]), np.array([0.0, 0, 0, 4.9, 0, 0])
     >>> far = np.arange(6) == 3
     >>> read = [np.where(far, each, np.nan) for each in (still, turned)]

@@ -1,7 +1,7 @@
 """Checks of a record: stuck signals, copies, channels that are constant, missing, mislabelled or on another clock."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,7 +17,6 @@ _BY_NATURE = frozenset({"day", "time_since_power_on", "input_rate", "table_rate"
 _DERIVED = frozenset({"table_acceleration", "position", "gravity_i", "day"})
 _FEWEST_FOR_COPY = 10
 _CLOCK_APART_S = 1.0
-_RATES = ("input_rate", "table_rate")
 _MISTAKES = {
     3600.0: Bilingual("as of deg/s under a label of deg/h, or the other way round", "deg/s与deg/h混淆"),
     60.0: Bilingual("as of deg/s or deg/h beside deg/min", "deg/s或deg/h与deg/min混淆"),
@@ -66,16 +65,15 @@ def check_channels(runs: Sequence[RunBlocks]) -> list[Note]:
     return [*(note for name in names for note in _check_one(runs, name)), *_check_copies(runs, varying)]
 
 
-def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
+def _check_one(runs: Sequence[RunBlocks], name: str) -> Iterator[Note]:
     having = [run for run in runs if name in run.channels]
-    notes = []
     if missing := [run.run for run in runs if name not in run.channels]:
         where = in_runs(missing, len(runs))
         text = Bilingual(
             f"channel {name} is missing {where}: effects that need it are not searched for",
             f"{where.zh}缺少通道{name}：不查找需要它的效应",
         )
-        notes.append(Note("missing_channel", text, name, tuple(missing)))
+        yield Note("missing_channel", text, name, tuple(missing))
     gaps = {run.run: int(np.isnan(run.mean(name)).sum()) for run in having}
     if gone := [run for run, blocks in gaps.items() if blocks]:
         blocks, total = sum(gaps.values()), sum(map(len, having))
@@ -84,27 +82,26 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
             f"channel {name} has no reading near {blocks:,} of {total:,} blocks, {where}",
             f"{where.zh}，通道{name}在{total:,}个数据块中的{blocks:,}个附近没有读数",
         )
-        notes.append(Note("channel_gap", text, name, tuple(gone)))
+        yield Note("channel_gap", text, name, tuple(gone))
     if _is_constant(having, name) and name not in _DERIVED:
         text = Bilingual(
             f"channel {name} never changes: its effects cannot be distinguished from the bias",
             f"通道{name}从不变化：与它相关的效应无法与零偏区分",
         )
-        notes.append(Note("constant", text, name, tuple(run.run for run in having)))
+        yield Note("constant", text, name, tuple(run.run for run in having))
     units = sorted({run.channels[name].unit_of_measure for run in having})
     if len(units) > 1:
         text = Bilingual(
             f"channel {name} is in {' and '.join(units)}, depending on the run: import it in one unit of measure",
             f"通道{name}的单位因试验而异（{'、'.join(units)}）：请以同一单位导入",
         )
-        notes.append(Note("mixed_units", text, name, is_limit=True))
+        yield Note("mixed_units", text, name, is_limit=True)
     elif units[0] in {"count", "LSB"}:
         text = Bilingual(
             f"channel {name} is in {units[0]}: coefficients are per {units[0]}",
             f"通道{name}的单位为{units[0]}：系数按每{units[0]}计",
         )
-        notes.append(Note("counts", text, name))
-    return notes
+        yield Note("counts", text, name)
 
 
 def _is_constant(having: Sequence[RunBlocks], name: str) -> bool:
@@ -113,18 +110,16 @@ def _is_constant(having: Sequence[RunBlocks], name: str) -> bool:
     return len(values) == 0 or float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max())
 
 
-def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> list[Note]:
+def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> Iterator[Note]:
     everywhere = [name for name in names if all(name in run.channels for run in runs)]
     values = {name: np.concatenate([run.mean(name) for run in runs]) for name in everywhere}
-    notes = []
     for one, other in itertools.combinations(everywhere, 2):
         if not _BY_NATURE.issuperset((one, other)) and _is_copy(values[one], values[other]):
             text = Bilingual(
                 f"channels {one} and {other} are copies of each other: their effects cannot be distinguished",
                 f"通道{one}与{other}互为副本：二者的效应无法区分",
             )
-            notes.append(Note("copy", text, other))
-    return notes
+            yield Note("copy", text, other)
 
 
 def _is_copy(one: FloatArray, other: FloatArray) -> bool:
@@ -136,10 +131,7 @@ def _is_copy(one: FloatArray, other: FloatArray) -> bool:
 
 
 def clock_offsets(catalog: Catalog) -> dict[tuple[str, str], dict[str, float]]:
-    """Least delay of the messages of each unit in each run, seconds, by signal.
-
-    Without what was imported, replayed or simulated faster than real time, where it is unknown.
-    """
+    """Least delay of the messages of each unit in each run, seconds, by signal; only of live runs in real time."""
     found: dict[tuple[str, str], dict[str, float]] = {}
     sql = "select run, unit, signal, offset_least_ns / 1e9 from clocks where reason is null"
     for run, unit, signal, seconds in catalog.rows(sql):
@@ -148,33 +140,24 @@ def clock_offsets(catalog: Catalog) -> dict[tuple[str, str], dict[str, float]]:
 
 
 def check_clocks(
-    offsets: Mapping[tuple[str, str], Mapping[str, float]],
-    unit: str,
-    signal: str,
-    instruments: Sequence[tuple[str, str]],
-) -> list[Note]:
+    offsets: Mapping[tuple[str, str], Mapping[str, float]], unit: str, signal: str, beside: Sequence[tuple[str, str]]
+) -> Iterator[Note]:
     """Notes on runs in which the clocks of a unit and of an instrument (run and name) are over a second apart."""
     apart: dict[str, dict[str, float]] = {}
-    for run, instrument in instruments:
+    for run, instrument in beside:
         own, other = offsets.get((run, unit), {}).get(signal), offsets.get((run, instrument))
         if own is None or not other:
             continue
         seconds = own - min(other.values())
         if abs(seconds) > _CLOCK_APART_S:
             apart.setdefault(instrument, {})[run] = seconds
-    return [
-        Note(
-            "clock_offset",
-            Bilingual(
-                f"the clock of {instrument} is {_signed(by_run)} s off that of {unit} in run {', '.join(by_run)}: its "
-                "channels are joined by their own clock",
-                f"在试验{'、'.join(by_run)}中，{instrument}的时钟与{unit}相差{_signed(by_run)} s：其通道按自身时钟对齐",
-            ),
-            runs=tuple(by_run),
-            is_limit=True,
+    for instrument, by_run in sorted(apart.items()):
+        text = Bilingual(
+            f"the clock of {instrument} is {_signed(by_run)} s off that of {unit} in run {', '.join(by_run)}: its "
+            "channels are joined by their own clock",
+            f"在试验{'、'.join(by_run)}中，{instrument}的时钟与{unit}相差{_signed(by_run)} s：其通道按自身时钟对齐",
         )
-        for instrument, by_run in sorted(apart.items())
-    ]
+        yield Note("clock_offset", text, runs=tuple(by_run), is_limit=True)
 
 
 def _signed(seconds_by_run: Mapping[str, float]) -> str:
@@ -182,10 +165,9 @@ def _signed(seconds_by_run: Mapping[str, float]) -> str:
     return f"{lo:+.1f}" if hi - lo < 0.1 else f"{lo:+.1f} to {hi:+.1f}"
 
 
-def check_labels(runs: Sequence[RunBlocks]) -> list[Note]:
+def check_labels(runs: Sequence[RunBlocks]) -> Iterator[Note]:
     """Notes on reference rates that the signal follows by a ratio of two units of measure: a label is wrong."""
-    notes = []
-    for name in _RATES:
+    for name in ("input_rate", "table_rate"):
         ratios = {run.run: ratio for run in runs if (ratio := _ratio(run, name)) is not None}
         wrong: dict[float, list[str]] = {}
         for run, ratio in ratios.items():
@@ -204,8 +186,7 @@ def check_labels(runs: Sequence[RunBlocks]) -> list[Note]:
                 f"{where.zh}，按所标单位，{signal}为{name}的{shown.zh}，疑为单位标注有误（{mistake.zh}）："
                 f"请改正标注后重新导入，否则{name}的系数均差此倍数",
             )
-            notes.append(Note("unit_label", text, name, tuple(names), is_limit=True))
-    return notes
+            yield Note("unit_label", text, name, tuple(names), is_limit=True)
 
 
 def _ratio(run: RunBlocks, name: str) -> float | None:

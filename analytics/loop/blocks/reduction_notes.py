@@ -8,34 +8,23 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray
 
-LEAST_SHARE = 0.2
-"""Part of the usual number of samples that a block must have."""
+LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 
 
 @dataclass(frozen=True)
 class Note:
-    """Something that was left out, assumed or looks wrong.
+    """Something that was left out, assumed or looks wrong."""
 
-    Parameters
-    ----------
-    what: In one word, such as ``constant`` or ``copy``.
-    text: As a sentence.
-    channel, runs: Which channel, and in which runs.
-    is_limit: Whether it limits what can be concluded from the record.
-    """
-
-    what: str
-    text: Bilingual
+    what: str  # in one word, such as ``constant`` or ``copy``
+    text: Bilingual  # as a sentence
     channel: str | None = None
     runs: tuple[str, ...] = ()
-    is_limit: bool = False
+    is_limit: bool = False  # whether it limits what can be concluded from the record
 
 
 def in_runs(found: Collection[str], of: int) -> Bilingual:
     """Names of runs for a sentence.
 
-    Examples
-    --------
     >>> in_runs(["r1"], 1), in_runs(["r1", "r2"], 9), in_runs(["r1", "r2"], 2)
     ('in run r1', 'in 2 of 9 runs (r1, r2)', 'in all 2 runs')
     """
@@ -50,8 +39,7 @@ def in_runs(found: Collection[str], of: int) -> Bilingual:
 
 def not_finite(missing: Mapping[str, int]) -> list[Note]:
     """Note samples that are not finite, by their number in each run."""
-    having = [run for run, samples in missing.items() if samples > 0]
-    if not having:
+    if not (having := [run for run, samples in missing.items() if samples > 0]):
         return []
     where = in_runs(having, len(missing))
     count = f"{sum(missing[run] for run in having):,}"
@@ -93,8 +81,7 @@ def far_outside(name: str, far: Mapping[str, tuple[int, float]], units: Mapping[
 
 def apart(intervals_s: Mapping[str, float], block_s: float) -> list[Note]:
     """Note runs with an interval between samples that exceeds the length of a block."""
-    having = [run for run, interval_s in intervals_s.items() if interval_s > 1.5 * block_s]
-    if not having:
+    if not (having := [run for run, interval_s in intervals_s.items() if interval_s > 1.5 * block_s]):
         return []
     apart_s = max(intervals_s[run] for run in having)
     where = in_runs(having, len(intervals_s))
@@ -133,8 +120,7 @@ def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: floa
 def _blocks_left_out(
     what: str, rows: Mapping[str, BoolArray], why: Bilingual, channel: str | None = None
 ) -> list[Note]:
-    having = [run for run, own in rows.items() if own.any()]
-    if not having:
+    if not (having := [run for run, own in rows.items() if own.any()]):
         return []
     count = sum(int(rows[run].sum()) for run in having)
     where = in_runs(having, len(rows))

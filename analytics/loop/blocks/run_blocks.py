@@ -26,20 +26,13 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel, reduced to the blocks of its run.
+    """One channel, reduced to the blocks of its run."""
 
-    Parameters
-    ----------
-    mean: shape (blocks,); NaN where the channel has no reading near the block.
-    spread: shape (blocks,); standard deviation of the readings within the block, not of their mean; 0 if unknown.
-    unit_of_measure: Of both.
-    phasors: shape (HARMONICS, blocks); of an angle: mean of exp(1j*k*angle) within the block for k = 1, 2, ...; `mean`
-        is then unwrapped.
-    """
-
-    mean: FloatArray
+    mean: FloatArray  # shape (blocks,); NaN where the channel has no reading near the block
+    # shape (blocks,); standard deviation of the readings within the block, not of their mean; 0 if unknown
     spread: FloatArray
     unit_of_measure: str
+    # of an angle, shape (HARMONICS, blocks): mean of exp(1j*k*angle), k = 1, 2, ...; `mean` is unwrapped
     phasors: ComplexArray | None = None
 
     def part(self, rows: BoolArray | slice) -> "Channel":
@@ -52,23 +45,6 @@ class Channel:
 class RunBlocks:
     """One run of one unit, reduced to block means; only blocks that have the signal are kept.
 
-    Parameters
-    ----------
-    unit, run, signal: A power-on within a run is a run of its own, ``RUN#2`` and so on.
-    slot: shape (blocks,); block b covers [slot*block_s, (slot + 1)*block_s) s from `t0_ns` on; increasing, with jumps
-        at gaps.
-    block_s: Length of a block, seconds.
-    t0_ns: Time of the start of slot 0, ns UTC.
-    value: shape (blocks,); mean of the signal in each block, in `unit_of_measure`, finite.
-    n: shape (blocks,); samples behind each mean.
-    white_variance: shape (blocks,); variance of each block mean from the scatter of the samples inside the block (white
-        noise); NaN where a block has too few samples.
-    unit_of_measure: Result unit of the signal (deg/h for an angular rate).
-    channels: By standard name, or by their own; any may be missing.
-    is_date_known: Whether `t0_ns` is a true date.
-
-    Examples
-    --------
     >>> ones = np.ones(3)
     >>> blocks = RunBlocks("FOG-1", "r1", "rate", np.array([0, 1, 5]), 30.0, 0, ones, ones.astype(int), ones, "deg/h")
     >>> len(blocks), blocks.time_s
@@ -76,20 +52,27 @@ class RunBlocks:
     """
 
     unit: str
-    run: str
+    run: str  # a power-on within a run is a run of its own, ``RUN#2`` and so on
     signal: str
-    slot: IntArray
+    slot: IntArray  # block b covers [slot*block_s, (slot + 1)*block_s) s from `t0_ns`; increasing, with jumps at gaps
     block_s: float
-    t0_ns: int
-    value: FloatArray
-    n: IntArray
+    t0_ns: int  # start of slot 0, ns UTC
+    value: FloatArray  # shape (blocks,); mean of the signal in `unit_of_measure`, finite
+    n: IntArray  # samples behind each mean
+    # of each mean, from the scatter of the samples inside the block; NaN with too few samples
     white_variance: FloatArray
-    unit_of_measure: str
+    unit_of_measure: str  # deg/h for an angular rate
+    # by standard name, or their own
     channels: Mapping[str, Channel] = field(default_factory=lambda: MappingProxyType({}))
-    is_date_known: bool = True
+    is_date_known: bool = True  # whether `t0_ns` is a true date
 
     def __len__(self) -> int:
         return self.value.size
+
+    @property
+    def whole_run(self) -> str:
+        """Name of the whole run if this is a power-on within it, else of this run."""
+        return self.run.rpartition("#")[0] or self.run
 
     @property
     def time_s(self) -> FloatArray:
@@ -126,8 +109,6 @@ class RunBlocks:
 def stands_still(value: FloatArray) -> bool:
     """Whether a signal changes by no more than rounding, as of a sensor that is dead or stuck.
 
-    Examples
-    --------
     >>> stands_still(np.array([0.1 + 0.2, 0.3])), stands_still(np.array([0.3, 0.31]))
     (True, False)
     """

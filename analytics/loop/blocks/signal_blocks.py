@@ -10,42 +10,31 @@ from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
 
 LEAST_PAIRS = 8
-FAR = 100.0
-"""An outlier leaves the readings of the seconds beside it by more than this many times their usual range."""
-CALM = 0.1
-"""A single outlier is not motion if the three readings on either side differ by less than this part of its distance."""
-FEW, ALONE = 3.0, 0.6
-"""Outliers of a second, at most, and the part of its distance by which one leaves the mean: motion has more."""
+FAR = 100.0  # an outlier leaves the readings of the seconds beside it by more than this many times their usual range
+CALM = 0.1  # an outlier is not motion if the three readings on either side differ by less than this part of it
+FEW, ALONE = 3.0, 0.6  # outliers of a second, at most, and the part by which one leaves the mean: motion has more
 _PLAIN = ("mean", "spread", "centre_s", "first_s", "last_s", "far_reading")
 _MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 
 
 @dataclass(frozen=True)
 class SignalBlocks:
-    """A signal of one run in blocks, in its own unit.
+    """A signal of one run in blocks, in its own unit; each shape (blocks,).
 
-    Parameters
-    ----------
-    slot, n: Increasing numbers of the blocks, and samples in each.
-    mean, spread: Mean and standard deviation of the samples in each.
-    centre_s, first_s, last_s: Mean, first and last time of the samples, seconds from the start of slot 0; from rollups
-        as of samples that are spread evenly from a whole second on.
-    white_variance: Of each mean, from the scatter within the block; NaN where that is unknown.
-    is_far, far_reading: Whether the block contains an outlier, so that its mean is wrong; the outlier, else NaN.
-    farthest: The farthest outlier of the run; 0 where there is none.
+    Times are seconds from the start of slot 0; from rollups as of samples spread evenly from a whole second on.
     """
 
-    slot: IntArray
-    n: IntArray
+    slot: IntArray  # increasing numbers of the blocks
+    n: IntArray  # samples in each
     mean: FloatArray
-    spread: FloatArray
-    centre_s: FloatArray
+    spread: FloatArray  # standard deviation of the samples in each
+    centre_s: FloatArray  # mean time of the samples
     first_s: FloatArray
     last_s: FloatArray
-    white_variance: FloatArray
-    is_far: BoolArray
-    far_reading: FloatArray
-    farthest: float = 0.0
+    white_variance: FloatArray  # of each mean, from the scatter within the block; NaN where unknown
+    is_far: BoolArray  # whether the block contains an outlier, so that its mean is wrong
+    far_reading: FloatArray  # that outlier, else NaN
+    farthest: float = 0.0  # outlier of the run; 0 where there is none
 
 
 @dataclass(frozen=True)
@@ -131,8 +120,6 @@ def block_means(
     From the rollups where blocks are whole seconds, unless `rolled_up` is false: their times have an uncertainty of
     half a second, which is negligible only for a signal of several samples a second.
 
-    Notes
-    -----
     A block consists of pieces: the rollup's seconds, or thirty-two parts of a block that is not in whole seconds.
     With pieces i of n_i samples and mean m_i, the variance of a sample is the mean over neighbours within the block of
     (m_i - m_j)**2/(1/n_i + 1/n_j), that of the block's mean is this divided by the samples in it. Noise that is white

@@ -53,8 +53,6 @@ def position_numbers(catalog: Catalog) -> dict[str, float]:
 def signal_axis(signal: str) -> str | None:
     """Axis of its device that a signal belongs to: ``x``, ``y`` or ``z``; None where its name does not say.
 
-    Examples
-    --------
     >>> [signal_axis(name) for name in ("rate_x", "angularratey", "gyro_z_filtered", "xrate", "rate", "temperature")]
     ['x', 'y', 'z', 'x', None, None]
     """
@@ -67,8 +65,6 @@ def signal_axis(signal: str) -> str | None:
 def turned_about(axis: str | None, signal: str) -> float | None:
     """Component of the turned axis along the input axis of a signal: 1, -1, 0; None where the word does not say.
 
-    Examples
-    --------
     >>> [turned_about(word, "rate_z") for word in ("X", "Z", "-z", "fixture")]
     [0.0, 1.0, -1.0, None]
     >>> [turned_about(word, "rate") for word in ("IRA", "OA", "X")]
@@ -94,8 +90,6 @@ def input_axis_up(position: str | None, signal: str) -> float | None:
     Known are the words of the procedures of the standards: ``IRA_up``, ``IRA_down``, ``IRA_east_west`` and the like,
     and ``X_up`` to ``Z_down`` for the signals of an axis, ``rate_x`` to ``rate_z``.
 
-    Examples
-    --------
     >>> [input_axis_up(word, "rate") for word in ("IRA_up", "IRA_down", "IRA_east_west", "X_up", None)]
     [1.0, -1.0, 0.0, None, None]
     >>> input_axis_up("X_down", "rate_x"), input_axis_up("X_down", "rate_y")
@@ -115,8 +109,6 @@ def _held(steps: Sequence[Step], t_ns: IntArray, word: Callable[[Step], str | No
 
     Between steps of one word it holds; before the first and after the last as well.
 
-    Examples
-    --------
     >>> steps = [Step(10, 20, "IRA_up", None), Step(30, 40, "IRA_up", None), Step(50, 60, "IRA_down", None)]
     >>> _held(steps, np.array([0, 25, 45, 55, 99]), lambda step: step.position).tolist()
     [0, 0, -1, 2, 2]

@@ -83,8 +83,6 @@ class ChannelSource(NamedTuple):
 def is_rolled_up(interval_s: float, samples: int, kept_raw: int) -> bool:
     """Whether to read rollups: several samples a second, or raw samples were dropped.
 
-    Examples
-    --------
     >>> is_rolled_up(0.01, 100, 100), is_rolled_up(60.0, 10, 10), is_rolled_up(60.0, 10, 0)
     (True, False, True)
     """
@@ -144,8 +142,6 @@ def is_output(signal: str, unit_of_measure: str) -> bool:
     Angular rates of one device are the axes of one triad, whatever their names; so are its accelerations. A rate named
     after a table, a reference, a command or an input is not an output.
 
-    Examples
-    --------
     >>> is_output("angularratey", "deg/s"), is_output("acc_x", "m/s^2"), is_output("table_speed", "deg/s")
     (True, True, False)
     """

@@ -22,14 +22,7 @@ from stream.batch import BoolArray
 
 @dataclass
 class UnitRun:
-    """A run of the unit between the store and its blocks.
-
-    Parameters
-    ----------
-    blocks: All blocks with their channels: first those recorded, then with those derived.
-    outliers: Of the channels.
-    is_far, is_partial, is_unresolved: Blocks to leave out: with an outlier of the signal, too few samples, an edge.
-    """
+    """A run of the unit between the store and its blocks."""
 
     name: str
     record: RecordedSignal
@@ -37,11 +30,11 @@ class UnitRun:
     sources: list[ChannelSource]
     steps: list[Step]
     power_on_ns: list[int]
-    blocks: RunBlocks
-    outliers: dict[str, Outliers]
-    is_far: BoolArray
-    is_partial: BoolArray
-    is_unresolved: BoolArray
+    blocks: RunBlocks  # all, with the channels recorded, later those derived as well
+    outliers: dict[str, Outliers]  # of the channels
+    is_far: BoolArray  # left out: blocks with an outlier of the signal
+    is_partial: BoolArray  # left out: too few samples
+    is_unresolved: BoolArray  # left out: across an edge
 
     @property
     def is_lost(self) -> BoolArray:

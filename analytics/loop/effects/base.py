@@ -1,6 +1,7 @@
-"""Base class of effects: each predicts (columns of a regression) and simulates."""
+"""Base class of effects, each predicts (columns of a regression) and simulates; units of their coefficients."""
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,51 +15,35 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
-Shape = Mapping[str, object]
-"""Values of an effect's shape parameters: numbers, or lists of numbers such as the knots of a function; JSON."""
-Inputs = Mapping[str, FloatArray]
-"""True inputs of the gyro: each channel in its standard unit at the instants of a simulation, shape (n,)."""
+Shape = Mapping[str, object]  # values of an effect's shape parameters: numbers, or lists such as knots; JSON
+Inputs = Mapping[str, FloatArray]  # true channels in standard units at the instants of a simulation, shape (n,)
 
 
 class Role(StrEnum):
     """What part an effect's channel plays."""
 
     CAUSE = "cause"
-    PROXY = "proxy"
-    """Set-point, current, compressor: it follows a cause; it never wins over a significant cause."""
-    ALIAS = "alias"
-    """An error of an auxiliary sensor that looks like an effect on the gyro."""
+    PROXY = "proxy"  # set-point, current, compressor: it follows a cause; it never wins over a significant cause
+    ALIAS = "alias"  # an error of an auxiliary sensor that looks like an effect on the gyro
 
 
 class EffectKind(StrEnum):
     """How an effect enters the search."""
 
-    LIBRARY = "library"
-    """A named physical effect; tried in the first round."""
-    FUNCTION = "function"
-    """A general function of one channel; if it is found, the verdict is "unknown function of"."""
-    SECOND_TIER = "second_tier"
-    """Products and thresholds; tried only when the library leaves structure."""
-    LINE = "line"
-    """A periodic line of unknown frequency; found by a scan of its own spectrum, not over a grid."""
-    EVENT = "event"
-    """An event at an unknown time in one run; found by its own matched filter."""
+    LIBRARY = "library"  # a named physical effect; tried in the first round
+    FUNCTION = "function"  # a general function of one channel; if it is found, the verdict is "unknown function of"
+    SECOND_TIER = "second_tier"  # products and thresholds; tried only when the library leaves structure
+    LINE = "line"  # a periodic line of unknown frequency; found by a scan of its own spectrum, not over a grid
+    EVENT = "event"  # an event at an unknown time in one run; found by its own matched filter
 
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A parameter in which an effect is not linear, searched over a grid.
-
-    Parameters
-    ----------
-    name, unit_of_measure: Such as ``time_constant`` in ``s``.
-    grid: Values to try; of a parameter in the unit of a channel, ``{temperature}``, fractions of that channel's range.
-    en, zh: Its name.
-    """
+    """A parameter in which an effect is not linear, searched over a grid; such as ``time_constant`` in ``s``."""
 
     name: str
     unit_of_measure: str
-    grid: tuple[float, ...]
+    grid: tuple[float, ...]  # if the unit is that of a channel, {temperature}, fractions of that channel's range
     en: str
     zh: str
 
@@ -84,8 +69,6 @@ def range_over(channel: str, runs: Sequence[RunBlocks]) -> tuple[float, float] |
 def number(shape: Shape, name: str) -> float:
     """A shape parameter that is one number.
 
-    Examples
-    --------
     >>> number({"time_constant": 600}, "time_constant")
     600.0
     >>> number({}, "time_constant")
@@ -128,25 +111,18 @@ class Effect(ABC):
     name: str
     en: str
     zh: str
-    needs: tuple[str, ...]
-    """Standard channels, all of which must be present and vary."""
+    needs: tuple[str, ...]  # standard channels, all of which must be present and vary
     role: Role = Role.CAUSE
     kind: EffectKind = EffectKind.LIBRARY
     parameters: tuple[ShapeParameter, ...] = ()
-    coefficients: tuple[str, ...] = ("",)
-    """Names of the columns where there are several, such as ``cos`` and ``sin``."""
-    per: str = "1"
-    """Divisor of the coefficient's unit; {temperature} stands for the unit of measure of that channel."""
-    cause: str
-    """The physics in two sentences."""
+    coefficients: tuple[str, ...] = ("",)  # names of the columns where there are several, such as ``cos`` and ``sin``
+    per: str = "1"  # divisor of the coefficient's unit; {temperature} stands for the unit of measure of that channel
+    cause: str  # the physics in two sentences
     cause_zh: str
     reference: str
-    aliases: tuple[str, ...] = ()
-    """Names of effects that ordinary tests do not distinguish from this one."""
-    follows: tuple[str, ...] = ()
-    """Of a proxy: effects of the causes that it follows. Found alone, it stands for one of them."""
-    separating_test: str
-    """The measurement that would distinguish this effect from its aliases."""
+    aliases: tuple[str, ...] = ()  # names of effects that ordinary tests do not distinguish from this one
+    follows: tuple[str, ...] = ()  # of a proxy: effects of the causes that it follows; found alone, it stands for one
+    separating_test: str  # the measurement that would distinguish this effect from its aliases
     separating_test_zh: str
 
     def shapes(self, runs: Sequence[RunBlocks]) -> Sequence[Shape]:
@@ -192,15 +168,45 @@ class Effect(ABC):
     def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         """Contribution of the effect to the signal at each instant, by its physics and not by `regressors`.
 
-        Parameters
-        ----------
-        time_s: shape (n,); instants, evenly spaced, seconds from the run's start.
-        channels: The true inputs of the gyro at these instants.
-        coefficients: One for each column.
-        shape: Values of the shape parameters, within their grids or between.
-
-        Returns
-        -------
-        array of shape (n,)
-            In the signal's unit.
+        `time_s` are evenly spaced seconds from the run's start, `channels` the true inputs of the gyro at these
+        instants; there is one coefficient for each column, in the signal's unit.
         """
+
+
+def coefficient_unit(effect: Effect, signal_unit: str, run: RunBlocks) -> str:
+    """Unit of a coefficient of `effect`, for a signal in `signal_unit` and the channels of `run`.
+
+    >>> import numpy as np
+    >>> from analytics.loop.effects.registry import effect
+    >>> from analytics.loop.blocks.run_blocks import Channel
+    >>> one = np.ones(1)
+    >>> run = RunBlocks("U", "r", "rate", np.array([0]), 30.0, 0, one, np.array([1]), one, "deg/h",
+    ...                 {"temperature": Channel(one, one, "degC"), "input_rate": Channel(one, one, "deg/s")})
+    >>> coefficient_unit(effect("temperature"), "deg/h", run)
+    'deg/h/degC'
+    >>> coefficient_unit(effect("scale_factor_temperature"), "deg/h", run)
+    'deg/h/((deg/s)*degC)'
+    """
+    divisor = _filled(effect.per, run)
+    if divisor == "1":
+        return signal_unit
+    return f"{signal_unit}/{_bracketed(divisor)}"
+
+
+def parameter_unit(parameter: ShapeParameter, run: RunBlocks) -> str:
+    """Unit of a shape parameter: its own, or that of the channel it names."""
+    return _filled(parameter.unit_of_measure, run, is_alone=True)
+
+
+def _filled(template: str, run: RunBlocks, is_alone: bool = False) -> str:
+    def unit(match: re.Match[str]) -> str:
+        channel = run.channels.get(match[1])
+        text = "1" if channel is None else channel.unit_of_measure
+        return text if is_alone or template == match[0] else _bracketed(text)
+
+    return re.sub(r"\{([^}]+)\}", unit, template)
+
+
+def _bracketed(unit: str) -> str:
+    is_compound = re.search(r"[*/ ]", unit) is not None
+    return f"({unit})" if is_compound else unit

@@ -45,8 +45,6 @@ _ROOM = MappingProxyType({"degC": 25.0, "K": 298.15, "kelvin": 298.15, "degF": 7
 def reference_point(unit_of_measure: str) -> float:
     """Reference of a channel in this unit: 25 degC for a temperature, else 0 (also for raw counts).
 
-    Examples
-    --------
     >>> reference_point("degC"), reference_point("K"), reference_point("count")
     (25.0, 298.15, 0.0)
     """
@@ -54,22 +52,10 @@ def reference_point(unit_of_measure: str) -> float:
 
 
 def standard_reference(channel: str) -> float:
-    """Reference of a channel in its standard unit, as a simulation has it.
-
-    Examples
-    --------
-    >>> standard_reference("case_temperature"), standard_reference("input_rate")
-    (25.0, 0.0)
-    """
+    """Reference of a channel in its standard unit, as a simulation has it."""
     return _ROOM["degC"] if "temperature" in channel or channel == "chamber_setpoint" else 0.0
 
 
 def channel_name(channel: str) -> tuple[str, str]:
-    """English and Chinese name; a channel that is not standard keeps its name in the record.
-
-    Examples
-    --------
-    >>> channel_name("compressor")
-    ('compressor', 'compressor')
-    """
+    """English and Chinese name; a channel that is not standard keeps its name in the record."""
     return CHANNEL_NAMES.get(channel, (channel, channel))

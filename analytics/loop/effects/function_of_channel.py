@@ -6,8 +6,8 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, numbers, range_over
+from analytics.loop.effects.block_kernels import mean_excess
 from analytics.loop.effects.channel_names import channel_name
-from analytics.loop.effects.within_block import mean_excess
 from stream.batch import FloatArray
 
 _KNOTS, _POSITIONS = "knots", "positions"
@@ -18,13 +18,8 @@ _DEGREE = 3
 class FunctionOfChannel(Effect):
     """Any smooth function of one channel, up to a constant; named ``function_of_CHANNEL``.
 
-    The columns are cubic B-splines except the first, which the bias replaces. Beyond the knots the function is
-    constant.
-
-    Parameters
-    ----------
-    channel: Standard channel.
-    parts: Positions of the knots as fractions of the channel's range over all runs.
+    The columns are cubic B-splines except the first, which the bias replaces. Beyond the knots, whose positions are
+    `parts` of the channel's range over all runs, the function is constant.
     """
 
     kind = EffectKind.FUNCTION
@@ -81,9 +76,7 @@ EFFECTS = (
 class FunctionOfInputRate(Effect):
     """Any piecewise linear function of the input rate, zero at the knot nearest zero and constant beyond the knots."""
 
-    name = "function_of_input_rate"
-    en = "function of input rate"
-    zh = "输入角速率的未知函数"
+    name, en, zh = "function_of_input_rate", "function of input rate", "输入角速率的未知函数"
     needs = ("input_rate",)
     kind = EffectKind.FUNCTION
     parameters = (ShapeParameter(_KNOTS, "{input_rate}", (), "knots", "节点"),)
@@ -129,9 +122,7 @@ class FunctionOfInputRate(Effect):
 class FunctionOfPosition(Effect):
     """One offset per position relative to the first; positions are identified by number."""
 
-    name = "function_of_position"
-    en = "bias by position"
-    zh = "随位置而异的零偏"
+    name, en, zh = "function_of_position", "bias by position", "随位置而异的零偏"
     needs = ("position",)
     kind = EffectKind.FUNCTION
     parameters = (ShapeParameter(_POSITIONS, "1", (), "positions", "位置"),)
@@ -175,8 +166,6 @@ class FunctionOfPosition(Effect):
 def _spline_columns(value: FloatArray, knots: FloatArray) -> FloatArray:
     """Each B-spline at each value, shape (values, knots + 2); NaN in a row whose value is NaN. Rows sum to 1.
 
-    Examples
-    --------
     >>> columns = _spline_columns(np.array([0.0, 0.5, 9.0]), np.array([0.0, 1.0, 2.0]))
     >>> columns.shape, columns.sum(axis=1)
     ((3, 5), array([1., 1., 1.]))

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
@@ -12,6 +13,14 @@ from stream.batch import FloatArray
 from stream.errors import BadInput
 
 NOMINAL = "_nominal"
+PREFIX = "channel:"
+_DRIVERS = (
+    *("temperature", "supply_voltage", "humidity", "vibration", "input_rate"),
+    *("gravity_i", "gravity_o", "gravity_s", "magnetic_i", "magnetic_o", "magnetic_s"),
+)
+_WITHOUT_ZERO = ("supply_voltage", "humidity")
+_GRAVITY = ("gravity_i", "gravity_o", "gravity_s")
+_IN_LIBRARY = (frozenset(("temperature", "input_rate")), *(frozenset(pair) for pair in combinations(_GRAVITY, 2)))
 
 
 def nominal(channel: str) -> ShapeParameter:
@@ -26,11 +35,6 @@ class Monomial(Effect):
 
     The reference is 25 degC for temperatures, the value in the shape where the effect has a `nominal` parameter, else
     0. A block's mean of a power exceeds the power of its mean by the variance of the channel within the block.
-
-    Parameters
-    ----------
-    powers: Exponent of each channel, 1 to 3; by default the channel of the effect's name, linear.
-    per: See `Effect`; by default the product of the channels' units.
     """
 
     name: str
@@ -41,17 +45,16 @@ class Monomial(Effect):
     reference: str
     separating_test: str
     separating_test_zh: str
-    powers: Mapping[str, int] = field(default_factory=dict)
+    powers: Mapping[str, int] = field(default_factory=dict)  # exponents, 1 to 3; default: own name, 1
     aliases: tuple[str, ...] = ()
     follows: tuple[str, ...] = ()
     role: Role = Role.CAUSE
     kind: EffectKind = EffectKind.LIBRARY
     parameters: tuple[ShapeParameter, ...] = ()
-    per: str = ""
+    per: str = ""  # by default the product of the channels' units
     needs: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive channels and unit from the powers."""
         self.powers = self.powers or {self.name: 1}
         self.needs = tuple(self.powers)
         units = (f"{{{channel}}}" + (f"^{power}" if power > 1 else "") for channel, power in self.powers.items())
@@ -94,3 +97,41 @@ def _moment(channel: Channel, reference: float, power: int) -> FloatArray:
     if power == 2:
         return np.asarray(mean**2 + channel.spread**2)
     return np.asarray(mean**3 + 3.0 * mean * channel.spread**2)
+
+
+def channel_linear(channel: str) -> Monomial:
+    """Linear effect of one channel, named ``channel:NAME``; for the channels without a standard name."""
+    en, zh = channel_name(channel)
+    return Monomial(
+        name=PREFIX + channel,
+        en=f"proportional to {en}",
+        zh=f"与{zh}成比例",
+        powers={channel: 1},
+        cause="The signal is proportional to this recorded channel. The physical mechanism is not in the library.",
+        cause_zh="信号与该记录通道成比例变化。其物理机理不在效应库之内。",
+        reference="IEEE 952-2020, environmental sensitivities",
+        separating_test="step this channel alone, several times, with all others held constant",
+        separating_test_zh="保持其他条件不变，单独多次阶跃改变该通道",
+    )
+
+
+def product_of_channels(first: str, second: str) -> Monomial:
+    """Product of two standard channels, each relative to its reference; named ``temperature*supply_voltage``."""
+    names = (channel_name(first), channel_name(second))
+    return Monomial(
+        name=f"{first}*{second}",
+        en=f"{names[0][0]} times {names[1][0]}",
+        zh=f"{names[0][1]}与{names[1][1]}乘积",
+        powers={first: 1, second: 1},
+        kind=EffectKind.SECOND_TIER,
+        parameters=tuple(nominal(channel) for channel in (first, second) if channel in _WITHOUT_ZERO),
+        cause="The sensitivity to one influence depends on another, as when the drift of a regulator depends on its "
+        "temperature. Varying only one of them does not show it.",
+        cause_zh="对一种因素的灵敏度取决于另一种因素，例如稳压器漂移取决于其温度。单独改变任一因素都看不出。",
+        reference="IEEE 1431-2004, combined environmental sensitivities",
+        separating_test="factorial test of both: each at two levels, all four combinations, repeated",
+        separating_test_zh="两个因素的全因子试验：各取高低两档，共四种组合，重复进行",
+    )
+
+
+EFFECTS = tuple(product_of_channels(*pair) for pair in combinations(_DRIVERS, 2) if frozenset(pair) not in _IN_LIBRARY)

@@ -11,8 +11,8 @@ from types import MappingProxyType
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS, RunBlocks
 from analytics.loop.effects.base import Effect
-from analytics.loop.effects.named_channels import PREFIX, channel_linear
-from analytics.loop.effects.turn_on import TURN_ON, TurnOnScatter
+from analytics.loop.effects.events import TURN_ON, TurnOnScatter
+from analytics.loop.effects.monomial import PREFIX, channel_linear
 from stream.errors import BadInput
 
 _PACKAGE = __name__.rpartition(".")[0]
@@ -20,13 +20,7 @@ _PACKAGE = __name__.rpartition(".")[0]
 
 @functools.cache
 def effects() -> Mapping[str, Effect]:
-    """Every effect of the library by its name, in the order of names.
-
-    Examples
-    --------
-    >>> effects()["warm_up"].en
-    'warm-up after power-on'
-    """
+    """Every effect of the library by its name, in the order of names."""
     package = importlib.import_module(_PACKAGE)
     found = [each for module in pkgutil.iter_modules(package.__path__) for each in _effects_in(module.name)]
     return MappingProxyType({each.name: each for each in sorted(found, key=lambda each: each.name)})
@@ -46,12 +40,6 @@ def _effects_in(module: str) -> Iterator[Effect]:
 def effect(name: str) -> Effect:
     """The effect of this name; ``channel:NAME`` is the linear effect of any channel.
 
-    Raises
-    ------
-    BadInput: If there is none; the message names those that look alike.
-
-    Examples
-    --------
     >>> effect("channel:compressor").needs
     ('compressor',)
     >>> effect("temprature")

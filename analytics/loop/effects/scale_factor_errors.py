@@ -6,9 +6,12 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, positive
+from analytics.loop.effects.block_kernels import mean_excess, mean_inside, mean_magnitude, mirrored
 from analytics.loop.effects.monomial import Monomial
-from analytics.loop.effects.within_block import mean_excess, mean_inside, mean_magnitude, mirrored
 from stream.batch import FloatArray
+
+_HALF_WIDTHS = (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032)
+_LIMITS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 
 EFFECTS = (
     Monomial(
@@ -83,9 +86,7 @@ EFFECTS = (
 class ScaleFactorAsymmetry(Effect):
     """Error in proportion to the magnitude of the input rate."""
 
-    name = "scale_factor_asymmetry"
-    en = "scale-factor asymmetry"
-    zh = "标度因数不对称"
+    name, en, zh = "scale_factor_asymmetry", "scale-factor asymmetry", "标度因数不对称"
     needs = ("input_rate",)
     per = "{input_rate}"
     cause = (
@@ -111,18 +112,10 @@ class ScaleFactorAsymmetry(Effect):
 class DeadZone(Effect):
     """Error in proportion to the input rate where its magnitude is below `half_width`."""
 
-    name = "dead_zone"
-    en = "dead zone about zero rate"
-    zh = "零速率死区"
+    name, en, zh = "dead_zone", "dead zone about zero rate", "零速率死区"
     needs = ("input_rate",)
     parameters = (
-        ShapeParameter(
-            "half_width",
-            "{input_rate}",
-            (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032),
-            "half width of the dead zone",
-            "死区半宽",
-        ),
+        ShapeParameter("half_width", "{input_rate}", _HALF_WIDTHS, "half width of the dead zone", "死区半宽"),
     )
     per = "{input_rate}"
     cause = (
@@ -147,15 +140,9 @@ class DeadZone(Effect):
 class Saturation(Effect):
     """Error in proportion to the part of the input rate beyond `limit`."""
 
-    name = "saturation"
-    en = "saturation at large rates"
-    zh = "大角速率饱和"
+    name, en, zh = "saturation", "saturation at large rates", "大角速率饱和"
     needs = ("input_rate",)
-    parameters = (
-        ShapeParameter(
-            "limit", "{input_rate}", (0.2, 0.25, 0.3, 0.35, 0.4, 0.45), "rate at which it begins", "饱和起点"
-        ),
-    )
+    parameters = (ShapeParameter("limit", "{input_rate}", _LIMITS, "rate at which it begins", "饱和起点"),)
     per = "{input_rate}"
     cause = (
         "The amplifier, converter or loop reaches its limit and no longer follows the rate, or follows it with less "

@@ -8,7 +8,7 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import HARMONICS, RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape
-from analytics.loop.effects.within_block import phasor, radians_per_unit
+from analytics.loop.effects.block_kernels import phasor, radians_per_unit
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -33,17 +33,7 @@ class _OfTableAngle(Effect):
 
 
 class TableAngleHarmonic(_OfTableAngle):
-    """Cosine and sine of a multiple of the table angle.
-
-    Parameters
-    ----------
-    harmonic: Periods in one revolution of the table, from 1 to 4.
-
-    Examples
-    --------
-    >>> TableAngleHarmonic(2).name
-    'table_angle_harmonic_2'
-    """
+    """Cosine and sine of a multiple of the table angle: `harmonic` periods in one revolution, from 1 to 4."""
 
     needs = ("table_angle",)
     coefficients = ("cos", "sin")
@@ -83,9 +73,7 @@ EFFECTS = tuple(TableAngleHarmonic(harmonic) for harmonic in range(1, HARMONICS 
 class Heading(_OfTableAngle):
     """Cosine and sine of the table angle, times the horizontal component of the input axis."""
 
-    name = "heading"
-    en = "heading error (horizontal earth rate)"
-    zh = "航向误差（地速水平分量）"
+    name, en, zh = "heading", "heading error (horizontal earth rate)", "航向误差（地速水平分量）"
     needs = ("table_angle", "gravity_i")
     coefficients = ("cos", "sin")
     cause = (
@@ -113,9 +101,7 @@ class Heading(_OfTableAngle):
 class FunctionOfTableAngle(_OfTableAngle):
     """Any smooth function of the table angle, up to a constant: sixteen bells around the circle except the first."""
 
-    name = "function_of_table_angle"
-    en = "function of table angle"
-    zh = "转台角度的未知函数"
+    name, en, zh = "function_of_table_angle", "function of table angle", "转台角度的未知函数"
     needs = ("table_angle",)
     kind = EffectKind.FUNCTION
     coefficients = tuple(f"at_{360.0 * k / _CENTRES:g}_deg" for k in range(1, _CENTRES))

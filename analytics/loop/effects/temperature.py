@@ -1,13 +1,13 @@
-"""Bias by the gyro's temperature: a polynomial about 25 degC, a threshold, a gradient."""
+"""Bias by temperature: a polynomial about 25 degC, threshold, gradient, rate of change (Shupe), lag, hysteresis."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, number
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, number, positive
+from analytics.loop.effects.block_kernels import lagged, played, share_above, slope_per_s
 from analytics.loop.effects.monomial import Monomial
-from analytics.loop.effects.within_block import share_above
 from stream.batch import FloatArray
 
 EFFECTS = (
@@ -55,9 +55,7 @@ EFFECTS = (
 class TemperatureGradient(Effect):
     """Bias in proportion to case temperature minus gyro temperature."""
 
-    name = "temperature_gradient"
-    en = "temperature gradient"
-    zh = "温度梯度"
+    name, en, zh = "temperature_gradient", "temperature gradient", "温度梯度"
     needs = ("temperature", "case_temperature")
     per = "{temperature}"
     cause = (
@@ -85,9 +83,7 @@ _SHARES = tuple(round(0.05 * step, 2) for step in range(1, 20))
 class TemperatureThreshold(Effect):
     """1 above the threshold, 0 below."""
 
-    name = "temperature_threshold"
-    en = "temperature threshold"
-    zh = "温度阈值"
+    name, en, zh = "temperature_threshold", "temperature threshold", "温度阈值"
     needs = ("temperature",)
     kind = EffectKind.SECOND_TIER
     parameters = (ShapeParameter("threshold", "{temperature}", _PARTS, "threshold", "阈值"),)
@@ -115,3 +111,133 @@ class TemperatureThreshold(Effect):
 
     def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return np.where(channels["temperature"] > number(shape, "threshold"), coefficients[0], 0.0)
+
+
+class TemperatureRate(Effect):
+    """Bias in proportion to the rate of change of the gyro's temperature."""
+
+    name, en, zh = "temperature_rate", "temperature rate (Shupe)", "温度变化率（Shupe效应）"
+    needs = ("temperature",)
+    per = "{temperature}/s"
+    cause = (
+        "The two beams pass a point of the coil at different times; if its temperature changes meanwhile, their "
+        "phases differ. The bias is proportional to dT/dt, weighted by the distance from the midpoint of the coil."
+    )
+    cause_zh = "两束光在不同时刻经过光纤环同一点，其间温度变化使相位不同。零偏与dT/dt成正比，并按到环中点的距离加权。"
+    reference = "Shupe, Applied Optics 19(5), 1980, 654-655; IEEE 952-2020, bias temperature ramp sensitivity"
+    aliases = ("case_temperature_rate", "temperature_gradient", "thermal_lag", "temperature_time_offset")
+    separating_test = "pass through the same temperatures at two or more ramp rates, up and down"
+    separating_test_zh = "以两种以上变温速率升降通过同样的温度"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        return slope_per_s(run, "temperature")[:, None]
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        return coefficients[0] * np.gradient(channels["temperature"], time_s)
+
+
+class CaseTemperatureRate(Effect):
+    """Bias in proportion to the rate of change of the case's temperature after conduction to the coil."""
+
+    name, en, zh = "case_temperature_rate", "case temperature rate (Shupe at the coil)", "壳体温度变化率（传至光纤环）"
+    needs = ("case_temperature",)
+    parameters = (
+        ShapeParameter("time_constant", "s", (90.0, 300.0, 900.0, 2700.0), "heat conduction time", "热传导时间常数"),
+    )
+    per = "{case_temperature}/s"
+    cause = (
+        "Heat enters through the case and reaches the coil with the time constant of conduction. The Shupe bias "
+        "follows the rate of change at the coil, where there is no sensor."
+    )
+    cause_zh = "热量由壳体经传导时间常数到达光纤环。Shupe零偏取决于未装传感器处的温度变化率。"
+    reference = "Shupe, Applied Optics 19(5), 1980, 654-655; IEEE 952-2020, bias temperature ramp sensitivity"
+    aliases = ("temperature_rate", "temperature_gradient", "thermal_lag")
+    separating_test = "two or more ramp rates, with a second sensor at the coil"
+    separating_test_zh = "两种以上变温速率，并在光纤环处加装第二个温度传感器"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        conducted = lagged(run, "case_temperature", positive(shape, "time_constant"))
+        return slope_per_s(run, "case_temperature", conducted)[:, None]
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        case, time_constant_s = channels["case_temperature"], positive(shape, "time_constant")
+        coil = case[0]
+        error = np.empty(time_s.size)
+        for i, step_s in enumerate(np.diff(time_s, prepend=time_s[0])):
+            coil += (case[i] - coil) * -np.expm1(-step_s / time_constant_s)
+            error[i] = (case[i] - coil) / time_constant_s
+        return coefficients[0] * error
+
+
+_LAGS_S = (600.0, 900.0, 1340.0, 2000.0, 3000.0, 4480.0, 6690.0, 10000.0)
+
+
+class ThermalLag(Effect):
+    """Bias by the temperature of a part that lags the sensor, minus the sensor's; equal at a run's first reading."""
+
+    name, en, zh = "thermal_lag", "thermal lag", "热滞后（时间常数）"
+    needs = ("temperature",)
+    parameters = (ShapeParameter("time_constant", "s", _LAGS_S, "thermal time constant", "热时间常数"),)
+    per = "{temperature}"
+    cause = (
+        "The part that determines the bias lies deeper than the temperature sensor and follows it with a first-order "
+        "lag. While the temperature changes, a model based on the sensor is in error in proportion to the difference."
+    )
+    cause_zh = "决定零偏的部件比温度传感器更靠内，以一阶滞后跟随其温度。温度变化期间，按传感器读数建模会差此温差。"
+    reference = "IEEE 952-2020, bias temperature model; GJB 2426A-2004 5.12.4 (soak time)"
+    aliases = ("temperature_rate", "case_temperature_rate", "temperature_gradient", "thermal_hysteresis", "warm_up")
+    separating_test = "temperature steps with dwells of five time constants: a lag decays, hysteresis remains"
+    separating_test_zh = "温度阶跃后保温五倍时间常数：滞后会消失，迟滞则保留"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        behind = lagged(run, "temperature", positive(shape, "time_constant"))
+        return (behind - run.mean("temperature"))[:, None]
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        sensor, time_constant_s = channels["temperature"], positive(shape, "time_constant")
+        inner = sensor[0]
+        difference = np.zeros(time_s.size)
+        for i in range(1, time_s.size):
+            # trapezoidal step of time_constant * d(inner)/dt = sensor - inner
+            half = 0.5 * (time_s[i] - time_s[i - 1]) / time_constant_s
+            inner = (inner * (1.0 - half) + half * (sensor[i - 1] + sensor[i])) / (1.0 + half)
+            difference[i] = inner - sensor[i]
+        return coefficients[0] * difference
+
+
+class ThermalHysteresis(Effect):
+    """Bias by the output of a play (backlash) on the temperature, minus the temperature.
+
+    The loop is `width` wide and centred on the first reading of a run.
+    """
+
+    name, en, zh = "thermal_hysteresis", "thermal hysteresis", "热迟滞"
+    needs = ("temperature",)
+    parameters = (
+        ShapeParameter("width", "{temperature}", (0.04, 0.1, 0.18, 0.25, 0.4), "width of the loop", "迟滞回线宽度"),
+    )
+    per = "{temperature}"
+    cause = (
+        "Adhesive joints and preloaded contacts slip only when thermal strain exceeds friction. After each reversal "
+        "of the temperature the bias lags by up to half the width of the loop, and waiting does not reduce it."
+    )
+    cause_zh = (
+        "胶接面和预紧接触面仅在热应变超过摩擦时滑移。温度每次反向后零偏落后，最多为迟滞回线宽度的一半，且不随等待消失。"
+    )
+    reference = (
+        "Krasnosel'skii and Pokrovskii, Systems with Hysteresis, Springer 1989; IEEE 952-2020, thermal hysteresis"
+    )
+    aliases = ("thermal_lag", "temperature_rate")
+    separating_test = "closed temperature loops with different turning points, with dwells on both branches"
+    separating_test_zh = "具有不同转折点的闭合温度循环，升降两支均保温"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        return (played(run, "temperature", positive(shape, "width")) - run.mean("temperature"))[:, None]
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        stretch = positive(shape, "width") / 2
+        elastic = np.zeros(time_s.size)
+        for i, step in enumerate(np.diff(channels["temperature"]), 1):
+            # the spring between sensor and slider stretches until the slider slips
+            elastic[i] = min(max(elastic[i - 1] + step, -stretch), stretch)
+        return -coefficients[0] * elastic

@@ -1,7 +1,9 @@
-"""Compensation beside a recorder: reads the log of a store and sends compensated samples to its recorder."""
+"""Compensation beside a recorder, which reads the log of its store, or in the process of a sender."""
 
 from collections.abc import Callable
 from uuid import UUID
+
+import msgspec
 
 from analytics.loop.live.epoch_compensation import SUFFIX
 from analytics.loop.live.live_compensator import LiveCompensator, Out, lacking_uid
@@ -11,7 +13,7 @@ from storage.log.tail import LogTail
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import SampleBatch
-from stream.delivery.publisher import DurablePublisher, StreamId
+from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import BadInput, WireError
 from stream.events import (
     AnyDocument,
@@ -23,6 +25,7 @@ from stream.events import (
     decode_event,
 )
 from stream.identity import EventKey, SampleKey, event_key, parse_key, sample_key
+from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch
 
 
@@ -30,16 +33,11 @@ class CompensationWorker:
     """Reads the log of a store and sends the compensated samples of its live error models to the store's recorder.
 
     It has no state of its own: its output is a function of the log. At the start it reads the running runs again and
-    sends what the log lacks; samples sent before it was killed have the same numbers and are dropped.
-
-    Parameters
-    ----------
-    publisher: Connected to the recorder of the store.
-    on_document: Called with every document that is sent.
+    sends what the log lacks; samples sent before it was killed have the same numbers and are dropped. The `publisher`
+    is connected to the recorder of the store; `on_document` is called with every document that is sent.
     """
 
-    pause_s = 2.0
-    """Seconds between two reads of the log."""
+    pause_s = 2.0  # seconds between two reads of the log
 
     def __init__(
         self, store: Store, publisher: DurablePublisher, *, on_document: Callable[[AnyDocument], None] | None = None
@@ -70,9 +68,7 @@ class CompensationWorker:
     def look(self, given_up: Callable[[], bool] = lambda: False) -> None:
         """Read the new messages of the log and send their compensated samples, until `given_up` returns true.
 
-        Raises
-        ------
-        GyrofleetError: If the log or a model cannot be read, or the recorder does not acknowledge.
+        GyrofleetError if the log or a model cannot be read, or the recorder does not acknowledge.
         """
         for message in self._log.since(dict(self._positions)):
             if given_up():
@@ -119,13 +115,8 @@ class CompensationWorker:
 
 def _ended(store: Store) -> set[str]:
     """Runs that ended and were not resumed."""
-    ended: set[str] = set()
-    for document in logged_documents(store, (RunEnded, RunResumed)):
-        if isinstance(document, RunEnded):
-            ended.add(document.run)
-        else:
-            ended.discard(document.run)
-    return ended
+    last = {each.run: isinstance(each, RunEnded) for each in logged_documents(store, (RunEnded, RunResumed))}
+    return {run for run, is_ended in last.items() if is_ended}
 
 
 def _incomplete(store: Store, documents: list[AnyDocument]) -> set[str]:
@@ -152,3 +143,41 @@ def _incomplete(store: Store, documents: list[AnyDocument]) -> set[str]:
         if kept.get((each.run, each.unit, each.compensated, each.compensated_epoch.replace("-", "")), -1)
         < kept.get((each.run, each.unit, each.signal, each.epoch.replace("-", "")), 0)
     }
+
+
+class CompensatingSender:
+    """Passes batches and documents to a sender, such as an EmbeddedPipeline, and adds compensated samples.
+
+    The end of a run follows its last compensated sample, and its totals include them.
+    """
+
+    def __init__(self, sender: Sender, compensator: LiveCompensator) -> None:
+        self._sender = sender
+        self._compensator = compensator
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        """Send samples, and the compensated samples that are ready."""
+        self._sender.send_batch(key, batch)
+        parsed = parse_key(key)
+        assert isinstance(parsed, SampleKey)
+        self._send(self._compensator.take(parsed.place, batch))
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        """Send a document."""
+        parsed = parse_key(key)
+        if not isinstance(parsed, EventKey):
+            self._sender.send_event(key, document)
+        elif isinstance(document, RunEnded):
+            totals = (*document.totals, *self._compensator.totals(document.run))
+            self._send(self._compensator.finish(document.run))
+            self._sender.send_event(key, msgspec.structs.replace(document, totals=totals))
+        else:
+            self._sender.send_event(key, document)
+            self._send(self._compensator.take_document(parsed.place, document))
+
+    def _send(self, out: list[Out]) -> None:
+        for place, what in out:
+            if isinstance(what, SampleBatch):
+                self._sender.send_batch(sample_key(place, what.unit, what.signal), what)
+            else:
+                self._sender.send_event(event_key(place), what)

@@ -1,34 +1,24 @@
 """Compensation of one signal of one power-on: raw samples and channel readings in, compensated samples out."""
 
 from collections import deque
+from dataclasses import replace
 from uuid import UUID, uuid5
 
 import numpy as np
 
 from analytics.loop.blocks.channels import standard_unit
 from analytics.loop.blocks.run_blocks import Channel
-from analytics.loop.model.live_terms import (
-    LIVE_BLOCK_S,
-    LOOK_AHEAD_BLOCKS,
-    TIME_SINCE_POWER_ON,
-    live_blocks,
-    live_part,
-    middles_s,
-    needed_channels,
-    predicted,
-)
+from analytics.loop.model import live_terms
 from analytics.loop.model.model_registry import ModelVersion
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import CountArray, FloatArray, SampleBatch
 from stream.errors import BadInput
 from stream.quantities import report_unit
 
 SUFFIX = "_compensated"
-PATIENCE_S = 600.0
-"""Largest delay of a channel behind the signal; a channel with a larger delay keeps its last value."""
-PATIENCE_BATCHES = 3.0
-"""Least delay in lengths of the longest batch: an imported file of slow samples has batches of hours."""
+PATIENCE_S = 600.0  # largest delay of a channel behind the signal; a channel with a larger delay keeps its last value
+PATIENCE_BATCHES = 3.0  # least delay in lengths of the longest batch: batches of imported slow samples last hours
 
-_BLOCK_NS = round(LIVE_BLOCK_S * 1e9)
+_BLOCK_NS = round(live_terms.LIVE_BLOCK_S * 1e9)
 # each evaluation covers the whole run, so that it must be rare in long runs
 _EVERY_BLOCKS = 6
 _EVERY_PART = 500
@@ -54,12 +44,7 @@ class ChannelBlocks:
         self.is_read = False
 
     def take(self, batch: SampleBatch) -> None:
-        """Add readings; those before the first block are ignored.
-
-        Raises
-        ------
-        BadInput: If their unit of measure differs from that of earlier readings.
-        """
+        """Add readings, without those before the first block; BadInput if their unit of measure differs from before."""
         unit, factor, offset = standard_unit(self._name, batch.unit_of_measure)
         if self.unit_of_measure not in ("", unit):
             raise BadInput(
@@ -105,12 +90,8 @@ class EpochCompensation:
     The output is a function of the samples, not of their batching or arrival, if no channel is delayed by more than
     `patience_s`. A batch is ready one to two minutes after its arrival, since the slope of a channel needs later
     readings; in long runs up to 0.2 % of the run later (three minutes in a day). Changes within blocks of 5 s are not
-    compensated.
-
-    Parameters
-    ----------
-    first: The first raw samples of the power-on in the run; they are not taken yet.
-    power_on_ns: Time of the power-on; by default of the first sample.
+    compensated. `first` are the first raw samples of the power-on in the run, not taken yet; without `power_on_ns` the
+    power-on is at the first of them.
     """
 
     def __init__(self, version: ModelVersion, first: SampleBatch, power_on_ns: int | None = None) -> None:
@@ -121,7 +102,7 @@ class EpochCompensation:
         self.first_seq = self.next_seq = first.seq
         self.unit, self.run = first.unit, first.run
         self._name = (first.unit, first.run, first.signal)
-        self._model = live_part(version.model)
+        self._model = live_terms.live_part(version.model)
         self._result_unit, self._factor = report_unit(first.unit_of_measure)
         if version.model.unit_of_measure not in (None, self._result_unit):
             raise BadInput(
@@ -130,10 +111,10 @@ class EpochCompensation:
             )
         self.t0_ns = first.t0_ns
         self._power_on_ns = first.t0_ns if power_on_ns is None else power_on_ns
-        names = needed_channels(self._model)
-        self._has_time = TIME_SINCE_POWER_ON in names
+        names = live_terms.needed_channels(self._model)
+        self._has_time = live_terms.TIME_SINCE_POWER_ON in names
         self._sources: dict[str, dict[tuple[int, str], ChannelBlocks]] = {
-            name: {} for name in names if name != TIME_SINCE_POWER_ON
+            name: {} for name in names if name != live_terms.TIME_SINCE_POWER_ON
         }
         self._channels: dict[str, ChannelBlocks] = {}
         self._waiting: deque[SampleBatch] = deque()
@@ -215,16 +196,18 @@ class EpochCompensation:
                 else:
                     self._held.setdefault(name, (each.last_ns - self.t0_ns) / 1e9)
                     blocks = min(blocks, int((patient_ns - self.t0_ns) // _BLOCK_NS))
-            settled = blocks - LOOK_AHEAD_BLOCKS
+            settled = blocks - live_terms.LOOK_AHEAD_BLOCKS
         done = len(self._correction)
         if settled - done < (1 if is_last else max(_EVERY_BLOCKS, settled // _EVERY_PART)):
             return
         self._channels = used  # the sources are fixed from the first evaluation on
         channels = {name: each.channel(blocks) for name, each in used.items()}
         if self._has_time:
-            since_s = middles_s(blocks) + (self.t0_ns - self._power_on_ns) / 1e9
-            channels[TIME_SINCE_POWER_ON] = Channel(since_s, np.zeros(blocks), "s")
-        found = predicted(self._model, live_blocks(self._name, self.t0_ns, self._result_unit, channels, blocks))
+            since_s = live_terms.middles_s(blocks) + (self.t0_ns - self._power_on_ns) / 1e9
+            channels[live_terms.TIME_SINCE_POWER_ON] = Channel(since_s, np.zeros(blocks), "s")
+        found = live_terms.predicted(
+            self._model, live_terms.live_blocks(self._name, self.t0_ns, self._result_unit, channels, blocks)
+        )
         self._correction = np.concatenate([self._correction, found[done:settled]])
 
     def _compensated(self, batch: SampleBatch) -> SampleBatch:
@@ -232,24 +215,10 @@ class EpochCompensation:
         at = np.clip(middle, 0.0, len(self._correction) - 1.0)
         correction = np.interp(at, np.arange(len(self._correction)), self._correction) / self._factor
         values = batch.value_array - correction
-        counts, scale = _counts(batch, values)
-        return SampleBatch(
-            unit=batch.unit,
-            signal=self.signal,
-            run=batch.run,
-            epoch=self.epoch,
-            seq=batch.seq - self.first_seq,
-            t0_ns=batch.t0_ns,
-            dt_ns=batch.dt_ns,
-            unit_of_measure=batch.unit_of_measure,
-            counts=counts,
-            values=values if counts is None else None,
-            times_ns=batch.times_ns,
-            irregular=batch.irregular,
-            scale=scale,
-            offset=batch.offset if counts is not None else 0.0,
-            flags=batch.flags,
-        )
+        own = replace(batch, signal=self.signal, epoch=self.epoch, seq=batch.seq - self.first_seq)
+        if (counts := _counts(batch, values)) is not None:
+            return replace(own, counts=counts, scale=batch.scale / _FINER)
+        return replace(own, counts=None, values=values, scale=1.0, offset=0.0)
 
 
 def _best(sources: dict[tuple[int, str], ChannelBlocks]) -> list[tuple[int, str]]:
@@ -259,14 +228,9 @@ def _best(sources: dict[tuple[int, str], ChannelBlocks]) -> list[tuple[int, str]
     return [source for source in read if source[0] == highest]
 
 
-def _counts(
-    batch: SampleBatch, values: FloatArray
-) -> "tuple[np.ndarray[tuple[int], np.dtype[np.int32]] | None, float]":
+def _counts(batch: SampleBatch, values: FloatArray) -> CountArray | None:
     """Values as counts of a tenth of the raw scale; None if the raw values are not counts, or if they overflow."""
     if batch.counts is None or batch.scale == 0.0:
-        return None, 1.0
-    scale = batch.scale / _FINER
-    counts: IntArray | FloatArray = np.rint((values - batch.offset) / scale)
-    if counts.min() < _INT32.min or counts.max() > _INT32.max:
-        return None, 1.0
-    return counts.astype(np.int32), scale
+        return None
+    counts = np.rint((values - batch.offset) / (batch.scale / _FINER))
+    return counts.astype(np.int32) if counts.min() >= _INT32.min and counts.max() <= _INT32.max else None

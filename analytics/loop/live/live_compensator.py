@@ -10,34 +10,20 @@ from analytics.loop.live.epoch_compensation import PATIENCE_BATCHES, PATIENCE_S,
 from analytics.loop.model.live_terms import live_part, needed_channels
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import InUse, Uses
+from stream import events
 from stream.batch import SampleBatch
 from stream.errors import GyrofleetError
-from stream.events import (
-    AnyDocument,
-    CompensationStarted,
-    ModelActivated,
-    NoteAdded,
-    PowerOn,
-    RunEnded,
-    RunStarted,
-    StepStarted,
-    StreamTotal,
-    UnitMounted,
-)
 from stream.identity import Place
 
 _OWN, _INSTRUMENT, _SUPPOSED = 2, 1, 0
 _KEPT_NS = round(PATIENCE_S * 1e9)
 _AUTHOR = "gyrofleet compensate"
 
-Out = tuple[Place, SampleBatch | AnyDocument]
-"""Output, and the station that it belongs to."""
+Out = tuple[Place, SampleBatch | events.AnyDocument]  # output, and the station that it belongs to
 
 
 @dataclass
 class _Run:
-    """State of a running run."""
-
     place: Place
     epochs: dict[tuple[str, str, str], EpochCompensation] = field(default_factory=dict)
     power_ons: dict[tuple[str, str], int] = field(default_factory=dict)
@@ -47,22 +33,16 @@ class _Run:
     next_seq: dict[tuple[str, str, str], int] = field(default_factory=dict)
     positions: set[str] = field(default_factory=set)
     refused: set[tuple[str, str, str]] = field(default_factory=set)
-    ended: RunEnded | None = None
+    ended: events.RunEnded | None = None
 
 
 class LiveCompensator:
     """Compensates every signal that has a live error model, power-on by power-on.
 
     A power-on keeps the model that is live at its first sample: a promotion or rollback acts from the next power-on or
-    run on.
+    run on. `uses` are the models in use at the start; later activations arrive as documents. `begun` has the hash of
+    the model of each compensation that has started, by run, unit, signal and epoch (hexadecimal).
 
-    Parameters
-    ----------
-    uses: Models in use by unit and signal; later activations arrive as documents.
-    begun: Hash of the model of each compensation that has started, by run, unit, signal and epoch (hexadecimal).
-
-    Notes
-    -----
     A channel is the unit's own signal of that name, else that of the only instrument of the run that has it.
     ``table_rate`` replaces a missing ``input_rate`` unless a step gives a position or axis. The channel readings of the
     last ten minutes are kept for a power-on whose first sample arrives after them.
@@ -83,7 +63,7 @@ class LiveCompensator:
         """Add samples; the output that is ready."""
         if batch.signal.endswith(SUFFIX):
             return []
-        run = self._runs.setdefault(batch.run, _Run(place))
+        run = self._run(batch.run, place)
         stream = (batch.unit, batch.signal, batch.epoch.hex)
         run.next_seq[stream] = max(batch.next_seq, run.next_seq.get(stream, 0))
         out: list[Out] = []
@@ -96,28 +76,31 @@ class LiveCompensator:
         out += self._offer(place, run, batch)
         return out + self._finish_if_complete(run)
 
-    def take_document(self, place: Place, document: AnyDocument) -> list[Out]:
+    def take_document(self, place: Place, document: events.AnyDocument) -> list[Out]:
         """Add a document; the output that is ready."""
         match document:
-            case ModelActivated():
+            case events.ModelActivated():
                 whose = (document.unit, document.signal)
                 self._uses[whose] = self._uses.get(whose, InUse()).after(document)
                 self._wanted_now = None
-            case RunStarted():
-                self._runs.setdefault(document.run, _Run(place)).units.update(document.units)
-            case UnitMounted():
-                self._runs.setdefault(document.run, _Run(place)).units.add(document.unit)
-            case PowerOn():
-                run = self._runs.setdefault(document.run, _Run(place))
+            case events.RunStarted():
+                self._run(document.run, place).units.update(document.units)
+            case events.UnitMounted():
+                self._run(document.run, place).units.add(document.unit)
+            case events.PowerOn():
+                run = self._run(document.run, place)
                 run.units.add(document.unit)
                 run.power_ons[document.unit, document.epoch.replace("-", "")] = document.t_ns
-            case StepStarted() if document.words.position is not None or document.words.axis is not None:
-                self._runs.setdefault(document.run, _Run(place)).positions.add(document.unit)
-            case RunEnded() if document.run in self._runs:
+            case events.StepStarted() if document.words.position is not None or document.words.axis is not None:
+                self._run(document.run, place).positions.add(document.unit)
+            case events.RunEnded() if document.run in self._runs:
                 run = self._runs[document.run]
                 run.ended = document
                 return self._finish_if_complete(run)
         return []
+
+    def _run(self, name: str, place: Place) -> _Run:
+        return self._runs.setdefault(name, _Run(place))
 
     def finish(self, run_name: str) -> list[Out]:
         """End a run that is complete; its remaining output."""
@@ -126,19 +109,16 @@ class LiveCompensator:
             return []
         out: list[Out] = []
         for own in run.epochs.values():
-            if own.lacking:
-                out.append((run.place, _cannot(own)))
+            out += [(run.place, _cannot(own))] if own.lacking else []
             out += [(run.place, batch) for batch in own.due(is_last=True)]
         return out
 
-    def totals(self, run_name: str) -> tuple[StreamTotal, ...]:
+    def totals(self, run_name: str) -> tuple[events.StreamTotal, ...]:
         """Numbers of compensated samples of a run if it is complete."""
-        run = self._runs.get(run_name)
-        if run is None:
-            return ()
+        epochs = self._runs[run_name].epochs if run_name in self._runs else {}
         return tuple(
-            StreamTotal(unit=unit, signal=own.signal, epoch=str(own.epoch), samples=own.next_seq - own.first_seq)
-            for (unit, _, _), own in run.epochs.items()
+            events.StreamTotal(unit=unit, signal=own.signal, epoch=str(own.epoch), samples=own.next_seq - own.first_seq)
+            for (unit, _, _), own in epochs.items()
             if not own.lacking
         )
 
@@ -159,7 +139,9 @@ class LiveCompensator:
         except GyrofleetError as error:
             run.refused.add(stream)
             uid = uuid5(batch.epoch, f"{batch.run}/refused").hex
-            note = NoteAdded(run=batch.run, t_ns=batch.t0_ns, text=str(error), author=_AUTHOR, unit=batch.unit, uid=uid)
+            note = events.NoteAdded(
+                run=batch.run, t_ns=batch.t0_ns, text=str(error), author=_AUTHOR, unit=batch.unit, uid=uid
+            )
             return [(place, note)]
         run.units.add(batch.unit)
         run.epochs[stream] = own
@@ -168,24 +150,20 @@ class LiveCompensator:
                 self._give(run, batch.unit, own, readings)
         if is_begun:
             return []
-        return [
-            (
-                place,
-                CompensationStarted(
-                    run=batch.run,
-                    t_ns=batch.t0_ns,
-                    uid=own.epoch.hex,
-                    unit=batch.unit,
-                    signal=batch.signal,
-                    epoch=str(batch.epoch),
-                    model=model,
-                    version=version.version,
-                    compensated=own.signal,
-                    compensated_epoch=str(own.epoch),
-                    first_seq=own.first_seq,
-                ),
-            )
-        ]
+        started = events.CompensationStarted(
+            run=batch.run,
+            t_ns=batch.t0_ns,
+            uid=own.epoch.hex,
+            unit=batch.unit,
+            signal=batch.signal,
+            epoch=str(batch.epoch),
+            model=model,
+            version=version.version,
+            compensated=own.signal,
+            compensated_epoch=str(own.epoch),
+            first_seq=own.first_seq,
+        )
+        return [(place, started)]
 
     def _version(self, unit: str, model: str) -> ModelVersion:
         if (unit, model) not in self._versions:
@@ -258,7 +236,7 @@ def _names(version: ModelVersion) -> tuple[str, ...]:
     return (*names, "table_rate") if "input_rate" in names else names
 
 
-def _cannot(own: EpochCompensation) -> NoteAdded:
+def _cannot(own: EpochCompensation) -> events.NoteAdded:
     lacking = "; ".join(f"channel {name}: {why}" for name, why in own.lacking.items())
     return _note(
         own,
@@ -268,7 +246,7 @@ def _cannot(own: EpochCompensation) -> NoteAdded:
     )
 
 
-def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
+def _stopped(own: EpochCompensation, name: str, at_s: float) -> events.NoteAdded:
     return _note(
         own,
         uuid5(own.epoch, f"{name} stops").hex,
@@ -277,6 +255,6 @@ def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
     )
 
 
-def _note(own: EpochCompensation, uid: str, text: str) -> NoteAdded:
+def _note(own: EpochCompensation, uid: str, text: str) -> events.NoteAdded:
     whole = f"run {own.run}, unit {own.unit}: {own.signal.removesuffix(SUFFIX)} {text}"
-    return NoteAdded(run=own.run, t_ns=own.t0_ns, text=whole, author=_AUTHOR, unit=own.unit, uid=uid)
+    return events.NoteAdded(run=own.run, t_ns=own.t0_ns, text=whole, author=_AUTHOR, unit=own.unit, uid=uid)

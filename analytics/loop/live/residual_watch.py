@@ -1,5 +1,6 @@
 """Residual watch: a CUSUM on the log-likelihood of each model in use against the model that it replaced."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -26,10 +27,8 @@ from stream.batch import FloatArray
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument, ModelActivated, ResidualWatched
 
-THRESHOLD = math.log(200.0)
-"""Loss of log-likelihood beyond which a model is refused: odds of 200 to 1 against it."""
-STRETCH_S = 6 * 3600.0
-"""Length of the stretches into which long runs are divided, seconds."""
+THRESHOLD = math.log(200.0)  # loss of log-likelihood beyond which a model is refused: odds of 200 to 1 against it
+STRETCH_S = 6 * 3600.0  # length of the stretches into which long runs are divided, seconds
 
 _BY = "residual watch"
 _FEWEST_BLOCKS = 8
@@ -47,11 +46,8 @@ class WatchedStretch(NamedTuple):
 def gains(version: ModelVersion, run: RunBlocks) -> FloatArray:
     """Whitened log-likelihood of each block with the version, less that with the previous model; NaN without a channel.
 
-    Both are evaluated with the noise of the version, which includes turn-on scatter.
-
-    Raises
-    ------
-    BadInput: If the run lacks a channel, or is in another unit of measure.
+    Both are evaluated with the noise of the version, which includes turn-on scatter. BadInput if the run lacks a
+    channel, or is in another unit of measure.
     """
     known = np.isfinite(version.model.predict(run)) & np.isfinite(version.before.predict(run))
     both = replace(run, value=np.where(known, run.value, np.nan))
@@ -78,13 +74,7 @@ def stretches(version: ModelVersion, run: RunBlocks, *, is_ended: bool) -> list[
 
 
 def cusum(before: float, gain: float) -> float:
-    """Accumulated loss of a model after one more stretch; not below 0.
-
-    Examples
-    --------
-    >>> cusum(2.0, -1.5), cusum(2.0, 5.0)
-    (3.5, 0.0)
-    """
+    """Accumulated loss of a model after one more stretch; not below 0."""
     return max(0.0, before - gain)
 
 
@@ -92,10 +82,6 @@ def watch_store(store: Store) -> list[AnyDocument]:
     """Judge every model in use by the runs recorded since; roll back a live model that is refused or unreadable.
 
     Returns the documents that were written to the store's log. A repeated call writes nothing twice.
-
-    Raises
-    ------
-    GyrofleetError: If the store cannot be read, or the recorder does not acknowledge.
     """
     logged = logged_documents(store, (ModelActivated, ResidualWatched))
     uses = uses_of(logged)
@@ -114,7 +100,7 @@ def watch_store(store: Store) -> list[AnyDocument]:
                 history = [
                     each for each in logged if isinstance(each, ResidualWatched) and each.activation == activated.uid
                 ]
-                fresh = _ModelWatch(catalog, version, activated, history).documents()
+                fresh = list(_ModelWatch(catalog, version, activated, history).documents())
                 documents += fresh
                 if fresh and fresh[-1].is_refused and activated.stage == Stage.LIVE:
                     documents += _rolled_back(registry, use, fresh[-1])
@@ -139,8 +125,6 @@ class _Recorded(NamedTuple):
 
 
 class _ModelWatch:
-    """A version in use and its history."""
-
     def __init__(
         self, catalog: Catalog, version: ModelVersion, activated: ModelActivated, history: Sequence[ResidualWatched]
     ) -> None:
@@ -150,15 +134,12 @@ class _ModelWatch:
         self._history = history
         self._cusum = history[-1].cusum if history else 0.0
 
-    def documents(self) -> list[ResidualWatched]:
+    def documents(self) -> Iterator[ResidualWatched]:
         """The new documents, up to the one that refuses a live version."""
-        documents: list[ResidualWatched] = []
-        for recorded in self._fresh():
-            for document in self._judged(recorded):
-                documents.append(document)
-                if document.is_refused and self._activated.stage == Stage.LIVE:
-                    return documents
-        return documents
+        for document in itertools.chain.from_iterable(map(self._judged, self._fresh())):
+            yield document
+            if document.is_refused and self._activated.stage == Stage.LIVE:
+                return
 
     def _fresh(self) -> Iterator[_Recorded]:
         """Runs recorded since the activation that are not fully judged."""

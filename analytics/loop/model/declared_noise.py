@@ -10,8 +10,7 @@ import numpy as np
 from analytics.curves.noise_coefficients import MOST_MISFIT
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
@@ -22,28 +21,21 @@ _QUANTILE = 0.25
 _OF_LIMIT = 1.0 / 3.0
 _NORMAL_PER_MAD = 1.4826
 _RATES = ("input_rate", "table_rate")
-_MOST_DRIVEN = 4.0
-"""Ratio of a run's variance to its residual from a line in the rate above which the Allan fit is of the motion."""
+_MOST_DRIVEN = (
+    4.0  # above this ratio of variances, whole and left of a line in the rate, a run's Allan fit is of motion
+)
 
 
 def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> ModelNoise | NoEstimate:
-    """Noise coefficients of a unit from the Allan fits of its runs, or why there are none.
+    """Noise coefficients of a unit from the Allan fits of its runs in the store, or why there are none.
 
-    Parameters
-    ----------
-    catalog: The store, which has the fit of every finished run.
-    runs: Of one unit; a power-on within a run has the fit of the whole run.
-    model: Declared; its residual gives the turn-on scatter.
-
-    Notes
-    -----
     An Allan deviation contains the effects as well as the noise: of several runs the lower quartile is taken; of a term
     that a run does not show, a third of its upper bound. Fits with a misfit above a quarter do not count, nor do runs
     in which the unit was rotated: their Allan deviation is that of the motion, a million times the noise. The turn-on
-    scatter is that of the runs' constants by least squares (1.4826 times the median distance from the median); of a
-    single run it is unknown, and the bias instability is taken instead. Flicker and random walk appear at long
-    averaging times only, where a short run shows its effects: they are taken from the runs at least half as long as the
-    longest of those whose fits count.
+    scatter is that of the runs' constants beside the declared model by least squares (1.4826 times the median distance
+    from the median); of a single run it is unknown, and the bias instability is taken instead. Flicker and random walk
+    appear at long averaging times only, where a short run shows its effects: they are taken from the runs at least half
+    as long as the longest of those whose fits count. A power-on within a run has the fit of the whole run.
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
@@ -52,8 +44,8 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
             f"signal {signal} is in {unit_of_measure}: the noise terms are those of an angular rate",
             f"信号{signal}的单位为{unit_of_measure}：噪声各项是针对角速率的",
         )
-    names = {name for run in runs for name in _names(run)}
-    turned = {name for run in runs if _is_turned(run) for name in _names(run)}
+    names = {name for run in runs for name in (run.run, run.whole_run)}
+    turned = {name for run in runs if _is_turned(run) for name in (run.run, run.whole_run)}
     if names == turned:
         return _unknown(
             f"unit {unit}, signal {signal}: it was turned in all runs, whose Allan fits are of the motion; noise is "
@@ -105,12 +97,6 @@ def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel
     return ModelNoise(N=white, B=flicker, K=walk, turn_on=turn_on)
 
 
-def _names(run: RunBlocks) -> tuple[str, ...]:
-    """Name of the run, and of the whole run if it is a power-on."""
-    whole = run.run.rpartition("#")[0]
-    return (run.run, whole) if whole else (run.run,)
-
-
 def _unknown(en: str, zh: str) -> NoEstimate:
     return NoEstimate(Bilingual(en, zh))
 
@@ -119,7 +105,7 @@ def _lengths_s(runs: Sequence[RunBlocks]) -> dict[str, float]:
     """Length of each run, and of each whole run of power-ons."""
     found: dict[str, float] = defaultdict(float)
     for run in runs:
-        for name in _names(run):
+        for name in {run.run, run.whole_run}:
             found[name] += run.value.size * run.block_s
     return found
 
@@ -147,14 +133,11 @@ def _value(coefficient: dict[str, Any]) -> float:
 
 def _constants(runs: Sequence[RunBlocks], model: ErrorModel) -> FloatArray:
     """Constant of each run beside the model's terms, by least squares."""
-    columns, values, rows = [], [], []
-    for at, run in enumerate(runs):
-        x = np.column_stack([model.columns(run), run.value])
-        x = x[np.isfinite(x).all(axis=1)]
-        columns.append(x[:, :-1])
-        values.append(x[:, -1])
-        rows.append(np.full(len(x), at))
-    terms, value, row = np.concatenate(columns), np.concatenate(values), np.concatenate(rows)
+    both = [np.column_stack([model.columns(run), run.value]) for run in runs]
+    both = [each[np.isfinite(each).all(axis=1)] for each in both]
+    row = np.repeat(np.arange(len(runs)), list(map(len, both)))
+    terms, value = np.split(np.concatenate(both), [-1], axis=1)
+    value = value[:, 0]
     present = np.unique(row)
     if len(present) == 0:
         return np.empty(0)

@@ -13,11 +13,18 @@ from stream.batch import FloatArray
 from stream.errors import BadInput
 
 
+class ModelNoise(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Noise of a signal in its result unit u and hours; for deg/h the units in parentheses."""
+
+    N: float  # white noise, u*sqrt(h) (angle random walk, deg/sqrt(h))
+    B: float  # flicker: bias instability, u (deg/h); 0 where there is none
+    K: float  # random walk, u/sqrt(h) (rate random walk, deg/h/sqrt(h)); 0 where there is none
+    turn_on: float  # standard deviation of the bias from run to run, u (deg/h)
+
+
 class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
     """One term: ``bias``, the constant, or the name of an effect with the values of its shape parameters.
 
-    Examples
-    --------
     >>> str(ModelTerm("warm_up", {"time_constant": 1800.0})), str(ModelTerm("scale_factor"))
     ('warm_up(time_constant=1800)', 'scale_factor*input_rate')
     """
@@ -61,15 +68,6 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     Without coefficients the model is declared, with them it is fitted. `bias` is the constant; every other term is an
     effect and occurs at most once.
 
-    Parameters
-    ----------
-    signal, unit_of_measure: Of the prediction.
-    coefficients, units, covariance: One for each column; empty in a declared model.
-    noise: Remaining noise, such as ``{"N": 0.005, "B": 0.02, "K": 0.01, "turn_on": 0.3}`` in deg/sqrt(h), deg/h,
-        deg/h/sqrt(h), deg/h.
-
-    Examples
-    --------
     >>> model = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")
     >>> model.signal, [term.name for term in model.terms]
     ('rate', ['bias', 'scale_factor', 'temperature'])
@@ -81,10 +79,11 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     terms: tuple[ModelTerm, ...]
     signal: str | None = None
-    unit_of_measure: str | None = None
-    coefficients: tuple[float, ...] = ()
+    unit_of_measure: str | None = None  # of the prediction
+    coefficients: tuple[float, ...] = ()  # one for each column; empty in a declared model
     units: tuple[str, ...] = ()
     covariance: tuple[tuple[float, ...], ...] = ()
+    # left: {"N": 0.005, "B": 0.02, "K": 0.01, "turn_on": 0.3} in the units of `ModelNoise`
     noise: dict[str, float] = {}
 
     def __post_init__(self) -> None:
@@ -100,13 +99,7 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def parse(cls, text: str, channels: Collection[str] = ()) -> Self:
-        """Read a model from text; see `parse_model`.
-
-        Parameters
-        ----------
-        text: Such as ``rate = bias + scale_factor*input_rate + warm_up(time_constant=1800)``.
-        channels: Names of channels that may be linear terms.
-        """
+        """Read a model from text, see `parse_model`; other `channels` than the standard ones may be linear terms."""
         signal, parsed = parse_model(text, channels)
         return cls(signal=signal, terms=tuple(ModelTerm(each.name, dict(each.shape)) for each in parsed))
 
@@ -215,15 +208,11 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 def _residual_squares(runs: Sequence[RunBlocks], terms: Sequence[ModelTerm]) -> float:
     """Residual sum of squares of a least-squares fit with a constant for each run."""
-    columns, values = [], []
-    for run in runs:
-        block = np.column_stack([run.value, *(term.columns(run) for term in terms if term.name != BIAS)])
-        block = block[np.isfinite(block).all(axis=1)]
-        if len(block):
-            block = block - block.mean(axis=0)
-        values.append(block[:, 0])
-        columns.append(block[:, 1:])
-    x, y = np.vstack(columns), np.concatenate(values)
+    named = [term for term in terms if term.name != BIAS]
+    blocks = [np.column_stack([run.value, *(term.columns(run) for term in named)]) for run in runs]
+    blocks = [each[np.isfinite(each).all(axis=1)] for each in blocks]
+    centred = np.vstack([each - each.mean(axis=0) if len(each) else each for each in blocks])
+    y, x = centred[:, 0], centred[:, 1:]
     scale = np.sqrt(np.sum(x**2, axis=0))
     x = x / np.where(scale > 0, scale, 1.0)
     found, *_ = np.linalg.lstsq(x, y, rcond=None)

@@ -12,10 +12,8 @@ from analytics.loop.model.model_text import BIAS
 from stream.batch import FloatArray
 from stream.errors import BadInput, GyrofleetError
 
-LIVE_BLOCK_S = 5.0
-"""Length of the blocks on which terms are evaluated, seconds; terms are interpolated between their middles."""
-LOOK_AHEAD_BLOCKS = 13
-"""Blocks after which the value of a term must be final: a slope is taken over 60 s to both sides."""
+LIVE_BLOCK_S = 5.0  # blocks on which terms are evaluated, seconds; they are interpolated between the middles
+LOOK_AHEAD_BLOCKS = 13  # blocks after which the value of a term must be final: a slope is taken over 60 s to both sides
 TIME_SINCE_POWER_ON = "time_since_power_on"
 
 _NOT_SUBTRACTED = (BIAS, "scale_factor")
@@ -34,8 +32,6 @@ def live_part(model: ErrorModel) -> ErrorModel:
     Those two belong to the gyro's own calibration and are what its tests measure; temperatures are relative to 25 degC,
     so that the remaining bias is that at 25 degC.
 
-    Examples
-    --------
     >>> model = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature").fitted([3.0, 0.1, 0.25])
     >>> str(live_part(model)), live_part(model).coefficients
     ('rate = temperature', (0.25,))
@@ -90,8 +86,6 @@ def check_live(unit: str, model: ErrorModel) -> None:
 def why_not_live(term: ModelTerm) -> str | None:
     """Why a term cannot be computed during a run; None where it can.
 
-    Examples
-    --------
     >>> why_not_live(ModelTerm("temperature_rate"))
     >>> why_not_live(ModelTerm("ageing"))
     "channel day: it counts from the unit's first day in the store"

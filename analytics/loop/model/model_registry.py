@@ -9,11 +9,10 @@ from typing import Any, Self
 
 import msgspec
 
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
-from storage.store import Store, only_one, sync_folder
-from stream.atomic_file import write_durably
+from storage.store import Store, only_one
+from stream.atomic_file import sync_folder, write_durably
 from stream.errors import BadInput, NotFound, StoreError
 from stream.identity import check_name
 
@@ -23,43 +22,27 @@ _NAME = re.compile(r"(?P<version>\d{4,})-(?P<hash>[0-9a-f]{32})\.json")
 
 
 class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
-    """A version of the error model of a unit's signal, with the data that it is based on.
-
-    Parameters
-    ----------
-    version: From 1 on, for each unit.
-    parent: Hash of the version in use when this one was made.
-    text, model: The model as text, and with its coefficients, covariance and noise.
-    before: The model that it replaces, fitted to the same runs.
-    noise: Remaining noise of `model`.
-    block_s, longest_s: Length of the blocks and of the longest run that it was fitted to, seconds.
-    runs: Each run that it was fitted to or confirmed by, with a hash of its stored data.
-    training_runs: Those that it was fitted to.
-    verdict: Of the trace that it comes from.
-    added, confounded: Effects that the declared model lacked, and effects that explain the training runs as well.
-    holdout: Result of the held-out runs.
-    made_ns, by, note: Time in ns UTC, author, and free text.
-    """
+    """A version of the error model of a unit's signal, with the data that it is based on."""
 
     unit: str
     signal: str
-    version: int
-    parent: str | None
+    version: int  # from 1 on, for each unit
+    parent: str | None  # hash of the version in use when this one was made
     text: str
     model: ErrorModel
-    before: ErrorModel
-    noise: ModelNoise
+    before: ErrorModel  # the model that it replaces, fitted to the same runs
+    noise: ModelNoise  # left beside `model`
     block_s: float
-    longest_s: float
-    runs: dict[str, str]
-    training_runs: tuple[str, ...]
-    verdict: str
-    added: tuple[str, ...]
-    holdout: dict[str, Any] | None
+    longest_s: float  # length of the longest run that it was fitted to
+    runs: dict[str, str]  # that it was fitted to or confirmed by, with a hash of their stored data
+    training_runs: tuple[str, ...]  # those that it was fitted to
+    verdict: str  # of the trace that it comes from
+    added: tuple[str, ...]  # effects that the declared model lacked
+    holdout: dict[str, Any] | None  # result of the held-out runs
     made_ns: int
     by: str
     note: str = ""
-    confounded: tuple[str, ...] = ()
+    confounded: tuple[str, ...] = ()  # effects that explain the training runs as well
 
     @property
     def is_confirmed(self) -> bool:
@@ -80,13 +63,7 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def no_version(unit: str) -> str:
-    """Message that a unit has no version, and how to make the first one.
-
-    Examples
-    --------
-    >>> no_version("U1").partition(":")[0]
-    'unit U1 has no version of its error model'
-    """
+    """Message that a unit has no version, and how to make the first one."""
     return (
         f"unit {unit} has no version of its error model: `gyrofleet model promote --unit {unit} --model 'rate = bias + "
         "temperature'`, with the terms that you declare, traces the unit's runs and writes version 1"
@@ -94,13 +71,7 @@ def no_version(unit: str) -> str:
 
 
 def hash_of(content: bytes) -> str:
-    """Hash of a file's content.
-
-    Examples
-    --------
-    >>> hash_of(b"")
-    'e3b0c44298fc1c149afbf4c8996fb924'
-    """
+    """Hash of a file's content."""
     return hashlib.sha256(content).hexdigest()[:_HASH_DIGITS]
 
 
@@ -160,9 +131,7 @@ class ModelRegistry:
     def add(self, version: ModelVersion) -> ModelVersion:
         """Write a version under the next number of its unit and return it as written; it is then on disk.
 
-        Raises
-        ------
-        StoreError: If it cannot be written, or another process is writing one.
+        StoreError if it cannot be written, or another process is writing one.
         """
         folder = self._folder / check_name("unit", version.unit)
         try:
@@ -172,7 +141,9 @@ class ModelRegistry:
             with only_one(self._folder / f"{version.unit}.lock", "gyrofleet model promote"):
                 number = max((_number(path) for path in _files(folder)), default=0) + 1
                 written = msgspec.structs.replace(version, version=number)
-                _write_once(folder / f"{number:04d}-{written.hash}.json", written.content())
+                path = folder / f"{number:04d}-{written.hash}.json"
+                fresh = path.with_name(f".{path.name}.{os.getpid()}.part")  # it appears whole, or not at all
+                write_durably(path, written.content(), fresh=fresh, overwrite=False)
         except OSError as error:
             raise StoreError(f"unit {version.unit}: its error model cannot be written to {folder}: {error}") from error
         return written
@@ -230,8 +201,3 @@ def _files(folder: Path) -> list[Path]:
 
 def _number(path: Path) -> int:
     return int(path.name.partition("-")[0])
-
-
-def _write_once(path: Path, content: bytes) -> None:
-    """Write a file that is not there yet: it appears whole, or not at all."""
-    write_durably(path, content, fresh=path.with_name(f".{path.name}.{os.getpid()}.part"), overwrite=False)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS
 from analytics.loop.effects.base import EffectKind
-from analytics.loop.effects.named_channels import PREFIX
+from analytics.loop.effects.monomial import PREFIX
 from analytics.loop.effects.registry import effect, effects
 from stream.errors import BadInput
 
@@ -29,14 +29,8 @@ class ParsedTerm(NamedTuple):
 
 
 def parse_model(text: str, channels: Collection[str] = ()) -> tuple[str | None, tuple[ParsedTerm, ...]]:
-    """Signal and terms of a model's text.
+    """Signal and terms of a model's text; BadInput if it cannot be read, or a term is neither an effect nor a channel.
 
-    Raises
-    ------
-    BadInput: If it cannot be read, or a term is neither an effect nor a channel.
-
-    Examples
-    --------
     >>> parse_model("bias + warm_up(time_constant=1800)")
     (None, (ParsedTerm(name='bias', shape={}), ParsedTerm(name='warm_up', shape={'time_constant': 1800})))
     >>> parse_model("rate = bias + temprature")
@@ -59,8 +53,6 @@ def parse_model(text: str, channels: Collection[str] = ()) -> tuple[str | None, 
 def term_text(term: ParsedTerm) -> str:
     """A term as text.
 
-    Examples
-    --------
     >>> term_text(ParsedTerm("function_of_temperature", {"knots": [-20.0, 0.0, 40.5]}))
     'function_of_temperature(knots=[-20, 0, 40.5])'
     """

@@ -23,46 +23,30 @@ _SQL = "select document from events where list_contains($kinds, kind) order by t
 class Stage(StrEnum):
     """Use of a version."""
 
-    LIVE = "live"
-    """It compensates the live stream."""
-    SHADOW = "shadow"
-    """It is only monitored."""
+    LIVE = "live"  # it compensates the live stream
+    SHADOW = "shadow"  # it is only monitored
     OFF = "off"
 
 
 @dataclass(frozen=True)
 class InUse:
-    """Versions in use for a unit's signal, each as the document that activated it.
-
-    Parameters
-    ----------
-    before: Live versions that the live one replaced, the latest last.
-    """
+    """Versions in use for a unit's signal, each as the document that activated it."""
 
     live: ModelActivated | None = None
     shadow: ModelActivated | None = None
-    before: tuple[ModelActivated, ...] = ()
+    before: tuple[ModelActivated, ...] = ()  # live versions that the live one replaced, the latest last
 
     def after(self, document: ModelActivated) -> "InUse":
         """Use after a document.
 
-        Examples
-        --------
         >>> one = ModelActivated(run="", t_ns=0, unit="U1", model="a", version=1, stage="shadow")
         >>> InUse().after(one).shadow is one, InUse().after(one).live
         (True, None)
         """
-        live, shadow = self.live, self.shadow
-        if shadow is not None and shadow.model == document.model:
-            shadow = None
-        if live is not None and live.model == document.model:
-            live = None
-        before = self.before
+        live, shadow = (each if each and each.model != document.model else None for each in (self.live, self.shadow))
         if document.stage == Stage.LIVE:
-            live, before = document, self._before(document)
-        elif document.stage == Stage.SHADOW:
-            shadow = document
-        return InUse(live, shadow, before)
+            return InUse(document, shadow, self._before(document))
+        return InUse(live, document if document.stage == Stage.SHADOW else shadow, self.before)
 
     def _before(self, document: ModelActivated) -> tuple[ModelActivated, ...]:
         """Versions that a new live one replaces; one that returns has those that were before it then."""
@@ -84,8 +68,7 @@ class InUse:
         return tuple(each for each in (self.live, self.shadow) if each is not None)
 
 
-Uses = dict[tuple[str, str], InUse]
-"""Versions in use, by unit and signal."""
+Uses = dict[tuple[str, str], InUse]  # versions in use, by unit and signal
 
 
 def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[AnyDocument]:

@@ -10,26 +10,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from analytics.loop.effects.registry import effect
+from analytics.loop.report import finding_sentences as sentences
+from analytics.loop.report import report_tables as tables
 from analytics.loop.report.diagnosis_plots import figures_of
-from analytics.loop.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
-from analytics.loop.report.finding_sentences import alternative, evidence, separating_test
-from analytics.loop.report.fleet_sentences import fleet_rows, fleet_sentence, unit_rows
-from analytics.loop.report.report_tables import (
-    TextTable,
-    absent_rows,
-    achieved,
-    allan_rows,
-    coefficient_rows,
-    driver_rows,
-    error_rows,
-    gain_rows,
-    noise_rows,
-)
-from analytics.loop.report.residual_curves import residual_allan
-from analytics.loop.report.residuals import residuals_of
+from analytics.loop.report.drivers import bias_over_temperature, scale_factor_over_rate
+from analytics.loop.report.next_test_rows import next_test_rows, next_test_sentence
+from analytics.loop.report.residuals import residual_allan, residuals_of
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
-from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.errors import BadInput
 
@@ -37,12 +26,7 @@ _DPI = 110
 
 
 def write_report(found: UnitsDiagnosis, path: Path, language: Language) -> None:
-    """Write the report of a diagnosis; of several units, those without a finding have tables, but no pictures.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write the report of a diagnosis; of several units, those without a finding have tables, but no pictures."""
     try:
         path.write_text(report_html(found, language), encoding="utf-8")
     except OSError as error:
@@ -62,30 +46,30 @@ def report_html(found: UnitsDiagnosis, language: Language) -> str:
         title=f"{words.of('Diagnosis of', '诊断：')} {of}",
         is_one=is_one,
         fleet=found.fleet,
-        overview=unit_rows(found, words),
+        overview=sentences.unit_rows(found, words),
         units=[_unit(each, Wording(language, each.data.runs[0]), is_one=is_one) for each in found.units.values()],
         library_effect=effect,
-        evidence=evidence,
-        alternative=alternative,
+        evidence=sentences.evidence,
+        alternative=sentences.alternative,
         separating_tests=_separating_tests,
-        fleet_rows=fleet_rows,
-        fleet_sentence=fleet_sentence,
+        fleet_rows=sentences.fleet_rows,
+        fleet_sentence=sentences.fleet_sentence,
         verdict_sentence=verdict_sentence,
     )
 
 
 def _separating_tests(found: FoundEffect, words: Wording) -> list[str]:
-    others = (separating_test(each, words) for each in found.confounded)
-    return list(dict.fromkeys([separating_test(found, words), *others]))
+    others = (sentences.separating_test(each, words) for each in found.confounded)
+    return list(dict.fromkeys([sentences.separating_test(found, words), *others]))
 
 
 def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, Any]:
     """What the template shows of one unit."""
     diagnosis, notes = found.diagnosis, found.data.notes
-    declared = [noise_rows(diagnosis, words)]
+    declared = [tables.noise_rows(diagnosis, words)]
     if diagnosis.judged is not None:
         title = words.of("Declared model as fitted", "已声明模型的拟合结果")
-        declared.insert(0, coefficient_rows(diagnosis.judged, title, words))
+        declared.insert(0, tables.coefficient_rows(diagnosis.judged, title, words))
     has_pictures = is_one or bool(diagnosis.effects or diagnosis.unreplicated)
     caveats = [each for each in diagnosis.limits if each not in diagnosis.losses]
     return {
@@ -96,7 +80,9 @@ def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, An
         "pictures": _pictures(figures_of(found, words)) if has_pictures else None,
         "caveats": _texts([*caveats, *(note.text for note in notes if note.is_limit)], words),
         "notes": _texts((note.text for note in notes if not note.is_limit), words),
-        "absent": absent_rows(diagnosis, words),
+        "absent": tables.absent_rows(diagnosis, words),
+        "next_test": found.next_test and next_test_sentence(found.next_test, words),
+        "plans": found.next_test and found.next_test.plans and next_test_rows(found.next_test, words),
     }
 
 
@@ -106,21 +92,21 @@ def _errors(found: UnitDiagnosis, words: Wording) -> dict[str, Any]:
     residuals = residuals_of(found.data.runs, diagnosis)
     if diagnosis.error is None or residuals is None:
         return {"errors": []}
-    curves: list[TextTable] = []
+    curves: list[tables.TextTable] = []
     over_temperature, over_rate = bias_over_temperature(residuals), scale_factor_over_rate(residuals)
     if over_temperature is not None:
         title = words.of("Bias error over temperature, including turn-on scatter", "零偏误差随温度（含逐次启动散布）")
-        curves.append(driver_rows(over_temperature, title, words))
+        curves.append(tables.driver_rows(over_temperature, title, words))
     if over_rate is not None:
         title = words.of("Scale-factor error over rate", "标度因数误差随角速率")
-        curves.append(driver_rows(over_rate, title, words))
-    curves.append(allan_rows(residual_allan(residuals), residuals.unit_of_measure, words))
+        curves.append(tables.driver_rows(over_rate, title, words))
+    curves.append(tables.allan_rows(residual_allan(residuals), residuals.unit_of_measure, words))
     if diagnosis.model is not None and diagnosis.effects:
-        curves.append(coefficient_rows(diagnosis.model, words.of("Model found", "所得模型"), words))
-    errors = [error_rows(diagnosis.error, words), gain_rows(diagnosis.error, words)]
+        curves.append(tables.coefficient_rows(diagnosis.model, words.of("Model found", "所得模型"), words))
+    errors = [tables.error_rows(diagnosis.error, words), tables.gain_rows(diagnosis.error, words)]
     return {
         "errors": [each for each in errors if each.rows],
-        "achieved": achieved(diagnosis.error, words),
+        "achieved": tables.achieved(diagnosis.error, words),
         "curves": curves,
     }
 
@@ -130,7 +116,6 @@ def _texts(texts: Iterable[str], words: Wording) -> list[str]:
 
 
 def _pictures(figures: dict[str, Figure]) -> dict[str, str]:
-    """Figures as PNG in base64."""
     encoded = {}
     for name, figure in figures.items():
         image = io.BytesIO()

@@ -11,11 +11,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from analytics.loop.report.effect_driver import Drawn, drawn
-from analytics.loop.report.residual_curves import DeviationAt, WhitenedSpectrum, residual_allan, whitened_spectrum
-from analytics.loop.report.residuals import residuals_of
+from analytics.loop.report.drivers import Drawn, drawn
+from analytics.loop.report.residuals import (
+    DeviationAt,
+    WhitenedSpectrum,
+    residual_allan,
+    residuals_of,
+    whitened_spectrum,
+)
 from analytics.loop.report.wording import Wording
-from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.result.holdout import HoldoutSlope
 from analytics.loop.unit_diagnosis import UnitDiagnosis
 from analytics.plots.allan_marks import FLEET, INK, SOFT
@@ -39,20 +44,18 @@ def figures_of(found: UnitDiagnosis, words: Wording) -> dict[str, Figure]:
     if words.language == "zh" and chinese_font() is None:
         words = Wording("en", found.data.runs[0])
     figures: dict[str, Figure] = {}
-    slopes = () if found.diagnosis.holdout is None else found.diagnosis.holdout.effects
+    holdout = found.diagnosis.holdout
     for effect in (*found.diagnosis.effects, *found.diagnosis.unreplicated):
         name = _file_name(effect.name)
         over = drawn(residuals, effect, words)
         if over is not None:
             figures[f"residual-{name}"] = residual_figure(effect, over, residuals.unit_of_measure, words)
         if effect.by_run:
-            slope = next((each for each in slopes if each.effect == effect.name), None)
+            slope = None if holdout is None else holdout.slope(effect.name)
             figures[f"by-run-{name}"] = coefficient_figure(effect, slope, words)
-    spectrum = whitened_spectrum(residuals)
-    if spectrum is not None:
+    if (spectrum := whitened_spectrum(residuals)) is not None:
         figures["spectrum"] = spectrum_figure(spectrum, words)
-    deviations = residual_allan(residuals)
-    if deviations:
+    if deviations := residual_allan(residuals):
         figures["allan"] = allan_figure(deviations, residuals.unit_of_measure, words)
     return figures
 
@@ -101,15 +104,8 @@ def coefficient_figure(effect: FoundEffect, slope: HoldoutSlope | None, words: W
     axes.axhspan(pooled.lo, pooled.hi, color=AFTER, alpha=0.15, linewidth=0)
     axes.axhline(pooled.value, color=AFTER, linewidth=1.5, label=words.of("all training runs", "全部训练试验"))
     values, errors = np.array(list(runs.values())).T
-    axes.errorbar(
-        np.arange(len(names)),
-        values,
-        1.96 * errors,
-        fmt="o",
-        color=INK,
-        capsize=3,
-        label=words.of("one run", "单次试验"),
-    )
+    label = words.of("one run", "单次试验")
+    axes.errorbar(np.arange(len(names)), values, 1.96 * errors, fmt="o", color=INK, capsize=3, label=label)
     if slope is not None:
         names.append(words.of("held out", "留出"))
         value, error = pooled.value * slope.slope, abs(pooled.value) * slope.slope_se
@@ -127,8 +123,6 @@ def coefficient_figure(effect: FoundEffect, slope: HoldoutSlope | None, words: W
 def short_names(names: Sequence[str]) -> list[str]:
     """Names of runs without their common leading words but the last.
 
-    Examples
-    --------
     >>> short_names(["lot7-t1-cycle-1", "lot7-t1-cycle-12"]), short_names(["r1", "r2"]), short_names(["lot7-t1"])
     (['…cycle-1', '…cycle-12'], ['r1', 'r2'], ['lot7-t1'])
     """
@@ -162,14 +156,8 @@ def allan_figure(deviations: tuple[DeviationAt, ...], unit_of_measure: str, word
     )
     tau_s = np.array([each.tau_s for each in deviations])
     axes.set(xscale="log", yscale="log")
-    axes.fill_between(
-        tau_s,
-        np.array([each.lo for each in deviations]),
-        np.array([min(each.hi, 3 * each.after) for each in deviations]),
-        color=AFTER,
-        alpha=0.18,
-        linewidth=0,
-    )
+    lo, hi = [each.lo for each in deviations], [min(each.hi, 3 * each.after) for each in deviations]
+    axes.fill_between(tau_s, lo, hi, color=AFTER, alpha=0.18, linewidth=0)
     before, after, floor = (
         np.array([getattr(each, key) for each in deviations]) for key in ("before", "after", "floor")
     )

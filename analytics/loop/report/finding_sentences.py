@@ -1,59 +1,64 @@
-"""The evidence of a finding and its alternatives, as sentences."""
+"""The evidence of a finding and its alternatives; the effects common to several units, and the units that differ."""
 
+from collections.abc import Iterator, Sequence
+
+from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effect
-from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import Wording, number
-from analytics.loop.tracing.fleet import FleetDiagnosis
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis
-from analytics.loop.tracing.result.finding import ConfoundedEffect, FoundEffect
+from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
+from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import HeldOutAnswer
 from analytics.loop.tracing.verdict.adequacy import WRONG_FORM
+from analytics.loop.unit_diagnosis import UnitsDiagnosis
 
 _ANSWERS = {
     HeldOutAnswer.CONFIRMED: ("confirmed", "予以证实"),
     HeldOutAnswer.REFUSED: ("refused", "予以否定"),
     HeldOutAnswer.NO_POWER: ("these runs do not excite it and cannot tell", "这些试验未激励该效应，无法判别"),
 }
+_ZH_VERDICTS = {
+    ModelVerdict.NOTHING_MISSING: "无缺项",
+    ModelVerdict.EFFECT_FOUND: "发现效应",
+    ModelVerdict.CONFOUNDED: "无法区分",
+    ModelVerdict.UNREPLICATED: "未重现",
+    ModelVerdict.UNKNOWN_FUNCTION: "未知函数",
+    ModelVerdict.UNEXPLAINED: "未解释",
+    ModelVerdict.NOT_ENOUGH_DATA: "数据不足",
+}
 
 
-def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> list[str]:
+def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> Iterator[str]:
     """The evidence of a finding."""
     left = number(found.evidence)
-    texts = [
-        words.of(
-            f"Significance z = {found.significance:.1f} (one degree of freedom; noise fitted with and without the "
-            f"effect); chi-square less the multiplicity penalty: {left}.",
-            f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别拟合）；"
-            f"扣除多重性惩罚后的卡方：{left}。",
-        )
-    ]
+    yield words.of(
+        f"Significance z = {found.significance:.1f} (one degree of freedom; noise fitted with and without the effect); "
+        f"chi-square less the multiplicity penalty: {left}.",
+        f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别拟合）；"
+        f"扣除多重性惩罚后的卡方：{left}。",
+    )
     if found.by_run and found.name != TURN_ON:
-        texts.append(_by_run(found, diagnosis, words))
+        yield _by_run(found, diagnosis, words)
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
     if slope is not None:
         value, answer = f"{slope.slope:.3f} ± {slope.slope_se:.3f}", words.of(*_ANSWERS[slope.answer])
-        texts.append(
-            words.of(
-                f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
-                f"{answer}.",
-                f"留出数据、系数冻结：残差对预测的斜率为{value}（正确时为1）：{answer}。",
-            )
+        yield words.of(
+            f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
+            f"{answer}.",
+            f"留出数据、系数冻结：残差对预测的斜率为{value}（正确时为1）：{answer}。",
         )
     if found.error_share is not None:
         share = f"{found.error_share:.1%}"
-        texts.append(words.of(f"It explains {share} of the squared error.", f"它解释误差平方的{share}。"))
+        yield words.of(f"It explains {share} of the squared error.", f"它解释误差平方的{share}。")
     if found.companions:
         names = words.listed([words.name(name) for name in found.companions])
-        texts.append(words.of(f"Proxies that follow it: {names}.", f"随其变化的代理量：{names}。"))
+        yield words.of(f"Proxies that follow it: {names}.", f"随其变化的代理量：{names}。")
     if found.unknown_function_of:
         channels = words.listed(found.unknown_function_of)
-        texts.append(
-            words.of(
-                f"Its form does not fit: the residual depends on {channels} in another way.",
-                f"其形式不符：残差以其他方式随{channels}变化。",
-            )
+        yield words.of(
+            f"Its form does not fit: the residual depends on {channels} in another way.",
+            f"其形式不符：残差以其他方式随{channels}变化。",
         )
-    return texts
 
 
 def _by_run(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> str:
@@ -99,3 +104,62 @@ def separating_test(found: FoundEffect | ConfoundedEffect, words: Wording) -> st
     """The measurement that separates an effect from similar ones."""
     known = effect(found.name)
     return words.of(known.separating_test, known.separating_test_zh)
+
+
+def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
+    """The common effects, and how many units differ."""
+    units = len(fleet.units)
+    if fleet.verdict is ModelVerdict.NOT_ENOUGH_DATA:
+        why = words.of("; ", "；").join(map(words.text, fleet.limits))
+        return words.of(f"Not enough data to pool: {why}.", f"数据不足，无法汇总：{why}。")
+    if not fleet.effects:
+        en = f"The {units} units have no missing effect in common that repeats in their runs."
+        return words.of(en, f"{units}个产品合并分析未见可重现的共同缺项。")
+    effects = words.of("; and ", "；以及").join(_common(each, fleet, words) for each in fleet.effects)
+    return words.of(
+        f"The declared model lacks, in {units} units together: {effects}.",
+        f"{units}个产品合并分析，已声明模型缺少：{effects}。",
+    )
+
+
+def _common(found: FoundEffect, fleet: FleetDiagnosis, words: Wording) -> str:
+    text = f"{words.effect(found)}{words.of(': ', '：')}{words.coefficient(found)}"
+    if found.confounded:
+        others = words.listed([words.effect(other) for other in found.confounded], ("or", "或"))
+        text += words.of(f", which these data cannot separate from {others}", f"（现有数据无法与{others}区分）")
+    rows = fleet.by_unit.get(found.name, ())
+    differing = words.listed([each.unit for each in rows if each.differs])
+    if rows and all(each.differs for each in rows):
+        text += words.of(", which differs from unit to unit", "（各产品不一致）")
+    elif differing:
+        text += words.of(f"; {differing} differs from the others", f"（{differing}与其他产品不同）")
+    return text
+
+
+def fleet_rows(name: str, rows: Sequence[UnitCoefficient], words: Wording) -> TextTable:
+    """A common effect in each unit."""
+    yes = words.of("yes", "是")
+    same = ("p that it equals that of the others", "与其他产品相同的p值")
+    return TextTable(
+        words.of(f"{words.name(name)} in each unit", f"各产品的{words.name(name)}"),
+        words.each(("unit", "产品"), ("coefficient", "系数"), ("±", "±"), same, ("differs", "不同")),
+        tuple(
+            (each.unit, number(each.coefficient), number(each.se), number(each.p_value), yes if each.differs else "")
+            for each in rows
+        ),
+    )
+
+
+def unit_rows(found: UnitsDiagnosis, words: Wording) -> TextTable:
+    """The verdict of each unit, and whether its findings are significant among so many units."""
+    rows = []
+    for unit, each in found.units.items():
+        diagnosis, own = each.diagnosis, Wording(words.language, each.data.runs[0])
+        effects = "; ".join(f"{own.effect(effect)}: {own.coefficient(effect)}" for effect in diagnosis.by_size)
+        verdict = words.of(diagnosis.verdict.value.replace("_", " "), _ZH_VERDICTS[diagnosis.verdict])
+        significant = words.of("yes", "是") if unit in found.own_findings else words.of("no", "否")
+        rows.append((unit, verdict, effects, significant if effects else ""))
+    rows += [(unit, words.of("failed", "失败"), why, "") for unit, why in found.failed.items()]
+    significant_head = ("significant among so many units", "多重比较后显著")
+    head = words.each(("unit", "产品"), ("verdict", "判定"), ("found", "发现"), significant_head)
+    return TextTable(words.of("Each unit alone", "各产品单独诊断"), head, tuple(rows))

@@ -4,14 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.report.error_by_driver import ErrorOverDriver
-from analytics.loop.report.residual_curves import DeviationAt
-from analytics.loop.report.wording import Wording, measured, number, shown_unit
+from analytics.loop.report.drivers import ErrorOverDriver
+from analytics.loop.report.residuals import DeviationAt
+from analytics.loop.report.wording import Wording, measured, number
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
-from analytics.loop.tracing.result.error_table import ErrorGain, ErrorTable
-from stream.quantities import ANGULAR_RATE_UNIT
+from analytics.loop.tracing.result.holdout import ErrorGain, ErrorTable
+from stream.quantities import ANGULAR_RATE_UNIT, format_unit
 
 _NUMBER_STARTS = "0123456789-\N{EN DASH}"
+_TIME, _UNIT = ("averaging time", "平均时间"), ("unit", "单位")
+_ERRORS = ("declared model", "已声明模型"), ("model found", "所得模型"), ("noise alone", "仅噪声")
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,6 @@ class TextTable:
     def is_numeric(self, column: int) -> bool:
         """Whether a column holds numbers, which are aligned to the right.
 
-        Examples
-        --------
         >>> table = TextTable("", ("unit", "value"), (("FOG-1", "3.2"), ("FOG-2", "")))
         >>> table.is_numeric(0), table.is_numeric(1)
         (False, True)
@@ -43,16 +43,9 @@ def error_rows(table: ErrorTable, words: Wording) -> TextTable:
          _excited(row.excited_before, row.excited_after, row.excited_floor), f"{row.averages:,}")
         for row in table.rows
     ]  # fmt: skip
-    return TextTable(
-        words.of(f"RMS error of averages, {where} ({unit})", f"平均值的均方根误差，{where}（{unit}）"),
-        (
-            words.of("averaging time", "平均时间"),
-            *_before_after(words),
-            words.of("where the effect is excited", "效应被激励处"),
-            words.of("averages", "平均值个数"),
-        ),
-        tuple(rows),
-    )
+    title = words.of(f"RMS error of averages, {where} ({unit})", f"平均值的均方根误差，{where}（{unit}）")
+    excited = ("where the effect is excited", "效应被激励处")
+    return TextTable(title, words.each(_TIME, *_ERRORS, excited, ("averages", "平均值个数")), tuple(rows))
 
 
 def gain_rows(table: ErrorTable, words: Wording) -> TextTable:
@@ -64,19 +57,12 @@ def gain_rows(table: ErrorTable, words: Wording) -> TextTable:
         if row.before_within > 0
     ]  # fmt: skip
     unit = table.unit_of_measure
-    return TextTable(
-        words.of(
-            f"The same about the mean of each run ({unit}), and decrease of the squared error with bounds over runs",
-            f"去除各次试验均值后（{unit}），以及平方误差减少量及其试验间置信限",
-        ),
-        (
-            words.of("averaging time", "平均时间"),
-            *_before_after(words),
-            words.of("decrease", "减少"),
-            words.of("decrease with turn-on bias", "含启动零偏的减少"),
-        ),
-        tuple(rows),
+    title = words.of(
+        f"The same about the mean of each run ({unit}), and decrease of the squared error with bounds over runs",
+        f"去除各次试验均值后（{unit}），以及平方误差减少量及其试验间置信限",
     )
+    decreases = ("decrease", "减少"), ("decrease with turn-on bias", "含启动零偏的减少")
+    return TextTable(title, words.each(_TIME, *_ERRORS, *decreases), tuple(rows))
 
 
 def achieved(table: ErrorTable, words: Wording) -> str | None:
@@ -101,7 +87,8 @@ def driver_rows(over: ErrorOverDriver, title: str, words: Wording) -> TextTable:
          f"{each.blocks:,}")
         for each in over.classes
     ]  # fmt: skip
-    head = (f"{over.channel} ({over.channel_unit})", *_before_after(words, "± "), words.of("blocks", "数据块"))
+    errors = words.each(*_ERRORS[:2], ("± noise alone", "± 仅噪声"), ("blocks", "数据块"))
+    head = (f"{over.channel} ({over.channel_unit})", *errors)
     return TextTable(f"{title} ({over.unit_of_measure})", head, tuple(rows))
 
 
@@ -113,17 +100,17 @@ def allan_rows(deviations: Sequence[DeviationAt], unit_of_measure: str, words: W
         for each in deviations
     ]  # fmt: skip
     name = words.of("Allan deviation of the residual", "残差的 Allan 标准差")
-    head = (words.of("averaging time", "平均时间"), *_before_after(words), words.of("differences", "差分个数"))
+    head = words.each(_TIME, *_ERRORS, ("differences", "差分个数"))
     return TextTable(f"{name} ({unit_of_measure})", head, tuple(rows))
 
 
 def coefficient_rows(model: ErrorModel, title: str, words: Wording) -> TextTable:
     """Coefficients of a fitted model with their standard uncertainty."""
     rows = [
-        (label, measured(value, float(error)), number(float(error)), shown_unit(unit))
+        (label, measured(value, float(error)), number(float(error)), format_unit(unit))
         for label, value, error, unit in zip(model.labels(), model.coefficients, model.errors, model.units, strict=True)
     ]
-    head = (words.of("term", "项"), words.of("coefficient", "系数"), "±", words.of("unit", "单位"))
+    head = words.each(("term", "项"), ("coefficient", "系数"), ("±", "±"), _UNIT)
     return TextTable(title, head, tuple(rows))
 
 
@@ -142,43 +129,24 @@ def noise_rows(diagnosis: Diagnosis, words: Wording) -> TextTable:
         (name, *(number(None if noise is None else getattr(noise, term)) for noise in both), own_unit)
         for term, name, own_unit in terms
     ]
-    head = (
-        words.of("noise", "噪声"),
-        words.of("declared", "已声明"),
-        words.of("fitted with the model found", "随所得模型拟合"),
-        words.of("unit", "单位"),
-    )
+    noises = ("noise", "噪声"), ("declared", "已声明"), ("fitted with the model found", "随所得模型拟合")
+    head = words.each(*noises, _UNIT)
     return TextTable(words.of("Noise", "噪声"), head, tuple(rows))
 
 
 def absent_rows(diagnosis: Diagnosis, words: Wording) -> TextTable:
     """Detection limits of effects that were not found."""
     rows = [
-        (words.name(name), number(limit.absent_above), number(limit.coefficient), shown_unit(limit.unit_of_measure))
+        (words.name(name), number(limit.absent_above), number(limit.coefficient), format_unit(limit.unit_of_measure))
         for name, limit in diagnosis.detection_limits.items()
     ]
-    return TextTable(
-        words.of("Tested and not found", "已检验而未发现"),
-        (
-            words.of("effect", "效应"),
-            words.of("absent above (95 %)", "不高于（95 %）"),
-            words.of("detection limit (90 %)", "检出限（90 %）"),
-            words.of("unit", "单位"),
-        ),
-        tuple(rows),
-    )
+    limits = ("absent above (95 %)", "不高于（95 %）"), ("detection limit (90 %)", "检出限（90 %）")
+    head = words.each(("effect", "效应"), *limits, _UNIT)
+    return TextTable(words.of("Tested and not found", "已检验而未发现"), head, tuple(rows))
 
 
 def _seconds(value: float) -> str:
     return f"{value:g} s"
-
-
-def _before_after(words: Wording, mark: str = "") -> tuple[str, str, str]:
-    return (
-        words.of("declared model", "已声明模型"),
-        words.of("model found", "所得模型"),
-        f"{mark}{words.of('noise alone', '仅噪声')}",
-    )
 
 
 def _excited(before: float | None, after: float | None, floor: float | None) -> str:
@@ -186,7 +154,6 @@ def _excited(before: float | None, after: float | None, floor: float | None) -> 
 
 
 def _gain(gain: ErrorGain | None) -> str:
-    """Decrease of the squared error with its bounds over runs."""
     if gain is None:
         return ""
     bounds = "" if gain.lo is None or gain.hi is None else f" ({gain.lo:.0%} .. {gain.hi:.0%})"

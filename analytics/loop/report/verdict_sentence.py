@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 
-from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.effects.events import TURN_ON
 from analytics.loop.report.wording import Wording, number
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
-from analytics.loop.tracing.result.error_table import ErrorGain
-from analytics.loop.tracing.result.finding import ConfoundedEffect, FoundEffect
-from analytics.loop.tracing.result.holdout import HeldOutAnswer, HoldoutSlope
+from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
+from analytics.loop.tracing.result.holdout import ErrorGain, HeldOutAnswer, HoldoutSlope
 from analytics.loop.tracing.search.fitted_candidates import JUMP
 
 _OR, _AND = ("or", "或"), ("and", "和")
@@ -16,8 +14,6 @@ _OR, _AND = ("or", "或"), ("and", "和")
 def verdict_sentence(diagnosis: Diagnosis, words: Wording) -> str:
     """The verdict in one sentence; of several effects the one that explains most of the held-out error comes first.
 
-    Examples
-    --------
     >>> none = Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, units=("FOG-1",), signal="rate", missing=("9 blocks",))
     >>> verdict_sentence(none, Wording("en"))
     'Not enough data for a verdict: 9 blocks.'

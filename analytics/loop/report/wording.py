@@ -6,9 +6,10 @@ from typing import Literal
 
 from analytics.loop.bilingual import chinese
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.coefficient_units import parameter_unit
+from analytics.loop.effects.base import parameter_unit
 from analytics.loop.effects.registry import effect
-from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
+from stream.quantities import format_unit
 
 Language = Literal["en", "zh"]
 
@@ -20,8 +21,6 @@ _RUN = {"en": "run", "zh": "试验"}
 def number(value: float | None) -> str:
     """A number with three digits; a dash if there is none.
 
-    Examples
-    --------
     >>> number(0.51389), number(14538.2), number(2.1e-7), number(0.0), number(None)
     ('0.514', '14,538', '2.1e-07', '0', '\N{EN DASH}')
     """
@@ -37,8 +36,6 @@ def number(value: float | None) -> str:
 def measured(value: float, error: float) -> str:
     """A number to two digits of its standard uncertainty, and at least three digits.
 
-    Examples
-    --------
     >>> measured(3600.195191, 0.00074), measured(0.0558, 0.000821), measured(3.0243, 0.05), measured(-14538.2, 120.0)
     ('3,600.19519', '0.05580', '3.024', '-14,538')
     >>> measured(3.0243, 0.0), measured(3.0243, float("nan"))
@@ -64,6 +61,10 @@ class Wording:
         """The text in this language."""
         return zh if self.language == "zh" else en
 
+    def each(self, *pairs: tuple[str, str]) -> tuple[str, ...]:
+        """Texts in this language, such as the head of a table."""
+        return tuple(self.of(*pair) for pair in pairs)
+
     def text(self, text: str) -> str:
         """A caveat, a note or a reason in this language."""
         return chinese(text) if self.language == "zh" else str(text)
@@ -71,8 +72,6 @@ class Wording:
     def listed(self, parts: Sequence[str], last: tuple[str, str] = ("and", "和")) -> str:
         """A list in a sentence.
 
-        Examples
-        --------
         >>> Wording("en").listed(["a", "b", "c"], ("or", "或")), Wording("zh").listed(["甲", "乙"])
         ('a, b or c', '甲和乙')
         """
@@ -101,7 +100,7 @@ class Wording:
             if key in known:
                 parameter = known[key]
                 unit = parameter.unit_of_measure if self._run is None else parameter_unit(parameter, self._run)
-                parts.append(f"{self.of(parameter.en, parameter.zh)} {_short(value)} {shown_unit(unit)}".rstrip())
+                parts.append(f"{self.of(parameter.en, parameter.zh)} {_short(value)} {format_unit(unit)}".rstrip())
             else:
                 parts.append(f"{self.of(key, _RUN['zh']) if key == 'run' else key} {_short(value)}")
         return ", ".join(parts)
@@ -116,18 +115,7 @@ class Wording:
     def _one(self, found: EffectCoefficient) -> str:
         head = f"{found.name} " if found.name else ""
         bounds = f"{number(found.lo)} {self.of('to', '至')} {number(found.hi)}"
-        return f"{head}{number(found.value)} ({bounds}) {shown_unit(found.unit_of_measure)}"
-
-
-def shown_unit(unit_of_measure: str) -> str:
-    """A unit of measure; empty for the number one.
-
-    Examples
-    --------
-    >>> shown_unit("deg/h/(degC/s)"), shown_unit("1")
-    ('deg/h/(degC/s)', '')
-    """
-    return "" if unit_of_measure == "1" else unit_of_measure
+        return f"{head}{number(found.value)} ({bounds}) {format_unit(found.unit_of_measure)}"
 
 
 def _short(value: object) -> str:

@@ -6,38 +6,26 @@ from typing import Literal
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks, stands_still
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.whitening.stack import Stack, StackReport, in_segments, stacked
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.tracing.whitening.stack import Stack, StackReport, UnitRecord, in_segments, stacked
 from analytics.loop.tracing.whitening.white_variance import record_of
 from stream.batch import BoolArray
 from stream.errors import BadInput
 
 FEWEST_BLOCKS = 20
-FEWEST_REPLICATES = 3
-"""Fewer runs cannot be split into training and held-out set."""
-FEWEST_BLOCKS_TO_SPLIT = 60
-"""A shorter single run cannot be split."""
+FEWEST_REPLICATES = 3  # fewer runs cannot be split into training and held-out set
+FEWEST_BLOCKS_TO_SPLIT = 60  # a shorter single run cannot be split
 
 
 @dataclass(frozen=True)
 class Case:
-    """The data of one unit, split.
+    """The data of one unit, split."""
 
-    Parameters
-    ----------
-    stack, report: All blocks, and those that were dropped.
-    replication: Whether the replicates are runs or segments of one run.
-    held_out: Names of the held-out replicates; empty if there are too few.
-    training: The other blocks.
-    """
-
-    stack: Stack
-    report: StackReport
-    replication: Literal["runs", "within_run"]
-    held_out: tuple[str, ...]
-    training: UnitRecord
+    stack: Stack  # all blocks
+    report: StackReport  # those that were dropped
+    replication: Literal["runs", "within_run"]  # what the replicates are: runs, or segments of one run
+    held_out: tuple[str, ...]  # names of the held-out replicates; empty if there are too few
+    training: UnitRecord  # the other blocks
 
     @property
     def held_out_blocks(self) -> BoolArray:
@@ -79,38 +67,30 @@ def check_runs(runs: Sequence[RunBlocks], holdout: Sequence[str] | None) -> None
         raise BadInput(f"all runs ({', '.join(known)}) are to be held out: leave some to fit the model to")
 
 
-def missing_data(stack: Stack, model: ErrorModel, holdout: Sequence[str]) -> tuple[Bilingual, ...]:
-    """What is missing for a trace, or for a fit without the held-out runs; empty if there is enough."""
+def missing_data(stack: Stack, model: ErrorModel, holdout: Sequence[str]) -> Bilingual | None:
+    """What is missing for a trace, or for a fit without the held-out runs; None if there is enough."""
     missing = _missing(stack, model)
     if missing or not holdout or len(stack.runs) == 1:
         return missing
-    return tuple(
-        Bilingual(f"without the held-out runs: {each}", f"除去留出试验：{each.zh}")
-        for each in _missing(stack.part(~stack.of_replicates(holdout)), model)
-    )
+    missing = _missing(stack.part(~stack.of_replicates(holdout)), model)
+    return missing and Bilingual(f"without the held-out runs: {missing}", f"除去留出试验：{missing.zh}")
 
 
-def _missing(stack: Stack, model: ErrorModel) -> tuple[Bilingual, ...]:
+def _missing(stack: Stack, model: ErrorModel) -> Bilingual | None:
     blocks, columns = len(stack), stack.design.shape[1]
     if blocks < FEWEST_BLOCKS:
-        return (
-            Bilingual(
-                f"{blocks} blocks have the signal and the channels of the model; {FEWEST_BLOCKS} are needed",
-                f"有信号及模型所需通道的数据块有{blocks}个，需要{FEWEST_BLOCKS}个",
-            ),
+        return Bilingual(
+            f"{blocks} blocks have the signal and the channels of the model; {FEWEST_BLOCKS} are needed",
+            f"有信号及模型所需通道的数据块有{blocks}个，需要{FEWEST_BLOCKS}个",
         )
     if blocks < 3 * columns:
-        return (
-            Bilingual(
-                f"{blocks} blocks for {columns} coefficients of '{model}'; three times as many are needed",
-                f"{blocks}个数据块对应'{model}'的{columns}个系数；数据块数须为系数的三倍",
-            ),
+        return Bilingual(
+            f"{blocks} blocks for {columns} coefficients of '{model}'; three times as many are needed",
+            f"{blocks}个数据块对应'{model}'的{columns}个系数；数据块数须为系数的三倍",
         )
-    if stands_still(stack.value):
-        value = f"{stack.value[0]:g}"
-        return (
-            Bilingual(
-                f"the signal is constant at {value}: the output is dead or stuck", f"信号始终为{value}：输出失效或卡死"
-            ),
-        )
-    return ()
+    if not stands_still(stack.value):
+        return None
+    value = f"{stack.value[0]:g}"
+    return Bilingual(
+        f"the signal is constant at {value}: the output is dead or stuck", f"信号始终为{value}：输出失效或卡死"
+    )

@@ -9,14 +9,12 @@ from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, check_runs, missing_data, split
-from analytics.loop.tracing.gapped_channels import gapped_channels
-from analytics.loop.tracing.partial_channels import partial_channels, with_gapped, with_rest
+from analytics.loop.tracing.partial_channels import gapped_channels, partial_channels, with_gapped, with_rest
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
-from analytics.loop.tracing.search.candidates import Candidates, candidates_for
 from analytics.loop.tracing.search.effect_search import Search, search
+from analytics.loop.tracing.search.screening import Candidates, candidates_for
 from analytics.loop.tracing.verdict.conclusion import conclude
 from analytics.loop.tracing.verdict.effect_findings import findings
 from analytics.loop.tracing.verdict.noise_agreement import noise_excess
@@ -42,11 +40,8 @@ def diagnose(
 
     Parameters
     ----------
-    runs: Runs of one signal of one unit.
-    model: The declared model.
     effects: Effects to test; by default all whose channels are recorded.
-    declared_noise: Noise of the unit; without it the noise is estimated from the runs, and excess noise cannot be
-        detected.
+    declared_noise: Without it the noise is estimated from the runs, and excess noise cannot be detected.
     holdout: Runs to hold out; by default the last third; none if empty.
     left_out: Parts of the record that the reduction left out.
     seed: Of the draws that give the number of independent tests.
@@ -92,7 +87,7 @@ class _Trace:
                 units=tuple(sorted({run.unit for run in runs})),
                 signal=runs[0].signal if runs else "",
                 runs=tuple(run.run for run in runs),
-                missing=missing,
+                missing=(missing,),
                 limits=(*(each.sentence for each in report.left_out if each.is_grave), *report.limits),
                 left_out=report.left_out,
             )
@@ -111,13 +106,12 @@ def _searched(
     case: Case, effects: Mapping[str, Effect], model: ErrorModel, rng: np.random.Generator
 ) -> tuple[Candidates, Search]:
     """Search the library; if structure is left, products and thresholds as well."""
-    records = [case.training]
-    candidates = candidates_for(records, effects, model, FIRST_TIER, case.report.lost_channels)
-    found = search(records, candidates, rng)
+    candidates = candidates_for([case.training], effects, model, FIRST_TIER, case.report.lost_channels)
+    found = search(candidates, rng)
     if not _leaves_structure(case, candidates, found):
         return candidates, found
-    more = candidates_for(records, effects, model, SECOND_TIER, case.report.lost_channels)
-    again = search(records, more, rng)
+    more = candidates_for([case.training], effects, model, SECOND_TIER, case.report.lost_channels)
+    again = search(more, rng)
     if any(each.fitted.effect.kind is EffectKind.SECOND_TIER for each in again.selected):
         return more, again
     return candidates, found
@@ -141,4 +135,4 @@ def _leaves_structure(case: Case, candidates: Candidates, found: Search) -> bool
         return True
     if any(each.fitted.effect.kind is EffectKind.EVENT for each in found.selected):
         return True
-    return any(each.unknown_function_of for each in findings([case.training], candidates, found))
+    return any(each.unknown_function_of for each in findings(candidates, found))

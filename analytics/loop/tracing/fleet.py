@@ -12,67 +12,46 @@ from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
-from analytics.loop.tracing.held_out.held_out_set import open_held_out_set
-from analytics.loop.tracing.held_out.slopes import judge
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
-from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import Holdout
-from analytics.loop.tracing.search.candidates import candidates_for
 from analytics.loop.tracing.search.effect_search import Search, Selected, search
+from analytics.loop.tracing.search.event_scans import amplitude_of
 from analytics.loop.tracing.search.evidence import by_replicate
-from analytics.loop.tracing.search.line_scan import amplitude_of
+from analytics.loop.tracing.search.screening import candidates_for
 from analytics.loop.tracing.verdict.conclusion import denied, verdict_of
 from analytics.loop.tracing.verdict.effect_findings import findings
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
 from stream.batch import FloatArray
 
 FALSE_DISCOVERIES = 0.05
-TESTS_IN_A_SEARCH = 50
-"""Approximate number of independent tests in the search of one unit."""
+TESTS_IN_A_SEARCH = 50  # approximate number of independent tests in the search of one unit
 
 
 class UnitCoefficient(msgspec.Struct, frozen=True):
-    """A common effect in one unit.
-
-    Parameters
-    ----------
-    coefficient, se: First coefficient of this unit, and its standard error.
-    p_value: Of the test that it equals that of the other units.
-    differs: Whether it differs (Benjamini and Hochberg over all units).
-    """
+    """A common effect in one unit."""
 
     unit: str
-    coefficient: float
-    se: float
-    p_value: float
-    differs: bool
+    coefficient: float  # the first of this unit
+    se: float  # its standard error
+    p_value: float  # of the test that it equals that of the other units
+    differs: bool  # Benjamini and Hochberg over all units
 
 
 class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """The diagnosis of several units together.
-
-    Parameters
-    ----------
-    effects: Effects that all units lack, confirmed by the held-out runs of all.
-    unreplicated: Effects refused by the held-out runs, and jumps, which are of one run of one unit.
-    by_unit: Each common effect in each unit, by the name of the effect.
-    units: The diagnosis of each unit alone.
-    own_findings: Findings of single units that hold at a false discovery rate of 5 %.
-    limits: Caveats.
-    """
+    """The diagnosis of several units together."""
 
     verdict: ModelVerdict
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()  # that all units lack, confirmed by the held-out runs of all
+    # refused by the held-out runs, and jumps, which are of one run of one unit
     unreplicated: tuple[FoundEffect, ...] = ()
     holdout: Holdout | None = None
-    by_unit: dict[str, tuple[UnitCoefficient, ...]] = {}
-    units: dict[str, Diagnosis]
-    own_findings: dict[str, tuple[str, ...]]
-    limits: tuple[Bilingual, ...] = ()
+    by_unit: dict[str, tuple[UnitCoefficient, ...]] = {}  # each common effect in each unit, by its name
+    units: dict[str, Diagnosis]  # the diagnosis of each unit alone
+    own_findings: dict[str, tuple[str, ...]]  # of single units, at a false discovery rate of 5 %
+    limits: tuple[Bilingual, ...] = ()  # caveats
 
     def document(self) -> dict[str, Any]:
         """JSON form."""
@@ -101,53 +80,38 @@ def diagnose_fleet(
 ) -> FleetDiagnosis:
     """Find effects that a declared error model lacks in all units together, and in each.
 
-    Parameters
-    ----------
-    units: Runs of the same signal, by unit.
-    model: The declared model; each unit has its own coefficients.
-    effects: Effects to test; by default all whose channels are recorded in all units.
-    declared_noise, holdout, left_out: By unit; see `diagnose`.
-    on_progress: Called with a sentence on each stage.
+    Each unit has its own coefficients of the declared model; the effects to test are by default all whose channels are
+    recorded in all units. For `declared_noise`, `holdout` and `left_out`, by unit, see `diagnose`.
     """
     noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
     alone: dict[str, Diagnosis] = {}
     for number, (unit, runs) in enumerate(units.items(), start=1):
         on_progress(f"tracing {unit} ({number} of {len(units)})")
+        noise, own, losing = noises.get(unit), held_out.get(unit), losses.get(unit, ())
         alone[unit] = diagnose(
-            runs,
-            model,
-            effects=effects,
-            declared_noise=noises.get(unit),
-            holdout=held_out.get(unit),
-            left_out=losses.get(unit, ()),
-            seed=seed,
+            runs, model, effects=effects, declared_noise=noise, holdout=own, left_out=losing, seed=seed
         )
     own_findings = significant_findings(alone)
     enough = [unit for unit in units if alone[unit].model is not None]
-    limits = [
-        Bilingual(f"unit {unit}: {each}", f"产品{unit}：{each.zh}")
-        for unit in units
-        for each in alone[unit].missing[:1]
-    ]
-    if len(enough) < 2:
+    lacking = [(unit, each) for unit in units for each in alone[unit].missing[:1]]
+    limits = [Bilingual(f"unit {unit}: {each}", f"产品{unit}：{each.zh}") for unit, each in lacking]
+    if (count := len(enough)) < 2:
         few = Bilingual(
-            f"{len(enough)} units have enough data; 2 are needed to pool them",
-            f"数据足够的产品有{len(enough)}个，合并分析需要2个",
+            f"{count} units have enough data; 2 are needed to pool them", f"数据足够的产品有{count}个，合并分析需要2个"
         )
-        return FleetDiagnosis(
-            verdict=ModelVerdict.NOT_ENOUGH_DATA, units=alone, own_findings=own_findings, limits=(*limits, few)
-        )
+        verdict = ModelVerdict.NOT_ENOUGH_DATA
+        return FleetDiagnosis(verdict=verdict, units=alone, own_findings=own_findings, limits=(*limits, few))
     cases = [case_of(units[unit], model, noises.get(unit), held_out.get(unit)) for unit in enough]
     on_progress(f"searching for effects common to {len(cases)} units")
     records = [case.training for case in cases]
     available = effects_for([run for case in cases for run in case.stack.runs]) if effects is None else effects
     lost = {name: why for case in cases for name, why in case.report.lost_channels.items()}
     candidates = candidates_for(records, available, model, FIRST_TIER, lost)
-    found = search(records, candidates, np.random.default_rng(seed))
+    found = search(candidates, np.random.default_rng(seed))
     answer = _held_out(cases, found)
     every = [
         msgspec.structs.replace(each, confirmed=None if answer is None else answer.confirms(each.name))
-        for each in findings(records, candidates, found)
+        for each in findings(candidates, found)
     ]
     kept = tuple(each for each in every if each.replicates and each.confirmed is not False)
     gone = tuple(each for each in every if not each.replicates or each.confirmed is False)
@@ -158,7 +122,7 @@ def diagnose_fleet(
         unreplicated=gone,
         holdout=answer,
         by_unit={
-            each.name: _by_unit(records, found, each)
+            each.name: _by_unit(found, each)
             for each in found.selected
             if each.is_common or each.fitted.effect.kind is EffectKind.LINE
         },
@@ -181,8 +145,9 @@ def _held_out(cases: Sequence[Case], found: Search) -> Holdout | None:
     return judge(boxes, found, names) if boxes else None
 
 
-def _by_unit(records: Sequence[UnitRecord], found: Search, which: Selected) -> tuple[UnitCoefficient, ...]:
+def _by_unit(found: Search, which: Selected) -> tuple[UnitCoefficient, ...]:
     """First coefficient of a common effect, or amplitude of a line, in each unit, compared with the others."""
+    records = found.joint.records
     if which.is_common:
         column = found.common_columns(which).start
         whole = [np.zeros(len(record), dtype=np.int64) for record in records]
@@ -196,15 +161,10 @@ def _by_unit(records: Sequence[UnitRecord], found: Search, which: Selected) -> t
     excited = [number for number, each in enumerate(information) if each > 1e-6 * information.sum()]
     p_values = {number: _unlike_others(number, information, product) for number in excited}
     chosen = benjamini_hochberg(p_values)
+    values, errors = product[excited] / information[excited], information[excited] ** -0.5
     return tuple(
-        UnitCoefficient(
-            records[number].unit,
-            float(product[number] / information[number]),
-            float(information[number] ** -0.5),
-            p_values[number],
-            number in chosen,
-        )
-        for number in excited
+        UnitCoefficient(records[number].unit, float(value), float(error), p_values[number], number in chosen)
+        for number, value, error in zip(excited, values, errors, strict=True)
     )
 
 
@@ -218,13 +178,7 @@ def _unlike_others(number: int, information: FloatArray, product: FloatArray) ->
 
 
 def significant_findings(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str, ...]]:
-    """Findings of single units that are significant among so many units.
-
-    Examples
-    --------
-    >>> significant_findings({})
-    {}
-    """
+    """Findings of single units that are significant among so many units."""
     p_values = dict.fromkeys(alone, 1.0)
     for unit, found in alone.items():
         if found.effects:
@@ -236,8 +190,6 @@ def significant_findings(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str,
 def benjamini_hochberg(p_values: Mapping[Any, float], rate: float = FALSE_DISCOVERIES) -> list[Any]:
     """Keys whose p-values are significant at a false discovery rate.
 
-    Examples
-    --------
     >>> benjamini_hochberg({"a": 0.001, "b": 0.02, "c": 0.9, "d": 0.8})
     ['a', 'b']
     """

@@ -2,13 +2,14 @@
 
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
+from ingest.can.bus.backlog import Backlog, Taken
 from ingest.can.bus.columns import FrameColumns, ReceiveClock
 from ingest.can.bus.faults import Losses, Outage
 from ingest.can.bus.interface import CanBusOptions, CanIntake, filter_in_interface, open_intake
@@ -38,95 +39,21 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class CanBusCounts:
-    """Account of a bus so far, in frames unless said otherwise.
+    """Account of a bus so far, in frames unless said otherwise."""
 
-    Attributes
-    ----------
-    received: Everything that was read from the interface: data, remote and error frames, and malformed ones.
-    decoded: Data frames that the decoder has taken.
-    unknown: Of these, frames of identifiers that are not mapped, if the interface does not filter them.
-    malformed: Too long, with an impossible identifier, or a datagram of somebody else.
-    undecoded: Data frames on which the decoder failed.
-    overrun: Frames that were read and not kept, because decoding or delivery was too slow.
-    interface_overrun: Frames that the operating system dropped, and reports of a controller that it dropped some.
-    undelivered: Samples whose delivery failed.
-    bus_off, error_passive, outages: Number of times that the controller went there, or the interface was lost.
-    """
-
-    received: int = 0
-    decoded: int = 0
-    unknown: int = 0
+    received: int = 0  # everything that was read from the interface: data, remote and error frames, and malformed ones
+    decoded: int = 0  # data frames that the decoder has taken
+    unknown: int = 0  # of these, frames of identifiers that are not mapped, if the interface does not filter them
     remote_frames: int = 0
     error_frames: int = 0
-    malformed: int = 0
-    undecoded: int = 0
-    overrun: int = 0
-    interface_overrun: int = 0
-    undelivered: int = 0
-    bus_off: int = 0
-    error_passive: int = 0
-    outages: int = 0
-
-
-class _Taken(NamedTuple):
-    """Frames of one intake as it gave them; `read_s` is when the last of them was read."""
-
-    intake: CanIntake
-    frames: list[Any]
-    read_s: float
-
-
-class _Backlog:
-    """Hands frames from the thread that reads to the one that decodes; bounded, so that a slow log costs no memory.
-
-    Parameters
-    ----------
-    capacity: Frames that may wait; those beyond are dropped.
-    block: Frames that are worth decoding without waiting for more.
-    """
-
-    def __init__(self, capacity: int, block: int) -> None:
-        self._capacity = capacity
-        self._block = block
-        self._taken: deque[_Taken] = deque()
-        self._waiting = 0
-        self._is_closed = False
-        self._state = threading.Condition()
-
-    def put(self, intake: CanIntake, frames: list[Any], read_s: float) -> int:
-        """Append frames; returns how many of them, the last ones, were dropped."""
-        with self._state:
-            kept = frames[: max(0, self._capacity - self._waiting)]
-            if kept:
-                was_empty = not self._waiting
-                self._waiting += len(kept)
-                self._taken.append(_Taken(intake, kept, read_s))
-                if was_empty or self._waiting >= self._block:
-                    self._state.notify()
-            return len(frames) - len(kept)
-
-    def take(self, collect_s: float) -> list[_Taken] | None:
-        """Everything that waits, joined by intake, at most `collect_s` after the first frame; None once closed."""
-        with self._state:
-            self._state.wait_for(lambda: self._taken or self._is_closed)
-            self._state.wait_for(lambda: self._waiting >= self._block or self._is_closed, collect_s)
-            taken, self._taken = self._taken, deque()
-            self._waiting = 0
-        if not taken:
-            return None
-        joined = [taken.popleft()]
-        for each in taken:
-            if each.intake is joined[-1].intake:
-                joined[-1].frames.extend(each.frames)
-                joined[-1] = joined[-1]._replace(read_s=each.read_s)
-            else:
-                joined.append(each)
-        return joined
-
-    def close(self) -> None:
-        with self._state:
-            self._is_closed = True
-            self._state.notify_all()
+    malformed: int = 0  # too long, with an impossible identifier, or a datagram of somebody else
+    undecoded: int = 0  # data frames on which the decoder failed
+    overrun: int = 0  # frames that were read and not kept, because decoding or delivery was too slow
+    interface_overrun: int = 0  # frames that the operating system dropped, and a controller's reports of dropping some
+    undelivered: int = 0  # samples whose delivery failed
+    bus_off: int = 0  # times that the controller went there
+    error_passive: int = 0  # likewise
+    outages: int = 0  # times that the interface was lost
 
 
 class CanBus:
@@ -135,18 +62,11 @@ class CanBus:
     An interface that is lost, or a controller that is off the bus, is reported and opened again with growing pauses
     until it is there; frames received before are kept, and the gap shows in times and frame counters.
 
-    Parameters
-    ----------
-    decoder: Makes samples of the frames. Used by this bus alone.
-    deliver: Called with every batch, in the decoding thread. While it waits, frames wait, as many as fit.
-    report: Called with a sentence for people, in either thread.
-    wanted: Identifiers that are mapped, bit 31 set if of 29 bits; by default all.
-    block_s: How long frames are collected before they are decoded, seconds.
-    most_waiting: Frames that may wait to be decoded; those beyond are lost, counted and reported.
-    reopen_s: First and longest pause before a lost interface is opened again, seconds.
+    The `decoder` is used by this bus alone. `deliver` gets every batch in the decoding thread; while it waits, at most
+    `most_waiting` frames wait, and those beyond are lost, counted and reported. `report` gets sentences in either
+    thread. `wanted` are mapped identifiers, bit 31 set if of 29 bits; by default all. Frames are collected for
+    `block_s`. `reopen_s` are the first and longest pause before a lost interface is opened again, seconds.
 
-    Examples
-    --------
     >>> import can
     >>> class Nothing:
     ...     def take(self, block): return []
@@ -160,28 +80,17 @@ class CanBus:
     """
 
     def __init__(
-        self,
-        options: CanBusOptions,
-        clock: StationClock,
-        decoder: Decoder,
-        deliver: Callable[[SampleBatch], None],
-        report: Callable[[str], None],
-        *,
-        wanted: Collection[int] | None = None,
-        block_s: float = 0.05,
-        most_waiting: int = 200_000,
-        reopen_s: tuple[float, float] = (0.1, 5.0),
-    ) -> None:
-        self.options = options
-        self._clock = clock
-        self._decoder = decoder
-        self._deliver = deliver
+        self, options: CanBusOptions, clock: StationClock, decoder: Decoder, deliver: Callable[[SampleBatch], None],
+        report: Callable[[str], None], *, wanted: Collection[int] | None = None, block_s: float = 0.05,
+        most_waiting: int = 200_000, reopen_s: tuple[float, float] = (0.1, 5.0),
+    ) -> None:  # fmt: skip
+        self.options, self._clock, self._decoder, self._deliver = options, clock, decoder, deliver
         self._report_to = report
         self._wanted = None if wanted is None else np.array(sorted(wanted), np.uint32)
         self._block_s = block_s
         self._counted: Counter[str] = Counter()
         self._counting = threading.Lock()
-        self._backlog = _Backlog(most_waiting, min(_BLOCK_FRAMES, most_waiting))
+        self._backlog = Backlog(most_waiting, min(_BLOCK_FRAMES, most_waiting))
         self._outage = Outage(self._report, *reopen_s)
         self._failures: set[str] = set()
         self._overruns = Losses(self._report, "had no room and were lost: decoding or delivery is too slow")
@@ -306,7 +215,7 @@ class CanBus:
         for losses in (self._overruns, self._interface_overruns, self._malformed):
             losses.flush()
 
-    def _decode_block(self, taken: _Taken) -> None:
+    def _decode_block(self, taken: Taken) -> None:
         """Raw frames -> columns -> times -> samples -> delivery."""
         intake = taken.intake
         columns = self._guarded("what the interface gave cannot be read", lambda: intake.columns(taken.frames))

@@ -31,27 +31,18 @@ _RX_OVERFLOW, _PASSIVE, _ACTIVE = 0x01, 0x30, 0x40
 
 @dataclass(frozen=True)
 class FrameColumns:
-    """Data frames as an interface gave them, and counts of the others.
+    """Data frames as an interface gave them, and counts of the others."""
 
-    Attributes
-    ----------
-    stamps_s: shape (n,); time stamps of the interface, seconds.
-    arbitration_id, length, data: As in `FrameBlock`.
-    overflows: Error frames that report lost frames of the controller.
-    overruns: Frames that the operating system dropped before they were read.
-    is_off, is_passive: Last state of the controller in error frames; None if they report none.
-    """
-
-    stamps_s: FloatArray
+    stamps_s: FloatArray  # shape (n,); time stamps of the interface, seconds
     arbitration_id: npt.NDArray[np.uint32]
     length: npt.NDArray[np.uint8]
     data: npt.NDArray[np.uint8]
     error_frames: int = 0
     remote_frames: int = 0
     malformed: int = 0
-    overflows: int = 0
-    overruns: int = 0
-    is_off: bool | None = None
+    overflows: int = 0  # error frames that report lost frames of the controller
+    overruns: int = 0  # frames that the operating system dropped before they were read
+    is_off: bool | None = None  # last state of the controller in error frames; None if they report none
     is_passive: bool | None = None
 
     def __len__(self) -> int:
@@ -61,17 +52,7 @@ class FrameColumns:
 def message_columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray | None = None) -> FrameColumns:
     """Put messages of python-can, or objects with their attributes, into columns.
 
-    Parameters
-    ----------
-    most_bytes: Most data of a frame on this bus, bytes: 8, or 64 with CAN FD. Frames with more are malformed.
-    stamps_s: shape (n,); instead of the messages' own stamps.
-
-    Examples
-    --------
-    >>> from can import Message
-    >>> columns = message_columns([Message(timestamp=2.5, arbitration_id=0x11, data=[1]), Message(data=bytes(9))], 8)
-    >>> hex(columns.arbitration_id[0]), columns.data.tolist(), columns.malformed
-    ('0x80000011', [[1, 0, 0, 0, 0, 0, 0, 0]], 1)
+    Frames with more than `most_bytes`, 8, or 64 with CAN FD, are malformed. `stamps_s` take the place of their own.
     """
     try:
         return _columns(messages, most_bytes, _stamps(messages) if stamps_s is None else stamps_s)
@@ -195,20 +176,13 @@ class ReceiveClock:
     stay those of the hardware; without a stamp a frame has the time at which it was read. If the stamps leave the
     station's clock later, because either was set, this is reported and they are set to it again.
 
-    Attributes
-    ----------
-    source: Where the receive times come from.
-
-    Examples
-    --------
     >>> clock = ReceiveClock(StationClock(start_ns=0, origin_s=1000.0), print)
     >>> clock.times_ns(np.array([7.0, 7.25]), read_s=1000.5).tolist(), clock.source
     ([250000000, 500000000], 'the interface, counted from its own start')
     """
 
     def __init__(self, clock: StationClock, report: Callable[[str], None]) -> None:
-        self._clock = clock
-        self._report = report
+        self._clock, self._report = clock, report
         self._offset_s: float | None = None
         self.source = "no frame yet"
 
@@ -217,13 +191,7 @@ class ReceiveClock:
         return self._clock.origin_s + (self._clock.now_ns() - self._clock.start_ns) / (1e9 * self._clock.speed)
 
     def times_ns(self, stamps_s: FloatArray, read_s: float) -> IntArray:
-        """Times of reception, nanoseconds at the station.
-
-        Parameters
-        ----------
-        stamps_s: shape (n,); stamps of the interface, seconds; 0 or not a number for none.
-        read_s: When the last of them was read, see `now_s`.
-        """
+        """Times of reception, nanoseconds at the station, from an interface's stamps (0 or NaN for none), seconds."""
         is_stamped = np.isfinite(stamps_s) & (stamps_s > 0.0)
         moments_s = np.full(len(stamps_s), read_s)
         if is_stamped.any():

@@ -10,13 +10,6 @@ _SETTLED_S = 2.0  # after that long without a failure an interface is back, even
 class Losses:
     """One kind of loss, reported at once and then at most every `every_s` seconds; used by any thread.
 
-    Parameters
-    ----------
-    report: Called with a sentence.
-    what: What happened to the frames: ``were lost``.
-
-    Examples
-    --------
     >>> losses = Losses(print, "were lost")
     >>> for count in (0, 3, 4, 0):
     ...     losses.add(count)
@@ -26,9 +19,7 @@ class Losses:
     """
 
     def __init__(self, report: Callable[[str], None], what: str, every_s: float = 10.0) -> None:
-        self._report = report
-        self._what = what
-        self._every_s = every_s
+        self._report, self._what, self._every_s = report, what, every_s
         self._reported_s = float("-inf")
         self._unreported = self._total = 0
         self._lock = threading.Lock()
@@ -55,13 +46,6 @@ class Losses:
 class Outage:
     """Failures of one interface: reported once when it goes and once when it is back.
 
-    Parameters
-    ----------
-    report: Called with a sentence.
-    shortest_s, longest_s: First and longest pause before the interface is opened again, seconds.
-
-    Examples
-    --------
     >>> outage = Outage(print, 0.1, 5.0)
     >>> [outage.failed("it was unplugged") for _ in range(3)]
     it was unplugged
@@ -71,9 +55,7 @@ class Outage:
     """
 
     def __init__(self, report: Callable[[str], None], shortest_s: float, longest_s: float) -> None:
-        self._report = report
-        self._shortest_s = shortest_s
-        self._longest_s = longest_s
+        self._report, self._shortest_s, self._longest_s = report, shortest_s, longest_s
         self._pause_s = shortest_s
         self._began_s: float | None = None
         self._failed_s = float("-inf")

@@ -7,9 +7,9 @@ import socket
 import struct
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -41,33 +41,16 @@ _MOST_FILTERS = 512  # CAN_RAW_FILTER_MAX of Linux
 
 
 class CanBusOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One CAN bus of a station file.
+    """One CAN bus of a station file."""
 
-    Parameters
-    ----------
-    interface: Its name in python-can: socketcan, kvaser, pcan, vector, slcan, virtual, udp_multicast, ...
-    channel: can0, PCAN_USBBUS1, 0, /dev/ttyACM0, 239.74.163.2, ...
-    number: Channel number of the bus' frames in mappings.
-    bitrate: Bits per second. That of socketcan is set with `ip link` instead.
-    fd: Whether frames of CAN FD, with up to 64 bytes, are expected.
-    data_bitrate: Bits per second in the data phase of CAN FD.
-    filter: Whether the interface, if it can, is asked for mapped identifiers only. Others are then not counted.
-    options: Further options of the interface in python-can.
-
-    Examples
-    --------
-    >>> msgspec.convert({"interface": "socketcan", "channel": "can0"}, CanBusOptions).name
-    'CAN bus socketcan can0'
-    """
-
-    interface: str
-    channel: str | int
-    number: int = 0
-    bitrate: int | None = None
-    fd: bool = False
-    data_bitrate: int | None = None
-    filter: bool = True
-    options: dict[str, Any] = {}
+    interface: str  # its name in python-can: socketcan, kvaser, pcan, vector, slcan, virtual, udp_multicast, ...
+    channel: str | int  # can0, PCAN_USBBUS1, 0, /dev/ttyACM0, 239.74.163.2, ...
+    number: int = 0  # channel number of the bus' frames in mappings
+    bitrate: int | None = None  # bits per second. That of socketcan is set with `ip link` instead
+    fd: bool = False  # whether frames of CAN FD, with up to 64 bytes, are expected
+    data_bitrate: int | None = None  # bits per second in the data phase of CAN FD
+    filter: bool = True  # whether the interface, if it can, gives mapped identifiers only; others are not counted then
+    options: dict[str, Any] = {}  # further options of the interface in python-can
 
     @property
     def name(self) -> str:
@@ -81,26 +64,15 @@ class CanBusOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class CanIntake(ABC):
-    """Drains one opened interface, until the interface is lost.
+    """Drains one opened interface, until the interface is lost."""
 
-    Attributes
-    ----------
-    clock: Of the frames of this interface.
-    is_off, is_passive: State of the controller, as far as the frames or the interface report it.
-    is_reported_passive: Whether it was reported to be passive.
-    gives_data: Whether data frames have come since it was last off the bus.
-    reopens: Whether a controller that is off the bus comes back by being opened again.
-    """
-
-    reopens = True
+    reopens = True  # whether a controller that is off the bus comes back by being opened again
 
     def __init__(self, options: CanBusOptions, clock: ReceiveClock) -> None:
-        self.options = options
-        self.clock = clock
-        self.is_off = False
-        self.is_passive = False
-        self.is_reported_passive = False
-        self.gives_data = False
+        self.options, self.clock = options, clock
+        # state of the controller, as far as the frames or the interface report it, and what of it was reported
+        self.is_off = self.is_passive = self.is_reported_passive = False
+        self.gives_data = False  # since it was last off the bus
 
     @abstractmethod
     def take(self, wait_s: float, into: list[Any]) -> None:
@@ -172,26 +144,14 @@ class VirtualIntake(MessageIntake):
             waiting.not_full.notify_all()
 
 
-class _Datagram(NamedTuple):
-    payload: bytes
-    ancillary: list[tuple[int, int, bytes]]
-
-
 class SocketIntake(CanIntake):
-    """A socket of Linux that gives one frame per datagram, stamped by the kernel, which also counts what it drops.
-
-    Parameters
-    ----------
-    receiving: A socket of its own, which `close` closes.
-    owner: The object that has opened it, with a method `shutdown`.
-    """
+    """A socket of Linux that gives one frame per datagram, stamped by the kernel, which also counts what it drops."""
 
     reopens = False  # the kernel restarts a controller, or a person does; the socket lives on meanwhile
 
     def __init__(self, options: CanBusOptions, clock: ReceiveClock, receiving: socket.socket, owner: Any) -> None:
         super().__init__(options, clock)
-        self._socket = receiving
-        self._owner = owner
+        self._socket, self._owner = receiving, owner
         self._dropped = 0
         for level_option in ((_SO_RXQ_OVFL, 1), (socket.SO_RCVBUF, _BUFFER_BYTES), (_SO_RCVBUFFORCE, _BUFFER_BYTES)):
             with contextlib.suppress(OSError):  # without the right to, the buffer stays as large as the system allows
@@ -208,19 +168,19 @@ class SocketIntake(CanIntake):
         with contextlib.suppress(BlockingIOError):
             while len(into) < _MOST_AT_ONCE:
                 payload, ancillary, _, _ = receive(_MOST_DATAGRAM_BYTES, _ANCILLARY_BYTES, socket.MSG_DONTWAIT)
-                into.append(_Datagram(payload, ancillary))
+                into.append((payload, ancillary))
 
     def columns(self, taken: list[Any]) -> FrameColumns:
         """Put datagrams into columns."""
         before = self._dropped
-        for _, kind, payload in taken[-1].ancillary:
+        payloads, ancillary = zip(*taken, strict=True)
+        for _, kind, payload in ancillary[-1]:
             if kind == _SO_RXQ_OVFL:  # counts from the socket's beginning
                 (self._dropped,) = struct.unpack("@I", payload)
-        stamps_s = socket_stamps([each.ancillary for each in taken], _SO_TIMESTAMPNS)
-        found = self._frames([each.payload for each in taken], stamps_s)
+        found = self._frames(payloads, socket_stamps(ancillary, _SO_TIMESTAMPNS))
         return replace(found, overruns=(self._dropped - before) % (1 << 32))
 
-    def _frames(self, payloads: list[bytes], stamps_s: Any) -> FrameColumns:
+    def _frames(self, payloads: Sequence[bytes], stamps_s: Any) -> FrameColumns:
         return kernel_columns(payloads, stamps_s, self.options.most_bytes)
 
     def close(self) -> None:
@@ -243,12 +203,10 @@ class _Packed(msgspec.Struct):
 class MulticastIntake(SocketIntake):
     """Frames that python-can's udp_multicast sends: MessagePack in UDP, read without the package msgpack."""
 
-    def __init__(self, options: CanBusOptions, clock: ReceiveClock, receiving: socket.socket, owner: Any) -> None:
-        super().__init__(options, clock, receiving, owner)
-        self._decode = msgspec.msgpack.Decoder(_Packed).decode
+    _decoder = msgspec.msgpack.Decoder(_Packed)
 
-    def _frames(self, payloads: list[bytes], stamps_s: Any) -> FrameColumns:
-        decode = self._decode
+    def _frames(self, payloads: Sequence[bytes], stamps_s: Any) -> FrameColumns:
+        decode = self._decoder.decode
         packed: list[_Packed | None] = []
         for payload in payloads:
             try:
@@ -322,14 +280,10 @@ def filter_in_interface(bus: "BusABC", wanted: Collection[int]) -> bool:
 
     if type(bus)._apply_filters is can.BusABC._apply_filters or not 0 < len(wanted) <= _MOST_FILTERS:  # noqa: SLF001
         return False
-    filters: list[Any] = [
-        {
-            "can_id": each & ~EXTENDED,
-            "can_mask": 0x1FFFFFFF if each & EXTENDED else 0x7FF,
-            "extended": bool(each & EXTENDED),
-        }
-        for each in sorted(wanted)
-    ]
+    filters: list[Any] = []
+    for each in sorted(wanted):
+        mask = 0x1FFFFFFF if each & EXTENDED else 0x7FF
+        filters.append({"can_id": each & ~EXTENDED, "can_mask": mask, "extended": bool(each & EXTENDED)})
     with contextlib.suppress(Exception):  # otherwise all frames are read, and filtered here
         bus._apply_filters(filters)  # noqa: SLF001
         return True

@@ -27,8 +27,6 @@ _ZERO: Vector = (0.0, 0.0, 0.0)
 class WarmUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One exponential of the warm-up: b(t) = A exp(-t/tau), t from power-on.
 
-    Notes
-    -----
     Source, electronics and housing heat up after power-on, each with its own heat capacity and thermal resistance.
     """
 
@@ -46,8 +44,6 @@ class BiasStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Jumps(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Permanent bias steps at random times: a Poisson process, with normally distributed sizes of mean 0.
 
-    Notes
-    -----
     Mode hops of the source, popcorn noise of a stage or a splice that gives way. b(t) = sum of all sizes up to t.
     """
 
@@ -69,30 +65,20 @@ class Line(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Bias(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Bias of a gyro.
 
-    Parameters
-    ----------
-    turn_on_deg_per_h, day_deg_per_h: Standard deviations of what is drawn at every power-on and on every day.
-    acceleration_deg_per_h_per_g, acceleration_squared_deg_per_h_per_g2: Sensitivity to the specific force along x, y,
-        z, and to its squares.
-    magnetic_deg_per_h_per_gauss: Sensitivity to the field along x, y, z.
-    ageing_deg_per_h_per_decade, ageing_onset_h: Drift with the logarithm of the hours of operation.
-
-    Notes
-    -----
     Residual polarisation and offsets (constant, turn-on, day), stress by weight (g, g^2), gains that follow the supply,
     the Faraday effect of twisted fibre, and slow relaxation of glue and mirrors. b = b_0 + b_on + b_day + d . f +
     q . f^2 + s (V - V_0) + m . B + a log10(1 + age/t_0) + warm-up + steps + lines; f along the housing's axes.
     """
 
     constant_deg_per_h: float = 0.0
-    turn_on_deg_per_h: NotNegative = 0.0
-    day_deg_per_h: NotNegative = 0.0
+    turn_on_deg_per_h: NotNegative = 0.0  # standard deviation of what is drawn at every power-on
+    day_deg_per_h: NotNegative = 0.0  # standard deviation of what is drawn on every day
     warm_up: tuple[WarmUp, ...] = ()
     acceleration_deg_per_h_per_g: Vector = _ZERO
     acceleration_squared_deg_per_h_per_g2: Vector = _ZERO
     supply_deg_per_h_per_v: float = 0.0
     supply_nominal_v: float = NOMINAL_SUPPLY_V
-    magnetic_deg_per_h_per_gauss: Vector = _ZERO
+    magnetic_deg_per_h_per_gauss: Vector = _ZERO  # sensitivity to the field along x, y, z
     ageing_deg_per_h_per_decade: float = 0.0
     ageing_onset_h: Positive = 1.0
     step: tuple[BiasStep, ...] = ()

@@ -33,13 +33,6 @@ def checked(parameters: Parameters, who: str) -> Parameters:
 class Seeds:
     """Generators of one power-on of one unit, one for each named random process.
 
-    Parameters
-    ----------
-    seed: Seed of the fleet, not negative.
-    power_on, day: Number of the power-on and of its day, not negative.
-
-    Examples
-    --------
     >>> seeds = Seeds(1, "FOG-1", power_on=2, day=1)
     >>> bool(seeds.of_power_on("white").random() == Seeds(1, "FOG-1", 2, 9).of_power_on("white").random())
     True
@@ -85,14 +78,7 @@ class SampleRange(NamedTuple):
 
 
 def random_jumps(rate_per_h: float, sd_deg_per_h: float, generator: np.random.Generator) -> Iterator[Jump]:
-    """Endless jumps of a Poisson process with normally distributed sizes of mean 0.
-
-    Examples
-    --------
-    >>> jumps = random_jumps(60.0, 1.0, np.random.default_rng(1))
-    >>> next(jumps).at_s < next(jumps).at_s
-    True
-    """
+    """Endless jumps of a Poisson process with normally distributed sizes of mean 0."""
     at_s = 0.0
     while rate_per_h > 0.0:
         at_s += generator.exponential(SECONDS_PER_HOUR / rate_per_h)
@@ -108,8 +94,7 @@ class Staircase:
     """The sum of all jumps so far, block by block; a jump acts from the first sample at or after it."""
 
     def __init__(self, jumps: Iterator[Jump], interval_s: float) -> None:
-        self._jumps = jumps
-        self._interval_s = interval_s
+        self._jumps, self._interval_s = jumps, interval_s
         self._level = 0.0
         self._take()
 
@@ -130,13 +115,7 @@ class Staircase:
 
 
 def random_ranges(probability: float, mean_samples: float, generator: np.random.Generator) -> Iterator[SampleRange]:
-    """Ranges that begin with a probability at every good sample, of geometrically distributed lengths.
-
-    Examples
-    --------
-    >>> next(random_ranges(0.5, 1.0, np.random.default_rng(2)))
-    SampleRange(first=0, stop=1)
-    """
+    """Ranges that begin with a probability at every good sample, of geometrically distributed lengths."""
     stop = 0
     while probability > 0.0:
         first = stop + int(generator.geometric(probability)) - 1

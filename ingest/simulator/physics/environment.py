@@ -39,36 +39,26 @@ class Environment(Protocol):
 
     def rates_deg_per_s(self, t_ns: IntArray) -> FloatArray:
         """Rate against inertial space (Earth's included) about x, y, z, deg/s, shape (3, n)."""
-        ...
 
     def specific_force_g(self, t_ns: IntArray) -> FloatArray:
         """Specific force along x, y, z, g, shape (3, n): +1 along an axis that points up at rest."""
-        ...
 
     def temperature_deg_c(self, t_ns: IntArray) -> FloatArray:
         """Temperature at the housing, degC, shape (n,)."""
-        ...
 
     def supply_v(self, t_ns: IntArray) -> FloatArray:
         """Supply voltage, V, shape (n,)."""
-        ...
 
     def magnetic_field_gauss(self, t_ns: IntArray) -> FloatArray:
         """Magnetic flux density along x, y, z, gauss (1e-4 T), shape (3, n)."""
-        ...
 
 
 class PiecewiseEnvironment:
     """Straight lines between knots; constant before the first and after the last.
 
-    Parameters
-    ----------
-    times_s: Times of the knots from `origin_ns`, seconds, not decreasing. Two equal times make a jump, and the later
-        knot holds at that time.
-    channels: By the names of `Environment`, a value per knot, for vectors x, y, z per knot. By default 0, 25 degC, 5 V.
+    The times of the knots do not decrease. Two equal times make a jump, and the later knot holds at that time. Channels
+    have a value per knot, vectors x, y, z; by default 0, 25 degC, 5 V.
 
-    Examples
-    --------
     >>> ramp = PiecewiseEnvironment([0, 60], temperature_deg_c=[20, 30])
     >>> ramp.temperature_deg_c(np.array([0, 30, 90]) * 10**9).tolist()
     [20.0, 25.0, 30.0]
@@ -129,13 +119,7 @@ class PiecewiseEnvironment:
 
 
 class StaticEnvironment(PiecewiseEnvironment):
-    """A constant environment; channels by the names of `Environment`.
-
-    Examples
-    --------
-    >>> StaticEnvironment(rates_deg_per_s=(10, 0, 0)).rates_deg_per_s(np.array([5])).tolist()
-    [[10.0], [0.0], [0.0]]
-    """
+    """A constant environment; channels by the names of `Environment`."""
 
     def __init__(self, **channels: float | Sequence[float]) -> None:
         knots: dict[str, Any] = {name: [value] for name, value in channels.items()}
@@ -143,19 +127,11 @@ class StaticEnvironment(PiecewiseEnvironment):
 
 
 class Conditions:
-    """An environment over one block of samples: each channel is evaluated once, checked, and only if needed.
-
-    Parameters
-    ----------
-    t_ns: shape (n,); times at which the environment acts.
-    elapsed_s: shape (n,); times from power-on, seconds.
-    who: Name of the gyro in messages.
-    """
+    """An environment over one block of samples: each channel is evaluated once, checked, and only if needed."""
 
     def __init__(self, environment: Environment, t_ns: IntArray, elapsed_s: FloatArray, who: str) -> None:
         self._environment, self._t_ns, self._who = environment, t_ns, who
         self.elapsed_s = elapsed_s
-
         self._known: dict[Channel, FloatArray] = {}
 
     def __getitem__(self, name: Channel) -> FloatArray:

@@ -24,15 +24,12 @@ _AHEAD = 15 * _AT_ONCE
 class GyroParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Effects planted in a gyro, by group; a group that is left out has no effect.
 
-    Parameters
-    ----------
-    sample_interval_ns: Interval of the samples; 5,000,000 is 200 Hz.
-    hold_s: Everything but white and quantisation noise and the read-out is evaluated once per interval of this length,
-        rounded to whole samples, and held within it: slow noise as its mean over the interval, all else at its middle.
-        0 evaluates every sample. At 200 Hz a hold of 0.1 s is about four times as fast.
+    `hold_s`: everything but white and quantisation noise and the read-out is evaluated once per interval of this
+    length, rounded to whole samples, and held within it: slow noise as its mean over the interval, all else at its
+    middle. 0 evaluates every sample. At 200 Hz a hold of 0.1 s is about four times as fast.
     """
 
-    sample_interval_ns: Annotated[int, msgspec.Meta(ge=1)] = 5_000_000
+    sample_interval_ns: Annotated[int, msgspec.Meta(ge=1)] = 5_000_000  # interval of the samples; 5,000,000 is 200 Hz
     hold_s: NotNegative = 0.0
     scale: Scale = Scale()
     bias: Bias | None = None
@@ -45,24 +42,13 @@ class GyroParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class SimulatedGyro:
-    """One power-on of a simulated gyro, from its first sample on.
+    """One power-on of a simulated gyro, from its first sample on, which is at `start_ns`.
 
-    Parameters
-    ----------
-    seed: Seed of the fleet, not negative. The same seed, unit, power-on, day, age, parameters and environment give the
-        same samples, in blocks of whatever size.
-    power_on, day: Number of the power-on and of its day, not negative: power-ons of one day share what is drawn by day.
-        By default every power-on has its own day.
-    age_h: Hours of operation before this power-on.
-    environment: By default no rate, no force, 25 degC.
-    start_ns: Time of power-on and of the first sample.
+    The same seed, unit, power-on, day, age, parameters and environment give the same samples, in blocks of whatever
+    size. Power-ons of one day share what is drawn by day; by default every power-on has its own. `age_h` are the hours
+    of operation before. By default the environment has no rate, no force, 25 degC. Raises BadInput if a number is
+    negative or out of bounds, or the unit cannot be a name.
 
-    Raises
-    ------
-    BadInput: If a number is negative or out of bounds, or the unit cannot be a name.
-
-    Notes
-    -----
     sensed = misalignment(rates), then bandwidth and delay, then dead zone; out = scale(sensed) + (bias + thermal bias
     + noise)/3600 + transient; counts = readout(out). A delay is exact: the environment is evaluated at the time before,
     though never before power-on. It is never evaluated later than the samples of a call, or, with a hold, than the
@@ -70,8 +56,6 @@ class SimulatedGyro:
 
     Memory: the block of a call, and less than 3 MB at any length.
 
-    Examples
-    --------
     >>> parameters = GyroParameters(bias=Bias(constant_deg_per_h=36.0))
     >>> gyro = SimulatedGyro(parameters, seed=1, unit="FOG-1")
     >>> gyro.samples(3).counts.tolist(), round(gyro.scale_deg_per_s_per_count, 9)
@@ -79,17 +63,9 @@ class SimulatedGyro:
     """
 
     def __init__(
-        self,
-        parameters: GyroParameters,
-        *,
-        seed: int,
-        unit: str,
-        power_on: int = 1,
-        day: int | None = None,
-        age_h: float = 0.0,
-        environment: Environment | None = None,
-        start_ns: int = 0,
-    ) -> None:
+        self, parameters: GyroParameters, *, seed: int, unit: str, power_on: int = 1, day: int | None = None,
+        age_h: float = 0.0, environment: Environment | None = None, start_ns: int = 0,
+    ) -> None:  # fmt: skip
         day = power_on if day is None else day
         check_name("unit", unit)
         self._who = f"simulated gyro {unit}"
@@ -132,14 +108,7 @@ class SimulatedGyro:
         return self.start_ns + sample * self.parameters.sample_interval_ns
 
     def due(self, t_ns: int) -> int:
-        """Number of samples up to and including the time `t_ns` that `samples` has not returned yet.
-
-        Examples
-        --------
-        >>> gyro = SimulatedGyro(GyroParameters(), seed=1, unit="FOG-1", start_ns=100)
-        >>> gyro.due(99), gyro.due(100), gyro.due(10_000_100)
-        (0, 1, 3)
-        """
+        """Number of samples up to and including the time `t_ns` that `samples` has not returned yet."""
         return max(0, (t_ns - self.start_ns) // self.parameters.sample_interval_ns + 1 - self._next)
 
     def samples(self, n: int) -> Samples:

@@ -38,8 +38,6 @@ POSITIONS: Mapping[str, Axes] = MappingProxyType(
 def earth_rate_enu_deg_per_s(latitude_deg: float) -> FloatArray:
     """Earth's rate as a vector in east, north, up, deg/s: Omega_e (0, cos(lat), sin(lat)).
 
-    Examples
-    --------
     >>> (earth_rate_enu_deg_per_s(30.0) * 3600).round(4).tolist()
     [0.0, 13.0259, 7.5205]
     """
@@ -59,29 +57,18 @@ def _turned(angle_deg: FloatArray, constant: FloatArray, cosine: FloatArray, sin
 
 
 class TableEnvironment:
-    """Environment of a gyro on a rate table.
+    """Environment of a gyro on a rate table; vectors are in east, north, up.
 
-    Parameters
-    ----------
-    axes_enu: Directions of the gyro's x (input axis), y and z in east, north, up while the table stands at 0 deg: a
-        name of `POSITIONS`, or the three rows of a rotation matrix.
-    table_axis_enu: Direction of the table's axis in east, north, up; positive rates by the right-hand rule.
-    rate_deg_per_s, angle_deg, temperature_deg_c: The table's rate and angle and the temperature as functions of an
-        int64 array of nanoseconds. Without them the table stands at 0 deg, at 25 degC.
-    magnetic_field_enu_gauss: Field in east, north, up.
+    `axes_enu` are the directions of the gyro's x (input axis), y and z while the table stands at 0 deg: a name of
+    `POSITIONS`, or the three rows of a rotation matrix. Positive rates are by the right-hand rule about the table's
+    axis. Rate, angle and temperature are functions of an int64 array of nanoseconds; without them the table stands at
+    0 deg, at 25 degC. Raises BadInput if the axes are no rotation matrix, the table's axis has no direction, or the
+    latitude is out of range.
 
-    Raises
-    ------
-    BadInput: If the axes are no rotation matrix, the table's axis has no direction, or the latitude is out of range.
-
-    Notes
-    -----
     An axis a turned by the angle theta about k is a cos(theta) + (k x a) sin(theta) + k (k . a)(1 - cos(theta))
     (Rodrigues). The rate about it is a . Omega_e + (a . k) omega_table; the specific force along it is its component
     upwards, in g. Centripetal acceleration is left out: the gyro stands on the table's axis.
 
-    Examples
-    --------
     >>> still = TableEnvironment(30.0, "input_up")
     >>> (still.rates_deg_per_s(np.array([0])) * 3600).round(4).tolist()
     [[7.5205], [0.0], [13.0259]]
@@ -90,17 +77,11 @@ class TableEnvironment:
     """
 
     def __init__(
-        self,
-        latitude_deg: float,
-        axes_enu: str | Sequence[Sequence[float]],
-        table_axis_enu: Sequence[float] = _UP,
-        *,
-        rate_deg_per_s: FunctionOfTime | None = None,
-        angle_deg: FunctionOfTime | None = None,
-        temperature_deg_c: FunctionOfTime | None = None,
-        supply_v: float = NOMINAL_SUPPLY_V,
+        self, latitude_deg: float, axes_enu: str | Sequence[Sequence[float]], table_axis_enu: Sequence[float] = _UP, *,
+        rate_deg_per_s: FunctionOfTime | None = None, angle_deg: FunctionOfTime | None = None,
+        temperature_deg_c: FunctionOfTime | None = None, supply_v: float = NOMINAL_SUPPLY_V,
         magnetic_field_enu_gauss: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:
+    ) -> None:  # fmt: skip
         if not -90.0 <= latitude_deg <= 90.0:
             raise BadInput(f"mounting: a latitude of {latitude_deg} deg, -90 to 90 is needed")
         axes, table_axis = _axes(axes_enu), _direction(table_axis_enu)
@@ -145,36 +126,22 @@ class TableEnvironment:
 
 
 class ChamberParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Temperature in a chamber, and readings of the thermometer at each gyro in it.
-
-    Parameters
-    ----------
-    start_offset_deg_c, settling_time_constant_s: Start relative to the mean, and time constant of the approach.
-    daily_amplitude_deg_c, daily_period_s: A sine, 0 and rising at the start.
-    draught_deg_c, draught_correlation_s: Standard deviation and correlation time of the fluctuation at each gyro.
-    thermometer_noise_deg_c: Standard deviation of one reading.
-    """
+    """Temperature in a chamber, and readings of the thermometer at each gyro in it."""
 
     mean_deg_c: float = 25.5
-    start_offset_deg_c: float = -2.0
+    start_offset_deg_c: float = -2.0  # start relative to the mean
     settling_time_constant_s: Positive = 2400.0
-    daily_amplitude_deg_c: float = 1.0
+    daily_amplitude_deg_c: float = 1.0  # of a sine, 0 and rising at the start
     daily_period_s: Positive = 86400.0
-    draught_deg_c: NotNegative = 0.03
+    draught_deg_c: NotNegative = 0.03  # standard deviation of the fluctuation at each gyro
     draught_correlation_s: Positive = 600.0
-    thermometer_noise_deg_c: NotNegative = 0.01
+    thermometer_noise_deg_c: NotNegative = 0.01  # standard deviation of one reading
 
 
 class ChamberEnvironment(StaticEnvironment):
     """Environment of a gyro at rest in a chamber, with its input axis east-west: it senses no part of Earth's rate.
 
-    The times of one call must not lie before those of the call before. Two environments of the same seeds have the
-    same temperatures.
-
-    Parameters
-    ----------
-    seeds: Seeds of the draught.
-    start_ns: Time at which the temperature starts.
+    Times must not lie before those of earlier calls. Two environments of the same seeds have the same temperatures.
     """
 
     def __init__(self, chamber: ChamberParameters, seeds: Seeds, start_ns: int = 0) -> None:

@@ -26,8 +26,6 @@ _SERIES_BELOW = 0.01
 class Markov(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """First-order Gauss-Markov noise: a disturbance with a memory, such as draughts or a control loop.
 
-    Notes
-    -----
     Autocovariance s^2 exp(-abs(t)/T); Allan variance 2 s^2 (T/tau)(1 - (T/2 tau)(3 - 4 exp(-tau/T) + exp(-2 tau/T)))
     (IEEE 952-1997 C.1.2.1, with q_c^2 = 2 s^2/T).
     """
@@ -39,40 +37,25 @@ class Markov(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Noise of a gyro.
 
-    Parameters
-    ----------
-    angle_quantum_arcsec: Step of the angle counter; Q is the step over sqrt(12).
-    angle_random_walk_deg_per_sqrt_h: N.
-    bias_instability_deg_per_h: B; the floor of the Allan deviation is 0.664 B.
-    rate_random_walk_deg_per_h_per_sqrt_h: K.
-    rate_ramp_deg_per_h_per_h: R, with its sign; 0 at power-on.
-
-    Notes
-    -----
     Shot noise of the detector makes white rate noise (N), electronics flicker (B), ageing and slow heat exchange a walk
     (K) or ramp (R), and an angle counter quantisation noise (Q): an angle error e, new at every sample and uniform over
     one step, of which the rate sees (e_k - e_k-1)/dt. Allan variances 3 Q^2/tau^2, N^2/tau, (2 ln 2/pi) B^2, K^2 tau/3,
     R^2 tau^2/2 (IEEE 952-1997 C.1.1). All refer to the output, behind the bandwidth of the gyro.
     """
 
-    angle_quantum_arcsec: NotNegative = 0.0
-    angle_random_walk_deg_per_sqrt_h: NotNegative = 0.0
-    bias_instability_deg_per_h: NotNegative = 0.0
-    rate_random_walk_deg_per_h_per_sqrt_h: NotNegative = 0.0
-    rate_ramp_deg_per_h_per_h: float = 0.0
+    angle_quantum_arcsec: NotNegative = 0.0  # step of the angle counter; Q is the step over sqrt(12)
+    angle_random_walk_deg_per_sqrt_h: NotNegative = 0.0  # N
+    bias_instability_deg_per_h: NotNegative = 0.0  # B; the floor of the Allan deviation is 0.664 B
+    rate_random_walk_deg_per_h_per_sqrt_h: NotNegative = 0.0  # K
+    rate_ramp_deg_per_h_per_h: float = 0.0  # R, with its sign; 0 at power-on
     markov: tuple[Markov, ...] = ()
 
 
 @njit(cache=True, nogil=True)
 def _interval_means(
-    state: FloatArray,
-    normals: FloatArray,
-    decay: FloatArray,
-    kick: FloatArray,
-    weight: FloatArray,
-    scatter: float,
+    state: FloatArray, normals: FloatArray, decay: FloatArray, kick: FloatArray, weight: FloatArray, scatter: float,
     out: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Advance all processes by one interval per row of `normals` and write the sum of their means over it."""
     for i in range(normals.shape[0]):
         total = scatter * normals[i, state.shape[0]]
@@ -127,29 +110,19 @@ class HeldNoise:
 
 
 class GaussMarkovSum:
-    """Sum of independent first-order Gauss-Markov processes, as its exact means over consecutive intervals.
+    """Sum of p independent first-order Gauss-Markov processes, as its exact means over consecutive intervals.
 
-    Parameters
-    ----------
-    decay, kick: shape (p,); x_after = decay * x_before + kick * normal, over one interval.
-    weight: shape (p,); expectation of the mean over the interval, given both ends: weight * (x_before + x_after).
-    scatter: Standard deviation of the means about that expectation, all processes together.
-    start_sd: shape (p,); standard deviation of the processes at time 0.
-    generator: Source of the normals; not to be shared.
+    Over one interval x_after = decay * x_before + kick * normal; given both ends, the mean over it has the expectation
+    weight * (x_before + x_after), about which the means of all processes together have the standard deviation
+    `scatter`. The arrays have the shape (p,); `start_sd` is of time 0. The `generator` is not to be shared.
     """
 
     def __init__(
-        self,
-        decay: FloatArray,
-        kick: FloatArray,
-        weight: FloatArray,
-        scatter: float,
-        start_sd: FloatArray,
+        self, decay: FloatArray, kick: FloatArray, weight: FloatArray, scatter: float, start_sd: FloatArray,
         generator: np.random.Generator,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._decay, self._kick, self._weight = decay, kick, weight
-        self._scatter = scatter
-        self._generator = generator
+        self._scatter, self._generator = scatter, generator
         self._state = start_sd * generator.standard_normal(len(decay))
 
     def means(self, n: int) -> FloatArray:
@@ -165,15 +138,10 @@ def ornstein_uhlenbeck(
 ) -> GaussMarkovSum:
     """Sum of stationary Ornstein-Uhlenbeck processes with these standard deviations and correlation times, shape (p,).
 
-    Notes
-    -----
-    With u = h/T: decay exp(-u), kick sd sqrt(1 - exp(-2u)), and the mean over h given both ends is normal
-    about tanh(u/2)/u (x_before + x_after) with variance 2 sd^2 (u - 2 tanh(u/2))/u^2 (D. T. Gillespie, Phys.
-    Rev. E 54 (1996) 2084, doi:10.1103/PhysRevE.54.2084, gives the joint distribution of the process and its
-    integral).
+    With u = h/T: decay exp(-u), kick sd sqrt(1 - exp(-2u)), and the mean over h given both ends is normal about
+    tanh(u/2)/u (x_before + x_after) with variance 2 sd^2 (u - 2 tanh(u/2))/u^2 (D. T. Gillespie, Phys. Rev. E 54 (1996)
+    2084, doi:10.1103/PhysRevE.54.2084, gives the joint distribution of the process and its integral).
 
-    Examples
-    --------
     >>> draught = ornstein_uhlenbeck(np.array([2.0]), np.array([5.0]), 1.0, np.random.default_rng(1))
     >>> bool(1.8 < draught.means(200_000).std() < 2.1)
     True
@@ -197,8 +165,6 @@ def flicker_noise(
 ) -> GaussMarkovSum:
     """Flicker noise of bias instability B, in deg/h: an Allan floor of sqrt(2 ln 2/pi) B = 0.664 B.
 
-    Notes
-    -----
     IEEE 952-1997 C.1.1.3: two-sided power density B^2/(2 pi f). A sum of Ornstein-Uhlenbeck processes of
     equal variance v, with correlation times in the ratio r, has the density v/(2 ln r f) between the
     reciprocals of its outermost correlation times, so v = B^2 ln r/pi; r = 4 ripples by 0.3 %. Fourteen of
@@ -216,8 +182,6 @@ def rate_random_walk(
 ) -> GaussMarkovSum:
     """Rate random walk of coefficient K, in deg/h, 0 at time 0: Allan deviation K sqrt(tau/3), tau in h.
 
-    Notes
-    -----
     IEEE 952-1997 C.1.1.4. The mean over an interval h of a random walk with both ends known (a Brownian
     bridge) has the variance K^2 h/12 about their mean.
     """
@@ -237,8 +201,6 @@ def white_sd_deg_per_h(angle_random_walk_deg_per_sqrt_h: float, sample_interval_
 
     IEEE 952-1997 C.1.1.1: Allan deviation N/sqrt(tau), tau in hours.
 
-    Examples
-    --------
     >>> round(white_sd_deg_per_h(0.02, 1.0), 9)
     1.2
     """
@@ -246,13 +208,7 @@ def white_sd_deg_per_h(angle_random_walk_deg_per_sqrt_h: float, sample_interval_
 
 
 class NoiseEffect:
-    """Noise of one power-on.
-
-    Parameters
-    ----------
-    interval_s: Sample interval, for white and quantisation noise.
-    hold_s: Interval over which all other noise is held.
-    """
+    """Noise of one power-on."""
 
     def __init__(self, noise: Noise, seeds: Seeds, interval_s: float, hold_s: float) -> None:
         self._noise = noise

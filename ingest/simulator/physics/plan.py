@@ -39,19 +39,12 @@ class _Fleet(GyroParameters, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Plan(msgspec.Struct, frozen=True):
-    """A simulated fleet.
-
-    Parameters
-    ----------
-    power_ons_per_day: Number of power-ons of a unit on one day.
-    hours_per_power_on: Hours of operation from one power-on of a unit to the next.
-    parameters: Planted effects by serial number, with everything drawn that is constant over a unit's life.
-    """
+    """A simulated fleet."""
 
     seed: int
-    parameters: Mapping[str, GyroParameters]
-    power_ons_per_day: int = 1
-    hours_per_power_on: float = 0.0
+    parameters: Mapping[str, GyroParameters]  # by serial number, with everything drawn that is constant over a life
+    power_ons_per_day: int = 1  # number of power-ons of a unit on one day
+    hours_per_power_on: float = 0.0  # hours of operation from one power-on of a unit to the next
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -59,47 +52,24 @@ class Plan(msgspec.Struct, frozen=True):
         return tuple(self.parameters)
 
     def gyro(
-        self,
-        unit: str,
-        power_on: int = 1,
-        *,
-        day: int | None = None,
-        age_h: float | None = None,
-        environment: Environment | None = None,
-        start_ns: int = 0,
-    ) -> SimulatedGyro:
-        """One power-on of a unit, from its first sample on.
-
-        Parameters
-        ----------
-        power_on: Its number, from 1 on.
-        day: Day of the power-on; by default from `power_ons_per_day`, from 1 on.
-        age_h: Hours of operation before; by default `hours_per_power_on` for every earlier power-on.
-        environment, start_ns: See `SimulatedGyro`.
-        """
+        self, unit: str, power_on: int = 1, *, day: int | None = None, age_h: float | None = None,
+        environment: Environment | None = None, start_ns: int = 0,
+    ) -> SimulatedGyro:  # fmt: skip
+        """One power-on of a unit, numbered from 1, see `SimulatedGyro`; day and age follow from it by default."""
         if unit not in self.parameters:
             raise BadInput(f"simulated fleet: no unit {unit!r} in the plan; it has {', '.join(self.units) or 'none'}")
         if power_on < 1:
             raise BadInput(f"simulated fleet: power-on {power_on} of unit {unit}; they are numbered from 1 on")
+        day = (power_on - 1) // self.power_ons_per_day + 1 if day is None else day
+        age_h = (power_on - 1) * self.hours_per_power_on if age_h is None else age_h
         return SimulatedGyro(
-            self.parameters[unit],
-            seed=self.seed,
-            unit=unit,
-            power_on=power_on,
-            day=(power_on - 1) // self.power_ons_per_day + 1 if day is None else day,
-            age_h=(power_on - 1) * self.hours_per_power_on if age_h is None else age_h,
-            environment=environment,
-            start_ns=start_ns,
-        )
+            self.parameters[unit], seed=self.seed, unit=unit, power_on=power_on, day=day, age_h=age_h,
+            environment=environment, start_ns=start_ns,
+        )  # fmt: skip
 
 
 def load_plan(path: Path) -> Plan:
-    """Read a plan from a file; see `parse_plan`.
-
-    Raises
-    ------
-    BadInput: If the file cannot be read or is not such a plan.
-    """
+    """Read a plan from a file; see `parse_plan`. Raises BadInput if the file cannot be read or is not such a plan."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -112,22 +82,12 @@ def load_plan(path: Path) -> Plan:
 def parse_plan(text: str, source: str) -> Plan:
     """Read a plan from TOML.
 
-    `[fleet]` has the `seed`, optionally `units`, `power_ons_per_day` and `hours_per_power_on`, and the effects of
-    every unit (see `GyroParameters`). `[unit."FOG-0231"]` has what is different in one; its `off` lists effects of the
-    fleet that this unit does not have, such as ``bias.jumps``. A list in a unit replaces the fleet's. In place of a
-    number, a `ParameterSpread` is allowed: ``{mean = 0.5, sd = 0.1, low = 0.0}``, drawn once for each unit.
+    `[fleet]` has the `seed`, optionally `units`, `power_ons_per_day` and `hours_per_power_on`, and the effects of every
+    unit (see `GyroParameters`). `[unit."FOG-0231"]` has what is different in one; its `off` lists effects of the fleet
+    that this unit does not have, such as ``bias.jumps``. A list in a unit replaces the fleet's. In place of a number, a
+    `ParameterSpread` is allowed: ``{mean = 0.5, sd = 0.1, low = 0.0}``, drawn once for each unit. Raises BadInput if it
+    is not such a plan; the message names the place, such as ``$.unit.FOG-0231.bias.line[0].frequency_hz``.
 
-    Parameters
-    ----------
-    source: Name of the file, for messages.
-
-    Raises
-    ------
-    BadInput: If it is not such a plan; the message names the place, such as
-        ``$.unit.FOG-0231.bias.line[0].frequency_hz``.
-
-    Examples
-    --------
     >>> plan = parse_plan('''
     ... [fleet]
     ... seed = 7
@@ -180,9 +140,8 @@ def _unit_parameters(unit: str, shared: dict[str, Any], own: Any, seed: int, wha
     if not (isinstance(off, list) and all(isinstance(path, str) for path in off)):
         raise BadInput(f'{what}: a list of names such as "bias.jumps" is needed - at `{place}.off`')
     for i, path in enumerate(off):
-        shared = _without(
-            shared, path.split("."), f"{what}: the fleet has no {path} to switch off - at `{place}.off[{i}]`"
-        )
+        missing = f"{what}: the fleet has no {path} to switch off - at `{place}.off[{i}]`"
+        shared = _without(shared, path.split("."), missing)
 
     def draw(path: str, spread: ParameterSpread) -> float:
         generator = unit_generator(seed, unit, path.removeprefix(f"{place}."))

@@ -17,62 +17,39 @@ _INT32 = np.iinfo(np.int32)
 class ReadoutFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Ranges of faulty samples.
 
-    Parameters
-    ----------
-    probability: Probability that a range begins at a sample.
-    mean_samples: Mean length.
-
-    Notes
-    -----
     A loose contact or a busy controller loses messages or repeats old ones. Gaps and lengths are geometric:
     P(gap = k) = p (1 - p)^k, P(length = k) = (1/m)(1 - 1/m)^(k - 1).
     """
 
-    probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
-    mean_samples: Annotated[float, msgspec.Meta(ge=1)] = 1.0
+    probability: Annotated[float, msgspec.Meta(ge=0, le=1)]  # probability that a range begins at a sample
+    mean_samples: Annotated[float, msgspec.Meta(ge=1)] = 1.0  # mean length
 
 
 class StartUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The first seconds after power-on.
 
-    Parameters
-    ----------
-    invalid_s, invalid_counts: Time during which the output is a fixed word, and that word.
-    transient_deg_per_s, time_constant_s: Error of the rate when the output begins, and time constant of its decay.
-
-    Notes
-    -----
     The loop closes once the source has come up, and then settles to its working point.
     counts = word for t < t_0, then Omega_out + A exp(-(t - t_0)/tau).
     """
 
-    invalid_s: NotNegative = 0.0
-    invalid_counts: Annotated[int, msgspec.Meta(ge=int(_INT32.min), le=int(_INT32.max))] = 0
-    transient_deg_per_s: float = 0.0
-    time_constant_s: Positive = 1.0
+    invalid_s: NotNegative = 0.0  # time during which the output is a fixed word
+    invalid_counts: Annotated[int, msgspec.Meta(ge=int(_INT32.min), le=int(_INT32.max))] = 0  # that word
+    transient_deg_per_s: float = 0.0  # error of the rate when the output begins
+    time_constant_s: Positive = 1.0  # of its decay
 
 
 class Readout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Conversion of the output rate to counts.
 
-    Parameters
-    ----------
-    saturation_deg_per_s: Largest rate in both directions; without it the limits are those of int32.
-    resolution_counts: Counts are multiples of this.
-    carries_rest: Whether the rounding error is added to the next sample, as in an angle counter.
-    dropout, stuck: Samples that are missing, and samples that repeat the one before.
-
-    Notes
-    -----
     counts = r round(K clip(Omega_out)/r); with the rest carried, the sum of the counts follows the angle to half a
     step.
     """
 
-    saturation_deg_per_s: Positive | None = None
-    resolution_counts: Annotated[int, msgspec.Meta(ge=1)] = 1
-    carries_rest: bool = False
-    dropout: ReadoutFault | None = None
-    stuck: ReadoutFault | None = None
+    saturation_deg_per_s: Positive | None = None  # largest rate in both directions; without it that of int32
+    resolution_counts: Annotated[int, msgspec.Meta(ge=1)] = 1  # counts are multiples of this
+    carries_rest: bool = False  # whether the rounding error is added to the next sample, as in an angle counter
+    dropout: ReadoutFault | None = None  # samples that are missing
+    stuck: ReadoutFault | None = None  # samples that repeat the one before
 
 
 class Samples(NamedTuple):

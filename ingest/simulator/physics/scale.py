@@ -18,8 +18,6 @@ _HOURS_PER_KILOHOUR = 1000.0
 class Ripple(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A sinusoidal deviation from the straight line, periodic in the rate; its amplitude is in ppm of full range.
 
-    Notes
-    -----
     The feedback ramp of a closed-loop FOG resets by 2 pi; an error of its height, or a stray interference, repeats
     with every reset and so with equal steps of rate. dOmega = a Omega_max sin(2 pi Omega/P + phase).
     """
@@ -32,43 +30,28 @@ class Ripple(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Scale(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Scale factor of a gyro.
 
-    Parameters
-    ----------
-    counts_per_deg_per_s: Nominal scale factor, which the samples carry with them.
-    full_range_deg_per_s: Reference rate of the nonlinearities.
-    error_ppm: Deviation from the nominal scale factor at 25 degC.
-    turn_on_ppm, day_ppm: Standard deviations of what is drawn at every power-on and on every day.
-    nonlinearity_ppm: Terms of order 2, 3, 4, 5 of the rate over full range, ppm of full range.
-    asymmetry_ppm: (K+ - K-)/K.
-    temperature_ppm_per_deg_c, temperature_ppm_per_deg_c2: Change with the temperature inside the gyro above 25 degC.
-    acceleration_ppm_per_g: Change with the specific force along the input axis.
-    ageing_ppm_per_1000_h: Change with the hours of operation.
-
-    Notes
-    -----
     The Sagnac phase is 2 pi L D Omega/(lambda c): the scale factor follows the coil's length and diameter and the
     source's wavelength, hence temperature and ageing; detector and feedback electronics bend the line.
     Omega_out = Omega (1 + e + s_1 dT + s_2 dT^2 + d f_x + w t) + (A/2) abs(Omega) +
     Omega_max sum_m c_m (Omega/Omega_max)^m + ripple.
     """
 
-    counts_per_deg_per_s: Positive = 20_000.0
-    full_range_deg_per_s: Positive = 300.0
-    error_ppm: float = 0.0
-    turn_on_ppm: NotNegative = 0.0
-    day_ppm: NotNegative = 0.0
-    nonlinearity_ppm: Annotated[tuple[float, ...], msgspec.Meta(max_length=4)] = ()
+    counts_per_deg_per_s: Positive = 20_000.0  # nominal scale factor, which the samples carry with them
+    full_range_deg_per_s: Positive = 300.0  # reference rate of the nonlinearities
+    error_ppm: float = 0.0  # deviation from the nominal scale factor at 25 degC
+    turn_on_ppm: NotNegative = 0.0  # standard deviation of what is drawn at every power-on
+    day_ppm: NotNegative = 0.0  # standard deviation of what is drawn on every day
+    nonlinearity_ppm: Annotated[tuple[float, ...], msgspec.Meta(max_length=4)] = ()  # c_2 to c_5, ppm of full range
     ripple: Ripple | None = None
-    asymmetry_ppm: float = 0.0
+    asymmetry_ppm: float = 0.0  # (K+ - K-)/K
     temperature_ppm_per_deg_c: float = 0.0
     temperature_ppm_per_deg_c2: float = 0.0
-    acceleration_ppm_per_g: float = 0.0
-    ageing_ppm_per_1000_h: float = 0.0
+    acceleration_ppm_per_g: float = 0.0  # change with the specific force along the input axis
+    ageing_ppm_per_1000_h: float = 0.0  # change with the hours of operation
 
 
 @njit(cache=True, nogil=True)
 def _bend(rate: FloatArray, full: float, terms: FloatArray, asymmetry: float, out: FloatArray) -> None:
-    """Add the nonlinearity of order 2 and up and the asymmetry."""
     for i in range(rate.shape[0]):
         x = rate[i] / full
         value = 0.0
@@ -87,16 +70,11 @@ class ScaleEffect:
     """Scale factor of one power-on after `age_h` hours of operation."""
 
     def __init__(self, scale: Scale, seeds: Seeds, age_h: float) -> None:
-        self._scale = scale
-        self._age_h = age_h
+        self._scale, self._age_h = scale, age_h
         self.turn_on_ppm = scale.turn_on_ppm * float(seeds.of_power_on("scale turn-on").standard_normal())
         self.day_ppm = scale.day_ppm * float(seeds.of_day("scale day").standard_normal())
         self._terms = _PPM * np.array(scale.nonlinearity_ppm, np.float64)
-
-    @property
-    def needs_temperature(self) -> bool:
-        """Whether the temperature of the gyro acts on the scale factor."""
-        return self._scale.temperature_ppm_per_deg_c != 0.0 or self._scale.temperature_ppm_per_deg_c2 != 0.0
+        self.needs_temperature = scale.temperature_ppm_per_deg_c != 0.0 or scale.temperature_ppm_per_deg_c2 != 0.0
 
     def apply(self, rate: FloatArray, conditions: Conditions, temperature: FloatArray | None) -> FloatArray:
         """Output rate for a sensed `rate`, both deg/s; `temperature` is that inside the gyro, degC."""

@@ -21,65 +21,44 @@ _Lean = Annotated[float, msgspec.Meta(ge=-_EIGHTH_TURN_ARCSEC, le=_EIGHTH_TURN_A
 class Misalignment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Direction of the true input axis in the housing, and cross-axis sensitivity.
 
-    Parameters
-    ----------
-    y_arcsec, z_arcsec: Angles of the input axis towards y and z, at most 45 deg each.
-    cross_y_ppm, cross_z_ppm: Response to rates about y and z that does not come from the angles.
-
-    Notes
-    -----
     The normal of the coil is not exactly perpendicular to the housing's reference face; electronics and housing may
     couple further. Omega = Omega_x sqrt(1 - s_y^2 - s_z^2) + Omega_y (s_y + c_y) + Omega_z (s_z + c_z), with s the
     sines of the two angles.
     """
 
-    y_arcsec: _Lean = 0.0
+    y_arcsec: _Lean = 0.0  # angle of the input axis towards y, at most 45 deg
     z_arcsec: _Lean = 0.0
-    cross_y_ppm: float = 0.0
+    cross_y_ppm: float = 0.0  # response to rates about y that does not come from the angle
     cross_z_ppm: float = 0.0
 
 
 class DeadZone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Rates below the threshold.
 
-    Parameters
-    ----------
-    threshold_deg_per_h: Half width of the zone.
-    slope: Remaining fraction of the scale factor within it, 0 to 1.
-    beyond: ``full``: the whole rate from the threshold on; ``offset``: continuous, short by (1 - slope) threshold
-        everywhere; ``lock_in``: sign(Omega) sqrt(Omega^2 - (1 - slope^2) threshold^2), continuous, full at high rates.
+    `beyond`: ``full``: the whole rate from the threshold on; ``offset``: continuous, short by (1 - slope) threshold
+    everywhere; ``lock_in``: sign(Omega) sqrt(Omega^2 - (1 - slope^2) threshold^2), continuous, full at high rates.
 
-    Notes
-    -----
     Crosstalk in a closed loop holds the feedback at zero, and backscatter locks the beams of a laser gyro together,
     until the rate is large enough. Omega_out = slope Omega for abs(Omega) < threshold. It acts on the sensed rate,
     Earth's included, and not on the bias.
     """
 
-    threshold_deg_per_h: Positive
-    slope: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
+    threshold_deg_per_h: Positive  # half width of the zone
+    slope: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0  # remaining fraction of the scale factor within it, 0 to 1
     beyond: Literal["full", "offset", "lock_in"] = "full"
 
 
 class Dynamics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Bandwidth, delay and dead zone.
 
-    Parameters
-    ----------
-    bandwidth_hz: Frequency at which the gain is 1/sqrt(2).
-    damping: Damping ratio of the second-order low-pass.
-    delay_s: Pure delay, not necessarily a whole number of samples.
-
-    Notes
-    -----
     The loop's integrator and the filter behind it act as a low-pass, computation and transfer as a delay.
     H(s) = w^2 exp(-s delay)/(s^2 + 2 zeta w s + w^2), w = 2 pi bandwidth/sqrt(1 - 2 zeta^2 +
     sqrt((1 - 2 zeta^2)^2 + 1)). They act on rates, not on biases, which are defined at the output.
     """
 
-    bandwidth_hz: Positive | None = None
-    damping: Positive = math.sqrt(0.5)
-    delay_s: NotNegative = 0.0
+    bandwidth_hz: Positive | None = None  # frequency at which the gain is 1/sqrt(2)
+    damping: Positive = math.sqrt(0.5)  # damping ratio of the second-order low-pass
+    delay_s: NotNegative = 0.0  # pure delay, not necessarily a whole number of samples
     dead_zone: DeadZone | None = None
 
 
@@ -112,13 +91,7 @@ def _dead_zone(rate: FloatArray, threshold: float, slope: float, beyond: int, ou
 
 
 def sensed_rate(misalignment: Misalignment | None, rates_deg_per_s: FloatArray) -> FloatArray:
-    """Rate about the true input axis, deg/s, of rates about x, y, z.
-
-    Examples
-    --------
-    >>> float(sensed_rate(Misalignment(cross_z_ppm=-20.0), np.array([[0.0], [5.0], [100.0]]))[0])
-    -0.002
-    """
+    """Rate about the true input axis, deg/s, of rates about x, y, z."""
     x, across_y, across_z = rates_deg_per_s
     if misalignment is None:
         return np.asarray(x, np.float64)
@@ -131,8 +104,6 @@ def sensed_rate(misalignment: Misalignment | None, rates_deg_per_s: FloatArray) 
 class LowPass:
     """Second-order low-pass (see `Dynamics`) in steady state at its first input, by exact discretisation.
 
-    Notes
-    -----
     Between samples the input is the parabola through its values at both ends and in the middle; for it, the state
     x_1 = exp(A h) x_0 + integral of exp(A (h - s)) B u(s) is exact, from the exponential of the augmented matrix
     (C. F. Van Loan, IEEE Trans. Autom. Control 23 (1978) 395, doi:10.1109/TAC.1978.1101743). Of a sine the gain is
@@ -166,13 +137,7 @@ class LowPass:
 
 
 def outside_dead_zone(dead_zone: DeadZone, rate_deg_per_s: FloatArray) -> FloatArray:
-    """Rates behind a dead zone, deg/s.
-
-    Examples
-    --------
-    >>> outside_dead_zone(DeadZone(threshold_deg_per_h=3600.0, slope=0.5), np.array([-0.5, 0.5, 2.0])).tolist()
-    [-0.25, 0.25, 2.0]
-    """
+    """Rates behind a dead zone, deg/s."""
     out = np.empty(len(rate_deg_per_s))
     code = ("full", "offset", "lock_in").index(dead_zone.beyond)
     _dead_zone(rate_deg_per_s, dead_zone.threshold_deg_per_h / SECONDS_PER_HOUR, dead_zone.slope, code, out)

@@ -17,60 +17,38 @@ _SECONDS_PER_MINUTE = 60.0
 class TemperatureRate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Bias caused by a temperature rate.
 
-    Parameters
-    ----------
-    time_constant_s: Lag of the gradient in the coil; on a ramp the effect reaches its full size after a few of these.
-
-    Notes
-    -----
     A temperature gradient that moves through the coil changes its two light paths at different times (D. M. Shupe,
-    Appl. Opt. 19 (1980) 654, doi:10.1364/AO.19.000654). The gradient is that between the gyro and a mass that
-    follows it with a time constant: b = c (T - T_m)/tau, dT_m/dt = (T - T_m)/tau, which is dT/dt behind a
-    first-order lag.
+    Appl. Opt. 19 (1980) 654, doi:10.1364/AO.19.000654). The gradient is that between the gyro and a mass that follows
+    it with a time constant: b = c (T - T_m)/tau, dT_m/dt = (T - T_m)/tau, which is dT/dt behind a first-order lag.
     """
 
     deg_per_h_per_deg_c_per_min: float
-    time_constant_s: Positive = 10.0
+    time_constant_s: Positive = 10.0  # lag of the gradient in the coil: full size on a ramp after a few of these
 
 
 class Hysteresis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One loop of thermal hysteresis.
 
-    Parameters
-    ----------
-    half_loop_deg_per_h: Bias on the warming branch; the cooling branch has its negative.
-    width_deg_c: Temperature reversal after which the other branch is reached.
-    start: Place in the loop at power-on: -1 as if cooled before, +1 as if warmed.
-
-    Notes
-    -----
     Glue and fibre coating slip only after a strain has built up, so that the bias depends on the history of the
     temperature: the stop operator (M. Brokate, J. Sprekels, Hysteresis and Phase Transitions, Springer 1996, 2.1),
     z <- min(max(z + dT, -w/2), w/2), b = h z/(w/2). Loops of different widths make a Prandtl-Ishlinskii model.
     """
 
-    half_loop_deg_per_h: float
-    width_deg_c: Positive
-    start: Annotated[float, msgspec.Meta(ge=-1, le=1)] = 0.0
+    half_loop_deg_per_h: float  # bias on the warming branch; the cooling branch has its negative
+    width_deg_c: Positive  # temperature reversal after which the other branch is reached
+    start: Annotated[float, msgspec.Meta(ge=-1, le=1)] = 0.0  # at power-on: -1 as if cooled before, +1 as if warmed
 
 
 class Thermal(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Bias caused by temperature.
 
-    Parameters
-    ----------
-    lag_s: Time constant with which the temperature inside the gyro follows that of the housing; 0 for no lag.
-    bias_polynomial_deg_per_h: Coefficients of (T - 25 degC), its square, its cube..., in deg/h/degC, deg/h/degC^2...
-
-    Notes
-    -----
     The inside follows the housing through a thermal resistance and a heat capacity, in equilibrium at power-on;
     every thermal effect, on the scale factor too, depends on the inside. dT_i/dt = (T - T_i)/lag,
     b = sum_k c_k (T_i - 25)^k + rate + hysteresis.
     """
 
-    lag_s: NotNegative = 0.0
-    bias_polynomial_deg_per_h: tuple[float, ...] = ()
+    lag_s: NotNegative = 0.0  # time constant with which the inside of the gyro follows the housing; 0 for no lag
+    bias_polynomial_deg_per_h: tuple[float, ...] = ()  # c_1, c_2...: deg/h/degC, deg/h/degC^2...
     rate: TemperatureRate | None = None
     hysteresis: tuple[Hysteresis, ...] = ()
 
@@ -107,15 +85,10 @@ def _add_polynomial(u: FloatArray, terms: FloatArray, out: FloatArray) -> None:
 
 
 class Lag:
-    """A first-order lag, exact for an input that is linear between samples; in equilibrium at the first one.
-
-    Notes
-    -----
-    With e = exp(-h/tau): x_1 = e x_0 + (1 - e) u_0 + (u_1 - u_0)(1 - (1 - e) tau/h).
-    """
+    """A first-order lag in equilibrium at first: x_1 = e x_0 + (1 - e) u_0 + (u_1 - u_0)(1 - (1 - e) tau/h)."""
 
     def __init__(self, time_constant_s: float, interval_s: float) -> None:
-        h = interval_s / time_constant_s
+        h = interval_s / time_constant_s  # e = exp(-h)
         self._decay, self._jump = math.exp(-h), -math.expm1(-h)
         self._ramp = 1.0 + math.expm1(-h) / h
         self._state: tuple[float, float] | None = None
@@ -139,11 +112,7 @@ class ThermalEffect:
         self._loops = thermal.hysteresis
         self._strain_deg_c = [loop.start * loop.width_deg_c / 2 for loop in thermal.hysteresis]
         self._last_deg_c: float | None = None
-
-    @property
-    def makes_bias(self) -> bool:
-        """Whether there is any thermal bias."""
-        return bool(len(self._terms) or self._rate or self._loops)
+        self.makes_bias = bool(len(self._terms) or self._rate or self._loops)
 
     def inside_deg_c(self, housing_deg_c: FloatArray) -> FloatArray:
         """Temperature inside the gyro for the next temperatures of the housing; to be called once per block."""

@@ -17,17 +17,10 @@ from stream.errors import BadInput
 def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:
     """Everything that is planted in one power-on and drawn for it over its first `duration_s` seconds.
 
-    Noise is given by its coefficients.
+    ``parameters`` are as drawn for the unit, noise by its coefficients; ``drawn`` is by power-on and day; ``jumps`` are
+    pairs of seconds from power-on and deg/h, planned ones too; ``dropouts`` and ``stuck`` are pairs of the first sample
+    and the one after the last.
 
-    Returns
-    -------
-    dict
-        ``unit``, ``power_on``, ``day``, ``age_h``, ``seed``, ``duration_s``; ``parameters``, as drawn for the unit;
-        ``drawn``, by power-on and day; ``jumps``, pairs of seconds from power-on and deg/h, planned ones too;
-        ``dropouts`` and ``stuck``, pairs of the first sample and the one after the last.
-
-    Examples
-    --------
     >>> from ingest.simulator.physics.bias import Bias, BiasStep
     >>> from ingest.simulator.physics.gyro import GyroParameters
     >>> parameters = GyroParameters(bias=Bias(step=(BiasStep(at_s=5.0, size_deg_per_h=2.0),)))
@@ -57,12 +50,7 @@ def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:
 
 
 def write_truth(path: Path, plan: Plan, *, power_ons: int, duration_s: float) -> None:
-    """Write what is planted in the first power-ons of every unit of a plan, one line of JSON each, atomically.
-
-    Raises
-    ------
-    BadInput: If a number is negative or the file cannot be written.
-    """
+    """Write the truth of the first power-ons of every unit, a line of JSON each; raises BadInput if it cannot."""
     if not 0.0 <= duration_s < float("inf"):
         raise BadInput(f"truth {path}: a duration of {duration_s} s, a finite number from 0 on is needed")
     gyros = (plan.gyro(unit, power_on) for unit in plan.units for power_on in range(1, power_ons + 1))

@@ -22,17 +22,8 @@ class _Air(NamedTuple):
 class SimulatedChamber(SimulatedDevice):
     """Temperature chamber: ``TEMP:SETP``, ``TEMP:SETP?``, ``TEMP:ACT?``.
 
-    Parameters
-    ----------
-    ramp_deg_c_per_min: Rate of the controller's ramp to the temperature that is set.
-    lag_s: Time constant with which the air follows the ramp.
+    With the controller's ramp s(t) = s0 + r t and lag T the air is s(t) - r T + (T0 - s0 + r T) exp(-t/T).
 
-    Notes
-    -----
-    With the ramp s(t) = s0 + r t and lag T the air is s(t) - r T + (T0 - s0 + r T) exp(-t/T).
-
-    Examples
-    --------
     >>> chamber = SimulatedChamber(StationClock(start_ns=0))
     >>> chamber.handle("TEMP:SETP 60")
     >>> float(chamber.temperature_deg_c(3600 * 10**9).round(6))
@@ -69,11 +60,8 @@ class SimulatedChamber(SimulatedDevice):
             slope = float(np.copysign(self._slope, target - ramp))
             moving = _Air(air, ramp, slope, self._lag_s)
             end_s = abs(target - ramp) / self._slope
-            at_end = single(_air(moving, np.array([end_s])))
-            return [
-                Segment(now_ns, moving),
-                Segment(now_ns + round(end_s * 1e9), _Air(at_end, target, 0.0, self._lag_s)),
-            ]
+            at_end = _Air(single(_air(moving, np.array([end_s]))), target, 0.0, self._lag_s)
+            return [Segment(now_ns, moving), Segment(now_ns + round(end_s * 1e9), at_end)]
 
         self._line.change(plan)
 

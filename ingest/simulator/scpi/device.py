@@ -30,16 +30,8 @@ class Refused(Exception):
 
 
 class SimulatedDevice:
-    """One simulated instrument, given a line at a time.
+    """One simulated instrument, given a line at a time; of its headers ``TEMPerature:SETPoint`` matches TEMP:SETP too.
 
-    Parameters
-    ----------
-    identity: Its answer to ``*IDN?``.
-    settings, queries: Handlers by SCPI header: ``TEMPerature:SETPoint`` matches TEMP:SETP too. A setting takes one
-        number.
-
-    Examples
-    --------
     >>> device = SimulatedDevice("GYROFLEET,NOTHING,0,1", StationClock(), {}, {"TEMPerature:ACTual?": lambda: "25.0"})
     >>> device.handle("temp:act?;*idn?")
     '25.0;GYROFLEET,NOTHING,0,1'
@@ -51,14 +43,10 @@ class SimulatedDevice:
     """
 
     def __init__(
-        self,
-        identity: str,
-        clock: StationClock,
-        settings: Mapping[str, Callable[[float], None]],
+        self, identity: str, clock: StationClock, settings: Mapping[str, Callable[[float], None]],
         queries: Mapping[str, Callable[[], str]],
-    ) -> None:
-        self.clock = clock
-        self.identity = identity
+    ) -> None:  # fmt: skip
+        self.clock, self.identity = clock, identity
         self.fault = DeviceFault.NONE
         self.lines: deque[str] = deque(maxlen=1000)
         self.course: Timeline[Any] | None = None

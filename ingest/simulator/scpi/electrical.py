@@ -26,17 +26,7 @@ class _Output(NamedTuple):
 
 
 class SimulatedSupply(SimulatedDevice):
-    """Power supply: ``VOLT``, ``CURR``, ``OUTP``, their queries, ``MEAS:VOLT?`` and ``MEAS:CURR?``.
-
-    The load is a resistor.
-
-    Examples
-    --------
-    >>> supply = SimulatedSupply(StationClock(start_ns=0), load_ohm=5.0)
-    >>> supply.handle("VOLT 5;CURR 2;OUTP ON")
-    >>> float(supply.voltage_v(3600 * 10**9)), float(supply.current_a(3600 * 10**9))
-    (5.0, 1.0)
-    """
+    """Power supply of a resistor: ``VOLT``, ``CURR``, ``OUTP``, their queries, ``MEAS:VOLT?``, ``MEAS:CURR?``."""
 
     def __init__(self, clock: StationClock, *, load_ohm: float = 10.0) -> None:
         super().__init__(
@@ -85,27 +75,14 @@ class SimulatedSupply(SimulatedDevice):
 class SimulatedVoltmeter(SimulatedDevice):
     """Digital voltmeter: ``CONF:VOLT:DC``, ``VOLT:DC:NPLC``, ``READ?``; a reading takes the averaging time.
 
-    Parameters
-    ----------
-    source_v: Voltage at its input at times, V, shape (n,); by default 1 V.
-    noise_v: Standard deviation of a reading of 1 NPLC, V; it falls with the root of the averaging time.
-
-    Examples
-    --------
-    >>> voltmeter = SimulatedVoltmeter(StationClock(speed=1000.0), noise_v=0.0)
-    >>> voltmeter.handle("CONF:VOLT:DC 10;:VOLT:DC:NPLC 10")
-    >>> voltmeter.handle("READ?")
-    '+1.00000000E+00'
+    `source_v`: voltage at its input at times, V, shape (n,); by default 1 V.
+    `noise_v`: standard deviation of a reading of 1 NPLC, V; it falls with the root of the averaging time.
     """
 
     def __init__(
-        self,
-        clock: StationClock,
-        *,
-        source_v: Callable[[IntArray], FloatArray] = lambda t_ns: np.ones(len(t_ns)),
-        noise_v: float = 1e-6,
-        seed: int = 1,
-    ) -> None:
+        self, clock: StationClock, *, source_v: Callable[[IntArray], FloatArray] = lambda t_ns: np.ones(len(t_ns)),
+        noise_v: float = 1e-6, seed: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__(
             "GYROFLEET,SIMULATED VOLTMETER,0,1",
             clock,
@@ -118,8 +95,7 @@ class SimulatedVoltmeter(SimulatedDevice):
         )
         self.range_v = 10.0
         self.nplc = 1.0
-        self.source_v = source_v
-        self._noise_v = noise_v
+        self.source_v, self._noise_v = source_v, noise_v
         self._random = np.random.default_rng(seed)
 
     def _configure(self, value: float) -> None:

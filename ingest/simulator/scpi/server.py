@@ -13,19 +13,8 @@ _LONGEST_LINE = 65536
 
 
 class ScpiServer:
-    r"""Several simulated instruments in one process.
+    r"""Several simulated instruments in one process; raises BadInput if a port is taken.
 
-    Parameters
-    ----------
-    devices: The instruments by name.
-    ports: Port of an instrument; any free one by default.
-
-    Raises
-    ------
-    BadInput: If a port is taken.
-
-    Examples
-    --------
     >>> from ingest.simulator.scpi.chamber import SimulatedChamber
     >>> from ingest.station_clock import StationClock
     >>> with ScpiServer({"C1": SimulatedChamber(StationClock())}) as server:

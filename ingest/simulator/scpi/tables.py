@@ -32,21 +32,8 @@ class _Motion(NamedTuple):
 class SimulatedRateTable(SimulatedDevice):
     """Rate table: ``RATE:SETP``, ``ANGL:SETP``, ``RATE:ACT?``, ``ANGL:ACT?``.
 
-    Parameters
-    ----------
-    ripple_deg_per_s: Amplitude of a sine on the rate while it turns; at rest there is none.
-
-    Notes
-    -----
-    Segments of constant acceleration; the angle is the exact integral of the rate, ripple included, and is not reduced
-    to one turn.
-
-    Examples
-    --------
-    >>> table = SimulatedRateTable(StationClock(start_ns=0), ripple_deg_per_s=0.0)
-    >>> table.handle("RATE:SETP -20")
-    >>> float(table.rate_deg_per_s(3600 * 10**9))
-    -20.0
+    Segments of constant acceleration, with a ripple on the rate while it turns; the angle is the exact integral of the
+    rate, ripple included, and is not reduced to one turn.
     """
 
     def __init__(self, clock: StationClock, *, ripple_deg_per_s: float = 2e-4) -> None:
@@ -144,17 +131,8 @@ class _Sine(NamedTuple):
 class SimulatedVibrationTable(SimulatedDevice):
     """Angular-vibration table: ``FREQ:SETP``, ``AMPL:SETP``, ``FREQ:ACT?``, ``AMPL:ACT?`` and ``RATE:TRAC?``.
 
-    Notes
-    -----
     rate = A(t) sin(phase + 2 pi f t), A(t) = A + (A0 - A) exp(-t/swell); the phase is continuous. The trace has a
     sample every 0.5 ms, and holds the last 8192.
-
-    Examples
-    --------
-    >>> table = SimulatedVibrationTable(StationClock(start_ns=0))
-    >>> table.handle("AMPL:SETP 20;FREQ:SETP 50")
-    >>> float(abs(table.rate_deg_per_s(3600 * 10**9 + np.arange(100_000) * 10**4)).max().round(3))
-    20.0
     """
 
     def __init__(self, clock: StationClock) -> None:

@@ -23,31 +23,20 @@ class Timeline(Generic[State]):
     """Segments of a course; the last one has no end.
 
     A command takes its time from the clock under the lock of the evaluation, so that a later command never changes a
-    value of the past: a gyro on the table may be computed for any past interval.
+    value of the past: a gyro on the table may be computed for any past interval. `value` makes values of a segment from
+    its state and the seconds since its start, shape (n,).
 
-    Parameters
-    ----------
-    state: State of the first segment, which also holds before it.
-    value: Values of a segment from its state and the seconds since its start, shape (n,).
-
-    Examples
-    --------
     >>> line = Timeline(StationClock(start_ns=0), 0.0, lambda state, dt_s: state + 2.0 * dt_s)
     >>> line.change(lambda now_ns, state, dt_s: [Segment(now_ns + 10**9, 7.0)])
-    >>> bool(line.at(line.last_ns + 10**9) == 9.0)
-    True
+    >>> _, segments = line.since(0)
+    >>> float(line.at(segments[-1].start_ns + 10**9))
+    9.0
     """
 
     def __init__(self, clock: StationClock, state: State, value: Callable[[State, FloatArray], FloatArray]) -> None:
-        self._clock = clock
-        self._value = value
+        self._clock, self._value = clock, value
         self._segments = [Segment(clock.now_ns(), state)]
         self._lock = threading.Lock()
-
-    @property
-    def last_ns(self) -> int:
-        """Start of the last segment."""
-        return self._segments[-1].start_ns
 
     @property
     def now(self) -> State:
@@ -57,10 +46,8 @@ class Timeline(Generic[State]):
     def change(self, plan: Callable[[int, State, float], Sequence[Segment[State]]]) -> None:
         """Replace the future.
 
-        Parameters
-        ----------
-        plan: Returns the next segments for the time now, the state of the present segment and the seconds since its
-            start; segments that begin before now begin now.
+        `plan`: returns the next segments for the time now, the state of the present segment and the seconds since its
+        start; segments that begin before now begin now.
         """
         with self._lock:
             now_ns = self._clock.now_ns()

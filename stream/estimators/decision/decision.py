@@ -44,8 +44,11 @@ class _Looks:
 
     def import_state(self, state: dict[str, Any]) -> None:
         """Take over the state of another one of the same plan."""
-        decision = state["decision"]
-        self.decision = None if decision is None else _decision(decision)
+        if (given := state["decision"]) is None:
+            self.decision = None
+        else:
+            kinds = {"outcome": Outcome(given["outcome"]), "rule": DecisionRule(given["rule"])}
+            self.decision = Decision(**{**given, **kinds})
         for name, value in state.items():
             if name != "decision":
                 setattr(self, name, value)
@@ -82,24 +85,19 @@ class _Looks:
         limit = self.plan.limit
         outcome, sign, word = (Outcome.FAIL, ">", "高于") if point.value > limit else (Outcome.PASS, "<=", "不高于")
         return self._decide(
-            outcome,
-            DecisionRule.FINISHED,
-            0.0,
-            f"the test is finished: {point.value:.4g} {sign} limit {limit:.4g}",
+            outcome, DecisionRule.FINISHED, 0.0, f"the test is finished: {point.value:.4g} {sign} limit {limit:.4g}",
             f"测试已完成:{point.value:.4g} {word}限值 {limit:.4g}",
-        )
+        )  # fmt: skip
 
     def _curtail(self, sum_share: float) -> Decision:
         exact, promise = self.plan.point_decides, self.plan.error_probability
         must_en = "the finished test must fail" if exact else "without gaps the last look must cross the FAIL bound"
         must_zh = "完整测试必不合格" if exact else "若无缺失,末次查看必越过 FAIL 界限"
         return self._decide(
-            Outcome.FAIL,
-            DecisionRule.CURTAILED,
-            0.0 if exact else promise,
+            Outcome.FAIL, DecisionRule.CURTAILED, 0.0 if exact else promise,
             f"the sum of squares is {sum_share:.4g} times what the finished test allows and can only grow: {must_en}",
             f"平方和已达完整测试允许值的 {sum_share:.4g} 倍,且只增不减:{must_zh}",
-        )
+        )  # fmt: skip
 
     def _undecided(self, promise: float, point: EstimatePoint | None, expect: Callable[[float], float]) -> Decision:
         fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
@@ -120,10 +118,6 @@ class _Looks:
             en = f"expected at {first:.0f} s by the present estimate, by its interval as late as {end_en}"
             zh = f"按当前估计预计在 {first:.0f} s 判定,按其区间最迟到{end_zh}"
         return Decision(Outcome.UNDECIDED, f"undecided; {en}", f"未判定;{zh}", promise, fraction, first, last)
-
-
-def _decision(state: dict[str, Any]) -> Decision:
-    return Decision(**{**state, "outcome": Outcome(state["outcome"]), "rule": DecisionRule(state["rule"])})
 
 
 class AllanDecision(_Looks):
@@ -160,10 +154,8 @@ class AllanDecision(_Looks):
     def look(self, elapsed_s: float, point: EstimatePoint | None) -> Decision:
         """Look at the test; a decision once given stands.
 
-        Parameters
-        ----------
-        elapsed_s: Time since the first sample, gaps included, seconds; an EstimatorError if it, or n, runs backwards.
-        point: The estimate at the plan's tau; None if there is none.
+        `elapsed_s` is the time since the first sample, gaps included, seconds; an EstimatorError if it, or n, runs
+        backwards. `point` is the estimate at the plan's tau; None if there is none.
         """
         if self.decision is not None:
             return self.decision

@@ -35,16 +35,12 @@ NO_BOUNDS = Bounds((0.0,) * LOOKS, (math.inf,) * LOOKS)
 def bounds(final_edf: float, error_probability: float) -> Bounds:
     """Bounds for a test whose finished variance has at least `final_edf` degrees of freedom, at one of `PROMISES`.
 
-    Notes
-    -----
     The column b of the table with the next fewer degrees nu0 is scaled to nu degrees: above the limit b - 1,
     below it ln b, by sqrt(nu0/nu). Both are too wide rather than too narrow: by Wilson and Hilferty (1931) the quantile
     z of chi2/nu is 1 + z sqrt(2/nu) + (2/3)(z**2 - 1)/nu + ..., hence sqrt(nu)(b - 1) and -sqrt(nu) ln b fall with nu.
     That holds at early looks too, whose degrees, about proportional to T - 2 tau, grow faster with T than those of the
     end. Fewer degrees than those of the first column (T = 8 tau) have no bounds: nothing is decided before the end.
 
-    Examples
-    --------
     >>> [round(side[11], 3) for side in bounds(400.0, 0.01)], bounds(2.0, 0.01) == NO_BOUNDS
     ([0.718, 1.342], True)
     """

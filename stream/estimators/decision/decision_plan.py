@@ -35,17 +35,15 @@ class DecisionRule(StrEnum):
 class DecisionPlan:
     """The plan, made before the test begins; it must not be changed because of the data.
 
-    Parameters
-    ----------
-    tau_s: Averaging time at which the limit holds, seconds; one that the estimator has.
-    limit: Upper limit of the deviation, in the unit of the points.
-    duration_s: Planned duration of the test, seconds from the first sample, at least 2 tau.
-    error_probability: Promised probability of a wrong PASS, and of a wrong FAIL, by the bounds: 0.01 or 0.05.
-    looks: Planned looks, in 24ths of the duration: hours of a test of 24 h. The end is always one. Fewer looks use the
-        same bounds, which can only lower the error.
-    windows_per_tau: tau over the distance of neighbouring windows: 16 in `AllanDeviation` at one point per octave from
-        tau = 16 sample intervals on, tau over the interval below that.
-    point_decides: Whether the finished test compares the point with the limit. If not, it judges the true deviation: a
+    The limit holds at the averaging time `tau_s`, one that the estimator has; `limit`, in the unit of the points, is an
+    upper one. The test lasts `duration_s` from the first sample, at least 2 tau. `error_probability` is the promised
+    probability of a wrong PASS, and of a wrong FAIL, by the bounds: 0.01 or 0.05.
+
+    `looks` are in 24ths of the duration: hours of a test of 24 h. The end is always one. Fewer looks use the same
+    bounds, which can only lower the error. `windows_per_tau` is tau over the distance of neighbouring windows: 16 in
+    `AllanDeviation` at one point per octave from tau = 16 sample intervals on, tau over the interval below that.
+
+    If `point_decides` the finished test compares the point with the limit. If not, it judges the true deviation: a
         FAIL then always keeps the promised probability, and a test may end UNDECIDED.
     """
 
@@ -90,16 +88,11 @@ class DecisionPlan:
 class Decision:
     """Result of a look.
 
-    Attributes
-    ----------
-    outcome: PASS, FAIL or UNDECIDED, by `rule`.
-    reason_en, reason_zh: Why, for people.
-    error_probability: Promised probability of a wrong decision per side, in the sense of `rule`; while undecided, that
-        of an early PASS or FAIL.
-    looked_at_fraction: Part of the planned duration that had passed, at most 1.
-    forecast_s: Expected time of the decision, seconds from the start, if the rest of the test shows the present
-        deviation; None if that is not before the end, or decided.
-    forecast_latest_s: The same for the less favourable end of the estimate's interval.
+    `reason_en` and `reason_zh` say why, for people. `error_probability` is the promised probability of a wrong decision
+    per side, in the sense of `rule`; while undecided, that of an early PASS or FAIL. `looked_at_fraction` is the part
+    of the planned duration that had passed, at most 1. `forecast_s` is the expected time of the decision, seconds from
+    the start, if the rest of the test shows the present deviation, None if that is not before the end, or decided;
+    `forecast_latest_s` is the same for the less favourable end of the estimate's interval.
     """
 
     outcome: Outcome

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from stream.batch import SampleBatch
 from stream.clock import contiguous_runs
+from stream.closing import Closing
 from stream.errors import EstimatorError
 from stream.estimators.allan_variance import allan_point, check_points_per_octave
 from stream.estimators.base import LEAST_SHARE, NoEstimate, Points, SignalInput
@@ -24,14 +23,12 @@ _EDF_STRIDE = 32
 _QUANTITY = "deviations with full overlap"
 
 
-class FullOverlap(SignalInput):
+class FullOverlap(SignalInput, Closing):
     """Deviations of a finished record at any averaging time with every possible window, in bounded memory.
 
-    Parameters
-    ----------
-    folder: Where the sums of a record of more than 4 million samples lie while it is evaluated, 8 bytes a sample, and 2
-        more where one is missing nearby; the system's folder for temporary files if none is named. The file has no
-        name; `close` or leaving the ``with`` frees it.
+    The sums of a record of more than 4 million samples lie in `folder` while it is evaluated, 8 bytes a sample, and 2
+    more where one is missing nearby; in the system's folder for temporary files if none is named. The file has no name;
+    `close` or leaving the ``with`` frees it.
 
     Notes
     -----
@@ -73,14 +70,6 @@ class FullOverlap(SignalInput):
         self._is_open = True
         self._prefix = PrefixRecord(folder)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         """Free the memory and the file; nothing can be evaluated any more."""
         self._is_open = False
@@ -94,20 +83,19 @@ class FullOverlap(SignalInput):
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the record.
 
-        Raises
-        ------
-        EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it, or
-            after `close`; and, closing the record, if far more slots than samples would be kept, or the disk is full.
+        Raises an EstimatorError if the batch is of another signal, unit of measure or sample interval than those before
+        it, or after `close`; and, closing the record, if far more slots than samples would be kept, or the disk is
+        full.
         """
         who = batch.label
         if not self._is_open:
             raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; begin a new one")
         if (batch.unit, batch.signal, batch.unit_of_measure) != self._signal:
             self._begin(batch, "record")
-        pieces = self._tracker.place(batch)
-        if self._tracker.irregular:
+        pieces = self.tracker.place(batch)
+        if self.tracker.irregular:
             return
-        slots, most = self._tracker.next_slot, _MOST_SLOTS_PER_SAMPLE * self.samples + _SLOTS_FREE
+        slots, most = self.tracker.next_slot, _MOST_SLOTS_PER_SAMPLE * self.samples + _SLOTS_FREE
         if slots > most:
             self.close()
             raise EstimatorError(
@@ -127,22 +115,16 @@ class FullOverlap(SignalInput):
     ) -> Points | NoEstimate:
         """Deviation at every averaging time that has at least one difference, shortest first; more may follow.
 
-        Parameters
-        ----------
-        kind: Which deviation.
-        points_per_octave: 1, 2, 4 or 8 averaging times in an octave, those of `AllanDeviation`.
-        factors: Averaging times in sample intervals, at least 1 each, instead.
-
-        Raises
-        ------
-        EstimatorError: If an argument is outside its range, there is no room on disk, or after `close`.
+        Averaging times are those of `AllanDeviation` with 1, 2, 4 or 8 in an octave, or `factors` sample intervals, at
+        least 1 each. Raises an EstimatorError if an argument is outside its range, there is no room on disk, or after
+        `close`.
         """
         unit, signal, _ = self._signal
         who = f"unit {unit}, signal {signal}"
         if not self._is_open:
             raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; evaluate before it is")
         wanted = self._wanted(kind, points_per_octave, factors)
-        if self._tracker.irregular:
+        if self.tracker.irregular:
             return self._no_grid(FORMS[kind].name)
         try:
             record = self._prefix.record()
@@ -183,7 +165,7 @@ class FullOverlap(SignalInput):
             )
         return tuple(
             allan_point(
-                factor * self._tracker.dt_ns / 1e9, math.sqrt(variance) * self._factor, n, noise, self.confidence
+                factor * self.tracker.dt_ns / 1e9, math.sqrt(variance) * self._factor, n, noise, self.confidence
             )
             for factor, variance, n, noise in zip(factors, variances, windows, noises, strict=True)
         )
@@ -213,8 +195,6 @@ def _least(kind: Deviation, factor: int, windows: int, stride: int) -> float:
 def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
     """Averaging times in sample intervals, those of `AllanDeviation`, up to the largest.
 
-    Examples
-    --------
     >>> averaging_factors(2, 50)
     [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48]
     """

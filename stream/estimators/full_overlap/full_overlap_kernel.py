@@ -18,15 +18,9 @@ _VIEWS = 4
 
 @kernel_part()
 def _place(
-    record: PrefixSums,
-    first: int,
-    stop: int,
-    factor: int,
-    windows: int,
-    place: IntArray,
-    base: FloatArray,
+    record: PrefixSums, first: int, stop: int, factor: int, windows: int, place: IntArray, base: FloatArray,
     held: IntArray,
-) -> int:
+) -> int:  # fmt: skip
     """Place adjacent windows at slot `first`; returns how many slots they can move within the same blocks.
 
     Writes where their ends lie, and for each window what the blocks between its ends add to its sum and its count.
@@ -71,16 +65,9 @@ def _full_base(record: PrefixSums, place: IntArray, base: FloatArray, weights: F
 
 @kernel_part()
 def _means(
-    early: FloatArray,
-    late: FloatArray,
-    early_counts: npt.NDArray[np.uint16],
-    late_counts: npt.NDArray[np.uint16],
-    base: float,
-    held: float,
-    mean: float,
-    needed: float,
-    out: FloatArray,
-) -> None:
+    early: FloatArray, late: FloatArray, early_counts: npt.NDArray[np.uint16], late_counts: npt.NDArray[np.uint16],
+    base: float, held: float, mean: float, needed: float, out: FloatArray,
+) -> None:  # fmt: skip
     """Means of a window as it moves on, over `PrefixSums.mean`; NaN where it holds too few samples."""
     for i in range(early.shape[0]):
         found = np.float64(np.int32(late_counts[i]) - np.int32(early_counts[i]))
@@ -97,16 +84,11 @@ def _all_means(
     for j in range(out.shape[0]):
         early, late = place[j], place[j + 1]
         _means(
-            _view(record, place, j, length),
-            _view(record, place, j + 1, length),
+            _view(record, place, j, length), _view(record, place, j + 1, length),
             record.counts[early[COUNT_ROW], early[WITHIN] : early[WITHIN] + length],
-            record.counts[late[COUNT_ROW], late[WITHIN] : late[WITHIN] + length],
-            base[j],
-            float(held[j]),
-            record.mean,
-            needed,
-            out[j],
-        )
+            record.counts[late[COUNT_ROW], late[WITHIN] : late[WITHIN] + length], base[j], float(held[j]),
+            record.mean, needed, out[j],
+        )  # fmt: skip
 
 
 @kernel_part()

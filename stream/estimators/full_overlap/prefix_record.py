@@ -27,15 +27,11 @@ _MEAN_BITS = 20
 class PrefixSums(NamedTuple):
     """Prefix sums of a record, relative to a reference; slots without a sample add nothing.
 
-    Attributes
-    ----------
-    sums: shape (R, B); sums from the first slot of a block to each of its slots, that one excluded.
-    counts: shape (C, B); how many samples they hold.
-    rows: shape (blocks, 2); rows of `sums` and `counts` that belong to a block.
-    before: shape (blocks,); samples before a block.
-    high, low: shape (blocks,); sum before a block, `mean` subtracted from every sample, and its rounding error.
-    mean: About the mean of the record over its reference; NaN if the sums are too large for a number.
-    slots: N.
+    sums: shape (R, B); sums from the first slot of a block to each of its slots, that one excluded. counts: shape
+    (C, B); how many samples they hold. rows: shape (blocks, 2); rows of `sums` and `counts` that belong to a block.
+    before: shape (blocks,); samples before a block. high, low: shape (blocks,); sum before a block, `mean` subtracted
+    from every sample, and its rounding error. mean: about that of the record over its reference; NaN if the sums are
+    too large for a number. slots: N.
     """
 
     sums: FloatArray
@@ -79,31 +75,16 @@ class PrefixColumn:
     `line`, shape (B + 1,), is the block being filled; `constants` are the first rows, which any number of blocks share.
     The file lies in `folder`, or the system's folder for temporary files; its room is free again when it is closed or
     the process ends.
-
-    Examples
-    --------
-    >>> column = PrefixColumn(np.zeros(3), np.int64, [np.array([1, 2])], memory_rows=1)
-    >>> column.line[:] = [3, 4, 9]
-    >>> column.end_block(None)
-    >>> column.line[:] = [5, 6, 9]
-    >>> list(column.rows), column.table().tolist(), column.file_bytes
-    ([1], [[1, 2], [3, 4], [5, 6]], 32)
-    >>> column.close()
     """
 
     def __init__(
-        self,
-        line: npt.NDArray[Any],
-        dtype: type[np.generic],
-        constants: Sequence[npt.NDArray[Any]],
-        memory_rows: int,
-        folder: Path | None = None,
-    ) -> None:
+        self, line: npt.NDArray[Any], dtype: type[np.generic], constants: Sequence[npt.NDArray[Any]],
+        memory_rows: int, folder: Path | None = None,
+    ) -> None:  # fmt: skip
         self.line = line
         self.rows = array("q")
         self.stored = 0
-        self._memory_rows = memory_rows
-        self._folder = folder
+        self._memory_rows, self._folder = memory_rows, folder
         self._kept: npt.NDArray[Any] = np.empty((min(memory_rows, 1), len(line) - 1), dtype)
         self._file: IO[bytes] | None = None
         for row in constants:
@@ -173,8 +154,6 @@ class PrefixRecord:
     in blocks of 4096 where one is missing. A block without any sample takes no room. `extend` and `record` raise an
     OSError if the folder cannot be written or is full.
 
-    Examples
-    --------
     >>> with_gap = PrefixRecord()
     >>> with_gap.extend(0, np.array([1.0, 3.0]))
     >>> with_gap.extend(3, np.array([2.0]))

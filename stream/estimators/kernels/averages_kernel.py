@@ -14,33 +14,21 @@ from stream.estimators.kernels import kernel_part
 
 BLOCK, COUNT, LAST, AVERAGES, PAIRS, BEGAN, HEAD_COUNT, FIRST_AVERAGE = range(8)
 (
-    SUM,
-    MEAN,
-    SQUARES,
-    LAST_MEAN,
-    EARLY_MEAN,
-    LATE_MEAN,
-    EARLY_SQUARES,
-    LATE_SQUARES,
-    COVARIANCE,
-    HEAD_SUM,
-    FIRST_MEAN,
-) = range(11)
+    SUM, MEAN, SQUARES, LAST_MEAN, EARLY_MEAN, LATE_MEAN,
+    EARLY_SQUARES, LATE_SQUARES, COVARIANCE, HEAD_SUM, FIRST_MEAN,
+) = range(11)  # fmt: skip
 NEVER = -2
 
 
 class AveragesState(NamedTuple):
     """What is kept of a signal's averages.
 
-    Attributes
-    ----------
     places: shape (8,); block being filled and the samples in it; last block that became an average; averages; pairs of
-        neighbouring averages; block within which a part began, and the samples it has of it; first block that became an
-        average.
-    numbers: shape (11,); sum of the block being filled; mean and sum of squares of the averages, and the last of them;
-        over the pairs mean and sum of squares of the earlier and of the later average, and the sum of their products;
-        sum of the block within which a part began; the first average.
-    ring, ring_blocks: shape (W,); the averages of the last W blocks and their blocks, block b at place b modulo W; for
+    neighbouring averages; block within which a part began, and the samples it has of it; first block that became an
+    average. numbers: shape (11,); sum of the block being filled; mean and sum of squares of the averages, and the last
+    of them; over the pairs mean and sum of squares of the earlier and of the later average, and the sum of their
+    products; sum of the block within which a part began; the first average. ring, ring_blocks: shape (W,); the averages
+    of the last W blocks and their blocks, block b at place b modulo W; for
         a rolling window.
     """
 
@@ -114,17 +102,9 @@ def first_slot_of(block: int, average_ns: int, dt_ns: int) -> int:
 
 @njit(cache=True, nogil=True)
 def average_grid(
-    places: IntArray,
-    numbers: FloatArray,
-    ring: FloatArray,
-    ring_blocks: IntArray,
-    reference: float,
-    average_ns: int,
-    share: float,
-    dt_ns: int,
-    first_slot: int,
-    values: FloatArray,
-) -> None:
+    places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, reference: float, average_ns: int,
+    share: float, dt_ns: int, first_slot: int, values: FloatArray,
+) -> None:  # fmt: skip
     """Take in values that lie on the slots from `first_slot` on; NaN is missing."""
     slot = first_slot
     stop = first_slot + values.shape[0]
@@ -154,18 +134,9 @@ def average_grid(
 
 @njit(cache=True, nogil=True)
 def average_times(
-    places: IntArray,
-    numbers: FloatArray,
-    ring: FloatArray,
-    ring_blocks: IntArray,
-    reference: float,
-    average_ns: int,
-    share: float,
-    dt_ns: int,
-    origin_ns: int,
-    times_ns: IntArray,
-    values: FloatArray,
-) -> None:
+    places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, reference: float, average_ns: int,
+    share: float, dt_ns: int, origin_ns: int, times_ns: IntArray, values: FloatArray,
+) -> None:  # fmt: skip
     """Take in values at increasing times on no grid; blocks are counted from `origin_ns`."""
     expected = average_ns / dt_ns
     for i in range(values.shape[0]):
@@ -181,17 +152,9 @@ def average_times(
 
 @njit(cache=True, nogil=True)
 def merge_averages(
-    places: IntArray,
-    numbers: FloatArray,
-    ring: FloatArray,
-    ring_blocks: IntArray,
-    later: IntArray,
-    later_numbers: FloatArray,
-    later_ring: FloatArray,
-    later_blocks: IntArray,
-    expected: float,
-    share: float,
-) -> None:
+    places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, later: IntArray,
+    later_numbers: FloatArray, later_ring: FloatArray, later_blocks: IntArray, expected: float, share: float,
+) -> None:  # fmt: skip
     """Append the later averages; `expected` samples make up the block across the seam."""
     if later[BEGAN] == NEVER or later[BLOCK] == later[BEGAN]:
         # all of the later part lies within the block being filled, or there was nothing before it
@@ -265,14 +228,9 @@ def _products(early: FloatArray, late: FloatArray, reference: float, early_mean:
 
 @njit(cache=True, nogil=True)
 def take_samples(
-    places: IntArray,
-    numbers: FloatArray,
-    ring: FloatArray,
-    ring_blocks: IntArray,
-    reference: float,
-    first_slot: int,
+    places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, reference: float, first_slot: int,
     values: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Take in values on the slots from `first_slot` on, each an average of its own; NaN is missing."""
     # the first by the general way, which closes the open block
     average_grid(places, numbers, ring, ring_blocks, reference, 1, 1.0, 1, first_slot, values[:1])

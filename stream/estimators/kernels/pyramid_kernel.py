@@ -22,14 +22,11 @@ _OCTAVES = 5  # lags 1, 2, 4, 8, 16 of level 0 at one point per octave
 class PyramidState(NamedTuple):
     """What is kept of K levels with a history of H blocks and L lags a level.
 
-    Attributes
-    ----------
     tails, heads: shape (K, 2, H); sums and counts of the last and of the first blocks, oldest first; counts that were
-        never written are those of full blocks. An even block at the end of a tail waits for its odd neighbour; an odd
-        first block of a level has none.
-    squares, windows: shape (K, L); sum of D**2, and how many, for each lag n: D is the difference of two adjacent means
-        of n blocks, times their slots.
-    places: shape (K, 5); index of the first block and of the next; blocks in the tail and in the head; whether the
+    never written are those of full blocks. An even block at the end of a tail waits for its odd neighbour; an odd first
+    block of a level has none. squares, windows: shape (K, L); sum of D**2, and how many, for each lag n: D is the
+    difference of two adjacent means of n blocks, times their slots. places: shape (K, 5); index of the first block and
+    of the next; blocks in the tail and in the head; whether the
         tail's are all full.
     """
 
@@ -107,15 +104,9 @@ def _sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> 
 
 @kernel_part("reassoc", "contract")
 def _sums_of_squares(
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    p4: FloatArray,
-    p8: FloatArray,
-    p16: FloatArray,
-    p32: FloatArray,
+    p0: FloatArray, p1: FloatArray, p2: FloatArray, p4: FloatArray, p8: FloatArray, p16: FloatArray, p32: FloatArray,
     out: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Add those of the lags 1, 2, 4, 8 and 16 at once; p_n is the prefix n blocks before p0."""
     by_1 = by_2 = by_4 = by_8 = by_16 = 0.0
     for i in range(p0.shape[0]):
@@ -164,17 +155,9 @@ def _sum_of_squares_with_gaps(
 
 @kernel_part()
 def _accumulate(
-    squares: FloatArray,
-    windows: IntArray,
-    lags: IntArray,
-    prefix: FloatArray,
-    after: int,
-    length: int,
-    until: int,
-    full: bool,
-    share: float,
-    width: float,
-) -> None:
+    squares: FloatArray, windows: IntArray, lags: IntArray, prefix: FloatArray, after: int, length: int, until: int,
+    full: bool, share: float, width: float,
+) -> None:  # fmt: skip
     """Add the windows of a level that end after the first `after` of `length` blocks and begin before `until`."""
     sums = prefix[SUM]
     for j in range(lags.shape[0]):
@@ -350,17 +333,9 @@ def _climb(
 
 @njit(cache=True, nogil=True)
 def push(
-    tails: FloatArray,
-    heads: FloatArray,
-    squares: FloatArray,
-    windows: IntArray,
-    places: IntArray,
-    lags: IntArray,
-    share: float,
-    reference: float,
-    first_slot: int,
-    values: FloatArray,
-) -> None:
+    tails: FloatArray, heads: FloatArray, squares: FloatArray, windows: IntArray, places: IntArray, lags: IntArray,
+    share: float, reference: float, first_slot: int, values: FloatArray,
+) -> None:  # fmt: skip
     """Push values that lie on the slots from `first_slot` on; slots skipped before it are missing.
 
     `lags` holds the n of level 0 and those of all other levels, shape (2, L), 0 where unused; a window counts if it
@@ -398,19 +373,10 @@ def _copy(source: FloatArray, start: int, number: int, line: FloatArray, at: int
 
 @njit(cache=True, nogil=True)
 def merge(
-    tails: FloatArray,
-    heads: FloatArray,
-    squares: FloatArray,
-    windows: IntArray,
-    places: IntArray,
-    lags: IntArray,
-    share: float,
-    later_tails: FloatArray,
-    later_heads: FloatArray,
-    later_squares: FloatArray,
-    later_windows: IntArray,
-    later_places: IntArray,
-) -> None:
+    tails: FloatArray, heads: FloatArray, squares: FloatArray, windows: IntArray, places: IntArray, lags: IntArray,
+    share: float, later_tails: FloatArray, later_heads: FloatArray, later_squares: FloatArray,
+    later_windows: IntArray, later_places: IntArray,
+) -> None:  # fmt: skip
     """Append a later pyramid to an earlier one, which becomes that of both.
 
     At each level at most one block lies across the seam. Its part before the seam consists of the blocks that wait for

@@ -26,12 +26,9 @@ _FILTER = 64.0
 class NoiseCoefficient(msgspec.Struct, frozen=True, kw_only=True):
     """A noise coefficient with its confidence bounds.
 
-    Parameters
-    ----------
-    value, lo, hi: Estimate and bounds, never negative; `lo` is 0 where the curve can be explained without the term.
-    unit_of_measure: arcsec, deg/sqrt(h), deg/h, deg/h/sqrt(h) or deg/h/h.
-    observable: Whether the record shows the term; if not, `hi` is the largest value that the record allows.
-    reason: Why it is not observable, empty if it is.
+    The value and its bounds are never negative; `lo` is 0 where the curve can be explained without the term. Units are
+    arcsec, deg/sqrt(h), deg/h, deg/h/sqrt(h) or deg/h/h. If the record does not show the term (`observable`), `hi` is
+    the largest value that it allows, and `reason` says why.
     """
 
     value: float
@@ -55,16 +52,12 @@ class MarkovNoise(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
-    """The coefficients of one Allan curve.
+    """The coefficients of one Allan curve at `points` averaging times, with bounds at the level `confidence`.
 
-    Parameters
-    ----------
-    markov: The sixth term, where the curve requires it.
-    confidence: Level of all bounds.
-    points: How many averaging times were used.
-    misfit: Relative standard deviation, root mean square over these, by which the Allan deviation departs from the
-        model beyond its own scatter; 0 where the model is not rejected. The bounds allow for it.
-    misfit_chance: p-value of the test of the model against the scatter of the curve; below 0.05 it is rejected.
+    `markov` is the sixth term, where the curve requires it. `misfit` is the relative standard deviation, root mean
+    square over the averaging times, by which the Allan deviation departs from the model beyond its own scatter; 0 where
+    the model is not rejected. The bounds allow for it. `misfit_chance` is the p-value of the test of the model against
+    the scatter of the curve; below 0.05 it is rejected.
     """
 
     quantization_noise: NoiseCoefficient
@@ -82,11 +75,9 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
 def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> NoiseFit | NoEstimate:
     """Identify the noise coefficients Q, N, B, K, R, and a Markov term where the curve requires one.
 
-    Parameters
-    ----------
-    points: Overlapping Allan deviation in deg/h at any averaging times; points of 0, or of less than 1 degree of
-        freedom, are left out; fewer than 6 others are a `NoEstimate`.
-    confidence: Level of the bounds, between 0 and 1.
+    `points` are the overlapping Allan deviation in deg/h at any averaging times; those of 0, or of less than 1 degree
+    of freedom, are left out; fewer than 6 others are a `NoEstimate`. `confidence`, between 0 and 1, is that of the
+    bounds.
 
     Notes
     -----
@@ -134,11 +125,9 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
             f"{len({point.tau_s for point in usable})} given"
         )
     return _fitted(
-        np.array([point.tau_s for point in usable]),
-        np.array([point.value for point in usable]),
-        np.array([point.edf for point in usable]),
-        confidence,
-    )
+        np.array([point.tau_s for point in usable]), np.array([point.value for point in usable]),
+        np.array([point.edf for point in usable]), confidence,
+    )  # fmt: skip
 
 
 def _is_usable(point: EstimatePoint) -> bool:
@@ -264,11 +253,7 @@ def _coefficients(
         value, lo, hi = (math.sqrt(square) * scale * term.per_si for square in (squares[0][0], *ends))
         is_seen = lo > 0.0
         found[term.key] = NoiseCoefficient(
-            value=value,
-            lo=lo,
-            hi=hi,
-            unit_of_measure=term.unit_of_measure,
-            observable=is_seen,
+            value=value, lo=lo, hi=hi, unit_of_measure=term.unit_of_measure, observable=is_seen,
             reason="" if is_seen else f"not observable in this record: at most {hi:.3g} {term.unit_of_measure}",
-        )
+        )  # fmt: skip
     return found

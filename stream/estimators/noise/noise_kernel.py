@@ -97,8 +97,6 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
 
     The columns of the matrix, shape (n, p), have about unit length.
 
-    Examples
-    --------
     >>> nonnegative_least_squares(np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([2.0, -1.0])).tolist()
     [2.0, 0.0]
     """

@@ -16,15 +16,10 @@ _MOST_EXPONENT = 100.0
 class CurveLikelihood:
     """Gamma likelihood of Allan variances v_i with edf_i degrees of freedom about a model m_i = sum_k x_ik theta_k.
 
-    Parameters
-    ----------
-    columns: shape (n, p); terms x, positive.
-    variances, degrees: shape (n,); Allan variances, positive, and their equivalent degrees of freedom.
-    correlation: shape (n, n); correlation of the variances.
-    excess: shape (n,); relative variance of the model error beyond the scatter of the curve; see `widened`.
+    `columns`, shape (n, p), are the terms x, positive; `variances` and `degrees`, shape (n,), the Allan variances,
+    positive, and their equivalent degrees of freedom; `correlation`, shape (n, n), is that of the variances, `excess`,
+    shape (n,), the relative variance of the model error beyond the scatter of the curve; see `widened`.
 
-    Notes
-    -----
     edf v/m approximately follows chi-square (NIST SP 1065 5.3), so that twice the negative log likelihood is, up to a
     constant,
 
@@ -41,13 +36,9 @@ class CurveLikelihood:
     """
 
     def __init__(
-        self,
-        columns: FloatArray,
-        variances: FloatArray,
-        degrees: FloatArray,
-        correlation: FloatArray,
+        self, columns: FloatArray, variances: FloatArray, degrees: FloatArray, correlation: FloatArray,
         excess: FloatArray | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         relative = columns / variances[:, np.newaxis]
         self.sizes: FloatArray = relative.max(axis=0)
         self.columns: FloatArray = np.ascontiguousarray(relative / self.sizes)
@@ -193,15 +184,11 @@ class CurveLikelihood:
 def deviance_quantile(confidence: float) -> float:
     """How far the deviance may rise above its minimum within the bounds of one coefficient.
 
-    Notes
-    -----
     Chi-square with one degree of freedom if no other coefficient were at its boundary. Where another one is truly 0, as
     most are, the rise is a mixture (Self, Liang, J. Am. Stat. Assoc. 82 (1987) 605-610, by the angle between the two),
     in the worst case, two that cannot be separated, of chi-square with 0, 1, 1 and 2 degrees in equal parts.
     The larger of both quantiles is taken: bounds 5 % wider at 95 %.
 
-    Examples
-    --------
     >>> round(deviance_quantile(0.95), 3)
     4.231
     """

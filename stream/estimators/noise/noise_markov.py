@@ -43,8 +43,6 @@ def best_markov(
 
     The likelihood is that of the five terms; the quantile of chi-square with 1 degree of freedom is for the bounds.
 
-    Notes
-    -----
     Correlation times are searched from the second tau, and at least four times the first, to half the longest, three
     an octave; Markov noise of a shorter time is white except at the first points, where a sensor's filter has the same
     effect, and if the shortest fits best none is significant. Without Markov noise the time is undefined, and the best
@@ -82,13 +80,10 @@ def best_markov(
     rise = (rise - rise.min()) / inflation[best] - likelihood.spread(theta, quantile)
     correlation_s, lo_s, hi_s = _crossings(every, rise)
     return Offer(
-        correlation_s=correlation_s,
-        lo_s=lo_s,
-        hi_s=hi_s,
-        gain=float(least - deviances[best]),
+        correlation_s=correlation_s, lo_s=lo_s, hi_s=hi_s, gain=float(least - deviances[best]),
         inflation=float(inflation[best]),
         bound=math.inf if correlation_s <= shortest_s else davies_bound(path_length(covariance), FALSE_ALARM),
-    )
+    )  # fmt: skip
 
 
 def _deviance(likelihood: CurveLikelihood, taus_s: FloatArray, variances: FloatArray, correlation_s: float) -> float:
@@ -114,8 +109,6 @@ def _crossings(times_s: FloatArray, rise: FloatArray) -> tuple[float, float, flo
 def path_length(covariance: FloatArray) -> float:
     """Length of the path of a Gaussian process along its grid: the sum of angles between neighbours, in radians.
 
-    Examples
-    --------
     >>> round(path_length(np.array([[1.0, 0.5], [0.5, 1.0]])), 4)
     1.0472
     """
@@ -128,8 +121,6 @@ def path_length(covariance: FloatArray) -> float:
 def davies_bound(length: float, probability: float) -> float:
     """Square that the maximum of a Gaussian process of such a path exceeds with at most this probability.
 
-    Examples
-    --------
     >>> round(davies_bound(0.0, 0.01), 2), round(davies_bound(4.0, 0.01), 2)
     (5.41, 8.66)
     """

@@ -14,8 +14,6 @@ _TOLERANCE = 1e-6
 def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikelihood]:
     """Likelihoods that allow for a model error, the most likely first; the given one alone if it fits.
 
-    Notes
-    -----
     The model fits if its deviance is not above the 95 % quantile for scatter alone. If it is, the relative
     variance at tau is 2/edf + s^2 w(tau), as in the random-effects analysis of R. DerSimonian, N. Laird, Controlled
     Clinical Trials 7 (1986) 177-188, and s^2 the value that lowers the deviance to its mean.
@@ -28,17 +26,6 @@ def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikel
     tau_1 the shortest averaging time. The reach r of the first kind is one of 0, 4, 16, 64 and 1024, by likelihood; the
     result contains one of each. Errors are smooth in tau: their correlation falls to 0 over an octave, and points in
     between do not count as more evidence.
-
-    Examples
-    --------
-    >>> taus_s = 2.0 ** np.arange(10)
-    >>> terms, degrees = np.stack([1.0 / taus_s, np.ones(10)], 1), 1e5 / taus_s
-    >>> def best(first: float) -> CurveLikelihood:
-    ...     curve = 1.0 / taus_s + 0.01
-    ...     curve[0] *= first
-    ...     return admitted(CurveLikelihood(terms, curve, degrees, np.eye(10)), taus_s)[0]
-    >>> bool(best(1.0).excess.any()), np.sqrt(best(0.5).excess[[0, -1]]).round(2).tolist()
-    (False, [0.22, 0.0])
     """
     from scipy.special import chdtri
 

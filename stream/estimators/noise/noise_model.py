@@ -54,8 +54,6 @@ TERMS = (QUANTIZATION_NOISE, ANGLE_RANDOM_WALK, BIAS_INSTABILITY, RATE_RANDOM_WA
 def term_columns(taus_s: FloatArray) -> FloatArray:
     """Allan variance of each of the `TERMS` for a coefficient of 1, shape (n, 5); seconds and (deg/h)**2.
 
-    Examples
-    --------
     >>> [round(x, 6) for x in term_columns(np.array([2.0]))[0].tolist()]
     [0.75, 0.5, 0.441271, 0.666667, 2.0]
     """
@@ -65,8 +63,6 @@ def term_columns(taus_s: FloatArray) -> FloatArray:
 def markov_column(taus_s: FloatArray, correlation_s: float) -> FloatArray:
     """Allan variance of Markov noise of q = 1, IEEE 952-2020 annex C, exponentially correlated noise.
 
-    Notes
-    -----
     With c the correlation time and u = tau/c,
 
         sigma^2 = (q c)^2/tau (1 - (3 - 4 exp(-u) + exp(-2 u))/(2 u)).
@@ -74,8 +70,6 @@ def markov_column(taus_s: FloatArray, correlation_s: float) -> FloatArray:
     It is q^2 tau/3 for tau << c, a random walk, and (q c)^2/tau for tau >> c. For small u, where digits
     cancel, its series in u is used.
 
-    Examples
-    --------
     >>> bool(abs(markov_column(np.array([1.0]), 1e6)[0] - 1 / 3) < 1e-6)
     True
     """
@@ -119,8 +113,6 @@ def correlations(taus_s: FloatArray, parts: FloatArray) -> FloatArray:
     The averaging times ascend from the sample interval; `parts`, shape (n, 4), are the Allan variances contributed at
     each by noises of the slopes of Q, N, B, K.
 
-    Notes
-    -----
     For Gaussian noise the covariance of two averages of squares is twice the mean square of the covariance C(s)
     between second differences at lag s (Isserlis). In a record long against both taus,
 
@@ -129,8 +121,6 @@ def correlations(taus_s: FloatArray, parts: FloatArray) -> FloatArray:
     taken on a lattice of 16 steps a tau or of the samples where these are coarser, ratios of taus rounded to it.
     Taus more than 64 apart count as uncorrelated. Near the end of the record this is an approximation.
 
-    Examples
-    --------
     >>> taus_s = np.array([1.0, 2.0, 4.0])
     >>> correlation = correlations(taus_s, np.stack([0 * taus_s, 1 / taus_s, 0 * taus_s, 0 * taus_s], 1))
     >>> bool(0 < correlation[0, 2] < correlation[0, 1] < 1)

@@ -96,16 +96,11 @@ def angle_random_walk_normalised(
             f"bias stability of {value} deg/h at 1 s: the output is constant or too large; check the source"
         )
     degrees = float(sum(n - 1 for n, _ in held)) * median_efficiency(len(held))
-    lo, hi = deviation_bounds(value, degrees, confidence)
-    per_si = ANGLE_RANDOM_WALK.per_si
+    bounds = deviation_bounds(value, degrees, confidence)
+    value, lo, hi = (each * ANGLE_RANDOM_WALK.per_si for each in (value, *bounds))
+    unit = ANGLE_RANDOM_WALK.unit_of_measure
     return NormalisedRandomWalk(
-        coefficient=NoiseCoefficient(
-            value=value * per_si,
-            lo=lo * per_si,
-            hi=hi * per_si,
-            unit_of_measure=ANGLE_RANDOM_WALK.unit_of_measure,
-            observable=True,
-        ),
+        coefficient=NoiseCoefficient(value=value, lo=lo, hi=hi, unit_of_measure=unit, observable=True),
         taus_s=tuple(tau for tau, _ in curve),
         bias_stability_deg_per_h=tuple(stability for _, stability in curve),
         pieces=len(held),
@@ -115,8 +110,6 @@ def angle_random_walk_normalised(
 def median_efficiency(n: int) -> float:
     """Variance of the mean of `n` normal values over that of their median; within 2 % of the exact one.
 
-    Examples
-    --------
     >>> [round(median_efficiency(n), 2) for n in (1, 2, 3, 4, 5, 10, 1000)]
     [1.0, 1.0, 0.73, 0.84, 0.69, 0.72, 0.64]
     """

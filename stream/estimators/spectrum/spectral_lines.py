@@ -25,11 +25,8 @@ _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 class Spectrum:
     """One-sided power spectral density with its confidence bounds; arrays of shape (n,), a number a bin.
 
-    Attributes
-    ----------
-    density, lo, hi: Density and its bounds in `unit_of_measure`, ``(deg/h)^2/Hz`` for angular rates.
-    edf: Equivalent degrees of freedom of a bin.
-    segments: Periodograms averaged.
+    `density`, `lo` and `hi` are the density and its bounds in `unit_of_measure`, ``(deg/h)^2/Hz`` for angular rates;
+    `edf` are the equivalent degrees of freedom of a bin, `segments` the periodograms averaged.
     """
 
     frequency_hz: FloatArray
@@ -80,8 +77,6 @@ class WelchAverage(msgspec.Struct, frozen=True, kw_only=True):
 def welch_edf(segments: int, pairs: int) -> float:
     """Equivalent degrees of freedom of the mean of `segments` periodograms, `pairs` of them half overlapping.
 
-    Notes
-    -----
     A periodogram has 2 degrees of freedom; the mean of K, correlated by rho where they overlap, has the variance
     P**2 (K + 2 pairs rho)/K**2, hence
 
@@ -90,8 +85,6 @@ def welch_edf(segments: int, pairs: int) -> float:
     for the Hann window: P. D. Welch, IEEE Trans. Audio Electroacoust. AU-15 (1967) 70-73, whose equation has
     pairs = K - 1, a record without gaps.
 
-    Examples
-    --------
     >>> welch_edf(1, 0), round(welch_edf(100, 99), 2), welch_edf(100, 0)
     (2.0, 189.57, 200.0)
     """
@@ -101,8 +94,6 @@ def welch_edf(segments: int, pairs: int) -> float:
 def find_lines(average: WelchAverage, false_alarm_probability: float, confidence: float) -> tuple[SpectralLine, ...]:
     """Lines whose false-alarm probability over the whole spectrum is at most the given one, lowest frequency first.
 
-    Notes
-    -----
     P_k/B_k of bin k is compared with F(edf, `background_edf`); B_k is the mean of the medians of the 24 bins on either
     side, the nearest 4 left out, over the median of chi2_edf/edf. Bonferroni over the tested bins: that needs no
     independence. The mean of both sides is not below a density that is convex in frequency, as every sum of the power
@@ -142,14 +133,10 @@ def local_background(average: WelchAverage) -> tuple[IntArray, FloatArray]:
 def background_edf(edf: float) -> float:
     """Degrees of freedom of a background from two flanks of bins of `edf` degrees each.
 
-    Notes
-    -----
     The logarithm of the median m of M values of density p has the variance 1/(4 M p(m)**2 m**2); M is the number of
     bins in both flanks over 1 + 2 (4/9 + 1/36) = 1.94, as neighbours correlate by 4/9 and 1/36 under the Hann window.
     It is approximated by a chi-square with the same variance, 2/edf.
 
-    Examples
-    --------
     >>> round(background_edf(2.0), 1), round(background_edf(200.0))
     (23.7, 3134)
     """
@@ -168,13 +155,7 @@ def _median_ratio(edf: float) -> float:
 
 @lru_cache(maxsize=8)
 def hann_window(size: int) -> FloatArray:
-    """The periodic Hann window of `size` samples; shared and read-only.
-
-    Examples
-    --------
-    >>> hann_window(4).round(12).tolist()
-    [0.0, 0.5, 1.0, 0.5]
-    """
+    """The periodic Hann window of `size` samples; shared and read-only."""
     window = np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size), np.float64)
     window.flags.writeable = False
     return window
@@ -183,8 +164,6 @@ def hann_window(size: int) -> FloatArray:
 def hann_response(offset_bins: FloatArray) -> FloatArray:
     """Fourier transform of the Hann window over its length, at an offset in bins from its centre: 1/2 at 0.
 
-    Examples
-    --------
     >>> hann_response(np.array([0.0, 1.0, 2.0])).round(12).tolist()
     [0.5, 0.25, 0.0]
     """
@@ -195,8 +174,6 @@ def hann_response(offset_bins: FloatArray) -> FloatArray:
 def _fit(average: WelchAverage, peak: int, background: float, chance: float, confidence: float) -> SpectralLine:
     """The line at bin `peak`.
 
-    Notes
-    -----
     Least squares of P_j/B - 1 = q H(j - d)**2 over five bins for q and the offset d, H `hann_response`, weighted by the
     covariance of a sinusoid in noise: with C_ij = 1, 2/3, 1/6 of bins 0, 1, 2 apart (noise under the Hann window) and
     D_ij = H((i - j)/2)/3 cos(pi (2 d - i - j)/2) of half overlapping segments,
@@ -238,15 +215,12 @@ def _fit(average: WelchAverage, peak: int, background: float, chance: float, con
     offset_half_width = z * math.hypot(math.sqrt(covariance[1, 1]), image)
     scale, width = math.sqrt(0.75 * background * average.bin_width_hz), average.bin_width_hz
     return SpectralLine(
-        frequency_hz=(peak + offset) * width,
-        frequency_lo_hz=(peak + offset - offset_half_width) * width,
-        frequency_hi_hz=(peak + offset + offset_half_width) * width,
-        amplitude=scale * math.sqrt(power),
+        frequency_hz=(peak + offset) * width, frequency_lo_hz=(peak + offset - offset_half_width) * width,
+        frequency_hi_hz=(peak + offset + offset_half_width) * width, amplitude=scale * math.sqrt(power),
         amplitude_lo=scale * math.sqrt(max(0.0, power - power_half_width)),
         amplitude_hi=scale * math.sqrt(power + power_half_width),
-        background_ratio=float(average.density[peak]) / background,
-        false_alarm_probability=chance,
-    )
+        background_ratio=float(average.density[peak]) / background, false_alarm_probability=chance,
+    )  # fmt: skip
 
 
 def _first_offset(excess: FloatArray) -> float:

@@ -23,14 +23,11 @@ _AT_ONCE = 4
 class SegmentState(NamedTuple):
     """State of segments of N slots.
 
-    Attributes
-    ----------
     places: shape (7,); slot where the part starts; first slot of the segment being filled, and how much of it is
-        filled; segments averaged, and how many of them follow their neighbour; first slots of the first and of the last
-        one averaged.
-    buffer: shape (N,); the segment being filled; NaN for a slot that is missing or before the part.
-    power: shape (N/2 + 1,); sum of the periodograms, not scaled.
-    head: shape (0,) or (n,); first slots of a continuation, up to the end of the last segment across the seam.
+    filled; segments averaged, and how many of them follow their neighbour; first slots of the first and of the last one
+    averaged. buffer: shape (N,); the segment being filled; NaN for a slot that is missing or before the part. power:
+    shape (N/2 + 1,); sum of the periodograms, not scaled. head: shape (0,) or (n,); first slots of a continuation, up
+    to the end of the last segment across the seam.
     """
 
     places: IntArray
@@ -47,17 +44,7 @@ def empty_state(size: int) -> SegmentState:
 
 
 def continuation(earlier: SegmentState) -> SegmentState:
-    """Empty state that begins where `earlier` ends.
-
-    Examples
-    --------
-    >>> state = empty_state(8)
-    >>> take(state, 0, np.arange(5.0))
-    >>> later = continuation(state)
-    >>> take(later, 5, np.arange(5.0))
-    >>> later.head.tolist(), later.buffer[:6].tolist()
-    ([0.0, 1.0, 2.0, 3.0, 4.0, nan, nan], [nan, 0.0, 1.0, 2.0, 3.0, 4.0])
-    """
+    """Empty state that begins where `earlier` ends."""
     size = len(earlier.buffer)
     half = size // 2
     state = empty_state(size)
@@ -76,8 +63,7 @@ def take(state: SegmentState, first_slot: int, values: FloatArray, reference: fl
     half = size // 2
     behind_start = first_slot - int(places[START])
     if behind_start < len(head):
-        known = values[: len(head) - behind_start]
-        _put(head, behind_start, behind_start, known, reference)
+        _put(head, behind_start, behind_start, values[: len(head) - behind_start], reference)
     start = _leap(state, first_slot)
     ends = (start + len(values) - half) // half  # segments that become full
     taken = 0
@@ -142,15 +128,9 @@ def _count(places: IntArray, half: int, is_whole: BoolArray) -> None:
 
 @njit(cache=True, nogil=True)
 def _fill(
-    buffer: FloatArray,
-    filled: int,
-    start: int,
-    values: FloatArray,
-    reference: float,
-    window: FloatArray,
-    windowed: FloatArray,
-    is_whole: BoolArray,
-) -> int:
+    buffer: FloatArray, filled: int, start: int, values: FloatArray, reference: float, window: FloatArray,
+    windowed: FloatArray, is_whole: BoolArray,
+) -> int:  # fmt: skip
     """Fill segment after segment and window them; returns how many values it took. Half the buffer is then filled."""
     size = buffer.shape[0]
     half = size // 2

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
-from analytics.loop.tracing.held_out.slopes import information
-from analytics.loop.tracing.result.error_table import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, information
+from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
 from analytics.loop.tracing.search.effect_search import Search
 from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.noise_variance import (
@@ -21,12 +20,9 @@ from stream.batch import FloatArray, IntArray
 
 AVERAGING_S = (300.0, 1800.0, 3600.0)
 MOST_BY_CHANCE = 0.999
-LEAST_TO_GAIN = 0.02
-"""Excess of the squared error over the floor, relative to the floor, below which nothing can be gained."""
-LEAST_SPANNED = 0.9
-"""Share of an averaging time that the longest run must span, since a run may begin or end within a block."""
-EXCITED = 0.25
-"""An average excites the effect if the prediction exceeds this part of its maximum."""
+LEAST_TO_GAIN = 0.02  # excess of the squared error over the floor, relative to it, below which nothing can be gained
+LEAST_SPANNED = 0.9  # share of an averaging time that the longest run must span: a run may begin within a block
+EXCITED = 0.25  # an average excites the effect if the prediction exceeds this part of its maximum
 _CONFIDENCE = 0.975  # two-sided 95 %
 
 
@@ -63,23 +59,22 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
         on = [float(np.sqrt(each[excited].mean())) if excited.any() else None for each in squares]
         run = np.array([record.stack.run_number[rows[0]] for rows in averages.rows])
         within = less_run_means(raw[0], run), less_run_means(raw[1], run)
-        table.append(
-            ErrorAt(
-                averaging_s=seconds,
-                before=rms[0],
-                after=rms[1],
-                floor=rms[2],
-                averages=run.size,
-                excited_before=on[0],
-                excited_after=on[1],
-                excited_floor=on[2],
-                before_within=float(np.sqrt(np.mean(within[0] ** 2))),
-                after_within=float(np.sqrt(np.mean(within[1] ** 2))),
-                floor_within=float(np.sqrt(within_run_variance(record, noise, averages))),
-                gain=error_gain(*raw, run) if has_effect else None,
-                gain_within=error_gain(*within, run) if has_effect else None,
-            )
+        row = ErrorAt(
+            averaging_s=seconds,
+            before=rms[0],
+            after=rms[1],
+            floor=rms[2],
+            averages=run.size,
+            excited_before=on[0],
+            excited_after=on[1],
+            excited_floor=on[2],
+            before_within=float(np.sqrt(np.mean(within[0] ** 2))),
+            after_within=float(np.sqrt(np.mean(within[1] ** 2))),
+            floor_within=float(np.sqrt(within_run_variance(record, noise, averages))),
+            gain=error_gain(*raw, run) if has_effect else None,
+            gain_within=error_gain(*within, run) if has_effect else None,
         )
+        table.append(row)
         fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
     whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if has_effect else (None, None)
     return ErrorTable(tuple(names), is_held_out, record.stack.runs[0].unit_of_measure, tuple(table), whole, on_excited)
@@ -143,19 +138,10 @@ def _fraction(squares: _Squares) -> float | None:
 def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGain | None:
     """Relative decrease of the squared error of averages, with bounds over runs; None without an error.
 
-    Parameters
-    ----------
-    before, after: shape (averages,); errors with the declared model and with the model found.
-    run: shape (averages,); the run of each average.
-
-    Notes
-    -----
     Averages of one run share its turn-on bias and drift, so that the runs are the sample (Diebold and Mariano,
     clustered by run). The fraction is the ratio of the sums over runs of before**2 - after**2 and of before**2; its
     standard error is that of a ratio estimate, with Student's t of (runs - 1) degrees of freedom.
 
-    Examples
-    --------
     >>> before, after = np.array([3.0, 3.0, 3.1, 2.9]), np.array([1.0, 1.1, 0.9, 1.0])
     >>> error_gain(before, after, np.array([0, 0, 1, 1])).is_significant
     True
@@ -178,8 +164,6 @@ def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGai
 def less_run_means(values: FloatArray, run: IntArray) -> FloatArray:
     """Values less the mean of their run.
 
-    Examples
-    --------
     >>> less_run_means(np.array([1.0, 3.0, 5.0]), np.array([0, 0, 7])).tolist()
     [-1.0, 1.0, 0.0]
     """

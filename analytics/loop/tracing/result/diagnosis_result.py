@@ -1,4 +1,4 @@
-"""The verdict on a declared error model, with its evidence."""
+"""The verdict on a declared error model: the effects that it lacks, their alternatives, detection limits."""
 
 from enum import StrEnum
 from typing import Any, Literal
@@ -7,11 +7,105 @@ import msgspec
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.result.error_table import ErrorTable
-from analytics.loop.tracing.result.finding import ConfoundedEffect, DetectionLimit, FoundEffect
-from analytics.loop.tracing.result.holdout import Holdout
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
+
+
+class EffectCoefficient(msgspec.Struct, frozen=True):
+    """A coefficient with its 95 % confidence bounds; `name` is that of its column, such as ``cos``."""
+
+    name: str
+    value: float
+    lo: float
+    hi: float
+    unit_of_measure: str
+
+
+class ConfoundedEffect(msgspec.Struct, frozen=True):
+    """An effect that explains the data as well as the one found."""
+
+    name: str
+    parameters: dict[str, Any]  # values of its shape parameters
+    evidence_behind: float | None  # to the effect found, in chi-square; None if it was not fitted
+    role: str  # cause, proxy or alias
+    separating_test: str  # the measurement that separates the two
+    separating_test_zh: str
+    recorded: bool = True  # whether its channels are; an unrecorded cause cannot be excluded
+    coefficient: float | None = None  # its first, if fitted
+    implied: float | None = None  # of a clock error: its least size
+    most: float | None = None  # the largest plausible size
+    implied_unit: str = ""  # of both
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether the size that it needs is plausible."""
+        return self.implied is None or self.most is None or self.implied <= self.most
+
+    def document(self, beside: str) -> dict[str, Any]:
+        """JSON form; `beside` is the name of the effect found."""
+        size = {"value": self.implied, "most": self.most, "unit_of_measure": self.implied_unit}
+        return {
+            "name": self.name,
+            "beside": beside,
+            "parameters": self.parameters,
+            "role": self.role,
+            "recorded": self.recorded,
+            "separating_test": self.separating_test,
+            "implied": None if self.implied is None else size | {"plausible": self.is_plausible},
+        }
+
+
+class FoundEffect(msgspec.Struct, frozen=True):
+    """An effect that the declared model lacks."""
+
+    name: str
+    parameters: dict[str, Any]  # values of its shape parameters
+    coefficients: tuple[EffectCoefficient, ...]  # fitted to the training runs
+    significance: float  # equivalent z of a test with one degree of freedom; noise fitted with and without the effect
+    evidence: float  # equivalent chi-square of one degree less the multiplicity penalty
+    roles: dict[str, str]  # of each of its channels: cause, proxy or alias
+    confounded: tuple[ConfoundedEffect, ...] = ()  # effects that the data cannot separate from it
+    companions: tuple[str, ...] = ()  # proxies that follow it
+    unknown_function_of: tuple[str, ...] = ()  # channels on which the residual depends in another form
+    form_p_value: float = 1.0  # test of the form
+    heterogeneity_p_value: float = 1.0  # test of equal coefficients in all runs
+    largest_share: float = 0.0  # of the best run in the leave-one-run-out gain
+    replicates: bool = True  # whether it improves the prediction of runs that it was not fitted to
+    confirmed: bool | None = None  # by the held-out runs; None if they cannot answer
+    by_run: dict[str, tuple[float, float]] = {}  # first coefficient and its standard error in each run that excites it
+    error_share: float | None = None  # of the squared held-out error that it explains; None if it predicts nothing
+
+    def document(self) -> dict[str, Any]:
+        """JSON form: one coefficient as a number, several as lists in the order of `columns`."""
+        each = self.coefficients
+        document: dict[str, Any] = {"name": self.name, "parameters": self.parameters}
+        if len(each) == 1:
+            document["coefficient"] = each[0].value
+        else:
+            document |= {"columns": [one.name for one in each], "coefficient": [one.value for one in each]}
+        document["unit_of_measure"] = each[0].unit_of_measure
+        for bound in ("lo", "hi"):
+            values = [getattr(one, bound) for one in each]
+            document[bound] = values[0] if len(each) == 1 else values
+        return document | {
+            "significance": self.significance,
+            "evidence": self.evidence,
+            "roles": self.roles,
+            "companions": list(self.companions),
+            "unknown_function_of": list(self.unknown_function_of),
+            "heterogeneity_p_value": self.heterogeneity_p_value,
+            "confirmed": self.confirmed,
+            "error_share": self.error_share,
+            "by_run": {run: {"coefficient": value, "se": se} for run, (value, se) in self.by_run.items()},
+        }
+
+
+class DetectionLimit(msgspec.Struct, frozen=True):
+    """Detection limit of an effect that was not found."""
+
+    coefficient: float  # smallest that is found with a probability of 90 %
+    absent_above: float  # larger ones are excluded at 95 %
+    unit_of_measure: str
 
 
 class ModelVerdict(StrEnum):
@@ -19,62 +113,40 @@ class ModelVerdict(StrEnum):
 
     NOTHING_MISSING = "nothing_missing"
     EFFECT_FOUND = "effect_found"
-    CONFOUNDED = "confounded"
-    """An effect is present; the data cannot separate several candidates."""
-    UNREPLICATED = "unreplicated"
-    """Seen once, refused by the held-out runs, or not tested by them: none were held out, or they do not excite it."""
-    UNKNOWN_FUNCTION = "unknown_function"
-    """The error depends on a channel, but not in the form of any effect of the library."""
-    UNEXPLAINED = "unexplained"
-    """More noise than declared, or a larger error in the held-out runs than the noise, without an explanation."""
+    CONFOUNDED = "confounded"  # an effect is present; the data cannot separate several candidates
+    UNREPLICATED = "unreplicated"  # seen once, refused by the held-out runs, or not tested by them
+    UNKNOWN_FUNCTION = "unknown_function"  # depends on a channel, but not in the form of any effect of the library
+    UNEXPLAINED = "unexplained"  # more noise than declared, or held-out error than noise, without an explanation
     NOT_ENOUGH_DATA = "not_enough_data"
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of a trace.
-
-    Parameters
-    ----------
-    effects: Missing effects, largest evidence first; confirmed by the held-out runs if there are any.
-    unreplicated: Seen, but not repeated in other runs, or refused by the held-out runs.
-    holdout: None if no runs were held out or nothing was found.
-    noise, declared_noise: Fitted with the model found; as declared, None if it was estimated from these data.
-    noise_excess: Largest ratio of fitted to declared noise variance at averages of 300 and 3600 s.
-    detection_limits: Of the effects that were tested and not found.
-    not_tested: Effects that could not be tested, and why.
-    limits: Caveats of the verdict.
-    replication: The replicates: runs, or contiguous segments of one run.
-    training_runs, runs: The fitted runs; all runs.
-    declared, model: The declared model and the model found, both fitted to the training runs with their own noise.
-    judged: The declared model as `error` compares it: fitted with the noise of the model found or by ordinary least
-        squares, whichever predicts the held-out runs better.
-    missing: What is missing if the verdict is not_enough_data.
-    left_out: Parts of the record that were left out, the worst first.
-    unexplained: By how much the error exceeds the noise in the held-out runs, if it is far above.
-    """
+    """The result of a trace."""
 
     verdict: ModelVerdict
     units: tuple[str, ...]
     signal: str
-    effects: tuple[FoundEffect, ...] = ()
-    unreplicated: tuple[FoundEffect, ...] = ()
-    holdout: Holdout | None = None
+    effects: tuple[FoundEffect, ...] = ()  # missing ones, largest evidence first; confirmed by the held-out runs if any
+    unreplicated: tuple[FoundEffect, ...] = ()  # seen, but not in other runs, or refused by the held-out runs
+    holdout: Holdout | None = None  # None if no runs were held out or nothing was found
     error: ErrorTable | None = None
-    noise: ModelNoise | None = None
-    declared_noise: ModelNoise | None = None
+    noise: ModelNoise | None = None  # fitted with the model found
+    declared_noise: ModelNoise | None = None  # None if it was estimated from these data
+    # largest ratio of fitted to declared noise variance at averages of 300 and 3600 s
     noise_excess: float | None = None
-    detection_limits: dict[str, DetectionLimit] = {}
-    not_tested: dict[str, Bilingual] = {}
-    limits: tuple[Bilingual, ...] = ()
-    replication: Literal["runs", "within_run"] = "runs"
-    training_runs: tuple[str, ...] = ()
+    detection_limits: dict[str, DetectionLimit] = {}  # of effects tested and not found
+    not_tested: dict[str, Bilingual] = {}  # effects that could not be tested, and why
+    limits: tuple[Bilingual, ...] = ()  # caveats of the verdict
+    replication: Literal["runs", "within_run"] = "runs"  # the replicates: runs, or contiguous segments of one run
+    training_runs: tuple[str, ...] = ()  # the fitted ones of `runs`
     runs: tuple[str, ...] = ()
-    declared: ErrorModel | None = None
+    declared: ErrorModel | None = None  # fitted to the training runs with its own noise, as is the model found
     model: ErrorModel | None = None
+    # declared model as `error` has it: by `noise` or ordinary least squares, as predicts better
     judged: ErrorModel | None = None
-    missing: tuple[Bilingual, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
-    unexplained: Bilingual | None = None
+    missing: tuple[Bilingual, ...] = ()  # what is missing if the verdict is not_enough_data
+    left_out: tuple[LeftOut, ...] = ()  # of the record, the worst first
+    unexplained: Bilingual | None = None  # by how much the held-out error exceeds the noise, if it is far above
 
     @property
     def names(self) -> tuple[str, ...]:

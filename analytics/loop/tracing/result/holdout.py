@@ -1,9 +1,12 @@
-"""The answer of the held-out runs: confirmed, refused, or no power."""
+"""The held-out runs: their answer on each effect, and the error before and after beside that of noise alone."""
 
 from enum import StrEnum
 from typing import Any
 
 import msgspec
+
+REFERENCE_S = 1800.0  # averaging time at which errors are compared, if the runs are long enough
+_PARTS = ("before", "after", "floor", "before_within", "after_within", "floor_within")
 
 
 class HeldOutAnswer(StrEnum):
@@ -11,42 +14,31 @@ class HeldOutAnswer(StrEnum):
 
     CONFIRMED = "confirmed"
     REFUSED = "refused"
-    NO_POWER = "no_power"
-    """They hardly excite the effect: they would miss a true effect of this size too often."""
+    NO_POWER = "no_power"  # they hardly excite the effect: they would miss a true effect of this size too often
 
 
 class HoldoutSlope(msgspec.Struct, frozen=True):
     """Whitened regression of the held-out residual on the prediction; 1 if the prediction is right.
 
-    Parameters
-    ----------
-    effect: Name of the effect; ``all`` for the sum of all.
-    training_se: Relative standard error of the frozen coefficient.
-    accepted: 1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a
-        large effect, the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2.
-    answer: Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, or if 2.48*SE > 1 and the
-        slope agrees with zero and with one; else refused.
+    Accepted if 1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of
+    a large effect, the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2.
+    Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, or if 2.48*SE > 1 and the slope agrees
+    with zero and with one; else refused.
     """
 
-    effect: str
+    effect: str  # name; ``all`` for the sum of all
     slope: float
     slope_se: float
-    training_se: float
+    training_se: float  # relative standard error of the frozen coefficient
     accepted: bool
     answer: HeldOutAnswer = HeldOutAnswer.REFUSED
 
 
 class Holdout(msgspec.Struct, frozen=True):
-    """The answers of the held-out runs, or segments; coefficients were frozen before.
-
-    Parameters
-    ----------
-    total: For the sum of all effects.
-    effects: For each effect.
-    """
+    """The answers of the held-out runs, or segments; coefficients were frozen before."""
 
     runs: tuple[str, ...]
-    total: HoldoutSlope
+    total: HoldoutSlope  # for the sum of all effects
     effects: tuple[HoldoutSlope, ...]
 
     @property
@@ -86,3 +78,77 @@ class Holdout(msgspec.Struct, frozen=True):
             "answer": self.overall.value,
             "effects": [msgspec.to_builtins(each) for each in self.effects],
         }
+
+
+class ErrorGain(msgspec.Struct, frozen=True):
+    """Relative decrease of the squared error, with its 95 % confidence bounds over runs."""
+
+    fraction: float  # 1 - MSE after / MSE before; negative if the error rises
+    lo: float | None  # bounds; None for a single run
+    hi: float | None
+    runs: int
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the error falls significantly."""
+        return self.lo is not None and self.lo > 0
+
+    @property
+    def is_loss(self) -> bool:
+        """Whether the error rises significantly."""
+        return self.hi is not None and self.hi < 0
+
+
+class ErrorAt(msgspec.Struct, frozen=True):
+    """RMS of the residual at one averaging time, in the signal's unit."""
+
+    averaging_s: float
+    before: float  # with the declared model; coefficients from the training runs
+    after: float  # with the model found
+    floor: float  # left by the fitted noise alone, including the error of the declared coefficients
+    averages: int  # their number
+    excited_before: float | None = None  # the same over averages that excite the effect
+    excited_after: float | None = None
+    excited_floor: float | None = None
+    before_within: float = 0.0  # the same about the mean of each run, without turn-on scatter
+    after_within: float = 0.0
+    floor_within: float = 0.0
+    gain: ErrorGain | None = None  # None if nothing was found
+    gain_within: ErrorGain | None = None  # of the error within runs
+
+
+class ErrorTable(msgspec.Struct, frozen=True):
+    """The error before and after at several averaging times."""
+
+    runs: tuple[str, ...]
+    is_held_out: bool  # whether the runs were held out of the fit
+    unit_of_measure: str
+    rows: tuple[ErrorAt, ...]  # for the block and for 300, 1800 and 3600 s, as far as the runs are long enough
+    # (MSE before - after) / (before - floor) at 1800 s; None if nothing exceeds the floor
+    achievable_fraction: float | None = None
+    achievable_fraction_excited: float | None = None  # over averages that excite the effect
+
+    @property
+    def reference(self) -> ErrorAt | None:
+        """The errors at 1800 s, or at the longest shorter averaging time with several averages in a run."""
+        rows = [row for row in self.rows if row.averaging_s <= REFERENCE_S]
+        rows = [row for row in rows if row.before_within > 0] or rows
+        return max(rows, key=lambda row: row.averaging_s, default=None)
+
+    def document(self) -> dict[str, Any]:
+        """JSON form."""
+        by_time = {f"rms_{row.averaging_s:g}s": row for row in self.rows}
+        return {
+            **{part: {key: getattr(row, part) for key, row in by_time.items()} for part in _PARTS},
+            "gain": {key: _gain(row.gain) for key, row in by_time.items()},
+            "gain_within": {key: _gain(row.gain_within) for key, row in by_time.items()},
+            "achievable_fraction": self.achievable_fraction,
+            "achievable_fraction_excited": self.achievable_fraction_excited,
+            "unit_of_measure": self.unit_of_measure,
+            "runs": list(self.runs),
+            "held_out": self.is_held_out,
+        }
+
+
+def _gain(gain: ErrorGain | None) -> dict[str, Any] | None:
+    return None if gain is None else {**msgspec.to_builtins(gain), "significant": gain.is_significant}

@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analytics.loop.effects.base import EffectKind, Role
-from analytics.loop.tracing.search.candidates import Candidates
 from analytics.loop.tracing.search.evidence import PRICE
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, fitted_candidates
 from analytics.loop.tracing.search.pair_round import best_pair
-from analytics.loop.tracing.search.screening import screen
+from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
 MOST_EFFECTS = 4
@@ -21,19 +20,12 @@ _MOST_SWEEPS = 3
 
 @dataclass(frozen=True)
 class Selected:
-    """A selected effect and the candidates that cannot be separated from it.
-
-    Parameters
-    ----------
-    confounded: Candidates that it does not lead by 12, or 3 %, of evidence.
-    companions: Names of the proxies among them.
-    leading_proxy: A proxy that explains far more than this cause: the form of the cause is wrong.
-    """
+    """A selected effect and the candidates that cannot be separated from it."""
 
     fitted: FittedCandidate
-    confounded: tuple[FittedCandidate, ...]
-    companions: tuple[str, ...]
-    leading_proxy: str | None = None
+    confounded: tuple[FittedCandidate, ...]  # candidates that it does not lead by 12, or 3 %, of evidence
+    companions: tuple[str, ...]  # names of the proxies among them
+    leading_proxy: str | None = None  # explains far more than this cause: the form of the cause is wrong
 
     @property
     def name(self) -> str:
@@ -48,19 +40,12 @@ class Selected:
 
 @dataclass(frozen=True)
 class Search:
-    """Result of the search.
+    """Result of the search."""
 
-    Parameters
-    ----------
-    selected: In the order of selection.
-    null, joint: Fits of the declared model alone, and with all selected effects.
-    unreplicated: Candidates with evidence in the first round that do not replicate.
-    """
-
-    selected: tuple[Selected, ...]
-    null: JointFit
-    joint: JointFit
-    unreplicated: tuple[FittedCandidate, ...]
+    selected: tuple[Selected, ...]  # in the order of selection
+    null: JointFit  # fit of the declared model alone
+    joint: JointFit  # fit with all selected effects
+    unreplicated: tuple[FittedCandidate, ...]  # with evidence in the first round, but without replication
 
     @property
     def common(self) -> list[Selected]:
@@ -69,13 +54,7 @@ class Search:
 
     def common_columns(self, which: Selected) -> slice:
         """Position of the columns of an effect among the common ones."""
-        start = 0
-        for each in self.common:
-            width = each.fitted.columns[0].shape[1]
-            if each is which:
-                return slice(start, start + width)
-            start += width
-        return slice(0, 0)
+        return _columns_of(which, [(each, each.fitted.columns[0].shape[1]) for each in self.common], 0)
 
     def common_fit(self, which: Selected) -> tuple[FloatArray, FloatArray]:
         """Common coefficients of an effect, and their covariance."""
@@ -91,13 +70,8 @@ class Search:
         )
 
     def _own_columns(self, which: Selected, number: int) -> slice:
-        start = self.null.hypothesis.own[number].shape[1]
-        for each in self.selected:
-            width = 0 if each.is_common else each.fitted.columns[number].shape[1]
-            if each is which:
-                return slice(start, start + width)
-            start += width
-        return slice(0, 0)
+        events = [(each, each.fitted.columns[number].shape[1]) for each in self.selected if not each.is_common]
+        return _columns_of(which, events, self.null.hypothesis.own[number].shape[1])
 
     def without(self, names: Sequence[str]) -> "Search":
         """The search without some effects, the others fitted again."""
@@ -109,14 +83,23 @@ class Search:
         return replace(self, selected=kept, joint=joint)
 
 
-def search(records: Sequence[UnitRecord], candidates: Candidates, rng: np.random.Generator) -> Search:
+def _columns_of(which: Selected, widths: Sequence[tuple[Selected, int]], start: int) -> slice:
+    """Position of the columns of an effect among those of others, from the column `start` on."""
+    for each, width in widths:
+        if each is which:
+            return slice(start, start + width)
+        start += width
+    return slice(0, 0)
+
+
+def search(candidates: Candidates, rng: np.random.Generator) -> Search:
     """Find the effects that the declared model lacks, one record for each unit."""
-    null = fit_jointly(records, nothing_more(records))
-    joint = null
+    records = candidates.records
+    null = joint = fit_jointly(records, nothing_more(records))
     selected: list[Selected] = []
     unreplicated: tuple[FittedCandidate, ...] = ()
     for _ in range(MOST_EFFECTS):
-        found = fitted_candidates(records, candidates, joint, rng, [each.name for each in selected])
+        found = fitted_candidates(candidates, joint, rng, [each.name for each in selected])
         if not selected:
             unreplicated = tuple(each for each in found if not each.replicates and each.evidence > 0)
         best = _chosen(found)
@@ -126,19 +109,15 @@ def search(records: Sequence[UnitRecord], candidates: Candidates, rng: np.random
         joint = best.fitted.joint
     common = sum(each.is_common for each in selected)
     if common < 2 and len(selected) - common + 2 <= MOST_EFFECTS:
-        selected, joint = _with_pair(records, candidates, selected, joint, rng)
+        selected, joint = _with_pair(candidates, selected, joint, rng)
     elif common >= 2:
-        selected, joint = _refined(records, candidates, selected, joint, rng)
+        selected, joint = _refined(candidates, selected, joint, rng)
     joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises, restricted=True)
     return Search(tuple(selected), null, joint, unreplicated)
 
 
 def _with_pair(
-    records: Sequence[UnitRecord],
-    candidates: Candidates,
-    selected: list[Selected],
-    joint: JointFit,
-    rng: np.random.Generator,
+    candidates: Candidates, selected: list[Selected], joint: JointFit, rng: np.random.Generator
 ) -> tuple[list[Selected], JointFit]:
     """Replace none or one effect by two that mask each other, if each is selected beside the other.
 
@@ -146,14 +125,12 @@ def _with_pair(
     """
     events = [each for each in selected if not each.is_common]
     least = sum(each.fitted.evidence + each.fitted.lead for each in selected if each.is_common)
-    base = fit_jointly(records, _hypothesis_of(records, events), joint.noises) if least else joint
-    pair = best_pair(
-        records, candidates, base, lambda: screen(candidates, base.hypothesis.designs, base.noises, rng).tests
-    )
+    base = fit_jointly(joint.records, _hypothesis_of(joint.records, events), joint.noises) if least else joint
+    pair = best_pair(candidates, base, lambda: screen(candidates, base.hypothesis.designs, base.noises, rng).tests)
     if not pair or pair[0].evidence <= least:
         return selected, joint
     both = [*events, *(Selected(each, (), ()) for each in pair)]
-    refined, after = _refined(records, candidates, both, pair[0].joint, rng)
+    refined, after = _refined(candidates, both, pair[0].joint, rng)
     is_kept = sum(each.is_common for each in refined) == len(pair)
     return (refined, after) if is_kept else (selected, joint)
 
@@ -186,10 +163,8 @@ def _by_design(first: FittedCandidate, second: FittedCandidate) -> bool:
 
     The design of the test separates them, not the data: for example gravity and the bias of a mounting.
     """
-    return any(
-        function.effect.kind is EffectKind.FUNCTION and other.name in function.effect.aliases
-        for function, other in ((first, second), (second, first))
-    )
+    pairs = (first, second), (second, first)
+    return any(one.effect.kind is EffectKind.FUNCTION and other.name in one.effect.aliases for one, other in pairs)
 
 
 def _has_rivals(jump: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
@@ -205,20 +180,16 @@ def _contains(function: FittedCandidate, other: FittedCandidate) -> bool:
 
 
 def _refined(
-    records: Sequence[UnitRecord],
-    candidates: Candidates,
-    selected: list[Selected],
-    joint: JointFit,
-    rng: np.random.Generator,
+    candidates: Candidates, selected: list[Selected], joint: JointFit, rng: np.random.Generator
 ) -> tuple[list[Selected], JointFit]:
     """Select each effect again beside the others, and drop those that become unnecessary."""
     for _ in range(_MOST_SWEEPS):
         before = [each.name for each in selected]
         for old in [each for each in selected if each.is_common]:
             others = [each for each in selected if each is not old]
-            base = fit_jointly(records, _hypothesis_of(records, others), joint.noises)
+            base = fit_jointly(joint.records, _hypothesis_of(joint.records, others), joint.noises)
             taken = [each.name for each in others]
-            best = _chosen(fitted_candidates(records, candidates, base, rng, taken, with_events=False))
+            best = _chosen(fitted_candidates(candidates, base, rng, taken, with_events=False))
             if best is None:
                 selected, joint = [_as_before(old, each) for each in others], base
             else:
@@ -245,7 +216,6 @@ def _as_before(old: Selected, new: Selected) -> Selected:
 
 
 def _hypothesis_of(records: Sequence[UnitRecord], selected: Sequence[Selected]) -> Hypothesis:
-    """The declared model with selected effects."""
     hypothesis = nothing_more(records)
     for each in selected:
         add = hypothesis.with_common if each.is_common else hypothesis.with_own

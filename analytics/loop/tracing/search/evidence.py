@@ -1,29 +1,28 @@
-"""Evidence of a candidate on a common scale, and its replication in runs that it was not fitted to."""
+"""Evidence of a candidate on a common scale, its replication in other runs, and noise that passes for an effect."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import fft, stats
 
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal, project, solve
 from stream.batch import FloatArray, IntArray
 
-PRICE = 9.0
-"""Multiplicity penalty of a candidate, in chi-square."""
-FUNCTION_PRICE = 9.2
-"""Additional penalty of a general function: a named effect of equal fit is a hundred times more likely."""
+PRICE = 9.0  # multiplicity penalty of a candidate, in chi-square
+FUNCTION_PRICE = 9.2  # added for a general function: a named effect of equal fit is a hundred times more likely
 LEAST_GAIN, LEAST_GAIN_OF_OTHERS = 2.0, 1.0  # nats
 MOST_FROM_ONE = 0.98
 _SMALLEST = 1e-12
+BY_CHANCE = 0.01
+TRUST = 4
+_LEAST_SHARE = 0.01  # least share of the information that a replicate needs to count
 
 
 def one_degree(likelihood_ratio: float, degrees: int) -> float:
     """Equivalent chi-square of one degree of freedom.
 
-    Examples
-    --------
     >>> round(one_degree(30.0, 1), 3), round(one_degree(30.0, 8), 1)
     (30.0, 13.7)
     """
@@ -67,15 +66,12 @@ class Replication:
 
 
 def leave_one_out(joint: JointFit, replicates: Sequence[IntArray], tried: int) -> Replication:
-    """Predictive density of each replicate given all others, with and without the last common columns.
-
-    Parameters
-    ----------
-    joint: Fit with these columns.
-    replicates: For each record, the replicate of each block.
-    tried: Number of these columns.
-    """
-    grams = [_grams(whitened, number) for whitened, number in zip(joint.whitened, replicates, strict=True)]
+    """Predictive density of each replicate given all others, with and without the last `tried` common columns."""
+    pairs = zip(joint.whitened, replicates, strict=True)
+    grams = [
+        np.array([rows.T @ rows for rows in (whitened[number == each] for each in np.unique(number))])
+        for whitened, number in pairs
+    ]
     owns = [each.shape[1] for each in joint.hypothesis.own]
     whole = [project(each.sum(axis=0), own) for each, own in zip(grams, owns, strict=True)]
     blocks = sum(map(len, joint.whitened))
@@ -113,10 +109,6 @@ def _score(gram: FloatArray) -> float:
     return -0.5 * (float(gram[0, 0] - np.sum(along**2 / eigenvalues[kept])) + log_determinant)
 
 
-def _grams(whitened: FloatArray, replicate: IntArray) -> FloatArray:
-    return np.array([whitened[replicate == each].T @ whitened[replicate == each] for each in np.unique(replicate)])
-
-
 def by_replicate(joint: JointFit, replicates: Sequence[IntArray], column: int) -> list[tuple[FloatArray, FloatArray]]:
     """Information on one common column in each replicate of each record, and information times coefficient.
 
@@ -132,3 +124,73 @@ def by_replicate(joint: JointFit, replicates: Sequence[IntArray], column: int) -
         information = np.asarray(np.bincount(number, driver * driver), dtype=np.float64)
         found.append((information, np.asarray(np.bincount(number, driver * residual), dtype=np.float64)))
     return found
+
+
+def noise_inflation(joint: JointFit, replicates: Sequence[IntArray], runs: Sequence[IntArray], tried: int) -> float:
+    """Excess of the noise over its model at the time scale of the last `tried` common columns, as a ratio; at least 1.
+
+    A wrong noise model makes noise pass for an effect. Two signs: the replicates disagree about the coefficients of the
+    effect, and the whitened residual is not white at its time scale. `replicates` and `runs` are those of each block.
+    """
+    alone = [_alone(whitened, tried) for whitened in joint.whitened]
+    return max(_disagreement(alone, replicates), redness([driver for driver, _ in alone], joint.residuals, runs))
+
+
+def _alone(whitened: FloatArray, tried: int) -> tuple[FloatArray, FloatArray]:
+    """The last columns and the value, orthogonalised to all other columns."""
+    basis = orthonormal(whitened[:, 1 : whitened.shape[1] - tried])
+    kept = np.column_stack([whitened[:, whitened.shape[1] - tried :], whitened[:, 0]])
+    kept = kept - basis @ (basis.T @ kept)
+    return kept[:, :-1], kept[:, -1]
+
+
+def _disagreement(alone: Sequence[tuple[FloatArray, FloatArray]], replicates: Sequence[IntArray]) -> float:
+    """Birge ratio of Cochran's Q over replicates, if significant."""
+    parts = [
+        (driver[number == each].T @ driver[number == each], driver[number == each].T @ residual[number == each])
+        for (driver, residual), number in zip(alone, replicates, strict=True)
+        for each in np.unique(number)
+    ]
+    normal = np.sum([each for each, _ in parts], axis=0)
+    right = np.sum([each for _, each in parts], axis=0)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    common, rank = _explained(normal / np.outer(scale, scale), right / scale)
+    each = [_explained(own_normal / np.outer(scale, scale), own_right / scale) for own_normal, own_right in parts]
+    degrees = sum(own_rank for _, own_rank in each) - rank
+    return _excess(sum(statistic for statistic, _ in each) - common, degrees)
+
+
+def _explained(normal: FloatArray, right: FloatArray) -> tuple[float, int]:
+    """Chi-square of columns scaled to an information of one in all, and its degrees of freedom."""
+    eigenvalues, vectors = np.linalg.eigh(normal)
+    resolved = eigenvalues > _LEAST_SHARE
+    return float(np.sum((vectors[:, resolved].T @ right) ** 2 / eigenvalues[resolved])), int(np.count_nonzero(resolved))
+
+
+def redness(drivers: Sequence[FloatArray], residuals: Sequence[FloatArray], runs: Sequence[IntArray]) -> float:
+    """Power of whitened residuals by octave of frequency, weighted by the power of the columns; at least 1."""
+    octaves = 1 + int(np.log2(max(max(np.bincount(number)) for number in runs)))
+    residual_power, driver_power, count = np.zeros(octaves), np.zeros(octaves), np.zeros(octaves, dtype=np.int64)
+    for driver, residual, number in zip(drivers, residuals, runs, strict=True):
+        basis = orthonormal(driver)
+        for run in np.unique(number):
+            of_run = number == run
+            octave = np.log2(np.maximum(np.arange(np.count_nonzero(of_run)), 1)).astype(np.int64)
+            count += np.bincount(octave, minlength=octaves)
+            residual_power += np.bincount(octave, _power(residual[of_run]), minlength=octaves)
+            for column in basis[of_run].T:
+                driver_power += np.bincount(octave, _power(column), minlength=octaves)
+    excess = [_excess(power, int(degrees)) for power, degrees in zip(residual_power, count, strict=True)]
+    total = float(driver_power.sum())
+    return float(driver_power @ np.array(excess)) / total if total > 0 else 1.0
+
+
+def _power(values: FloatArray) -> FloatArray:
+    return np.asarray(fft.dct(values, norm="ortho") ** 2)
+
+
+def _excess(chi_square: float, degrees: int) -> float:
+    """Chi-square over degrees of freedom if significant, else 1; the noise model counts as `TRUST` agreeing degrees."""
+    if degrees < 1 or chi_square < float(stats.chi2.isf(BY_CHANCE, degrees)):
+        return 1.0
+    return (chi_square + TRUST) / (degrees + TRUST)

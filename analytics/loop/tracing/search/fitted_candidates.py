@@ -9,65 +9,53 @@ from scipy import stats
 
 from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.registry import effect
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.search.candidates import Candidates
-from analytics.loop.tracing.search.evidence import PRICE, Replication, evidence, leave_one_out, one_degree
-from analytics.loop.tracing.search.jump_scan import jump_column, scan_jumps
-from analytics.loop.tracing.search.line_scan import line_columns, scan_lines
-from analytics.loop.tracing.search.noise_inflation import noise_inflation
-from analytics.loop.tracing.search.screening import Screen, Screened, family_p_value, screen
-from analytics.loop.tracing.whitening.joint_fit import JointFit, fit_jointly
-from analytics.loop.tracing.whitening.unit_record import UnitRecord, as_array, from_array
+from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.search.event_scans import jump_column, line_columns, scan_jumps, scan_lines
+from analytics.loop.tracing.search.evidence import (
+    PRICE,
+    Replication,
+    evidence,
+    leave_one_out,
+    noise_inflation,
+    one_degree,
+)
+from analytics.loop.tracing.search.screening import Candidates, Screen, Screened, family_p_value, screen
+from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly
+from analytics.loop.tracing.whitening.stack import UnitRecord, as_array, from_array
 from stream.batch import FloatArray
 
-ALPHA = 0.01
-"""Family-wise error rate of the library, and of jumps."""
-LINE_ALPHA = 0.001
-"""The same for lines: imperfectly whitened noise resembles a line most of all."""
-SCREENED, SCREENED_FROM_FEW = 1e-3, 2.0
-"""P-value of the screening for a fit: 0.001, or with few tests twice the p-value that one of them needs."""
+ALPHA = 0.01  # family-wise error rate of the library, and of jumps
+LINE_ALPHA = 0.001  # the same for lines: imperfectly whitened noise resembles a line most of all
+SCREENED, SCREENED_FROM_FEW = 1e-3, 2.0  # p-value for a fit; with few tests twice what one of them needs
 MOST_FITTED, MOST_FITTED_IN_FLEET = 10, 5
 UNMASKED = 1e-4
 MOST_UNMASKED = 8
-SWALLOWED = 0.25
-"""Excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect."""
-EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0
-"""Ratio of fitted to declared variance of hourly averages beyond which the noise model is not trusted."""
-LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03
-"""Evidence, and share of the evidence of a large effect, by which it has to lead others."""
+SWALLOWED = 0.25  # excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect
+EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0  # ratio to the declared variance at which the noise model is not trusted
+LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03  # evidence, and share of a large evidence, by which to lead others
 ALIAS_SHARE_OF_LEAD = 0.25
 """The same between causes that are aliases of each other, such as the rate of temperature and a temperature gradient:
 both follow one cause, and the noise of their channels must not decide."""
-_SAME_EVIDENCE = 6
-"""Decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine."""
+_SAME_EVIDENCE = 6  # decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
 
 
 @dataclass(frozen=True)
 class FittedCandidate:
-    """One explanation of the residual, fitted together with the noise.
-
-    Parameters
-    ----------
-    columns: On each record, in natural units.
-    joint: Fit with it.
-    likelihood_ratio: Twice the gain in log likelihood, noise fitted with and without it, over the noise inflation.
-    degrees: Degrees of freedom.
-    replication: None for a line or a jump.
-    at_most: Evidence before the noise inflation was taken into account; None if it was not.
-    """
+    """One explanation of the residual, fitted together with the noise."""
 
     effect: Effect
     parameters: dict[str, Any]
-    columns: Sequence[FloatArray]
+    columns: Sequence[FloatArray]  # on each record, in natural units
     joint: JointFit
+    # twice the gain in log likelihood, noise fitted with and without it, over the noise inflation
     likelihood_ratio: float
-    degrees: int
+    degrees: int  # of freedom
     evidence: float
-    replication: Replication | None = None
+    replication: Replication | None = None  # None for a line or a jump
     replicates: bool = True
-    at_most: float | None = None
+    at_most: float | None = None  # evidence before the noise inflation; None where that was not taken into account
 
     @property
     def name(self) -> str:
@@ -112,43 +100,28 @@ class FittedCandidate:
 
 
 def fitted_candidates(
-    records: Sequence[UnitRecord],
-    candidates: Candidates,
-    base: JointFit,
-    rng: np.random.Generator,
-    taken: Sequence[str],
-    *,
-    with_events: bool = True,
+    candidates: Candidates, base: JointFit, rng: np.random.Generator, taken: Sequence[str], *, with_events: bool = True
 ) -> list[FittedCandidate]:
     """All explanations of the residual of a fit, largest evidence first, including those that do not replicate.
 
+    `base` is the current model, which has the effects `taken`; `with_events` scans for lines and jumps as well.
     Slightly negative evidence is included, since such a candidate may be confounded with another.
-
-    Parameters
-    ----------
-    base: The current model.
-    taken: Effects of the current model.
-    with_events: Whether to scan for lines and jumps.
     """
     first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
     found = []
-    for group in _worth_fitting(records, candidates, base, rng, taken, first):
-        fitted = _fitted(records, candidates, base, group, first)
+    for group in _worth_fitting(candidates, base, rng, taken, first):
+        fitted = _fitted(candidates, base, group, first)
         if fitted is not None and fitted.evidence > -PRICE:
-            discounted = _discounted(records, fitted)
-            found.append(replace(discounted, joint=discounted.joint.light()))
+            discounted = _discounted(fitted)
+            # the cached columns of a fleet would fill the memory
+            found.append(replace(discounted, joint=replace(fitted.joint)) if len(base.records) > 1 else discounted)
     if with_events:
-        found += [each for each in (_line(records, base), _jump(records, base)) if each is not None]
+        found += [each for each in (_line(base), _jump(base)) if each is not None]
     return sorted(found, key=lambda each: (-round(each.evidence, _SAME_EVIDENCE), each.name))
 
 
 def _worth_fitting(
-    records: Sequence[UnitRecord],
-    candidates: Candidates,
-    base: JointFit,
-    rng: np.random.Generator,
-    taken: Sequence[str],
-    first: Screen,
+    candidates: Candidates, base: JointFit, rng: np.random.Generator, taken: Sequence[str], first: Screen
 ) -> list[list[Screened]]:
     """Effects that pass the screening, each with its shapes, best first.
 
@@ -157,8 +130,8 @@ def _worth_fitting(
     """
     worth = max(SCREENED, SCREENED_FROM_FEW * ALPHA / first.tests)
     chosen = [group for group in first.by_effect() if group[0].p_value < worth]
-    del chosen[MOST_FITTED if len(records) == 1 else MOST_FITTED_IN_FLEET :]
-    noises = least_noises(records, base.noises)
+    del chosen[MOST_FITTED if len(base.records) == 1 else MOST_FITTED_IN_FLEET :]
+    noises = least_noises(base)
     if noises is None:
         return chosen
     second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
@@ -167,12 +140,12 @@ def _worth_fitting(
     return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
 
 
-def least_noises(records: Sequence[UnitRecord], noises: Sequence[ModelNoise]) -> Sequence[ModelNoise] | None:
+def least_noises(base: JointFit) -> Sequence[ModelNoise] | None:
     """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect."""
-    least = [_least(noise, record) for noise, record in zip(noises, records, strict=True)]
-    if all(each is None for each in least):
+    least = [_least(noise, record) for noise, record in zip(base.noises, base.records, strict=True)]
+    if not any(least):
         return None
-    return [noise if each is None else each for noise, each in zip(noises, least, strict=True)]
+    return [each or noise for noise, each in zip(base.noises, least, strict=True)]
 
 
 def _least(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:
@@ -184,79 +157,73 @@ def _least(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:
     return from_array(np.minimum(fitted, declared))
 
 
+def beside(base: JointFit, hypothesis: Hypothesis) -> tuple[JointFit, float]:
+    """A further hypothesis fitted to the records of a fit, and twice its gain in log likelihood."""
+    joint = fit_jointly(base.records, hypothesis, base.noises)
+    return joint, 2 * (joint.log_likelihood - base.log_likelihood)
+
+
 def _fitted(
-    records: Sequence[UnitRecord], candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen
+    candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen
 ) -> FittedCandidate | None:
     """The better fit of the two best shapes of an effect; None if it fails the family-wise test."""
     best: FittedCandidate | None = None
-    for result in group[: 2 if len(records) == 1 else 1]:
+    for result in group[: 2 if len(base.records) == 1 else 1]:
         item = result.candidate
         columns = candidates.of_all(item)
-        joint = fit_jointly(records, base.hypothesis.with_common(columns), base.noises)
-        ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+        joint, ratio = beside(base, base.hypothesis.with_common(columns))
         p_value = float(stats.chi2.sf(max(ratio, 0.0), result.degrees))
         if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
             continue
         degrees = result.degrees + (len(group) > 1)
-        evidence = _evidence(records, joint, ratio, degrees, item.effect.kind)
+        evidence = _evidence(joint, ratio, degrees, item.effect.kind)
         best = FittedCandidate(item.effect, dict(item.shape), columns, joint, ratio, degrees, evidence)
     return best
 
 
-def _evidence(records: Sequence[UnitRecord], joint: JointFit, ratio: float, degrees: int, kind: EffectKind) -> float:
+def _evidence(joint: JointFit, ratio: float, degrees: int, kind: EffectKind) -> float:
     """Evidence of a fit; the penalty doubles if its noise is far from the declared noise."""
     excess = [
         record.noise_model.average_variance(noise, EXCESS_AVERAGE_S)
         / record.noise_model.average_variance(record.prior.center, EXCESS_AVERAGE_S)
-        for record, noise in zip(records, joint.noises, strict=True)
+        for record, noise in zip(joint.records, joint.noises, strict=True)
     ]
     price = PRICE if max(excess) > GROSS_EXCESS else 0.0
     return evidence(ratio, degrees, is_function=kind is EffectKind.FUNCTION) - price
 
 
-def _discounted(records: Sequence[UnitRecord], each: FittedCandidate) -> FittedCandidate:
+def _discounted(each: FittedCandidate) -> FittedCandidate:
     """The candidate with its replication, and its evidence reduced by the noise inflation."""
-    replicates = [record.stack.replicate for record in records]
-    runs = [record.stack.run_number for record in records]
+    replicates = [record.stack.replicate for record in each.joint.records]
+    runs = [record.stack.run_number for record in each.joint.records]
     width = each.columns[0].shape[1]
     replication = leave_one_out(each.joint, replicates, width)
     if not replication.replicates:
         return replace(each, replication=replication, replicates=False)
     ratio = each.likelihood_ratio / noise_inflation(each.joint, replicates, runs, width)
-    return replace(
-        each,
-        likelihood_ratio=ratio,
-        evidence=_evidence(records, each.joint, ratio, each.degrees, each.effect.kind),
-        replication=replication,
-        at_most=each.evidence,
-    )
+    evidence = _evidence(each.joint, ratio, each.degrees, each.effect.kind)
+    return replace(each, likelihood_ratio=ratio, evidence=evidence, replication=replication, at_most=each.evidence)
 
 
-def _line(records: Sequence[UnitRecord], base: JointFit) -> FittedCandidate | None:
+def _line(base: JointFit) -> FittedCandidate | None:
+    records = base.records
     line = scan_lines(records, base.residuals)
     if line is None or line.family_p_value >= LINE_ALPHA:
         return None
     columns = tuple(line_columns(record, line.frequency_hz) for record in records)
-    joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
-    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    joint, ratio = beside(base, base.hypothesis.with_own(columns))
     fitted_p_value = float(stats.chi2.sf(max(ratio, 0.0), 2 * line.powers.size))
     strength = float(stats.chi2.isf(max(line.p_value, fitted_p_value, 1e-300), 1))
     gain = strength - 2 * np.log(sum(map(len, records)))
     if gain <= 0:
         return None
-    return FittedCandidate(
-        effect=effect(LINE),
-        parameters={"frequency_hz": line.frequency_hz},
-        columns=columns,
-        joint=joint,
-        likelihood_ratio=strength,
-        degrees=1,
-        evidence=gain,
-        replicates=line.powers.size == 1 or line.largest_share < LINE_MOST_FROM_ONE,
-    )
+    replicates = line.powers.size == 1 or line.largest_share < LINE_MOST_FROM_ONE
+    shape = {"frequency_hz": line.frequency_hz}
+    return FittedCandidate(effect(LINE), shape, columns, joint, strength, 1, gain, replicates=replicates)
 
 
-def _jump(records: Sequence[UnitRecord], base: JointFit) -> FittedCandidate | None:
+def _jump(base: JointFit) -> FittedCandidate | None:
+    records = base.records
     jump = scan_jumps(records, base)
     if jump is None or jump.family_p_value >= ALPHA:
         return None
@@ -264,19 +231,11 @@ def _jump(records: Sequence[UnitRecord], base: JointFit) -> FittedCandidate | No
         jump_column(record, jump.row) if number == jump.record else np.empty((len(record), 0))
         for number, record in enumerate(records)
     )
-    joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
-    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    joint, ratio = beside(base, base.hypothesis.with_own(columns))
     gain = ratio - 3 * np.log(sum(map(len, records)))
     if gain <= 0:
         return None
     run = records[jump.record].stack.runs[jump.run]
     slot = records[jump.record].stack.slot[jump.row]
-    return FittedCandidate(
-        effect=effect(JUMP),
-        parameters={"run": run.run, "at_s": float(slot * run.block_s)},
-        columns=columns,
-        joint=joint,
-        likelihood_ratio=ratio,
-        degrees=1,
-        evidence=gain,
-    )
+    shape = {"run": run.run, "at_s": float(slot * run.block_s)}
+    return FittedCandidate(effect(JUMP), shape, columns, joint, ratio, 1, gain)

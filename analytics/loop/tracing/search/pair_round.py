@@ -11,55 +11,47 @@ import numpy as np
 from scipy import special, stats
 
 from analytics.loop.effects.base import EffectKind, Role
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.search.candidates import Candidate, Candidates
-from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, one_degree
-from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, least_noises
-from analytics.loop.tracing.search.noise_inflation import noise_inflation
-from analytics.loop.tracing.search.screening import LEAST_LEFT, family_p_value, own_whitening, pooled
-from analytics.loop.tracing.whitening.joint_fit import JointFit, fit_jointly
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, noise_inflation, one_degree
+from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, beside, least_noises
+from analytics.loop.tracing.search.screening import (
+    LEAST_LEFT,
+    Candidate,
+    Candidates,
+    family_p_value,
+    own_whitening,
+    pooled,
+)
+from analytics.loop.tracing.whitening.joint_fit import JointFit
 from stream.batch import FloatArray
 
-PAIR_PRICE = 2 * PRICE + 6.0
-"""Multiplicity penalty of a pair: that of each effect, and one for the number of pairs."""
-PAIR_ALPHA = 1e-3
-"""Family-wise error rate of pairs."""
-LEAST_APART = 0.01
-"""Least share of the second effect that is orthogonal to the first."""
+PAIR_PRICE = 2 * PRICE + 6.0  # multiplicity penalty of a pair: that of each effect, and one for the number of pairs
+PAIR_ALPHA = 1e-3  # family-wise error rate of pairs
+LEAST_APART = 0.01  # least share of the second effect that is orthogonal to the first
 _WORTH, _LEAST_STATISTIC = 1e-7, 32.0  # p-value of the screening, and its chi-square for two degrees of freedom
 _MOST_FITTED = 5
 
 
-def best_pair(
-    records: Sequence[UnitRecord], candidates: Candidates, base: JointFit, tests: Callable[[], float]
-) -> list[FittedCandidate]:
-    """The pair of effects with the most evidence; empty if no pair passes.
+def best_pair(candidates: Candidates, base: JointFit, tests: Callable[[], float]) -> list[FittedCandidate]:
+    """The pair of effects with the most evidence beside the model `base`; empty if no pair passes.
 
-    Parameters
-    ----------
-    base: The current model.
-    tests: Returns the effective number of independent tests of single effects; called only if a pair is fitted.
+    `tests` gives the effective number of independent tests of single effects; it is called only if a pair is fitted.
     """
-    worth = _worth_fitting(candidates, base, least_noises(records, base.noises))
+    worth = _worth_fitting(candidates, base)
     singles = tests() if worth else 1.0
-    pairs = [_fitted(records, candidates, base, each, singles) for each in worth]
+    pairs = [_fitted(candidates, base, each, singles) for each in worth]
     return max((pair for pair in pairs if pair), key=lambda pair: pair[0].evidence, default=[])
 
 
-def _worth_fitting(
-    candidates: Candidates, base: JointFit, least: Sequence[ModelNoise] | None
-) -> list[tuple[Candidate, Candidate]]:
+def _worth_fitting(candidates: Candidates, base: JointFit) -> list[tuple[Candidate, Candidate]]:
     """Pairs that pass the screening with their best shapes, best first."""
     best: dict[tuple[str, str], tuple[float, int, tuple[Candidate, Candidate]]] = {}
     order = count()
-    for noises in (base.noises, least):
-        if noises is None:
-            continue
-        for log_p, pair in _screened(candidates, base.hypothesis.designs, noises):
+    for noises in (base.noises, least_noises(base)):
+        for p_value, pair in _screened(candidates, base.hypothesis.designs, noises) if noises else ():
             names = pair[0].effect.name, pair[1].effect.name
-            if names not in best or log_p < best[names][0]:
-                best[names] = log_p, next(order), pair
+            if names not in best or p_value < best[names][0]:
+                best[names] = p_value, next(order), pair
     return [pair for _, _, pair in sorted(best.values(), key=lambda each: each[:2])][:_MOST_FITTED]
 
 
@@ -102,21 +94,17 @@ def _screened(
 
 
 def _fitted(
-    records: Sequence[UnitRecord],
-    candidates: Candidates,
-    base: JointFit,
-    pair: tuple[Candidate, Candidate],
-    tests: float,
+    candidates: Candidates, base: JointFit, pair: tuple[Candidate, Candidate], tests: float
 ) -> list[FittedCandidate]:
-    """Fit of a pair; empty if it does not pass."""
     columns = [candidates.of_all(each) for each in pair]
-    joint = fit_jointly(records, base.hypothesis.with_common(columns[0]).with_common(columns[1]), base.noises)
-    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    hypothesis = base.hypothesis.with_common(columns[0]).with_common(columns[1])
+    joint, ratio = beside(base, hypothesis)
     degrees = sum(each.width for each in pair)
-    replicates, runs = [record.stack.replicate for record in records], [record.stack.run_number for record in records]
+    stacks = [record.stack for record in base.records]
+    replicates = [stack.replicate for stack in stacks]
     if not leave_one_out(joint, replicates, degrees).replicates:
         return []
-    ratio /= noise_inflation(joint, replicates, runs, degrees)
+    ratio /= noise_inflation(joint, replicates, [stack.run_number for stack in stacks], degrees)
     p_value = float(stats.chi2.sf(max(ratio, 0.0), degrees))
     gain = one_degree(ratio, degrees) - PAIR_PRICE
     if gain <= 0 or family_p_value(p_value, max(tests, tests**2 / 2)) >= PAIR_ALPHA:

@@ -1,31 +1,35 @@
 """Caveats of a verdict, from the data and from the held-out runs."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
+from operator import methodcaller
 
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES, Case
-from analytics.loop.tracing.result.error_table import ErrorTable
-from analytics.loop.tracing.result.finding import FoundEffect
-from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
+from analytics.loop.tracing.result.diagnosis_result import FoundEffect
+from analytics.loop.tracing.result.holdout import ErrorTable, HeldOutAnswer, Holdout, HoldoutSlope
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
-FAR_ABOVE_FLOOR = 1.5
-"""Ratio to the floor, which is limited to the noise expected once in 1000 sets of runs."""
-FAR_ABOVE_NOISE = 3.0
-"""Ratio to the noise within runs, which has no such limit."""
-LIKELY_DIFFERENT, SURELY_DIFFERENT = 1.96, 3.29
-"""Standard errors by which a slope differs from one: by chance in 1 of 20, and in 1 of 1000 true effects."""
-COPY = 1 - 1e-9
-"""Correlation above which channels are copies, perhaps in other units."""
+FAR_ABOVE_FLOOR = 1.5  # ratio to the floor, which is limited to the noise expected once in 1000 sets of runs
+FAR_ABOVE_NOISE = 3.0  # ratio to the noise within runs, which has no such limit
+LIKELY_DIFFERENT, SURELY_DIFFERENT = 1.96, 3.29  # standard errors: by chance in 1 of 20, 1 of 1000 true effects
+COPY = 1 - 1e-9  # correlation above which channels are copies, perhaps in other units
 DERIVED_PAIRS = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"day", "time_since_power_on"})})
 """Pairs of which one is derived from the other if it is not recorded; the reduction reports it."""
 _MOST_NAMED = 3
+_NO_NOISE = Bilingual(
+    "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
+    "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
+)
+_EXCESS = Bilingual(
+    "more noise than declared at averages of 300 to 3600 s, and no channel explains it",
+    "在300至3600 s的平均时间上噪声大于声明值，各通道均不能解释",
+)
 
 
 def caveats(
@@ -39,7 +43,6 @@ def caveats(
     is_excess: bool,
 ) -> tuple[Bilingual, ...]:
     """All caveats of a verdict, the parts of the record that were left out first."""
-    names = [each.name for each in effects]
     found = [
         *(each.sentence for each in case.report.left_out if each.is_grave),
         *case.report.limits,
@@ -49,65 +52,46 @@ def caveats(
     found += [text for text in (unexplained_error(error) if case.held_out else None, _gain_caveat(error)) if text]
     found += _replication_caveats(case)
     if not noise_is_declared:
-        found.append(
-            Bilingual(
-                "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
-                "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
-            )
-        )
+        found.append(_NO_NOISE)
     if is_excess:
-        found.append(
-            Bilingual(
-                "more noise than declared at averages of 300 to 3600 s, and no channel explains it",
-                "在300至3600 s的平均时间上噪声大于声明值，各通道均不能解释",
-            )
-        )
-    found += holdout_caveats(holdout, effects)
+        found.append(_EXCESS)
+    block_s = case.training.noise_model.block_s
+    return (*found, *holdout_caveats(holdout, effects), *_event_caveats([each.name for each in effects], block_s))
+
+
+def _event_caveats(names: Sequence[str], block_s: float) -> Iterator[Bilingual]:
     if JUMP in names:
-        found.append(
-            Bilingual("a jump happens once: held-out runs cannot confirm it", "跳变只发生一次：留出试验不能予以证实")
-        )
+        yield Bilingual("a jump happens once: held-out runs cannot confirm it", "跳变只发生一次：留出试验不能予以证实")
     if LINE in names:
-        block = f"{case.training.noise_model.block_s:g} s"
-        found.append(
-            Bilingual(
-                f"a line faster than two blocks of {block} is folded into this band: examine the spectrum at the full "
-                "sampling rate",
-                f"比两个{block}数据块更快的谱线会折叠到本频带内：用全采样率的频谱判别",
-            )
+        yield Bilingual(
+            f"a line faster than two blocks of {block_s:g} s is folded into this band: examine the spectrum at the "
+            "full sampling rate",
+            f"比两个{block_s:g} s数据块更快的谱线会折叠到本频带内：用全采样率的频谱判别",
         )
-        found.append(
-            Bilingual(
-                "the phase of a line differs from run to run: no model predicts it, so that it remains in the errors "
-                "before and after, and in the noise floor",
-                "谱线的相位随试验而异：没有模型能预测，因此前后误差以及“仅噪声”中都含有它",
-            )
+        yield Bilingual(
+            "the phase of a line differs from run to run: no model predicts it, so that it remains in the errors "
+            "before and after, and in the noise floor",
+            "谱线的相位随试验而异：没有模型能预测，因此前后误差以及“仅噪声”中都含有它",
         )
-    return tuple(found)
 
 
-def _replication_caveats(case: Case) -> list[Bilingual]:
-    found = []
+def _replication_caveats(case: Case) -> Iterator[Bilingual]:
     count, blocks = len(case.stack.replicates), len(case.stack)
     is_single = case.replication == "within_run"
     if is_single:
-        found.append(
-            Bilingual(
-                "one run only: its segments serve as replicates, so that anything specific to this run appears as an "
-                "effect",
-                "只有一次试验：以其分段代替重复试验，凡与这次试验相关的变化都会表现为效应",
-            )
+        yield Bilingual(
+            "one run only: its segments serve as replicates, so that anything specific to this run appears as an "
+            "effect",
+            "只有一次试验：以其分段代替重复试验，凡与这次试验相关的变化都会表现为效应",
         )
     elif len(case.training.stack.replicates) == 1:
-        found.append(
-            Bilingual(
-                "the model was fitted to one run only: its terms include anything specific to that run, and no other "
-                "run confirms them",
-                "模型只由一次试验拟合：与该次试验相关的变化包含在各项中，没有其他试验予以证实",
-            )
+        yield Bilingual(
+            "the model was fitted to one run only: its terms include anything specific to that run, and no other "
+            "run confirms them",
+            "模型只由一次试验拟合：与该次试验相关的变化包含在各项中，没有其他试验予以证实",
         )
     if case.held_out:
-        return found
+        return
     if is_single:
         least, runs = FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES
         why = Bilingual(
@@ -118,13 +102,12 @@ def _replication_caveats(case: Case) -> list[Bilingual]:
         why = Bilingual(f"{count} runs; {FEWEST_REPLICATES} are needed", f"{count}次试验，需要{FEWEST_REPLICATES}次")
     else:
         why = Bilingual("no run was held out", "没有留出任何试验")
-    return [*found, Bilingual(f"no held-out set: {why}", f"无留出数据：{why.zh}")]
+    yield Bilingual(f"no held-out set: {why}", f"无留出数据：{why.zh}")
 
 
 def _channel_caveats(record: UnitRecord) -> list[Bilingual]:
-    """Constant channels and copies."""
     names = sorted(set.intersection(*(set(run.channels) for run in record.stack.runs)))
-    values = {name: record.stack.column(lambda run, name=name: run.mean(name)) for name in names}  # type: ignore[misc]
+    values = {name: record.stack.column(methodcaller("mean", name)) for name in names}
     known = {name: each for name, each in values.items() if np.isfinite(each).all()}
     moving = {name: each for name, each in known.items() if np.ptp(each) > 0}
     return [
@@ -143,11 +126,9 @@ def _copies(values: dict[str, FloatArray]) -> list[tuple[str, str]]:
     if len(values) < 2:
         return []
     correlation = np.abs(np.corrcoef(np.array(list(values.values()))))
-    return [
-        (first, second)
-        for (i, first), (j, second) in combinations(enumerate(values), 2)
-        if correlation[i, j] > COPY and frozenset({first, second}) not in DERIVED_PAIRS
-    ]
+    pairs = combinations(enumerate(values), 2)
+    alike = [(first, second) for (i, first), (j, second) in pairs if correlation[i, j] > COPY]
+    return [pair for pair in alike if frozenset(pair) not in DERIVED_PAIRS]
 
 
 def undetermined_terms(case: Case, labels: Sequence[str]) -> tuple[Bilingual, ...]:
@@ -180,15 +161,11 @@ def undetermined_terms(case: Case, labels: Sequence[str]) -> tuple[Bilingual, ..
 def unexplained_error(table: ErrorTable) -> Bilingual | None:
     """By how much the error of the model found exceeds the noise; None if it is not far above."""
     where = Bilingual("the held-out runs", "留出试验") if table.is_held_out else Bilingual("the runs", "试验")
+    within = Bilingual(" about the mean of each run", "去除各次试验均值后")
     for row in sorted(table.rows, key=lambda row: -row.averaging_s):
         for error, noise, most, about in (
             (row.after, row.floor, FAR_ABOVE_FLOOR, Bilingual("", "")),
-            (
-                row.after_within,
-                row.floor_within,
-                FAR_ABOVE_NOISE,
-                Bilingual(" about the mean of each run", "去除各次试验均值后"),
-            ),
+            (row.after_within, row.floor_within, FAR_ABOVE_NOISE, within),
         ):
             if noise > 0 and error > most * noise:
                 size, allowed = f"{error:.4g} {table.unit_of_measure}", f"{noise:.4g}"
@@ -201,9 +178,8 @@ def unexplained_error(table: ErrorTable) -> Bilingual | None:
     return None
 
 
-def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> list[Bilingual]:
+def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
     """Effects that the held-out runs do not excite, or show with another size."""
-    found = []
     for effect in effects:
         slope = None if holdout is None else holdout.slope(effect.name)
         if slope is None:
@@ -211,21 +187,16 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
         size = f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
         if slope.answer is HeldOutAnswer.NO_POWER:
             advice = _better_holdout(effect)
-            found.append(
-                Bilingual(
-                    f"{effect.name}: the held-out runs do not excite it and can neither confirm nor refuse it (slope "
-                    f"{size}); {advice}",
-                    f"{effect.name}：留出试验未激励该效应，既不能证实也不能否定（斜率{size}）；{advice.zh}",
-                )
+            yield Bilingual(
+                f"{effect.name}: the held-out runs do not excite it and can neither confirm nor refuse it (slope "
+                f"{size}); {advice}",
+                f"{effect.name}：留出试验未激励该效应，既不能证实也不能否定（斜率{size}）；{advice.zh}",
             )
         elif effect.name != LINE and (why := _wrong_size(slope)) is not None:
-            found.append(
-                Bilingual(
-                    f"{effect.name}: the held-out runs show {size} times the prediction{why}",
-                    f"{effect.name}：留出试验所示为预测值的{size}倍{why.zh}",
-                )
+            yield Bilingual(
+                f"{effect.name}: the held-out runs show {size} times the prediction{why}",
+                f"{effect.name}：留出试验所示为预测值的{size}倍{why.zh}",
             )
-    return found
 
 
 def _wrong_size(slope: HoldoutSlope) -> Bilingual | None:

@@ -7,28 +7,27 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effects_for, unavailable_effects
-from analytics.loop.effects.turn_on import TURN_ON
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
-from analytics.loop.tracing.held_out.held_out_set import open_held_out_set
-from analytics.loop.tracing.held_out.slopes import judge
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
-from analytics.loop.tracing.result.finding import FoundEffect
-from analytics.loop.tracing.search.candidates import Candidates
+from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.search.effect_search import Search
-from analytics.loop.tracing.search.screening import screen
-from analytics.loop.tracing.verdict.alternatives import with_causes, with_clock_bounds
+from analytics.loop.tracing.search.screening import Candidates, screen
+from analytics.loop.tracing.verdict import noise_agreement as agreement
+from analytics.loop.tracing.verdict.adequacy import detection_limits
 from analytics.loop.tracing.verdict.caveats import caveats, undetermined_terms, unexplained_error
-from analytics.loop.tracing.verdict.detection_limits import detection_limits
-from analytics.loop.tracing.verdict.effect_findings import findings, fitted_model, unreplicated
-from analytics.loop.tracing.verdict.noise_agreement import disagreements, measured_noise, noise_excess
-from analytics.loop.tracing.verdict.run_scatter import FAR, run_scatter, scatter_caveat, scatter_finding
+from analytics.loop.tracing.verdict.effect_findings import (
+    findings,
+    fitted_model,
+    unreplicated,
+    with_causes,
+    with_clock_bounds,
+)
 
-FUNCTION = "function_of_"
-"""Prefix of the names of free functions."""
+FUNCTION = "function_of_"  # prefix of the names of free functions
 _COLLINEAR = Bilingual("these runs cannot separate it from the terms of the model", "这些试验无法将其与模型的项区分")
 
 
@@ -44,7 +43,7 @@ def conclude(
 ) -> Diagnosis:
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
     training, held_out = case.training, case.held_out_blocks
-    every = [with_causes(each, case.stack.runs, model.effects) for each in findings([training], candidates, found)]
+    every = [with_causes(each, case.stack.runs, model.effects) for each in findings(candidates, found)]
     holdout = None
     if case.held_out and found.selected:
         box = open_held_out_set(case.stack, held_out, training, found)
@@ -54,8 +53,8 @@ def conclude(
     refused = [each for each in every if each.confirmed is False]
     kept = found.without([each.name for each in refused])
     noises, designs = kept.joint.noises, kept.joint.hypothesis.designs
-    excess = noise_excess(training, kept.joint)
-    noise = measured_noise(training, noises[0])
+    excess = agreement.noise_excess(training, kept.joint)
+    noise = agreement.measured_noise(training, noises[0])
     tests = screen(candidates, designs, noises, rng).tests
     box = open_held_out_set(case.stack, held_out, training, kept)
     error = error_table(box, kept, case.held_out or case.stack.replicates, is_held_out=bool(case.held_out))
@@ -67,25 +66,23 @@ def conclude(
     )
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     undetermined = undetermined_terms(case, model.labels())
-    scatter = run_scatter(box.record, noises[0])
+    scatter = agreement.run_scatter(box.record, noises[0])
     remarks: list[Bilingual] = []
     if declared is not None:
-        remarks += disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
-    if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= FAR:
-        differing = scatter_finding(box.record, scatter, model.effects, effects_for(case.stack.runs))
+        remarks += agreement.disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
+    if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= agreement.FAR:
+        differing = agreement.scatter_finding(box.record, scatter, model.effects, effects_for(case.stack.runs))
         effects = effects if differing is None else (differing, *effects)
-        remarks.append(scatter_caveat(differing, scatter, case.stack.runs))
+        remarks.append(agreement.scatter_caveat(differing, scatter, case.stack.runs))
     declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
     effects = tuple(with_clock_bounds(each, declared_model) for each in effects)
-    seen_once = (*refused, *(unreplicated([training], found.unreplicated) if not found.selected else ()))
+    seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
     is_excess = declared is not None and excess.is_excess
     verdict = verdict_of(effects, seen_once, is_excess=is_excess, within_run=case.replication == "within_run")
     unexplained = unexplained_error(error) if case.held_out else None
     # turn-on scatter explains neither an error within runs nor an undetermined term
-    has_no_cause = verdict is ModelVerdict.NOTHING_MISSING or (
-        effects and all(each.name == TURN_ON for each in effects)
-    )
-    if has_no_cause and (undetermined or unexplained):
+    is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)
+    if (is_scatter or verdict is ModelVerdict.NOTHING_MISSING) and (undetermined or unexplained):
         verdict = ModelVerdict.NOT_ENOUGH_DATA if undetermined else ModelVerdict.UNEXPLAINED
     verdict = denied(verdict, case.report.left_out)
     is_lacking = verdict is ModelVerdict.NOT_ENOUGH_DATA
@@ -93,6 +90,7 @@ def conclude(
     found_caveats = caveats(
         case, undetermined, effects, holdout, error, noise_is_declared=declared is not None, is_excess=is_excess
     )
+    not_tested = {**unavailable_effects(case.stack.runs), **candidates.not_tested, **dict.fromkeys(blind, _COLLINEAR)}
     return Diagnosis(
         verdict=verdict,
         left_out=case.report.left_out,
@@ -106,11 +104,7 @@ def conclude(
         declared_noise=declared,
         noise_excess=excess.ratio if declared is not None else None,
         detection_limits={name: each for name, each in limits.items() if name not in _alternatives(effects)},
-        not_tested={
-            **unavailable_effects(case.stack.runs),
-            **candidates.not_tested,
-            **dict.fromkeys(blind, _COLLINEAR),
-        },
+        not_tested=not_tested,
         limits=(*found_caveats, *remarks),
         missing=(*undetermined, *losses) if is_lacking else (),
         unexplained=unexplained,

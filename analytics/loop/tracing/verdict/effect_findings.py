@@ -1,47 +1,102 @@
-"""Selected effects as findings: coefficients with bounds and units, evidence, alternatives; the fitted model."""
+"""Selected effects as findings: coefficients, evidence, alternatives; the fitted model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import msgspec
 import numpy as np
 
-from analytics.loop.effects.base import Effect, EffectKind
-from analytics.loop.effects.coefficient_units import coefficient_unit
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.base import Effect, EffectKind, Role, coefficient_unit
 from analytics.loop.effects.registry import effect
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
-from analytics.loop.tracing.search.candidates import Candidates
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
 from analytics.loop.tracing.search.effect_search import Search, Selected
+from analytics.loop.tracing.search.event_scans import amplitude_of
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate
-from analytics.loop.tracing.search.line_scan import amplitude_of
+from analytics.loop.tracing.search.screening import Candidates
 from analytics.loop.tracing.verdict.adequacy import WRONG_FORM, form_p_values, homogeneity
 from analytics.loop.tracing.whitening.least_squares import solve
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
+_CONFIDENCE = 1.96
+_CLOCK_BOUNDS = {
+    "temperature_time_offset": ("temperature", 120.0, "s"),
+    "rate_time_offset": ("scale_factor", 120.0, "s"),
+    "temperature_clock_rate": ("temperature", 3.6, "s/h"),
+    "rate_clock_rate": ("scale_factor", 3.6, "s/h"),
+}
+"""By clock error: the declared term that it acts through, and its largest plausible size.
+
+A clock not set for months is two minutes off; a poor quartz gains 0.1 %."""
 CONFIDENCE = 1.96
 
 
-def findings(records: Sequence[UnitRecord], candidates: Candidates, found: Search) -> list[FoundEffect]:
+def unfitted(cause: Effect, *, recorded: bool, evidence_behind: float | None = None) -> ConfoundedEffect:
+    """A cause that was not fitted, as an alternative."""
+    return ConfoundedEffect(
+        name=cause.name,
+        parameters={},
+        evidence_behind=evidence_behind,
+        role=cause.role.value,
+        separating_test=cause.separating_test,
+        separating_test_zh=cause.separating_test_zh,
+        recorded=recorded,
+    )
+
+
+def with_causes(found: FoundEffect, runs: Sequence[RunBlocks], declared: Collection[str]) -> FoundEffect:
+    """A finding; that of a proxy with the causes that it follows and that the model does not declare."""
+    own = effect(found.name)
+    if own.role is not Role.PROXY:
+        return found
+    known = {found.name, *(each.name for each in found.confounded), *declared}
+    causes = [effect(name) for name in own.follows if name not in known]
+    added = (
+        unfitted(each, recorded=all(channel in run.channels for channel in each.needs for run in runs))
+        for each in causes
+    )
+    return msgspec.structs.replace(found, confounded=(*found.confounded, *added))
+
+
+def with_clock_bounds(found: FoundEffect, declared: ErrorModel) -> FoundEffect:
+    """A finding with the size that confounded clock errors would need; the plausible alternatives first."""
+    others = [_bounded(other, declared) for other in found.confounded]
+    return msgspec.structs.replace(found, confounded=tuple(sorted(others, key=lambda other: not other.is_plausible)))
+
+
+def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
+    if other.name not in _CLOCK_BOUNDS or other.coefficient is None:
+        return other
+    term, most, unit = _CLOCK_BOUNDS[other.name]
+    labels = declared.labels()
+    if term not in labels:
+        return other
+    at = labels.index(term)
+    error = float(np.sqrt(declared.covariance[at][at])) if declared.covariance else 0.0
+    sensitivity = abs(declared.coefficients[at]) + _CONFIDENCE * error
+    if sensitivity == 0.0:
+        return other
+    return msgspec.structs.replace(other, implied=abs(other.coefficient) / sensitivity, most=most, implied_unit=unit)
+
+
+def findings(candidates: Candidates, found: Search) -> list[FoundEffect]:
     """All selected effects, largest evidence first."""
-    every = [_finding(records, candidates, found, each) for each in found.selected]
-    return sorted(every, key=lambda each: -each.evidence)
+    return sorted((_finding(candidates, found, each) for each in found.selected), key=lambda each: -each.evidence)
 
 
-def unreplicated(records: Sequence[UnitRecord], fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffect]:
+def unreplicated(fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffect]:
     """Candidates with evidence from one replicate only."""
     every = []
     for each in fitted_candidates:
         if each.is_common:
             at = slice(each.joint.common.coefficients.size - each.columns[0].shape[1], None)
-            theta, covariance = each.joint.common.coefficients[at], each.joint.common.covariance[at, at]
-            coefficients = _coefficients(each.effect, records, theta, covariance)
+            coefficients = _coefficients(each, each.joint.common.coefficients[at], each.joint.common.covariance[at, at])
         else:
             last = [(each.joint.own[place], -each.columns[place].shape[1]) for place in _places(each)]
             values = np.concatenate([solution.coefficients[start:] for solution, start in last])
             variance = np.concatenate([np.diag(solution.covariance)[start:] for solution, start in last])
-            coefficients = _event_coefficients(records, each, values, variance)
+            coefficients = _event_coefficients(each, values, variance)
         every.append(_basic(each, coefficients, replicates=False))
     return every
 
@@ -59,26 +114,26 @@ def _basic(fitted: FittedCandidate, coefficients: tuple[EffectCoefficient, ...],
     )
 
 
-def _finding(records: Sequence[UnitRecord], candidates: Candidates, found: Search, which: Selected) -> FoundEffect:
+def _finding(candidates: Candidates, found: Search, which: Selected) -> FoundEffect:
     fitted, own = which.fitted, which.fitted.effect
     forms = form_p_values(candidates, found.joint, which)
-    same = homogeneity(records, found, which)
+    same_p_value, by_run = homogeneity(found, which)
     unknown = [channel for channel, p_value in forms.items() if p_value < WRONG_FORM]
     is_nameless = own.kind is EffectKind.FUNCTION and not any(each.name in own.aliases for each in which.confounded)
-    if is_nameless or (not unknown and (which.leading_proxy or same.p_value < WRONG_FORM)):
+    if is_nameless or (not unknown and (which.leading_proxy or same_p_value < WRONG_FORM)):
         unknown = list(own.needs)
     if which.is_common:
-        coefficients = _coefficients(own, records, *found.common_fit(which))
+        coefficients = _coefficients(fitted, *found.common_fit(which))
     else:
-        coefficients = _event_coefficients(records, fitted, *found.own_fit(which, _places(fitted)))
+        coefficients = _event_coefficients(fitted, *found.own_fit(which, _places(fitted)))
     return msgspec.structs.replace(
         _basic(fitted, coefficients, replicates=own.kind is not EffectKind.EVENT),
         confounded=tuple(_confounded(each, fitted) for each in which.confounded),
         companions=which.companions,
         unknown_function_of=tuple(unknown),
         form_p_value=min(forms.values(), default=1.0),
-        heterogeneity_p_value=same.p_value,
-        by_run=dict(same.by_replicate),
+        heterogeneity_p_value=same_p_value,
+        by_run=by_run,
     )
 
 
@@ -95,10 +150,8 @@ def _confounded(other: FittedCandidate, beside: FittedCandidate) -> ConfoundedEf
     )
 
 
-def _coefficients(
-    own: Effect, records: Sequence[UnitRecord], theta: FloatArray, covariance: FloatArray
-) -> tuple[EffectCoefficient, ...]:
-    run = records[0].stack.runs[0]
+def _coefficients(fitted: FittedCandidate, theta: FloatArray, covariance: FloatArray) -> tuple[EffectCoefficient, ...]:
+    own, run = fitted.effect, fitted.joint.records[0].stack.runs[0]
     unit = coefficient_unit(own, run.unit_of_measure, run)
     names = own.coefficients if len(own.coefficients) == theta.size else [str(n + 1) for n in range(theta.size)]
     reach = CONFIDENCE * np.sqrt(np.diag(covariance))
@@ -114,10 +167,10 @@ def _places(event: FittedCandidate) -> list[int]:
 
 
 def _event_coefficients(
-    records: Sequence[UnitRecord], event: FittedCandidate, values: FloatArray, variance: FloatArray
+    event: FittedCandidate, values: FloatArray, variance: FloatArray
 ) -> tuple[EffectCoefficient, ...]:
     """Size of a jump, or RMS amplitude of a line over the runs of all records."""
-    unit = records[0].stack.runs[0].unit_of_measure
+    unit = event.joint.records[0].stack.runs[0].unit_of_measure
     if event.effect.kind is EffectKind.EVENT:
         half = CONFIDENCE * float(np.sqrt(variance[0]))
         return (EffectCoefficient("", float(values[0]), float(values[0] - half), float(values[0] + half), unit),)
@@ -131,8 +184,7 @@ def fitted_model(
 ) -> ErrorModel:
     """The declared model, or the model found, with coefficients of the training; lines and jumps predict nothing."""
     run = record.stack.runs[0]
-    unit = run.unit_of_measure
-    joint = found.joint if with_effects else found.null
+    unit, joint = run.unit_of_measure, found.joint if with_effects else found.null
     model = declared
     for each in found.common if with_effects else ():
         model = model.with_term(each.name, each.fitted.parameters)
@@ -142,15 +194,10 @@ def fitted_model(
     whitened = joint.whitened[0][:, 1:]
     covariance = solve(whitened.T @ whitened, np.zeros(whitened.shape[1])).covariance[np.ix_(rows, rows)]
     coefficients = np.concatenate([joint.own[0].coefficients[:p], joint.common.coefficients])
-    parameters: Mapping[str, float] = {"N": noise.N, "B": noise.B, "K": noise.K, "turn_on": noise.turn_on}
-    return model.fitted(
-        coefficients,
-        covariance,
-        unit_of_measure=unit,
-        units=[
-            unit if term.name == "bias" else coefficient_unit(effect(term.name), unit, run)
-            for term in model.terms
-            for _ in term.labels()
-        ],
-        noise=parameters,
-    )
+    units = [
+        unit if term.name == "bias" else coefficient_unit(effect(term.name), unit, run)
+        for term in model.terms
+        for _ in term.labels()
+    ]
+    parameters = msgspec.structs.asdict(noise)
+    return model.fitted(coefficients, covariance, unit_of_measure=unit, units=units, noise=parameters)

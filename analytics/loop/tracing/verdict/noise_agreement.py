@@ -1,6 +1,7 @@
-"""Comparison of the declared noise with the fitted noise."""
+"""Declared and fitted noise compared; differences between runs: turn-on scatter, or a cause that differs as well."""
 
 import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -8,19 +9,169 @@ import numpy as np
 from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.verdict.run_scatter import RunScatter
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.base import Effect, EffectKind, Role
+from analytics.loop.effects.events import TURN_ON
+from analytics.loop.effects.registry import effects
+from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
+from analytics.loop.tracing.search.evidence import PRICE, one_degree
+from analytics.loop.tracing.verdict.effect_findings import unfitted
 from analytics.loop.tracing.whitening.joint_fit import JointFit
-from analytics.loop.tracing.whitening.unit_record import UnitRecord, as_array
+from analytics.loop.tracing.whitening.least_squares import fit
+from analytics.loop.tracing.whitening.noise_variance import correlated_variance
+from analytics.loop.tracing.whitening.stack import UnitRecord, as_array
 from analytics.loop.tracing.whitening.whitened_fit import evaluate
+from stream.batch import FloatArray
 
+FAR = 10.0  # ratio of the scatter of the runs to the noise of their means from which it is a finding
+MOST_RUNS = 4  # with more runs the search itself separates a cause from turn-on scatter
+_EXPLAINED = 1 / 3  # largest share of the scatter that a cause may leave
+_P_VALUE = 1e-3
+_UNRECORDED = (
+    ("temperature", ("temperature", "case_temperature")),
+    ("gravity_i", ("gravity_i", "gravity_o", "gravity_s")),
+)
+"""Causes that may differ between runs, and the channels any of which records them."""
 NOISE_P_VALUE = 1e-3
 NOISE_RATIO = 1.3
 NOISE_AVERAGES_S = (300.0, 3600.0)
-MOST_APART = 1.25
-"""Ratio of declared to measured N, either way, that is reported; the filter accepts declared N within 10 %."""
-LEAST_OF_DECLARED = 1 / 1.3
-"""Ratio of variances of long averages below which the declared noise is too large."""
+MOST_APART = 1.25  # ratio of declared to measured N that is reported; the filter accepts N within 10 %
+LEAST_OF_DECLARED = 1 / 1.3  # ratio of variances of long averages below which the declared noise is too large
+
+
+@dataclass(frozen=True)
+class RunScatter:
+    """Mean residual of each run, and its standard deviation due to the noise within the run."""
+
+    means: FloatArray
+    within: FloatArray
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the means; 0 for one run."""
+        return float(np.std(self.means, ddof=1)) if self.means.size > 1 else 0.0
+
+    @property
+    def ratio(self) -> float:
+        """Scatter over the noise of a mean."""
+        return self.scatter / max(float(np.sqrt(np.mean(self.within**2))), 1e-300)
+
+    def bounds(self) -> tuple[float, float]:
+        """95 % confidence bounds of the scatter."""
+        degrees = self.means.size - 1
+        squares = degrees * self.scatter**2
+        return math.sqrt(squares / stats.chi2.isf(0.025, degrees)), math.sqrt(squares / stats.chi2.isf(0.975, degrees))
+
+    def disagrees_with(self, turn_on: float) -> bool:
+        """Whether the means contradict a declared turn-on scatter at 1 in 1000."""
+        degrees = self.means.size - 1
+        if degrees < 1:
+            return False
+        expected = turn_on**2 + float(np.mean(self.within**2))
+        chi_square = degrees * self.scatter**2 / max(expected, 1e-300)
+        p_value = min(float(stats.chi2.sf(chi_square, degrees)), float(stats.chi2.cdf(chi_square, degrees)))
+        return p_value < _P_VALUE / 2
+
+
+def run_scatter(record: UnitRecord, noise: ModelNoise) -> RunScatter:
+    """Means of the runs of a unit beside the declared model, with the fitted noise."""
+    quiet = msgspec.structs.replace(noise, turn_on=0.0)
+    white = record.noise_model.space(quiet).white
+    number = record.stack.run_number
+    residual = record.value - record.design @ fit(record.design, record.value).coefficients
+    means, within = [], []
+    for run in range(len(record.stack.runs)):
+        of_run = number == run
+        weights = of_run / np.count_nonzero(of_run)
+        means.append(float(residual[of_run].mean()))
+        variance = correlated_variance(record, quiet, of_run, weights)
+        within.append(math.sqrt(variance + white * float(np.sum(np.median(record.white[of_run]) * weights**2))))
+    return RunScatter(np.array(means), np.array(within))
+
+
+def scatter_finding(
+    record: UnitRecord, scatter: RunScatter, declared: Collection[str], available: Mapping[str, Effect]
+) -> FoundEffect | None:
+    """Turn-on scatter with its alternatives; None if the runs agree, or are enough for the search."""
+    runs = record.stack.runs
+    if not 2 <= len(runs) <= MOST_RUNS or scatter.ratio < FAR:
+        return None
+    others = _recorded(runs, scatter, declared, available) + _unrecorded(runs, declared)
+    if not others:
+        return None
+    unit = runs[0].unit_of_measure
+    chi_square = float(np.sum(((scatter.means - scatter.means.mean()) / scatter.within) ** 2))
+    equivalent = one_degree(chi_square, len(runs) - 1)
+    low, high = scatter.bounds()
+    rows = zip(runs, scatter.means, scatter.within, strict=True)
+    return FoundEffect(
+        name=TURN_ON,
+        parameters={},
+        coefficients=(EffectCoefficient("", scatter.scatter, low, high, unit),),
+        significance=math.sqrt(equivalent),
+        evidence=equivalent - PRICE,
+        roles={},
+        confounded=tuple(others),
+        by_run={run.run: (float(mean), float(se)) for run, mean, se in rows},
+    )
+
+
+def _recorded(
+    runs: Sequence[RunBlocks], scatter: RunScatter, declared: Collection[str], available: Mapping[str, Effect]
+) -> list[ConfoundedEffect]:
+    """Recorded causes, one for each channel, that differ between the runs and explain most of the scatter."""
+    found: dict[str, ConfoundedEffect] = {}
+    for name, each in available.items():
+        is_linear = each.kind is EffectKind.LIBRARY and each.role is Role.CAUSE and not each.parameters
+        if not is_linear or len(each.needs) != 1 or name in declared or each.needs[0] in found:
+            continue
+        columns = [each.regressors(run, {}) for run in runs]
+        if columns[0].shape[1] != 1 or not all(np.isfinite(column).all() for column in columns):
+            continue
+        means = np.array([float(column.mean()) for column in columns])
+        inside = float(np.sqrt(np.mean([np.var(column) for column in columns])))
+        differs = np.std(means, ddof=1) > max(inside, 1e-9 * float(np.abs(means).max()))
+        if differs and _left(means, scatter) < _EXPLAINED * scatter.scatter:
+            found[each.needs[0]] = unfitted(each, recorded=True, evidence_behind=0.0)
+    return [found[channel] for channel in sorted(found)]
+
+
+def _left(driver: FloatArray, scatter: RunScatter) -> float:
+    """Scatter of the runs about a line in a driver."""
+    if driver.size == 2:
+        return 0.0
+    design = np.column_stack([np.ones_like(driver), driver])
+    left = scatter.means - design @ fit(design, scatter.means).coefficients
+    return float(np.sqrt(left @ left / (driver.size - 2)))
+
+
+def _unrecorded(runs: Sequence[RunBlocks], declared: Collection[str]) -> list[ConfoundedEffect]:
+    known = set.union(*(set(run.channels) for run in runs))
+    return [
+        unfitted(effects()[name], recorded=False)
+        for name, channels in _UNRECORDED
+        if name not in declared and not known.intersection((*channels, "position"))
+    ]
+
+
+def scatter_caveat(finding: FoundEffect | None, scatter: RunScatter, runs: Sequence[RunBlocks]) -> Bilingual:
+    """Undeclared turn-on scatter far above the noise within the runs, with its possible causes if it is a finding."""
+    size = f"{scatter.scatter:.4g} {runs[0].unit_of_measure}"
+    en = f"the runs differ by {size} (one standard deviation), {scatter.ratio:.3g} times the noise within them: "
+    zh = f"各次试验相差{size}（一倍标准差），为试验内噪声的{scatter.ratio:.3g}倍："
+    if finding is None:
+        return Bilingual(
+            f"{en}this is attributed to turn-on scatter, which was not declared and can hide an effect that changes "
+            "only between runs",
+            f"{zh}已视为逐次启动散布（未声明），仅在试验之间变化的效应可能隐藏其中",
+        )
+    names = [f"{each.name}{'' if each.recorded else ' (not recorded)'}" for each in finding.confounded]
+    causes = ", ".join([*names, TURN_ON])
+    return Bilingual(
+        f"{en}{causes} differ between them, and {len(runs)} runs cannot separate these causes",
+        f"{zh}其间{causes}均不同，{len(runs)}次试验无法区分",
+    )
 
 
 @dataclass(frozen=True)
@@ -61,31 +212,22 @@ def measured_noise(record: UnitRecord, noise: ModelNoise) -> ModelNoise:
 
 def disagreements(
     declared: ModelNoise, measured: ModelNoise, excess: NoiseExcess, scatter: RunScatter | None
-) -> list[Bilingual]:
+) -> Iterator[Bilingual]:
     """Caveats on differences of declared and measured noise; `scatter` is None if turn-on scatter was not declared."""
-    texts = []
     if not 1 / MOST_APART < measured.N / declared.N < MOST_APART:
-        texts.append(
-            Bilingual(
-                f"the declared white noise N is {declared.N:.3g}, but {measured.N:.3g} was measured in these runs",
-                f"白噪声N声明为{declared.N:.3g}，而这些试验中实测为{measured.N:.3g}：两者不符",
-            )
+        yield Bilingual(
+            f"the declared white noise N is {declared.N:.3g}, but {measured.N:.3g} was measured in these runs",
+            f"白噪声N声明为{declared.N:.3g}，而这些试验中实测为{measured.N:.3g}：两者不符",
         )
     if excess.p_value < NOISE_P_VALUE and excess.least_ratio < LEAST_OF_DECLARED:
         ratio = f"{excess.least_ratio:.2g}"
-        texts.append(
-            Bilingual(
-                f"less noise than declared at averages of 300 to 3600 s: the variance is {ratio} times the declared "
-                "one, so that small effects may have been attributed to noise",
-                f"在300至3600 s的平均时间上噪声小于声明值：其方差为声明值的{ratio}倍，较小的效应可能被当作噪声",
-            )
+        yield Bilingual(
+            f"less noise than declared at averages of 300 to 3600 s: the variance is {ratio} times the declared "
+            "one, so that small effects may have been attributed to noise",
+            f"在300至3600 s的平均时间上噪声小于声明值：其方差为声明值的{ratio}倍，较小的效应可能被当作噪声",
         )
     if scatter is not None and scatter.disagrees_with(declared.turn_on):
-        texts.append(
-            Bilingual(
-                f"the declared turn-on scatter is {declared.turn_on:.3g}, but the runs scatter by "
-                f"{scatter.scatter:.3g}",
-                f"逐次启动散布声明为{declared.turn_on:.3g}，而各次试验的散布为{scatter.scatter:.3g}：两者不符",
-            )
+        yield Bilingual(
+            f"the declared turn-on scatter is {declared.turn_on:.3g}, but the runs scatter by {scatter.scatter:.3g}",
+            f"逐次启动散布声明为{declared.turn_on:.3g}，而各次试验的散布为{scatter.scatter:.3g}：两者不符",
         )
-    return texts

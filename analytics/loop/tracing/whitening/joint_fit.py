@@ -7,9 +7,9 @@ from typing import overload
 
 import numpy as np
 
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import Solution, project, solve
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.whitened_fit import fit_noise
 from stream.batch import FloatArray
 
@@ -18,15 +18,8 @@ _ALTERNATIONS = 3
 
 @dataclass(frozen=True)
 class Recomputed(Sequence[FloatArray]):
-    """An array for each record, computed on each access to save memory in fits of a fleet.
+    """An array for each record, made from its number on each access to save memory in fits of a fleet.
 
-    Parameters
-    ----------
-    make: Computes the array of a record from its number.
-    records: Number of records.
-
-    Examples
-    --------
     >>> [each.size for each in Recomputed(np.ones, 3)]
     [0, 1, 2]
     """
@@ -59,16 +52,10 @@ def _side_by_side(before: Sequence[FloatArray], more: Sequence[FloatArray]) -> S
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Columns of a regression.
+    """Columns of a regression, for each record."""
 
-    Parameters
-    ----------
-    own: For each record: columns with coefficients of its own; the declared model, lines and jumps.
-    common: For each record: columns whose coefficients all units share.
-    """
-
-    own: Sequence[FloatArray]
-    common: Sequence[FloatArray]
+    own: Sequence[FloatArray]  # with coefficients of its own; the declared model, lines and jumps
+    common: Sequence[FloatArray]  # with coefficients that all units share
 
     def with_common(self, columns: Sequence[FloatArray]) -> "Hypothesis":
         """Add an effect that all units share."""
@@ -93,31 +80,19 @@ def nothing_more(records: Sequence[UnitRecord]) -> Hypothesis:
 
 @dataclass(frozen=True)
 class JointFit:
-    """A fitted hypothesis.
-
-    Parameters
-    ----------
-    noises: Of each record.
-    log_likelihood: Of all records, including the priors of the noise.
-    common: Coefficients that all units share.
-    own: Coefficients of each unit, given the common ones.
-    """
+    """A fitted hypothesis."""
 
     records: tuple[UnitRecord, ...]
     hypothesis: Hypothesis
     noises: tuple[ModelNoise, ...]
-    log_likelihood: float
-    common: Solution
-    own: tuple[Solution, ...]
+    log_likelihood: float  # of all records, including the priors of the noise
+    common: Solution  # coefficients that all units share
+    own: tuple[Solution, ...]  # coefficients of each unit, given the common ones
 
     @cached_property
     def whitened(self) -> tuple[FloatArray, ...]:
         """For each record: value, own and common columns, whitened by its noise."""
         return tuple(_whitened(self.records, self.hypothesis, self.noises))
-
-    def light(self) -> "JointFit":
-        """The fit of a fleet without its cached columns, to save memory."""
-        return replace(self) if len(self.records) > 1 else self
 
     @property
     def residuals(self) -> tuple[FloatArray, ...]:
@@ -131,28 +106,24 @@ class JointFit:
 def fit_jointly(
     records: Sequence[UnitRecord],
     hypothesis: Hypothesis,
-    start: Sequence[ModelNoise | None] | None = None,
+    start: Sequence[ModelNoise] | None = None,
     *,
     restricted: bool = False,
 ) -> JointFit:
     """Fit a hypothesis: the common coefficients to all records, the others to each.
 
-    Parameters
-    ----------
-    records: One for each unit.
-    start: Start values of the noise of each record.
-    restricted: Use the restricted likelihood (REML): for results, not for comparing hypotheses.
+    `start` are start values of the noise of each record. If `restricted`, the restricted likelihood (REML) is used: for
+    results, not for comparing hypotheses.
     """
-    begin: Sequence[ModelNoise | None] = [None] * len(records) if start is None else start
+    noises = [record.prior.center for record in records] if start is None else list(start)
     if len(records) == 1:
-        one = fit_noise(records[0], hypothesis.designs[0], begin[0], restricted=restricted)
+        one = fit_noise(records[0], hypothesis.designs[0], noises[0], restricted=restricted)
         return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened])
-    noises = [record.prior.center if noise is None else noise for record, noise in zip(records, begin, strict=True)]
     has_common = hypothesis.common[0].shape[1] > 0
     for _ in range(_ALTERNATIONS if has_common else 1):
         theta = _common(_whitened(records, hypothesis, noises), hypothesis).coefficients
         fits = [
-            fit_noise(record.less(columns @ theta), own, noise, restricted=restricted)
+            fit_noise(replace(record, value=record.value - columns @ theta), own, noise, restricted=restricted)
             for record, columns, own, noise in zip(records, hypothesis.common, hypothesis.own, noises, strict=True)
         ]
         noises = [each.noise for each in fits]

@@ -27,8 +27,6 @@ def _scaled(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
 def solve(normal: FloatArray, right: FloatArray) -> Solution:
     """Solve normal equations; combinations of columns that the data do not determine get a coefficient of zero.
 
-    Examples
-    --------
     >>> solve(np.array([[4.0]]), np.array([2.0]))
     Solution(coefficients=array([0.5]), covariance=array([[0.25]]))
     """
@@ -61,8 +59,6 @@ def fit_of_clusters(columns: FloatArray, value: FloatArray, cluster: IntArray) -
     The covariance is the sum over clusters of the outer products of their scores, times G / (G - 1) for G clusters
     (Liang and Zeger, doi:10.1093/biomet/73.1.13). It holds for any noise within a cluster.
 
-    Examples
-    --------
     >>> fit_of_clusters(np.ones((4, 1)), np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1]))
     Solution(coefficients=array([2.]), covariance=array([[1.]]))
     """
@@ -77,26 +73,15 @@ def fit_of_clusters(columns: FloatArray, value: FloatArray, cluster: IntArray) -
 
 
 class Projected(NamedTuple):
-    """Normal equations of columns after projection onto the complement of other columns.
+    """Normal equations of k columns after projection onto the complement of other columns."""
 
-    Parameters
-    ----------
-    normal, right: shapes (k, k) and (k,); the normal equations.
-    before: shape (k,); squared norms of the columns before the projection.
-    """
-
-    normal: FloatArray
-    right: FloatArray
-    before: FloatArray
+    normal: FloatArray  # shape (k, k)
+    right: FloatArray  # shape (k,)
+    before: FloatArray  # shape (k,); squared norms of the columns before the projection
 
 
 def project(gram: FloatArray, others: int) -> Projected:
-    """Project columns onto the complement of the first ones.
-
-    Parameters
-    ----------
-    gram: shape (1 + others + k, 1 + others + k); products of the whitened value, the other columns, and k columns.
-    """
+    """Project the last columns of a Gram matrix of value, others and these onto the complement of the `others`."""
     out, rest = slice(1, 1 + others), slice(1 + others, None)
     inverse = solve(gram[out, out], gram[out, 0]).covariance
     onto = gram[rest, out] @ inverse

@@ -7,15 +7,13 @@ import msgspec
 import numpy as np
 from scipy.signal import lfilter
 
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.white_variance import LEAST_RATIO, OUTLIER_RATIO
 from stream.batch import BoolArray, FloatArray, IntArray
 
-_SQUARED_OUTLIER = 20.0
-"""Variance of an outlier relative to its neighbours: it is at least 4.5 standard deviations off."""
-LEAST_FILLED = 0.5
-"""Least share of its blocks that an average needs."""
+_SQUARED_OUTLIER = 20.0  # variance of an outlier relative to its neighbours: it is at least 4.5 standard deviations off
+LEAST_FILLED = 0.5  # least share of its blocks that an average needs
 
 
 @dataclass(frozen=True)
@@ -50,10 +48,7 @@ def averages_of(record: UnitRecord, blocks: int, within: IntArray) -> Averages:
 def correlated_variance(record: UnitRecord, noise: ModelNoise, of_run: BoolArray, weights: FloatArray) -> float:
     """Variance of a weighted sum of the blocks of one run due to flicker, random walk and turn-on scatter.
 
-    Parameters
-    ----------
-    of_run: Marks the blocks of the run.
-    weights: shape (n,); of all blocks of the record.
+    `of_run` marks these blocks; `weights` has all blocks of the record.
     """
     space = record.noise_model.space(noise)
     slot = record.stack.slot[of_run]

@@ -1,4 +1,4 @@
-"""All blocks of one unit, its runs concatenated, as rows of a regression."""
+"""All blocks of one unit, its runs concatenated, as rows of a regression; the prior of their noise."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -8,15 +8,17 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut, Loss, left_out
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.tracing.whitening.block_noise import NoiseModel
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.tracing.whitening.whitener import NoiseModel, Whitener
 from stream.batch import BoolArray, FloatArray, IntArray
 
-MOST_LOST = 0.2
-"""Largest share of the blocks that may be dropped because a channel has gaps."""
+MOST_LOST = 0.2  # largest share of the blocks that may be dropped because a channel has gaps
 SEGMENTS = 9
 NO_MODEL_VALUE = Bilingual("a channel of the declared model has no value there", "声明模型所需的某通道在该处无值")
 NO_CHANNEL_VALUE = Bilingual("a channel has no value there", "某通道在该处无值")
+DECLARED_SPREAD = np.array([0.1, 0.7, 0.7, 0.7])  # of log N, B, K, turn-on scatter about the declared values
+ESTIMATED_SPREAD = np.array([0.3, 1.5, 1.5, 1.5])  # the same about values estimated from the data
+SINGLE_RUN_SPREAD = np.array([0.3, 0.3, 0.3, 1.5])  # the same for a single run
 
 
 @dataclass(frozen=True)
@@ -25,21 +27,13 @@ class Stack:
 
     Columns of an effect are computed on whole runs, then cut to the blocks used: a lag or a hysteresis depends on the
     blocks before.
-
-    Parameters
-    ----------
-    runs: In the order of time.
-    rows: The blocks used of each run.
-    replicate: shape (n,); number of the replicate of each block: its run, or a segment of the only run.
-    replicates: Names of the replicates.
-    design: shape (n, p); columns of the declared model.
     """
 
-    runs: tuple[RunBlocks, ...]
-    rows: tuple[IntArray, ...]
-    replicate: IntArray
-    replicates: tuple[str, ...]
-    design: FloatArray
+    runs: tuple[RunBlocks, ...]  # in the order of time
+    rows: tuple[IntArray, ...]  # the blocks used of each run
+    replicate: IntArray  # shape (n,); number of the replicate of each block: its run, or a segment of the only run
+    replicates: tuple[str, ...]  # their names
+    design: FloatArray  # shape (n, p); columns of the declared model
 
     def __len__(self) -> int:
         return self.replicate.size
@@ -99,16 +93,10 @@ class Stack:
 
 @dataclass(frozen=True)
 class StackReport:
-    """Blocks and channels that were dropped.
-
-    Parameters
-    ----------
-    lost_channels: Channels that are not used, and why.
-    left_out: Parts of the record that were left out.
-    """
+    """Blocks and channels that were dropped."""
 
     limits: tuple[Bilingual, ...]
-    lost_channels: dict[str, Bilingual]
+    lost_channels: dict[str, Bilingual]  # not used, and why
     left_out: tuple[LeftOut, ...] = ()
 
     def with_left_out(self, more: Sequence[LeftOut]) -> "StackReport":
@@ -124,51 +112,43 @@ def stacked(runs: Sequence[RunBlocks], model: ErrorModel, insisted: Collection[s
     """
     ordered = sorted(runs, key=lambda run: (run.t0_ns, run.run))
     designs = [model.columns(run) for run in ordered]
-    kept = [
+    modelled = [
         np.isfinite(design).all(axis=1) & np.isfinite(run.value) for run, design in zip(ordered, designs, strict=True)
     ]
-    limits, losses = [], []
     blocks = sum(map(len, ordered))
-    without_model = {run.run: ~mask for run, mask in zip(ordered, kept, strict=True)}
-    if without := blocks - sum(map(np.count_nonzero, kept)):
-        limits.append(_dropped(without, blocks, NO_MODEL_VALUE))
-        losses.append(Loss(NO_MODEL_VALUE, without_model))
-    kept, lost, dropped = _without_gaps(ordered, kept, insisted)
-    if dropped:
-        limits.append(_dropped(dropped, blocks, NO_CHANNEL_VALUE))
-        without_channel = {run.run: ~mask for run, mask in zip(ordered, kept, strict=True)}
-        losses.append(Loss(NO_CHANNEL_VALUE, without_channel))
+    kept, lost, dropped = _without_gaps(ordered, modelled, insisted)
+    limits, losses = [], []
+    for count, masks, why in (
+        (blocks - sum(map(np.count_nonzero, modelled)), modelled, NO_MODEL_VALUE),
+        (dropped, kept, NO_CHANNEL_VALUE),
+    ):
+        if count:
+            text = Bilingual(
+                f"{count} of {blocks} blocks left out: {why}", f"略去{blocks}个数据块中的{count}个：{why.zh}"
+            )
+            limits.append(text)
+            losses.append(Loss(why, {run.run: ~mask for run, mask in zip(ordered, masks, strict=True)}))
     limits += [
         Bilingual(f"channel {name} not used: {reason}", f"未使用通道{name}：{reason.zh}")
         for name, reason in lost.items()
     ]
-    triples = [(run, np.flatnonzero(mask), design) for run, mask, design in zip(ordered, kept, designs, strict=True)]
-    triples = [(run, rows, design[rows]) for run, rows, design in triples if rows.size]
     stack = Stack(
-        runs=tuple(run for run, _, _ in triples),
-        rows=tuple(rows for _, rows, _ in triples),
-        replicate=np.repeat(np.arange(len(triples)), [rows.size for _, rows, _ in triples]),
-        replicates=tuple(run.run for run, _, _ in triples),
-        design=np.concatenate([design for _, _, design in triples]) if triples else np.empty((0, 0)),
+        runs=tuple(ordered),
+        rows=tuple(np.arange(len(run)) for run in ordered),
+        replicate=np.repeat(np.arange(len(ordered)), list(map(len, ordered))),
+        replicates=tuple(run.run for run in ordered),
+        design=np.concatenate(designs or [np.empty((0, 0))]),
     )
-    return stack, StackReport(tuple(limits), lost, left_out(ordered, losses))
-
-
-def _dropped(blocks: int, of: int, why: Bilingual) -> Bilingual:
-    return Bilingual(f"{blocks} of {of} blocks left out: {why}", f"略去{of}个数据块中的{blocks}个：{why.zh}")
+    used = stack.part(np.concatenate(kept)) if ordered else stack
+    return used, StackReport(tuple(limits), lost, left_out(ordered, losses))
 
 
 def in_segments(stack: Stack) -> Stack:
     """The only run cut into contiguous segments of equal length, as replicates."""
     segments = min(SEGMENTS, len(stack) // 8)
-    run = stack.runs[0].run
-    return Stack(
-        runs=stack.runs,
-        rows=stack.rows,
-        replicate=np.minimum(np.arange(len(stack)) * segments // len(stack), segments - 1),
-        replicates=tuple(f"{run}#{number + 1}" for number in range(segments)),
-        design=stack.design,
-    )
+    replicate = np.minimum(np.arange(len(stack)) * segments // len(stack), segments - 1)
+    names = tuple(f"{stack.runs[0].run}#{number + 1}" for number in range(segments))
+    return replace(stack, replicate=replicate, replicates=names)
 
 
 def _without_gaps(
@@ -202,3 +182,58 @@ def known_blocks(channel: Channel) -> BoolArray:
 def common_channels(runs: Sequence[RunBlocks]) -> list[str]:
     """Channels that all runs have."""
     return sorted(set.intersection(*(set(run.channels) for run in runs))) if runs else []
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """Log-normal prior of the noise; a coefficient of zero stays zero."""
+
+    center: ModelNoise  # declared, or estimated from the data
+    spread: FloatArray  # shape (4,); standard deviations of the logarithms
+
+    @property
+    def values(self) -> FloatArray:
+        """N, B, K and turn-on scatter."""
+        return as_array(self.center)
+
+    def log_density(self, noise: ModelNoise) -> float:
+        """Logarithm of the density, up to a constant."""
+        active = self.values > 0
+        apart = np.log(as_array(noise)[active] / self.values[active]) / self.spread[active]
+        return -0.5 * float(apart @ apart)
+
+
+def as_array(noise: ModelNoise) -> FloatArray:
+    """N, B, K and turn-on scatter as an array."""
+    return np.array([noise.N, noise.B, noise.K, noise.turn_on])
+
+
+def from_array(values: FloatArray) -> ModelNoise:
+    """Inverse of `as_array`."""
+    n, b, k, turn_on = map(float, values)
+    return ModelNoise(N=n, B=b, K=k, turn_on=turn_on)
+
+
+@dataclass(frozen=True)
+class UnitRecord:
+    """The blocks of one unit as the filter reads them."""
+
+    stack: Stack
+    value: FloatArray  # shape (n,); the signal
+    design: FloatArray  # shape (n, p); columns of the declared model
+    steps: IntArray  # shape (n,); see `Whitener`
+    noise_model: NoiseModel
+    prior: NoisePrior
+    white: FloatArray  # shape (n,); white variance of each block relative to that of `prior.center`
+
+    def __len__(self) -> int:
+        return self.value.size
+
+    @property
+    def unit(self) -> str:
+        """The unit's serial number."""
+        return self.stack.runs[0].unit
+
+    def whitener(self, noise: ModelNoise) -> Whitener:
+        """The filter for this noise."""
+        return Whitener.of(self.noise_model, noise, self.steps, self.white)

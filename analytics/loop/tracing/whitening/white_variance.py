@@ -1,26 +1,26 @@
 """White variance of each block, by run and class of rate; outliers; a first estimate of the noise."""
 
+from operator import methodcaller
+
 import numpy as np
 from scipy import ndimage
 
-from analytics.loop.model.noise import ModelNoise
-from analytics.loop.tracing.whitening.block_noise import NoiseModel
+from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import fit
-from analytics.loop.tracing.whitening.stack import Stack
-from analytics.loop.tracing.whitening.unit_record import (
+from analytics.loop.tracing.whitening.stack import (
     DECLARED_SPREAD,
     ESTIMATED_SPREAD,
     SINGLE_RUN_SPREAD,
     NoisePrior,
+    Stack,
     UnitRecord,
 )
+from analytics.loop.tracing.whitening.whitener import NoiseModel
 from stream.batch import BoolArray, FloatArray, IntArray
 
-RATE_CLASSES = (0.0005, 0.1, 0.4)
-"""Edges between classes of rate, relative to the largest rate: at rest, slow, medium, fast."""
+RATE_CLASSES = (0.0005, 0.1, 0.4)  # edges of classes of rate over the largest rate: at rest, slow, medium, fast
 FEWEST_PAIRS = 40
-SLOW_SHARE = 0.05
-"""Prior share of flicker, and of random walk, in the block-to-block scatter of a single run."""
+SLOW_SHARE = 0.05  # prior share of flicker, and of random walk, in the block-to-block scatter of a single run
 LIKELY_CHANCE = 0.25  # logarithm of a variance ratio expected by chance from 40 pairs; such logarithms are halved
 LEAST_RATIO, LARGEST_RATIO = 0.3, 50.0
 BURST_BLOCKS, LEAST_BURST = 5, 2.0
@@ -33,24 +33,20 @@ COARSE = 0.3  # variance by the median over that by the upper tenth: 1 for Gauss
 
 
 def record_of(stack: Stack, declared: ModelNoise | None, beside: FloatArray | None = None) -> UnitRecord:
-    """The blocks with the white variance of each.
+    """The blocks with the white variance of each; their noise is estimated unless declared.
 
-    Parameters
-    ----------
-    declared: Their noise; by default it is estimated from the blocks.
-    beside: shape (n, columns); effects: blocks that they explain are no outliers.
+    Blocks that effects explain, whose columns are `beside`, are no outliers.
     """
-    residual = _ordinary_residual(stack)
-    steps, noise_model = stack.steps, stack.noise_model
-    if declared is None and len(stack.runs) == 1:
-        prior = NoisePrior(_from_one_run(stack, residual, steps, noise_model), SINGLE_RUN_SPREAD)
-    elif declared is None:
-        prior = NoisePrior(_estimated(stack, residual, steps, noise_model), ESTIMATED_SPREAD)
-    else:
+    value, steps, noise_model = stack.value, stack.steps, stack.noise_model
+    residual = np.asarray(value - stack.design @ fit(stack.design, value).coefficients)
+    if declared is not None:
         prior = NoisePrior(declared, DECLARED_SPREAD)
-    expected = noise_model.space(prior.center).white
-    white = _relative_white(stack, residual, steps, expected)
-    record = UnitRecord(stack, stack.value, stack.design, steps, noise_model, prior, white)
+    elif len(stack.runs) == 1:
+        prior = NoisePrior(_from_one_run(stack, residual, steps, noise_model), SINGLE_RUN_SPREAD)
+    else:
+        prior = NoisePrior(_estimated(stack, residual, steps, noise_model), ESTIMATED_SPREAD)
+    white = _relative_white(stack, residual, steps, noise_model.space(prior.center).white)
+    record = UnitRecord(stack, value, stack.design, steps, noise_model, prior, white)
     white[_outliers(record, beside)] *= OUTLIER_RATIO
     return record
 
@@ -58,11 +54,6 @@ def record_of(stack: Stack, declared: ModelNoise | None, beside: FloatArray | No
 def has_outliers(record: UnitRecord) -> bool:
     """Whether any block is treated as an outlier."""
     return bool(np.any(record.white >= OUTLIER_RATIO * LEAST_RATIO))
-
-
-def _ordinary_residual(stack: Stack) -> FloatArray:
-    value = stack.value
-    return np.asarray(value - stack.design @ fit(stack.design, value).coefficients)
 
 
 def _pair_variance(differences: FloatArray) -> float:
@@ -92,7 +83,7 @@ def _neighbours(stack: Stack, steps: IntArray) -> BoolArray:
 def _rate_class(stack: Stack) -> IntArray:
     for name in ("input_rate", "table_rate"):
         if all(name in run.channels for run in stack.runs):
-            rate = np.abs(np.nan_to_num(stack.column(lambda run, name=name: run.mean(name))))  # type: ignore[misc]
+            rate = np.abs(np.nan_to_num(stack.column(methodcaller("mean", name))))
             return np.digitize(rate, np.array(RATE_CLASSES) * max(float(rate.max()), 1e-300))
     return np.zeros(len(stack), dtype=np.int64)
 
@@ -105,12 +96,9 @@ def _relative_white(stack: Stack, residual: FloatArray, steps: IntArray, expecte
     ratio = np.ones(len(stack))
     for run in range(len(stack.runs)):
         of_run = number == run
-        if np.count_nonzero(of_run & same) >= FEWEST_PAIRS:
-            ratio[of_run] = _class_variance(difference[of_run & same]) / expected
-        for each in np.unique(rate_class[of_run]):
-            of_class = of_run & (rate_class == each)
-            if np.count_nonzero(of_class & same) >= FEWEST_PAIRS:
-                ratio[of_class] = _class_variance(difference[of_class & same]) / expected
+        for rows in (of_run, *(of_run & (rate_class == each) for each in np.unique(rate_class[of_run]))):
+            if np.count_nonzero(rows & same) >= FEWEST_PAIRS:
+                ratio[rows] = _class_variance(difference[rows & same]) / expected
     logarithm = np.log(np.clip(ratio, LEAST_RATIO, LARGEST_RATIO))
     return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm)) * _bursts(stack, rate_class)
 
@@ -150,11 +138,7 @@ def _outliers(record: UnitRecord, beside: FloatArray | None) -> BoolArray:
 
 def _estimated(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> ModelNoise:
     """Noise coefficients estimated from the residual of the declared model, within a small factor."""
-    near = _neighbours(stack, steps)
-    differences = np.diff(residual, prepend=0.0)[near]
-    white = _pair_variance(differences) if differences.size else float(np.var(residual))
-    white = max(white, 1e-12 * float(np.mean(residual**2)), 1e-300)
-    number = stack.run_number
+    white, number = _scatter(stack, residual, steps), stack.run_number
     means = np.array([residual[number == run].mean() for run in range(len(stack.runs))])
     long = max(2, round(len(stack) / len(stack.runs) / 8))
     slow = _average_variance(residual, number, long) - white / long
@@ -176,10 +160,7 @@ def _from_one_run(stack: Stack, residual: FloatArray, steps: IntArray, noise_mod
     In one run a random walk and a slow effect look alike. Estimated from slow changes, the walk would absorb every
     effect, so the scatter is attributed to white noise, and only a small share to flicker and random walk.
     """
-    near = _neighbours(stack, steps)
-    differences = np.diff(residual, prepend=0.0)[near]
-    scatter = _pair_variance(differences) if differences.size else float(np.var(residual))
-    scatter = max(scatter, 1e-12 * float(np.mean(residual**2)), 1e-300)
+    scatter = _scatter(stack, residual, steps)
     slow = SLOW_SHARE * scatter
     return ModelNoise(
         N=float(np.sqrt(scatter * noise_model.block_h)),
@@ -187,6 +168,13 @@ def _from_one_run(stack: Stack, residual: FloatArray, steps: IntArray, noise_mod
         K=float(np.sqrt(slow / _usual_step_h(stack, steps, noise_model))),
         turn_on=float(np.sqrt(scatter)),
     )
+
+
+def _scatter(stack: Stack, residual: FloatArray, steps: IntArray) -> float:
+    """White variance by the differences of neighbours, above 0."""
+    differences = np.diff(residual, prepend=0.0)[_neighbours(stack, steps)]
+    scatter = _pair_variance(differences) if differences.size else float(np.var(residual))
+    return max(scatter, 1e-12 * float(np.mean(residual**2)), 1e-300)
 
 
 def _usual_step_h(stack: Stack, steps: IntArray, noise_model: NoiseModel) -> float:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.model.noise import ModelNoise
+from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import Solution, fit, log_determinant
-from analytics.loop.tracing.whitening.unit_record import UnitRecord, as_array, from_array
+from analytics.loop.tracing.whitening.stack import UnitRecord, as_array, from_array
 from stream.batch import FloatArray, IntArray
 
 _DIFFERENCE = 1e-3  # of a logarithm, for derivatives
@@ -18,18 +18,13 @@ _FAR = 1.5  # logarithm of a ratio of noise coefficients
 
 @dataclass(frozen=True)
 class WhitenedFit:
-    """Noise and regression fitted together.
-
-    Parameters
-    ----------
-    log_likelihood: Including the prior of the noise, maximised over the coefficients.
-    whitened: shape (n, 1 + columns); value and columns, whitened by the fitted noise.
-    """
+    """Noise and regression fitted together."""
 
     noise: ModelNoise
-    log_likelihood: float
+    log_likelihood: float  # including the prior of the noise, maximised over the coefficients
     solution: Solution
-    whitened: FloatArray
+    whitened: FloatArray  # shape (n, 1 + columns); value and columns, whitened by the fitted noise
+    innovation: FloatArray  # shape (n,); see `Whitener`
 
     @property
     def residual(self) -> FloatArray:
@@ -46,33 +41,22 @@ class _Data:
     restricted: bool
 
 
-@dataclass(frozen=True)
-class _At:
-    """One evaluation of the likelihood."""
-
-    fit: WhitenedFit
-    innovation: FloatArray
-
-
 def fit_noise(
     record: UnitRecord, columns: FloatArray, start: ModelNoise | None = None, *, restricted: bool = False
 ) -> WhitenedFit:
-    """Fit the noise and the coefficients of columns to a record.
+    """Fit the noise, from `start` or the centre of the prior, and the coefficients of all columns (n, k) to a record.
 
-    Parameters
-    ----------
-    columns: shape (n, k); all columns of the regression.
-    start: Start values of the noise; by default the centre of the prior.
-    restricted: Use the restricted likelihood (REML): its noise is unbiased, but likelihoods of different columns are
-        not comparable.
+    If `restricted`, by the restricted likelihood (REML): its noise is unbiased, but likelihoods of different columns
+    are not comparable.
     """
     data = _Data(record, np.column_stack([record.value, columns]), restricted)
     active = np.flatnonzero(record.prior.values > 0).astype(np.int64)
-    current = _evaluate(data, record.prior.center if start is None else start)
-    if start is not None and _is_far(start, record.prior.center, active):
+    current = _evaluate(data, start or record.prior.center)
+    begin, center = as_array(start or record.prior.center)[active], record.prior.values[active]
+    if np.any(np.abs(np.log(begin / center)) > _FAR):
         # noise fitted without a large effect is a poor start once the effect is in the model
         declared = _evaluate(data, record.prior.center)
-        current = max((current, declared), key=lambda each: each.fit.log_likelihood)
+        current = max((current, declared), key=lambda each: each.log_likelihood)
     for _ in range(_MOST_STEPS):
         score, information = _derivatives(data, current, active)
         step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
@@ -83,58 +67,53 @@ def fit_noise(
         if better is None:
             break
         current = better
-    return current.fit
-
-
-def _is_far(start: ModelNoise, center: ModelNoise, active: IntArray) -> bool:
-    return bool(np.any(np.abs(np.log(as_array(start)[active] / as_array(center)[active])) > _FAR))
+    return current
 
 
 def evaluate(record: UnitRecord, columns: FloatArray, noise: ModelNoise) -> WhitenedFit:
     """Regression with a given noise."""
-    return _evaluate(_Data(record, np.column_stack([record.value, columns]), restricted=False), noise).fit
+    return _evaluate(_Data(record, np.column_stack([record.value, columns]), restricted=False), noise)
 
 
-def _evaluate(data: _Data, noise: ModelNoise) -> _At:
+def _evaluate(data: _Data, noise: ModelNoise) -> WhitenedFit:
     whitener = data.record.whitener(noise)
     whitened = whitener(data.columns)
     solution = fit(whitened[:, 1:], whitened[:, 0])
     residual = whitened[:, 0] - whitened[:, 1:] @ solution.coefficients
-    log_likelihood = -0.5 * (whitener.log_determinant + float(residual @ residual)) + data.record.prior.log_density(
-        noise
-    )
+    log_likelihood = -0.5 * (whitener.log_determinant + float(residual @ residual))
+    log_likelihood += data.record.prior.log_density(noise)
     if data.restricted:
         log_likelihood -= 0.5 * log_determinant(whitened[:, 1:].T @ whitened[:, 1:])
-    return _At(WhitenedFit(noise, log_likelihood, solution, whitened), whitener.innovation)
+    return WhitenedFit(noise, log_likelihood, solution, whitened, whitener.innovation)
 
 
-def _derivatives(data: _Data, at: _At, active: IntArray) -> tuple[FloatArray, FloatArray]:
+def _derivatives(data: _Data, at: WhitenedFit, active: IntArray) -> tuple[FloatArray, FloatArray]:
     """Gradient and expected curvature of the log likelihood, in logarithms of the active coefficients."""
-    values = as_array(at.fit.noise)
-    with_coefficients = np.concatenate([[1.0], -at.fit.solution.coefficients])
+    values = as_array(at.noise)
+    with_coefficients = np.concatenate([[1.0], -at.solution.coefficients])
     scale = np.sqrt(at.innovation)
-    residual = at.fit.residual * scale
+    residual = at.residual * scale
     score = np.empty(active.size)
     change = np.empty((2, len(data.record), active.size))
     for number, which in enumerate(active):
         nudged = values.copy()
         nudged[which] *= np.exp(_DIFFERENCE)
         near = _evaluate(data, from_array(nudged))
-        score[number] = (near.fit.log_likelihood - at.fit.log_likelihood) / _DIFFERENCE
+        score[number] = (near.log_likelihood - at.log_likelihood) / _DIFFERENCE
         change[0, :, number] = np.log(near.innovation / at.innovation) / np.sqrt(2)
-        change[1, :, number] = (near.fit.whitened @ with_coefficients * np.sqrt(near.innovation) - residual) / scale
+        change[1, :, number] = (near.whitened @ with_coefficients * np.sqrt(near.innovation) - residual) / scale
     flat = change.reshape(-1, active.size) / _DIFFERENCE
     return score, flat.T @ flat + np.diag(data.record.prior.spread[active] ** -2.0)
 
 
-def _climb(data: _Data, at: _At, active: IntArray, step: FloatArray) -> _At | None:
+def _climb(data: _Data, at: WhitenedFit, active: IntArray, step: FloatArray) -> WhitenedFit | None:
     """The first improvement along a step that is halved up to four times."""
-    values = as_array(at.fit.noise)
+    values = as_array(at.noise)
     for _ in range(5):
         moved = values.copy()
         moved[active] *= np.exp(step)
         trial = _evaluate(data, from_array(moved))
-        if trial.fit.log_likelihood > at.fit.log_likelihood:
+        if trial.log_likelihood > at.log_likelihood:
             return trial
         step = step / 2
     return None

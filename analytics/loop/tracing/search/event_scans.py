@@ -1,0 +1,160 @@
+"""Scans for a spectral line at an unknown frequency, and for a step at an unknown time in one run."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft, ndimage, stats
+
+from analytics.loop.tracing.search.screening import family_p_value
+from analytics.loop.tracing.whitening.joint_fit import JointFit
+from analytics.loop.tracing.whitening.least_squares import orthonormal
+from analytics.loop.tracing.whitening.stack import UnitRecord
+from analytics.loop.tracing.whitening.whitener import Whitener
+from stream.batch import FloatArray
+
+LONGEST_PERIOD_BLOCKS = 80
+SHORTEST_PERIOD_BLOCKS = 2.2
+_PADDING = 4
+_WINDOW = 401  # grid points, about 100 independent ones, over which the spectrum is assumed smooth
+EDGE_BLOCKS = 10  # a jump nearer to an end of its run is part of the turn-on scatter
+SHORTEST_RUN_BLOCKS = 60  # in a shorter run a jump cannot be separated from a slow change
+_EXACT = 120  # positions at which the norm of a whitened step is computed; it is interpolated between them
+_INDEPENDENT = 0.3  # share of the positions that count as independent tests
+
+
+@dataclass(frozen=True)
+class StrongestLine:
+    """The strongest line."""
+
+    frequency_hz: float
+    p_value: float  # of this frequency alone
+    family_p_value: float  # of the best of all frequencies
+    powers: FloatArray  # shape (runs,); periodogram of each run at this frequency; its mean is 2 in white noise
+
+    @property
+    def largest_share(self) -> float:
+        """Share of the strongest run in the power above noise."""
+        above = np.maximum(self.powers - 2.0, 0.0)
+        return float(above.max() / above.sum()) if above.any() else 1.0
+
+
+def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -> StrongestLine | None:
+    """Strongest line of whitened residuals; None if the runs are too short."""
+    pieces = [piece for record, residual in zip(records, residuals, strict=True) for piece in _by_run(record, residual)]
+    longest = max(piece.size for piece, _ in pieces)
+    if longest < LONGEST_PERIOD_BLOCKS:
+        return None
+    size = _PADDING * fft.next_fast_len(longest)
+    per_block = fft.rfftfreq(size)
+    band = (per_block > max(1 / LONGEST_PERIOD_BLOCKS, 3 / longest)) & (per_block < 1 / SHORTEST_PERIOD_BLOCKS)
+    spectra = np.array([np.abs(fft.rfft(piece, size)[band]) ** 2 * 2 / blocks for piece, blocks in pieces])
+    degrees = 2 * len(pieces)
+    total = spectra.sum(axis=0)
+    local = ndimage.median_filter(total, _WINDOW, mode="nearest") / stats.chi2.median(degrees)
+    level = total / np.maximum(local, 1.0)
+    best = int(np.argmax(level))
+    p_value = float(stats.chi2.sf(level[best], degrees))
+    block_s = records[0].noise_model.block_s
+    frequency_hz = float(per_block[band][best] / block_s)
+    return StrongestLine(frequency_hz, p_value, min(1.0, p_value * level.size), spectra[:, best])
+
+
+def line_columns(record: UnitRecord, frequency_hz: float) -> FloatArray:
+    """Cosine and sine of each run of a record, shape (n, 2 * runs)."""
+    number = record.stack.run_number
+    phase = 2 * np.pi * frequency_hz * record.noise_model.block_s * record.stack.slot
+    runs = number[:, None] == np.arange(len(record.stack.runs))
+    return np.column_stack([runs * np.cos(phase)[:, None], runs * np.sin(phase)[:, None]])
+
+
+def amplitude_of(values: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """RMS amplitude of a line over runs and its standard uncertainty, from cosines and sines and their variances."""
+    runs = values.size / 2
+    amplitude = np.sqrt(max(0.0, float(np.sum(values**2 - variance)) / runs))
+    return float(amplitude), float(np.sqrt(variance.mean() / runs))
+
+
+def powers_at(records: Sequence[UnitRecord], residuals: Sequence[FloatArray], frequency_hz: float) -> FloatArray:
+    """Periodogram of each run at one frequency; its mean is 2 in white noise."""
+    powers = []
+    for record, residual in zip(records, residuals, strict=True):
+        for piece, blocks in _by_run(record, residual):
+            turn = np.exp(-2j * np.pi * frequency_hz * record.noise_model.block_s * np.arange(piece.size))
+            powers.append(float(np.abs(piece @ turn) ** 2 * 2 / blocks))
+    return np.array(powers)
+
+
+def _by_run(record: UnitRecord, residual: FloatArray) -> Iterator[tuple[FloatArray, int]]:
+    """Residual of each run on its grid, zero in gaps, and its number of blocks."""
+    slot, number = record.stack.slot, record.stack.run_number
+    for run in range(len(record.stack.runs)):
+        of_run = number == run
+        grid = np.zeros(int(slot[of_run][-1] - slot[of_run][0]) + 1)
+        grid[slot[of_run] - slot[of_run][0]] = residual[of_run]
+        yield grid, int(np.count_nonzero(of_run))
+
+
+@dataclass(frozen=True)
+class StrongestJump:
+    """The strongest jump: number of its record, of the run, and of the first block after it."""
+
+    record: int
+    run: int
+    row: int
+    z: float  # size over standard uncertainty
+    family_p_value: float  # of the best of all positions
+
+
+def scan_jumps(records: Sequence[UnitRecord], joint: JointFit) -> StrongestJump | None:
+    """Strongest jump in the residual of a fit; None if all runs are too short."""
+    ratios = [
+        _ratios(record, record.whitener(noise), whitened[:, 1:], residual)
+        for record, noise, whitened, residual in zip(
+            records, joint.noises, joint.whitened, joint.residuals, strict=True
+        )
+    ]
+    number = int(np.argmax([np.abs(ratio).max() for ratio in ratios]))
+    row = int(np.argmax(np.abs(ratios[number])))
+    z = float(ratios[number][row])
+    if z == 0:
+        return None
+    tests = max(1.0, _INDEPENDENT * sum(map(np.count_nonzero, ratios)))
+    p_value = family_p_value(float(2 * stats.norm.sf(abs(z))), tests)
+    return StrongestJump(number, int(records[number].stack.run_number[row]), row, z, p_value)
+
+
+def jump_column(record: UnitRecord, row: int) -> FloatArray:
+    """Step from a block to the end of its run, shape (n, 1)."""
+    number = record.stack.run_number
+    after = (np.arange(len(record)) >= row) & (number == number[row])
+    return np.asarray(after[:, None], dtype=np.float64)
+
+
+def _ratios(record: UnitRecord, whitener: Whitener, design: FloatArray, residual: FloatArray) -> FloatArray:
+    """Size over uncertainty of a jump at each block; 0 near the ends of runs."""
+    basis = orthonormal(design)
+    back = whitener.adjoint(np.column_stack([residual, basis]))
+    ratio = np.zeros(len(record))
+    starts = np.flatnonzero(record.steps == 0)
+    for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
+        if end - first < SHORTEST_RUN_BLOCKS:
+            continue
+        sums = np.cumsum(back[first:end][::-1], axis=0)[::-1]
+        before = _squared_lengths(whitener, int(first), int(end))
+        left_over = before - np.sum(sums[:, 1:] ** 2, axis=1)
+        resolved = left_over > 1e-3 * before
+        resolved[:EDGE_BLOCKS] = resolved[-EDGE_BLOCKS:] = False
+        ratio[first:end] = np.where(resolved, sums[:, 0] / np.sqrt(np.where(resolved, left_over, 1.0)), 0.0)
+    return ratio
+
+
+def _squared_lengths(whitener: Whitener, first: int, end: int) -> FloatArray:
+    """Squared norm of a whitened step at each block of a run."""
+    size = end - first
+    rows = np.unique(np.linspace(0, size - 1, min(size, _EXACT)).astype(np.int64))
+    steps = (np.arange(size)[:, None] >= rows).astype(np.float64)
+    its = slice(first, end)
+    of_run = Whitener(whitener.steps[its], whitener.decay, whitener.gain[its], whitener.innovation[its])
+    exact = np.sum(of_run(steps) ** 2, axis=0)
+    return np.asarray(np.interp(np.arange(size), rows, exact))

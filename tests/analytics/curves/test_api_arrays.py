@@ -1,0 +1,139 @@
+"""`import gyrofleet` on arrays: deviations as allantools has them, coefficients as planted, bad input reported."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import allantools
+import numpy as np
+import pytest
+
+import gyrofleet as gf
+from stream.errors import BadInput, NotEnoughData
+
+
+@pytest.mark.parametrize("kind", ["oadev", "adev", "mdev", "ohdev", "hdev"])
+@pytest.mark.parametrize("rate_hz", [1.0, 300.0])
+def test_deviations_are_those_of_allantools(kind: str, rate_hz: float) -> None:
+    values = np.cumsum(np.random.default_rng(1).normal(size=5000)) + np.random.default_rng(2).normal(size=5000)
+    found = gf.allan_deviation(values, rate_hz, deviation=kind)
+    taus, expected, _, _ = getattr(allantools, kind)(values, rate=rate_hz, data_type="freq", taus=found.tau_s)
+    np.testing.assert_allclose(found.tau_s[: len(taus)], taus, rtol=1e-12)
+    np.testing.assert_allclose(found.deviation[: len(taus)], expected, rtol=1e-9)
+    assert len(taus) >= len(found.tau_s) - 1
+    assert bool(((found.lo < found.deviation) & (found.deviation < found.hi)).all())
+
+
+def test_angular_rates_come_in_deg_per_h_and_others_as_they_are() -> None:
+    values = np.random.default_rng(3).normal(size=1000)
+    plain = gf.allan_deviation(values, 10.0)
+    rate = gf.allan_deviation(values, 10.0, unit_of_measure="deg/s")
+    assert (plain.unit_of_measure, rate.unit_of_measure) == ("1", "deg/h")
+    np.testing.assert_allclose(rate.deviation, 3600 * plain.deviation, rtol=1e-12)
+
+
+def test_missing_samples_keep_their_place() -> None:
+    values = np.random.default_rng(4).normal(size=2000)
+    gappy = values.copy()
+    gappy[[3, 700, 701]] = np.nan
+    found = gf.allan_deviation(gappy, 1.0)
+    expected = np.sqrt(np.nanmean(np.diff(gappy) ** 2) / 2)  # neighbours of which both are there
+    np.testing.assert_allclose(found.deviation[0], expected, rtol=1e-12)
+    assert found.curve.missing == 3
+
+
+def test_masked_samples_are_missing() -> None:
+    values = np.random.default_rng(8).normal(size=500)
+    masked = gf.allan_deviation(np.ma.masked_greater(values, 2.0), 1.0)
+    gappy = gf.allan_deviation(np.where(values > 2.0, np.nan, values), 1.0)
+    np.testing.assert_array_equal(masked.deviation, gappy.deviation)
+    assert masked.curve.missing > 0
+
+
+def test_planted_coefficients_are_covered() -> None:
+    rng = np.random.default_rng(5)
+    rate_hz, n = 10.0, 200_000
+    walk = np.cumsum(rng.normal(0.0, 0.5 * np.sqrt(1 / rate_hz / 3600), n))  # K = 0.5 deg/h/sqrt(h)
+    white = rng.normal(0.0, 0.02 * 60 * np.sqrt(rate_hz), n)  # N = 0.02 deg/sqrt(h)
+    fit = gf.noise_fit(gf.allan_deviation(walk + white, rate_hz, unit_of_measure="deg/h"))
+    assert fit.angle_random_walk.lo < 0.02 < fit.angle_random_walk.hi
+    assert fit.rate_random_walk.lo < 0.5 < fit.rate_random_walk.hi
+
+
+def test_frames_and_plots(tmp_path: Path) -> None:
+    found = gf.allan_deviation(np.random.default_rng(6).normal(size=1000), 10.0)
+    assert found.polars().columns == ["tau_s", "deviation", "lo", "hi", "edf", "n"]
+    assert found.plot(tmp_path / "a.png").stat().st_size > 20_000
+
+
+BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
+    ([1.0], {}, NotEnoughData, "1 seen"),
+    ([], {}, NotEnoughData, "0 seen"),
+    ([np.nan] * 10, {}, NotEnoughData, "seen"),
+    ([[1.0, 2.0]], {}, BadInput, r"shape \(1, 2\)"),
+    (["a"], {}, BadInput, "not numbers"),
+    ([1.0, 2.0, 3.0], {"rate_hz": 0.0}, BadInput, "rate_hz is 0"),
+    ([1.0, 2.0, 3.0], {"rate_hz": 1e-12}, BadInput, "from 3.5e-09 to 1e9"),
+    ([1.0, 2.0, 3.0], {"rate_hz": "10"}, BadInput, "rate_hz is '10'"),
+    ([1.0, 2.0, 3.0], {"points_per_octave": 3}, BadInput, "1, 2, 4 or 8"),
+    ([1.0, np.inf, 3.0], {}, BadInput, "value 1 is infinite"),
+    ([1.0, 2.0j, 3.0], {}, BadInput, "complex"),
+    ([1.0, 2.0, 3.0], {"rate_hz": float("nan")}, BadInput, "rate_hz is nan"),
+    ([1.0, 2.0, 3.0], {"deviation": "tdev"}, BadInput, "choose one of"),
+    ([1.0, 2.0, 3.0], {"unit_of_measure": "parsnips"}, BadInput, "parsnips"),
+]
+
+
+@pytest.mark.parametrize(("values", "words", "error", "message"), BAD)
+def test_bad_input_is_told(values: Any, words: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        gf.allan_deviation(values, **({"rate_hz": 1.0} | words))
+
+
+def test_coefficients_of_what_is_no_angular_rate_are_refused() -> None:
+    values = np.random.default_rng(7).normal(size=1000)
+    with pytest.raises(BadInput, match="unit_of_measure"):
+        gf.noise_fit(gf.allan_deviation(values, 1.0))
+    with pytest.raises(BadInput, match="mdev"):
+        gf.noise_fit(gf.allan_deviation(values, 1.0, unit_of_measure="deg/h", deviation="mdev"))
+    with pytest.raises(gf.BadInput, match="what allan_deviation gives"):
+        gf.noise_fit(values)  # type: ignore[arg-type]
+
+
+def test_a_package_of_another_owner_is_told_in_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "storage.py").write_text("")
+    done = subprocess.run([sys.executable, "-c", "import gyrofleet"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "gyrofleet needs its own package 'storage', but Python finds" in done.stderr.splitlines()[-1]
+    assert "storage.py first: rename that file" in done.stderr.splitlines()[-1]
+
+
+def test_what_is_not_offered_is_told() -> None:
+    assert {"allan_deviation", "open_store", "BadInput"} <= set(dir(gf))
+    assert "metrics" not in dir(gf)  # a command, not a function
+    with pytest.raises(AttributeError):
+        gf.metrics  # noqa: B018
+    with pytest.raises(AttributeError, match="it has BadInput, DeviationCurve, FleetStore"):
+        gf.alan_deviation  # noqa: B018
+
+
+def test_what_the_guide_shows_of_arrays_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = (Path(__file__).parents[3] / "docs" / "how-to" / "python.md").read_text(encoding="utf-8")
+    code = guide.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, Any] = {}
+    exec(code, found)
+    assert found["curve"].unit_of_measure == "deg/h"
+    assert found["fit"].angle_random_walk.lo < 0.002 * 60 / np.sqrt(100) < found["fit"].angle_random_walk.hi
+    assert (tmp_path / "allan.png").stat().st_size > 20_000
+
+
+def test_a_term_that_is_not_observable_has_a_bound_and_no_value() -> None:
+    white = np.random.default_rng(3).normal(0.0, 6.0, 100_000)
+    fit = gf.noise_fit(gf.allan_deviation(white, rate_hz=100.0, unit_of_measure="deg/h"))
+    assert fit.angle_random_walk.observable
+    assert fit.angle_random_walk.value > 0.0
+    assert not fit.rate_ramp.observable
+    assert np.isnan(fit.rate_ramp.value)
+    assert fit.rate_ramp.hi > 0.0

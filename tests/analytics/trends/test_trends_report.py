@@ -1,0 +1,355 @@
+"""From values in a store to charts and sentences: which values are charted, and what is said of them."""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.stats import binom
+from scipy.stats import t as student
+
+from analytics.evaluation.evaluation import COLUMNS, define_views
+from analytics.plots.trend_plot import plot_trend
+from analytics.specifications.entering import add_specification
+from analytics.step_records.step_table import step_means
+from analytics.trends.capability import Capability, SpecifiedLimits, specified_limits
+from analytics.trends.document import document
+from analytics.trends.report import sentences, stands_out
+from analytics.trends.series import Choice, MetricSeries, Variant, read_series
+from analytics.trends.trend import Trend, trend_of
+from analytics.trends.words import NotComputed
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.console import json_text
+from stream.errors import BadInput, NotFound
+
+HOUR_NS = 3600 * 10**9
+START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
+
+Reported = Callable[[Sequence[Mapping[str, Any]]], Catalog]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store.create(tmp_path / "store")
+
+
+@pytest.fixture
+def reported(store: Store) -> Iterator[Reported]:
+    """A catalogue with these values, each of a step of a run of its own unless it says otherwise."""
+    catalogs: list[Catalog] = []
+
+    def fill(rows: Sequence[Mapping[str, Any]]) -> Catalog:
+        catalog = Catalog(store)
+        catalogs.append(catalog)
+        catalog._unfilled.clear()  # what it would compute is what the test says
+        steps: list[dict[str, Any]] = []
+        values: list[dict[str, Any]] = []
+        for at, row in enumerate(rows):
+            run = row.get("run", f"r{at:05}")
+            step = {"run": run, "unit": row["unit"], "signal": row.get("signal", "rate"), "index": row.get("step", 1)}
+            t_ns = START_NS + row.get("hour", at) * HOUR_NS
+            about = {name: row.get(name) for name in ("station", "lot", "fixture", "product")}
+            if step not in [{name: each[name] for name in step} for each in steps[-3:]]:
+                about |= {"t_start_ns": t_ns, "t_to_ns": t_ns, "date_known": row.get("dated", True)}
+                steps.append(step | about | {"unit_of_measure": "deg/h"})
+            values.append(
+                {
+                    "metric": row.get("metric", "bias"), "unit": row["unit"], "signal": step["signal"], "run": run,
+                    "value": row.get("value"), "unit_of_measure": "deg/h", "standard_uncertainty": 0.01, "n": 100,
+                    "parameters": json.dumps(row.get("parameters", {})), "runs": [run], "steps": [step["index"]],
+                    "standard": row.get("standard", "JJF2014"), "clause": "7", "reason": row.get("reason"),
+                }
+            )  # fmt: skip
+        table = pa.Table.from_pylist(steps, schema=step_means(catalog).schema)
+        define_views(catalog, table)
+        catalog.put("unit_metrics", pa.Table.from_pylist(values, schema=COLUMNS))
+        return catalog
+
+    yield fill
+    for each in catalogs:
+        each.close()
+
+
+def _rows(values: np.ndarray, **words: Any) -> list[dict[str, Any]]:
+    return [{"unit": f"U{at:03}", "value": float(value), "station": "A", **words} for at, value in enumerate(values)]
+
+
+def _english(trend: Trend) -> str:
+    found = sentences(trend)
+    assert all(each.zh and not any("{" in text for text in each) for each in found)
+    return "\n".join(each.en for each in found)
+
+
+def test_values_come_in_order_of_time_with_their_groups(reported: Reported) -> None:
+    rows = [
+        {"unit": "U2", "value": 2.0, "hour": 5, "station": "B", "lot": "L1"},
+        {"unit": "U1", "value": 1.0, "hour": 3, "station": "A", "lot": "L1", "fixture": "F9"},
+        {"unit": "U1", "value": 1.5, "hour": 9, "station": "B"},
+        {"unit": "U3", "reason": "the record is 600 s long", "hour": 1},
+    ]
+    series = read_series(reported(rows), "bias")
+    assert list(series.value) == [1.0, 2.0, 1.5]
+    assert series.groups["station"] == ["A", "B", "B"]
+    assert series.groups["fixture"] == ["F9", "(not given)", "(not given)"]
+    assert list(series.t_ns) == [START_NS + hour * HOUR_NS for hour in (3, 5, 9)]
+    assert series.without_value == 1
+    assert series.first_of_units().unit == ["U1", "U2"]
+    assert {name: part.unit for name, part in series.split("station").items()} == {"A": ["U1"], "B": ["U2", "U1"]}
+
+
+def test_kinds_of_values_are_told_apart(reported: Reported) -> None:
+    rows = [
+        {"unit": f"U{at}", "run": f"r{at}", "value": at + average / 1000, "metric": "bias_stability_averaged",
+         "parameters": {"average_s": average, "duration_s": 3600 + at, "n_effective": 7.1 * at, "repeat": at}}
+        for at in range(5) for average in (1.0, 10.0, 100.0)
+    ]  # fmt: skip
+    catalog = reported(rows[:-1])
+    series = read_series(catalog, "bias_stability_averaged")
+    # of two kinds with as many values the first; the third lacks one
+    assert dict(series.variant.parameters) == {"average_s": "1"}
+    assert series.value.size == 5
+    assert [dict(each.parameters)["average_s"] for each in series.others] == ["10", "100"]
+    chosen = read_series(catalog, "bias_stability_averaged", Choice(parameters={"average_s": "100"}))
+    assert list(chosen.value) == pytest.approx([0.1, 1.1, 2.1, 3.1])
+    with pytest.raises(NotFound, match="average_s=100"):
+        read_series(catalog, "bias_stability_averaged", Choice(parameters={"average_s": "7"}))
+
+
+def test_temperatures_are_kinds_but_their_scatter_is_not(reported: Reported) -> None:
+    rng = np.random.default_rng(5)
+    rows = [
+        {"unit": f"U{at}", "run": f"r{at}", "step": step, "value": 1.0, "metric": "scale_factor",
+         "parameters": {"temperature": round(command + rng.normal(0, 0.3), 2), "room": command == 25}}
+        for at in range(20) for step, command in enumerate((-40, 25, 60), 1)
+    ]  # fmt: skip
+    series = read_series(reported(rows), "scale_factor")
+    assert dict(series.variant.parameters) == {"room": "True", "temperature": "25"}
+    assert len(series.others) == 2
+    assert series.value.size == 20
+
+
+def test_choices(reported: Reported) -> None:
+    rows = [
+        {"unit": f"U{at % 4}", "value": float(at), "station": "AB"[at % 2], "lot": f"L{at // 6}", "signal": "rate_x"}
+        for at in range(12)
+    ]
+    catalog = reported(rows)
+    assert list(read_series(catalog, "bias", Choice(units=("U1", "U3"))).value) == [1, 3, 5, 7, 9, 11]
+    assert list(read_series(catalog, "bias", Choice(station="A", lot="L1")).value) == [6, 8, 10]
+    assert list(read_series(catalog, "bias", Choice(since_ns=START_NS + 10 * HOUR_NS)).value) == [10, 11]
+    for choice, word in ((Choice(signal="rate_z"), "rate_z"), (Choice(standard="GJB2426A"), "GJB2426A")):
+        with pytest.raises(NotFound, match=word):
+            read_series(catalog, "bias", choice)
+
+
+def test_what_is_not_there_is_said(reported: Reported) -> None:
+    catalog = reported([{"unit": "U1", "reason": "the record is 600 s long"}])
+    with pytest.raises(BadInput, match="did you mean bias"):
+        read_series(catalog, "biass")
+    with pytest.raises(NotFound, match="no unit of this store"):
+        read_series(catalog, "polarity")
+    with pytest.raises(NotFound, match="600 s long"):
+        read_series(catalog, "bias")
+
+
+def test_a_station_with_an_offset_is_named_and_sized(reported: Reported) -> None:
+    rng = np.random.default_rng(20260741)
+    own = rng.normal(0, 0.1, 300)
+    rows = [
+        {"unit": f"U{unit:03}", "station": "AB"[station], "lot": f"L{unit % 6 // 2}",
+         "value": 5 + own[unit] + 0.05 * station + rng.normal(0, 0.02)}
+        for unit, station in [(u, u % 2) for u in range(300)] + [(u, 1 - u % 2) for u in range(150)]
+    ]  # fmt: skip
+    trend = trend_of(read_series(reported(rows), "bias"))
+    said = _english(trend)
+    assert "Station B gives values 0.0" in said
+    assert "higher than station A" in said
+    assert "the 150 units measured on both show 0.0" in said
+    assert "it is the station, not its units" in said
+    assert "Lot " not in said
+    (station,) = (each for each in document(trend)["differences"] if each["group"] == "station")
+    assert station["lo"] < 0.05 < station["hi"]
+    assert station["hi"] - station["lo"] < 0.02
+    chinese = "\n".join(each.zh for each in sentences(trend))
+    assert "测试站 B 的值比测试站 A 高" in chinese
+    assert "差异来自测试站" in chinese
+
+
+def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported) -> None:
+    rng = np.random.default_rng(20260742)
+    rows = [
+        {"unit": f"U{at:03}", "station": "AB"[at % 2], "lot": "KL"[at % 2], "value": rng.normal(0.5 * (at % 2), 0.1)}
+        for at in range(80)
+    ]
+    said = _english(trend_of(read_series(reported(rows), "bias")))
+    assert "cannot be distinguished from lot" in said
+    assert said.count("cannot be distinguished") == 1
+
+
+def test_a_change_is_dated_and_the_process_has_no_capability(reported: Reported) -> None:
+    values = np.random.default_rng(20260743).normal(0, 1, 100)
+    values[60:] += 3
+    trend = trend_of(read_series(reported(_rows(values)), "bias"), specification=SpecifiedLimits(-8, 8, "fog-A"))
+    said = _english(trend)
+    assert "The level changes by" in said
+    assert "2026-01-03 12:00" in said
+    assert "no capability: the process is not in control (its level changes" in said.replace("No cap", "no cap")
+    assert isinstance(trend.capabilities[0], NotComputed)
+
+
+def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capability(reported: Reported) -> None:
+    rng = np.random.default_rng(20260751)
+    rows = [
+        {"unit": f"U{at:03}{station}", "hour": at, "station": station,
+         "value": rng.normal(0, 1) + (4 if station == "B" and at >= 30 else 0)}
+        for at in range(60) for station in "AB"
+    ]  # fmt: skip
+    trend = trend_of(read_series(reported(rows), "bias"), by="station", specification=SpecifiedLimits(-8, 8, "fog-A"))
+    said = _english(trend)
+    assert "Station A: Cp " in said
+    assert "Station B: no capability: the process is not in control (its level changes" in said
+    chinese = "\n".join(each.zh for each in sentences(trend))
+    assert "测试站 B：无过程能力指数" in chinese
+    assert " to " not in chinese
+
+
+def test_a_unit_that_drifts_is_named_among_others(reported: Reported) -> None:
+    rng = np.random.default_rng(20260744)
+    rows = [
+        {"unit": f"U{unit:02}", "hour": 24 * day + unit, "station": "A",
+         "value": rng.normal(unit, 0.1) + (0.02 * day if unit == 7 else 0)}
+        for day in range(40) for unit in range(12)
+    ]  # fmt: skip
+    trend = trend_of(read_series(reported(rows), "bias"), by="unit")
+    said = _english(trend)
+    assert "Unit U07: it drifts by 0.0" in said
+    assert "per day" in said
+    assert [chart.name for chart in trend.charts if chart.in_control is False] == ["U07"]
+    assert "of one unit" not in said  # capability is of a process; of many charts it is passed over
+
+
+def test_a_wild_point_stands_with_its_chance_and_a_deviation_has_no_limit_below_zero(reported: Reported) -> None:
+    values = np.abs(np.random.default_rng(20260747).normal(0.05, 0.02, 40))
+    values[20] = 0.6
+    catalog = reported(_rows(values, metric="bias_stability"))
+    trend = trend_of(read_series(catalog, "bias_stability", Choice()))
+    rest = np.delete(values, 20)
+    t = (values[20] - rest.mean()) / (rest.std(ddof=1) * np.sqrt(40 / 39))  # Grubbs by the studentized deleted residual
+    assert f"with a probability of {min(1.0, 80 * student.sf(t, 38)):.2g} at most (Grubbs)" in _english(trend)
+    (chart,) = trend.charts
+    assert not isinstance(chart.limits, NotComputed)
+    assert chart.limits.centre < 3 * chart.limits.sigma
+    assert chart.limits.lower == 0.0
+
+
+@pytest.mark.parametrize("trials", [30, pytest.param(100, marks=pytest.mark.long)])
+def test_nothing_stands_out_in_noise(trials: int) -> None:
+    """Of trends of noise alone at most 5 in a hundred say anything."""
+    rng = np.random.default_rng(20260745)
+    loud = 0
+    for _ in range(trials):
+        n = 60
+        units = np.r_[np.arange(40), np.arange(20)]
+        value = rng.normal(0, 0.1, 40)[units] + rng.normal(0, 0.03, n)
+        series = MetricSeries(
+            metric="bias", unit_of_measure="deg/h", value=value, uncertainty=np.full(n, 0.03),
+            t_ns=START_NS + np.arange(n) * HOUR_NS, unit=[f"U{each:02}" for each in units], run=["r"] * n,
+            groups={name: [f"{name}{each}" for each in rng.integers(0, 2, n)] for name in ("station", "fixture")}
+            | {"lot": [f"L{each % 4}" for each in units], "product": ["P"] * n, "signal": ["rate"] * n},
+            variant=Variant("JJF2014", ()), others=(), without_value=0, dated=True,
+        )  # fmt: skip
+        loud += stands_out(trend_of(series))
+    assert loud <= binom.isf(0.001, trials, 0.05)
+
+
+def test_nothing_is_said_so_and_capability_follows(reported: Reported, store: Store, tmp_path: Path) -> None:
+    values = np.random.default_rng(20260746).normal(0.2, 0.1, 120)
+    series = read_series(reported(_rows(values, product="FOG-70", lot="L1")), "bias")
+    path = tmp_path / "fog.toml"
+    path.write_text(
+        'revision = "A"\n[[limit]]\nmetric = "bias"\nupper = 1e-4\nlower = -1e-4\nunit_of_measure = "deg/s"\n'
+    )
+    add_specification(store, path)
+    limits = specified_limits(store, series)
+    assert limits.source == "fog-A"
+    assert [limits.lower, limits.upper] == pytest.approx([-0.36, 0.36])
+    trend = trend_of(series, specification=limits)
+    said = _english(trend)
+    assert "Nothing stands out" in said
+    assert "Cpk" in said
+    assert "fog-A" in said
+    (found,) = trend.capabilities
+    assert isinstance(found, Capability)
+    assert found.cpk.value == pytest.approx((0.36 - values.mean()) / 3 / values.std(ddof=1))
+
+
+def test_products_with_different_limits_have_none_in_common(reported: Reported, store: Store, tmp_path: Path) -> None:
+    rows = _rows(np.random.default_rng(1).normal(size=30))
+    for at, row in enumerate(rows):
+        row["product"] = ("P", "Q")[at % 2]
+    series = read_series(reported(rows), "bias")
+    assert specified_limits(store, series) == SpecifiedLimits()
+    path = tmp_path / "two.toml"
+    text = '[[limit]]\nmetric = "bias"\nupper = {}\nunit_of_measure = "deg/h"\nproduct = "{}"\n'
+    path.write_text('revision = "A"\n' + text.format(1.0, "P") + text.format(2.0, "Q"))
+    add_specification(store, path)
+    limits = specified_limits(store, series)
+    assert limits.why_not is not None
+    assert "--product" in limits.why_not.en
+    one = read_series(reported(rows), "bias", Choice(product="Q"))
+    assert specified_limits(store, one).upper == 2.0
+
+
+def test_few_values_without_a_date(reported: Reported) -> None:
+    trend = trend_of(read_series(reported(_rows(np.arange(4.0), dated=False)), "bias"))
+    said = _english(trend)
+    assert "too little to judge" in said
+    assert "4 points, a chart's limits need 8" in said
+    assert "dates of some runs are not known" in said
+    assert not stands_out(trend)
+
+
+def test_the_document_is_json_and_complete(reported: Reported) -> None:
+    values = np.random.default_rng(20260747).normal(0, 1, 50)
+    values[30] = 30.0
+    found = json.loads(json_text(document(trend_of(read_series(reported(_rows(values)), "bias")))))
+    (chart,) = found["charts"]
+    assert len(chart["points"]) == 50
+    assert chart["points"][30]["rules"][0] == 1
+    assert chart["points"][30]["unit"] == "U030"
+    assert chart["wild_point"] == 30
+    assert chart["in_control"] is False
+    assert chart["points"][0]["standard_uncertainty"] == 0.01
+    assert not any(math.isnan(point["ewma"]) for point in chart["points"])
+    assert found["stands_out"] is True
+    assert any("U030" in each["en"] for each in found["report"])
+    assert found["names"] == {"en": "Bias", "zh": "零偏"}
+
+
+@pytest.mark.in_gate("unit-.svg", "station-.png", "None-.png")
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+@pytest.mark.parametrize("by", [None, "station", "unit"])
+def test_pictures(reported: Reported, tmp_path: Path, by: str | None, suffix: str) -> None:
+    values = np.random.default_rng(20260748).normal(0, 1, 40)
+    values[25:] += 4
+    rows = _rows(values)
+    for at, row in enumerate(rows):
+        row |= {"unit": f"U{at % 10}", "station": f"S{at % 2}"}
+    trend = trend_of(read_series(reported(rows), "bias"), by=by, specification=SpecifiedLimits(-5, 9, "fog-A"))
+    path = tmp_path / f"trend{suffix}"
+    plot_trend(trend, path)
+    first = path.read_bytes()
+    assert len(first) > 10_000
+    plot_trend(trend, path)
+    assert path.read_bytes() == first
+
+
+def test_a_picture_has_its_suffix(reported: Reported, tmp_path: Path) -> None:
+    trend = trend_of(read_series(reported(_rows(np.arange(9.0))), "bias"))
+    with pytest.raises(BadInput, match=r"\.png or \.svg"):
+        plot_trend(trend, tmp_path / "trend.pdf")

@@ -1,0 +1,100 @@
+"""`gyrofleet import` of CAN logs keeps the promises that it makes for tables; `gyrofleet can scan` leads there."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from click.testing import CliRunner
+
+from gyrofleet import main
+
+DBC = Path(__file__).with_name("can_bench.dbc")
+START_S = 1_700_000_000.0
+
+
+def write(path: Path, first: int, last: int) -> Path:
+    with can.Logger(path) as logger:
+        for i in range(first, last):
+            body = (i & 0x7FFF).to_bytes(2, "little") + bytes([i * i & 0xFF, 0, 1, 0, i % 16, 0])
+            logger.on_message_received(
+                can.Message(timestamp=START_S + i * 0.01, arbitration_id=0x101, is_extended_id=False, data=body)
+            )
+            if i % 10 == 0:
+                logger.on_message_received(
+                    can.Message(timestamp=START_S + i * 0.01, arbitration_id=0x7FF, is_extended_id=False, data=body)
+                )
+    return path
+
+
+def run(*words: object, exit_code: int = 0) -> Any:
+    result = CliRunner().invoke(main, [*map(str, words), "--json"])
+    assert result.exit_code == exit_code, result.output
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def test_a_log_comes_in_once_and_a_cut_one_is_completed(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    whole = write(tmp_path / "bench.blf", 0, 8000)
+    content = whole.read_bytes()
+    whole.write_bytes(content[: len(content) * 2 // 3])
+    words = ("import", whole, "--dbc", DBC, "--unit", "FOG-1", "--store", store)
+    cut = run(*words, exit_code=1)["files"][0]
+    assert "cut short" in cut["damage"]
+    assert 0 < cut["signals"][0]["added"] == cut["signals"][0]["in_lake"] < 8000
+    whole.write_bytes(content)
+    full = run(*words)["files"][0]
+    assert full["damage"] == ""
+    assert {each["in_lake"] for each in full["signals"]} == {8000}
+    assert full["signals"][0]["added"] == 8000 - cut["signals"][0]["in_lake"]
+    assert full["frames"]["unknown"] == {str(0x7FF): 800}
+    assert {each["added"] for each in run(*words)["files"][0]["signals"]} == {0}
+    query = "select min(value) least, max(value) most, count(distinct t_ns) times from samples where signal = 'yawrate'"
+    assert run("sql", query, "--store", store) == [{"least": 0.0, "most": 79.99, "times": 8000}]
+
+
+def test_scan_proposes_a_mapping_that_import_takes(tmp_path: Path) -> None:
+    store, mapping = tmp_path / "store", tmp_path / "mapping.toml"
+    logs = [write(tmp_path / f"{i}.log", i * 2000, (i + 1) * 2000) for i in range(2)]
+    scan = run("can", "scan", logs[0], "--dbc", DBC, "--write", mapping, "--unit", "FOG-1")
+    (imu, other) = scan["scan"]["ids"]
+    assert (imu["message"], imu["frames"], round(imu["rate_hz"])) == ("IMU", 2000, 100)
+    assert [each["name"] for each in imu["signals"] if each["looks_like_counter"]] == ["Counter"]
+    assert [each["name"] for each in imu["signals"] if each["varies"]] == ["YawRate", "Temp", "Counter"]
+    assert (other["message"], scan["unknown"]) == (None, 1)
+    assert "modulus = 16" in mapping.read_text()
+    run("can", "scan", logs[0], "--dbc", DBC, "--write", mapping, exit_code=1)  # not over one's work
+    found = run("import", *logs, "--dbc", DBC, "--mapping", mapping, "--run", "r1", "--store", store)["files"]
+    assert [{s["signal"]: (s["added"], s["in_lake"]) for s in each["signals"]}["yawrate"] for each in found] == [
+        (2000, 2000),
+        (2000, 4000),
+    ]
+    assert run("allan", "--unit", "FOG-1", "--signal", "yawrate", "--run", "r1", "--store", store)
+
+
+def test_a_log_without_a_date_counts_from_its_start(tmp_path: Path) -> None:
+    log = tmp_path / "bench.log"
+    log.write_text("".join(f"({i * 0.01:.6f}) can0 101#{i:02x}00000000000000\n" for i in range(100)))
+    words = ("import", log, "--dbc", DBC, "--unit", "FOG-1")
+    assert run(*words, "--store", tmp_path / "a")["files"][0]["date_known"] is False
+    dated = run(*words, "--store", tmp_path / "b", "--start", "2026-11-21T18:00:00+08:00")["files"][0]
+    assert dated["date_known"] is True
+    query = "select min(t_ns) t_ns from samples where signal = 'yawrate'"
+    assert run("sql", query, "--store", tmp_path / "b") == [{"t_ns": 1795255200 * 10**9}]
+
+
+@pytest.mark.parametrize(
+    ("more", "reported"),
+    [
+        ([], "a CAN log needs its database"),
+        (["--dbc", DBC], "nothing says whose samples these are"),
+        (["--dbc", "none.dbc", "--unit", "U"], "no such file"),
+        (["--dbc", __file__, "--unit", "U"], "cannot be read as a CAN database"),
+    ],
+)
+def test_what_is_lacking_is_said(tmp_path: Path, more: list[object], reported: str) -> None:
+    log = write(tmp_path / "a.log", 0, 10)
+    answer = run("import", log, *more, "--store", tmp_path / "store", exit_code=1)
+    assert reported in answer["error"]["message"]
+    assert not (tmp_path / "store").exists()
