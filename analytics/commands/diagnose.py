@@ -243,7 +243,7 @@ def bounds_of(text: str) -> dict[str, float]:
     >>> bounds_of("least_deg_c=-20, slope_deg_c_per_min=1")
     {'least_deg_c': -20.0, 'slope_deg_c_per_min': 1.0}
     """
-    from analytics.loop.next_test.candidate_tests import StationBounds
+    from analytics.loop.next_test.station_bounds import StationBounds
 
     names = StationBounds.__struct_fields__
     found: dict[str, float] = {}

@@ -77,7 +77,7 @@ class VerdictsLayer:
         catalog.rows("from unit_metrics limit 0")  # fills the layer of metrics
         define_scripts(catalog, "verdict_tables")
 
-    def findings(self, store: "Store") -> "list[Finding]":  # noqa: ARG002
+    def findings(self, _store: "Store") -> "list[Finding]":
         """None: what the store keeps is of the metrics."""
         return []
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.next_test.candidate_tests import StationBounds
 from analytics.loop.next_test.next_test import NextTest, next_test
+from analytics.loop.next_test.station_bounds import StationBounds
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis

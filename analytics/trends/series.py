@@ -133,7 +133,7 @@ class Choice(NamedTuple):
     since_ns: int | None = None
 
 
-def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> MetricSeries:  # noqa: B008  it is a tuple
+def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> MetricSeries:
     """Read the values of one metric from the store; only this metric is computed.
 
     Where a metric has several kinds of values (averaging times, axes, with and without the Earth's rate) and the choice

@@ -90,7 +90,7 @@ def trend_of(
     by: str | None = None,
     baseline: int | None = None,
     spread: Spread = Spread.MEDIAN_MOVING_RANGE,
-    specification: SpecifiedLimits = SpecifiedLimits(),  # noqa: B008  it is a tuple
+    specification: SpecifiedLimits = SpecifiedLimits(),
 ) -> Trend:
     """Make the control charts of a series and compare its groups.
 

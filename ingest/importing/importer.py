@@ -37,7 +37,7 @@ def import_files(
     units: Sequence[UnitEntry] = (),
     about: Mapping[str, str] = MappingProxyType({}),
     restates: bool = False,
-    estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    estimated: EstimatedSignals = EstimatedSignals(),
     progress: FileProgress | None = None,
 ) -> Iterator[FileImport]:
     """Import checked files into a store; yields their results in the same order.

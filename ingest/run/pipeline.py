@@ -45,7 +45,7 @@ class EmbeddedPipeline:
         on_document: Callable[[AnyDocument], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
         spool: Spool | None = None,
-        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+        estimated: EstimatedSignals = EstimatedSignals(),
     ) -> None:
         with ExitStack() as stack:
             self.store = Store.create(folder)

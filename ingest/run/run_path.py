@@ -124,7 +124,7 @@ def path_to(
     elsewhere: Elsewhere | None,
     spool: Spool,
     every_s: float | None = None,
-    estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    estimated: EstimatedSignals = EstimatedSignals(),
     units: Sequence[str] = (),
     on_document: Callable[[AnyDocument], None] | None = None,
 ) -> Iterator[RunPath]:

@@ -37,7 +37,7 @@ class PoweredUnit:
         self,
         fleet: Plan,
         unit: str,
-        power_cycle: PowerCycle = PowerCycle(0, 0),  # noqa: B008  immutable
+        power_cycle: PowerCycle = PowerCycle(0, 0),
         chamber: ChamberParameters | None = None,
         environment: Environment | None = None,
     ) -> None:

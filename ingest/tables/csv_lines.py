@@ -40,7 +40,7 @@ class LineReader:
                 self._read_cells(rows, row, split_line(text, self._delimiter))
             except _BadCell as bad:
                 reason = BadRow("line", number, bad.column, bad.found, bad.expected)
-                rows.sieve.refuse(np.array([row]), lambda _, reason=reason: reason)  # type: ignore[misc]
+                rows.sieve.refuse_one(row, reason)
         numbers = np.array([number for number, _ in lines], np.int64)
         return rows.block(numbers, self._columns.time is not None, done)
 

@@ -71,6 +71,10 @@ class Sieve:
         for row in fresh[:BAD_ROWS_KEPT].tolist():
             self._reasons[row] = why(row)
 
+    def refuse_one(self, row: int, reason: BadRow) -> None:
+        """Mark one row as bad."""
+        self.refuse(np.array([row]), lambda _: reason)
+
     def reasons(self) -> list[BadRow]:
         """Why rows are bad, in the order of the rows; of many only the first."""
         return [self._reasons[row] for row in sorted(self._reasons)]

@@ -56,7 +56,7 @@ class Layer(Protocol):
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables through `Catalog.put` and `Catalog.define`; others belong in the schema `internal`."""
 
-    def findings(self, store: Store) -> list[Finding]:
+    def findings(self, store: Store, /) -> list[Finding]:
         """What is wrong with what it keeps in a store, for `gyrofleet verify`."""
 
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.next_test.candidate_tests import StationBounds
-from analytics.loop.next_test.next_test import TestPlan, next_test
+from analytics.loop.next_test.next_test import next_test
+from analytics.loop.next_test.station_bounds import StationBounds
+from analytics.loop.next_test.test_plan import TestPlan
 from analytics.loop.next_test.timeline import Timeline, timeline
 from analytics.loop.tracing.diagnosis import diagnose
 from tests.bench.loop_campaign import Campaign, Planted
@@ -29,7 +30,6 @@ DESIGNS: dict[str, tuple[tuple[str, ...], int, tuple[str, ...]]] = {
         ("ramp",), 9,
         ("temperature_squared", "thermal_lag", "drift_in_run", "temperature_cubed", "thermal_hysteresis"),
     ),
-    "static": (("static",), 9, ("warm_up", "drift_in_run")),
 }  # fmt: skip
 Z = 14.0
 
@@ -38,8 +38,7 @@ def planned_runs(
     campaign: Campaign, plan: TestPlan, planted: Planted, bounds: StationBounds, seed: int
 ) -> list[RunBlocks]:
     """The runs of a plan with an effect at work."""
-    start = float(np.mean([bounds.least_deg_c or 25.0, bounds.most_deg_c or 25.0]))
-    played = timeline(plan.test.planned(), bounds, start)
+    played = timeline(plan.test, bounds)
     done = Campaign(seed, runs=plan.test.repeats, types=("static",), duration_s=_whole(played) * campaign.block_s)
     last = max(each.day for each in campaign.drives)
     for number in range(plan.test.repeats):

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from analytics.loop.blocks.run_blocks import HARMONICS, SECOND_NS, Channel, RunBlocks
+from analytics.loop.blocks.step_channels import input_axis_up
 from analytics.loop.next_test.timeline import STEP_S, Timeline
 from stream.batch import FloatArray, IntArray
 
@@ -16,7 +17,6 @@ _USUAL_LAG_S = {"chamber_temperature": 200.0, "case_temperature": 900.0, "temper
 _LAGS_S = np.geomspace(15.0, 7200.0, 40)
 _LEAST_MOVED = 2.0
 _DAY_NS = 86_400 * SECOND_NS
-_UP = {"up": 1.0, "down": -1.0}
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def _lag_error(run: RunBlocks, before: str, name: str, lag_s: float) -> float:
     return float(np.var((target[known] - followed)[10:]))
 
 
-def predicted_run(plan: Timeline, runs: Sequence[RunBlocks], name: str) -> RunBlocks:
+def predicted_run(plan: Timeline, runs: Sequence[RunBlocks], chain: ThermalChain, name: str) -> RunBlocks:
     """The run as it would be reduced, its signal zero.
 
     Channels that the settings decide follow them; the others are as in the calmest run, repeated.
@@ -74,7 +74,7 @@ def predicted_run(plan: Timeline, runs: Sequence[RunBlocks], name: str) -> RunBl
     like = min(runs, key=_unrest)
     of_block = round(like.block_s / STEP_S)
     blocks = plan.rate_deg_per_s.size // of_block
-    moved = _moved(plan, runs)
+    moved = _moved(plan, chain, like.signal)
     kept = plan.is_powered[: blocks * of_block].reshape(blocks, of_block).all(axis=1)
     slot = np.flatnonzero(kept)
     channels = {}
@@ -119,7 +119,7 @@ def _unrest(run: RunBlocks) -> float:
     return float(sum(np.nanstd(run.mean(name)) for name in names)) + 1e-9 / max(len(run), 1)
 
 
-def _moved(plan: Timeline, runs: Sequence[RunBlocks]) -> dict[str, FloatArray]:
+def _moved(plan: Timeline, chain: ThermalChain, signal: str) -> dict[str, FloatArray]:
     """The channels that the settings decide, at the instants of the plan."""
     found: dict[str, FloatArray] = {"time_since_power_on": np.nan_to_num(plan.since_power_on_s)}
     heated = np.isfinite(plan.air_deg_c)
@@ -127,30 +127,28 @@ def _moved(plan: Timeline, runs: Sequence[RunBlocks]) -> dict[str, FloatArray]:
         first = int(np.argmax(heated))
         air = np.where(heated, plan.air_deg_c, plan.air_deg_c[first])
         setpoint = np.where(heated, plan.setpoint_deg_c, plan.setpoint_deg_c[first])
-        found |= ThermalChain.of_runs(runs).play(air, setpoint)
+        found |= chain.play(air, setpoint)
     rate = plan.rate_deg_per_s
     found |= {"input_rate": rate, "table_rate": rate, "table_acceleration": np.gradient(rate, STEP_S)}
     if np.any(rate != 0.0):
         found["table_angle"] = np.cumsum(rate) * STEP_S
         found |= {"rate_o": 0.0 * rate, "rate_s": 0.0 * rate}
     if any(plan.position):
-        found |= _gravity(plan)
+        found |= _gravity(plan, signal)
     if np.isfinite(plan.volts).any():
         found["supply_voltage"] = np.asarray(plan.volts)
     return found
 
 
-def _gravity(plan: Timeline) -> dict[str, FloatArray]:
-    found = {}
+def _gravity(plan: Timeline, signal: str) -> dict[str, FloatArray]:
+    """Components of the vertical along the axes, and the number of each position."""
+    words = sorted(set(plan.position))
+    at = np.searchsorted(words, plan.position)
+    found = {"position": np.asarray(at + 1.0, dtype=np.float64)}
     for channel, axis in (("gravity_i", "IRA"), ("gravity_o", "OA"), ("gravity_s", "SA")):
-        found[channel] = np.array(
-            [
-                _UP.get(position.partition("_")[2], 0.0) if position.partition("_")[0] == axis else 0.0
-                for position in plan.position
-            ]
-        )
-    words = {word: number for number, word in enumerate(sorted(set(plan.position)), 1)}
-    found["position"] = np.array([float(words[each]) for each in plan.position])
+        # the word of another axis counts for this one as that of its own
+        ups = [input_axis_up(word.replace(axis, "IRA"), signal) if axis in word else 0.0 for word in words]
+        found[channel] = np.array([np.nan if up is None else up for up in ups], dtype=np.float64)[at]
     return found
 
 

@@ -11,20 +11,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, EffectKind, Role, Shape
+from analytics.loop.effects.base import Effect, Shape
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
-from analytics.loop.tracing.search.evidence import FUNCTION_PRICE, PRICE
-from analytics.loop.tracing.search.fitted_candidates import ALIAS_SHARE_OF_LEAD, LEAST_LEAD, LEAST_SHARE_OF_LEAD
+from analytics.loop.tracing.search.evidence import leads, one_degree, penalty
 from analytics.loop.tracing.whitening.stack import Stack
 from analytics.loop.tracing.whitening.whitener import Whitener
 from stream.batch import BoolArray, FloatArray, IntArray
 
 DRAWS = 400
 _RIDGE = 1e-12
+_SAME = 1.0 - 1e-9  # cosine of columns that are one
 
 
 @dataclass(frozen=True)
@@ -87,11 +86,7 @@ class RivalFit:
         whole = whitener(np.column_stack([stack.value, columns]))
         self._scale = np.maximum(np.linalg.norm(whole[:, 1:], axis=0), 1e-300)
         scaled = whole[:, 1:] / self._scale
-        self._gram, self._right, self._square = (
-            scaled.T @ scaled,
-            scaled.T @ whole[:, 0],
-            float(whole[:, 0] @ whole[:, 0]),
-        )
+        self._gram, self._right = scaled.T @ scaled, scaled.T @ whole[:, 0]
         self._places = self._located()
         weights = np.array(
             [0.5 * self._evidence(each, self._gram, self._right[:, None])[0] for each in range(len(self.rivals))]
@@ -130,25 +125,26 @@ class RivalFit:
         rival = self.rivals[number]
         without = self._explained(np.arange(self._known), gram, right)
         best = np.max([self._explained(at, gram, right) for at in self._places[number]], axis=0)
-        price = PRICE + (FUNCTION_PRICE if rival.effect.kind is EffectKind.FUNCTION else 0.0)
-        return _one_degree(best - without, rival.degrees) - price
+        return one_degree(best - without, rival.degrees) - penalty(rival.effect)
 
-    def separated_by(self, run: RunBlocks, repeats: int) -> Separation | None:
-        """What `repeats` runs like this one would decide; None if a channel has no value in it."""
+    def whitened(self, run: RunBlocks) -> FloatArray | None:
+        """The columns of a test, for `separation`; None if a channel has no value in it."""
         columns = self._columns(run)
         if not np.isfinite(columns).all():
             return None
         steps = np.diff(run.slot, prepend=run.slot[0])
         whitener = Whitener.of(self._noise_model, self._noise, steps, np.ones(len(run)))
-        white = whitener(columns) / self._scale
+        return np.asarray(whitener(columns) / self._scale)
+
+    def separation(self, white: FloatArray, repeats: int) -> Separation:
+        """What `repeats` runs with these whitened columns would decide."""
         gram = self._gram + repeats * (white.T @ white)
         powers, least = {}, np.inf
         rng = np.random.default_rng(self._seed)
-        noise = rng.standard_normal((repeats, DRAWS, len(run)))
+        noise = white.T @ rng.standard_normal((repeats, len(white), DRAWS)).sum(axis=0)
         for number, rival in enumerate(self.rivals):
             at, draws = self._posterior(number, rng)
-            mean = white[:, at] @ draws
-            right = self._right[:, None] + sum(white.T @ (mean + each.T) for each in noise)
+            right = self._right[:, None] + repeats * (white.T @ (white[:, at] @ draws)) + noise
             evidences = np.array([self._evidence(each, gram, right) for each in range(len(self.rivals))])
             powers[rival.effect.name] = float(np.mean(self._is_single(number, evidences)))
             apart = evidences[number] - np.delete(evidences, number, axis=0)
@@ -168,29 +164,43 @@ class RivalFit:
 
     def _is_single(self, number: int, evidences: FloatArray) -> BoolArray:
         """Whether a rival leads all others, by the rules of the search."""
-        own, leads = evidences[number], np.ones(evidences.shape[1], dtype=bool)
-        mine = self.rivals[number].effect
-        for other, theirs in zip(self.rivals, evidences, strict=True):
-            if other.effect.name == mine.name:
-                continue
-            lead = np.maximum(LEAST_LEAD, LEAST_SHARE_OF_LEAD * own)
-            is_alias = other.effect.name in mine.aliases or mine.name in other.effect.aliases
-            if is_alias and other.effect.role is mine.role is Role.CAUSE:
-                lead = np.maximum(lead, ALIAS_SHARE_OF_LEAD * own)
-            leads &= own - theirs >= lead
-        return np.asarray(leads & (own > 0))
-
-
-def _one_degree(ratio: FloatArray, degrees: int) -> FloatArray:
-    """`one_degree` of the search, of many at once."""
-    ratio = np.maximum(ratio, 0.0)
-    if degrees == 1:
-        return ratio
-    log_p = stats.chi2.logsf(ratio, degrees)
-    return np.where(log_p > -600, stats.chi2.isf(np.exp(np.maximum(log_p, -600)), 1), ratio - 2 * (degrees - 1))
+        own, mine = evidences[number], self.rivals[number].effect
+        others = [
+            leads(own, mine, theirs, other.effect)
+            for other, theirs in zip(self.rivals, evidences, strict=True)
+            if other.effect.name != mine.name
+        ]
+        return np.asarray(np.all(others, axis=0) & (own > 0))
 
 
 def rival(name: str, runs: Sequence[RunBlocks]) -> Rival:
     """A rival with every shape that the search tries on these runs."""
     found = effect(name)
     return Rival(found, tuple(found.shapes(runs)) or ({},))
+
+
+def inseparable(names: Sequence[str], runs: Sequence[RunBlocks]) -> dict[str, tuple[str, ...]]:
+    """By rival: others with the same columns whatever is run, such as an effect of a slope and a sensor's clock."""
+    columns = {name: _direction(name, runs) for name in names}
+    found: dict[str, tuple[str, ...]] = {}
+    for name, own in columns.items():
+        first = next((each for each in found if _is_same(columns[each], own)), None)
+        if first is None:
+            found[name] = ()
+        else:
+            found[first] = (*found[first], name)
+    return found
+
+
+def _direction(name: str, runs: Sequence[RunBlocks]) -> FloatArray | None:
+    """The one column of a rival without parameters, of length one."""
+    shapes = effect(name).shapes(runs)
+    if len(shapes) != 1 or len(effect(name).columns(shapes[0])) != 1:
+        return None
+    column = np.concatenate([effect(name).regressors(run, shapes[0])[:, 0] for run in runs])
+    column = column[np.isfinite(column)]
+    return np.asarray(column / max(float(np.linalg.norm(column)), 1e-300))
+
+
+def _is_same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    return one is not None and other is not None and one.size == other.size and abs(float(one @ other)) > _SAME

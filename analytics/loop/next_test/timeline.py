@@ -1,12 +1,11 @@
 """The settings of a station during a planned test, at even instants."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.next_test.candidate_tests import StationBounds
-from ingest.procedures.plan import PlannedStep
+from analytics.loop.next_test.candidate_test import CandidateTest
+from analytics.loop.next_test.station_bounds import StationBounds
 from stream.batch import BoolArray, FloatArray
 
 STEP_S = 5.0
@@ -43,40 +42,42 @@ class Timeline:
         return np.isfinite(self.since_power_on_s)
 
 
-def timeline(steps: Sequence[PlannedStep], bounds: StationBounds, start_deg_c: float) -> Timeline:
-    """Play the steps of a test; the unit is powered on at its start, in a chamber at `start_deg_c`."""
-    setpoint, rate, since, position, volts = np.nan, 0.0, 0.0, "", np.nan
-    air, moving = start_deg_c, 0.0
-    rows: list[tuple[float, float, float, float, str, float]] = []
+def timeline(test: CandidateTest, bounds: StationBounds) -> Timeline:
+    """Play the steps of a test; the unit is powered on at its start, in a chamber at the middle of its bounds."""
+    parts: list[tuple[FloatArray, ...]] = []
+    positions: list[str] = []
+    setpoint, rate, volts, position = np.nan, 0.0, np.nan, ""
+    air, moving, since = bounds.middle_deg_c, 0.0, 0.0
+    most_deg_c, most_rate = bounds.slope_deg_c_per_min / 60.0 * STEP_S, bounds.acceleration_deg_per_s2 * STEP_S
 
     def play(seconds: float, *, powered: bool = True) -> None:
-        nonlocal air, since, moving
-        for _ in range(round(seconds / STEP_S)):
-            if np.isfinite(setpoint):
-                most = bounds.slope_deg_c_per_min / 60.0 * STEP_S
-                air += float(np.clip(setpoint - air, -most, most))
-            most = bounds.acceleration_deg_per_s2 * STEP_S
-            moving += float(np.clip(rate - moving, -most, most))
-            since = since + STEP_S if powered else -STEP_S
-            rows.append((setpoint, air, moving, since if powered else np.nan, position, volts))
+        nonlocal air, moving, since
+        count = np.arange(1.0, round(seconds / STEP_S) + 1.0)
+        if not count.size:
+            return
+        known = np.isfinite(setpoint)
+        heated = _towards(air, setpoint, most_deg_c * count) if known else np.full(count.size, np.nan)
+        turned = _towards(moving, rate, most_rate * count)
+        on = since + STEP_S * count if powered else np.full(count.size, np.nan)
+        held = np.ones(count.size)
+        parts.append((setpoint * held, heated, turned, on, volts * held))
+        positions.extend([position] * count.size)
+        air, moving, since = (heated[-1] if known else air), turned[-1], (on[-1] if powered else -STEP_S)
 
-    for step in steps:
+    for number, step in enumerate(test.planned()):
         if step.power in ("off", "cycle"):
             play(step.off_s, powered=False)
         setpoint = step.settings.get("temperature", setpoint)
         rate = step.settings.get("rate", rate)
         position = step.words.position or position
-        volts = _volts(step.words.step or "", volts)
+        volts = test.volts[number] if test.volts else np.nan
         if "temperature" in step.wait_settled and np.isfinite(setpoint):
             play(abs(setpoint - air) / (bounds.slope_deg_c_per_min / 60.0))
         play(step.warm_up_s + step.settle_s + step.record_s)
-    columns = list(zip(*rows, strict=True))
-    setpoints, airs, rates, powered = (np.array(columns[each], dtype=np.float64) for each in range(4))
-    airs[np.isnan(setpoints)] = np.nan
-    return Timeline(setpoints, airs, rates, powered, tuple(columns[4]), np.array(columns[5], dtype=np.float64))
+    setpoints, airs, rates, powered, supplied = map(np.concatenate, zip(*parts, strict=True))
+    return Timeline(setpoints, airs, rates, powered, tuple(positions), supplied)
 
 
-def _volts(name: str, before: float) -> float:
-    """Volts of a step that an operator sets, ``supply 12 V``."""
-    words = name.split()
-    return float(words[1]) if len(words) == 3 and words[0] == "supply" else before
+def _towards(start: float, target: float, most: FloatArray) -> FloatArray:
+    """From a start towards a target, no farther than `most`."""
+    return np.asarray(start + np.clip(target - start, -most, most))

@@ -9,10 +9,13 @@ import pytest
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect
-from analytics.loop.next_test.candidate_tests import CandidateTest, StationBounds, candidate_tests
-from analytics.loop.next_test.next_test import TestPlan, next_test
+from analytics.loop.next_test.candidate_test import CandidateTest
+from analytics.loop.next_test.candidate_tests import candidate_tests
+from analytics.loop.next_test.next_test import next_test
 from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run
-from analytics.loop.next_test.separation import DRAWS, Rival, RivalFit
+from analytics.loop.next_test.separation import DRAWS, Rival, RivalFit, inseparable
+from analytics.loop.next_test.station_bounds import StationBounds
+from analytics.loop.next_test.test_plan import TestPlan
 from analytics.loop.next_test.timeline import STEP_S, timeline
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.diagnosis import diagnose
@@ -39,6 +42,10 @@ def plans_for(*channels: str) -> list[CandidateTest]:
     return [each for each in candidate_tests(channels or EVERYTHING, BOUNDS, runs()) if not each.like]
 
 
+def planned(test: CandidateTest) -> RunBlocks:
+    return predicted_run(timeline(test, BOUNDS), runs(), ThermalChain.of_runs(runs()), "next")
+
+
 @pytest.mark.parametrize("test", plans_for(), ids=lambda test: test.name)
 def test_every_plan_is_a_procedure_that_a_station_runs(test: CandidateTest, tmp_path: Path) -> None:
     path = tmp_path / "next.toml"
@@ -46,7 +53,7 @@ def test_every_plan_is_a_procedure_that_a_station_runs(test: CandidateTest, tmp_
     procedure = load_procedure(path)
     assert procedure.steps() == test.planned()
     assert procedure.names.zh
-    played = timeline(test.planned(), BOUNDS, 20.0)
+    played = timeline(test, BOUNDS)
     known = np.isfinite(played.setpoint_deg_c)
     assert np.all((played.setpoint_deg_c[known] >= -20.0) & (played.setpoint_deg_c[known] <= 55.0))
     assert np.abs(np.diff(played.air_deg_c[known])).max(initial=0.0) <= 2.0 / 60.0 * STEP_S + 1e-9
@@ -82,7 +89,7 @@ def test_lags_between_temperatures_come_from_the_units_own_runs() -> None:
 
 def test_the_predicted_temperature_is_that_of_the_physics() -> None:
     (test,) = [each for each in plans_for("temperature") if each.name == "temperature_triangle_20_deg_c_1_per_min_4_h"]
-    predicted = predicted_run(timeline(test.planned(), BOUNDS, 17.5), runs(), "next")
+    predicted = planned(test)
     plan = TestPlan(test=test, hours=4.0, power=1.0, separation=0.0, by_truth={})
     (done,) = planned_runs(campaign(), plan, Planted("temperature_squared", [0.0]), BOUNDS, 1)
     both = np.intersect1d(predicted.slot, done.slot)[200:]  # the run may begin at another temperature
@@ -103,9 +110,10 @@ def test_the_power_is_that_of_simulated_tests() -> None:
     names = ("supply_voltage_squared", "vibration")
     fit = rival_fit(*names)
     (test,) = [each for each in plans_for("supply_voltage") if each.name == "supply_steps_5_min"]
-    run = predicted_run(timeline(test.planned(), BOUNDS, 20.0), runs(), "next")
-    found = fit.separated_by(run, 1)
-    assert found is not None
+    run = planned(test)
+    white = fit.whitened(run)
+    assert white is not None
+    found = fit.separation(white, 1)
     every = [*runs(), run]
     whiten = DenseWhitener([each.slot for each in every], 30.0, campaign().noise)
     known = np.concatenate([MODEL.columns(each) for each in every])
@@ -139,26 +147,25 @@ def _left(value: np.ndarray, columns: np.ndarray) -> float:
 def test_what_has_the_same_columns_is_never_separated() -> None:
     fit = rival_fit("temperature_rate", "temperature_time_offset")
     for test in plans_for("temperature")[:3]:
-        run = predicted_run(timeline(test.planned(), BOUNDS, 20.0), runs(), "next")
-        found = fit.separated_by(run, 1)
-        assert found is not None
-        assert found.power == 0.0
+        run = planned(test)
+        white = fit.whitened(run)
+        assert white is not None
+        assert fit.separation(white, 1).power == 0.0
 
 
-def test_a_clock_and_a_slope_are_named_inseparable() -> None:
+def test_a_clock_and_a_slope_are_inseparable() -> None:
+    names = ("temperature_rate", "temperature_time_offset", "temperature_gradient")
+    assert inseparable(names, runs()) == {names[0]: (names[1],), names[2]: ()}
+
+
+def test_causes_that_look_alike_have_no_test_but_say_so() -> None:
     ramps = Campaign(4000, types=("ramp",), runs=9)
     planted = planted_in(ramps, "temperature_rate", 14.0, np.random.default_rng((0, 3)))
     some = ramps.runs([planted], noise_seed=7000)
     asked = next_test(diagnose(some, MODEL, declared_noise=DECLARED), some, MODEL, declared_noise=DECLARED)
     assert asked is not None
-    assert (
-        "temperature_rate",
-        ("temperature_time_offset",),
-    ) in asked.twins.items() or "temperature_time_offset" not in (
-        *asked.rivals,
-        *(other for others in asked.twins.values() for other in others),
-    )
-    assert asked.why_not is not None or asked.plans
+    assert {"temperature_rate", "temperature_gradient"} <= set(asked.rivals)
+    assert (asked.plans, asked.why_not is not None) == ((), True)
 
 
 def test_nothing_is_planned_where_nothing_is_open() -> None:

@@ -1,4 +1,4 @@
-"""From runs to a verdict: planted effects come back, nothing is invented, and what cannot be reported is said."""
+"""From runs to a verdict: planted effects come back, nothing is invented, and what the data cannot show is named."""
 
 import json
 from collections.abc import Sequence

@@ -9,7 +9,7 @@ import msgspec
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.report.finding_sentences import alternative
 from analytics.loop.report.verdict_sentence import verdict_sentence
-from analytics.loop.report.wording import Wording
+from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from tests.diagnosed_units import NOISE, SHUPE, a_finding, diagnosed
 
@@ -66,8 +66,9 @@ def verdicts() -> Sequence[Diagnosis]:
 
 def test_every_verdict_is_a_sentence_of_its_own_in_both_languages() -> None:
     assert {each.verdict for each in verdicts()} == set(ModelVerdict)
-    for language, stop in (("en", "."), ("zh", "。")):
-        reported = [verdict_sentence(each, Wording(language)) for each in verdicts()]  # type: ignore[arg-type]
+    stops: dict[Language, str] = {"en": ".", "zh": "。"}
+    for language, stop in stops.items():
+        reported = [verdict_sentence(each, Wording(language)) for each in verdicts()]
         assert len(set(reported)) == len(reported)
         for text in reported:
             assert text.endswith(stop)

@@ -84,7 +84,7 @@ def test_a_chart_of_noise_seldom_has_too_many_signals_or_a_wild_point() -> None:
 
 
 def test_signals_are_counted_as_noise_gives_them() -> None:
-    """What is said to be expected is what charts of known limits give: about one point in 370 beyond 3 sigma."""
+    """The expected number of signals is what charts of known limits give: about one point in 370 beyond 3 sigma."""
     chance = chart_chance(np.arange(400.0), np.zeros(8, np.int64), baseline=400, spread=Spread.DEVIATION)
     assert chance.expected[0] == pytest.approx(400 / 370.4, rel=0.12)
     assert chance.rule is None

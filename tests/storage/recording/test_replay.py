@@ -1,4 +1,4 @@
-"""A stored run sent once more is estimated as it was, to the last bit; what is not the same is said."""
+"""A stored run sent once more is estimated as it was, to the last bit; differences are reported."""
 
 import functools
 import time

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, stats
 
+from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal, project, solve
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 
 PRICE = 9.0  # multiplicity penalty of a candidate, in chi-square
 FUNCTION_PRICE = 9.2  # added for a general function: a named effect of equal fit is a hundred times more likely
@@ -16,29 +17,65 @@ LEAST_GAIN, LEAST_GAIN_OF_OTHERS = 2.0, 1.0  # nats
 MOST_FROM_ONE = 0.98
 _SMALLEST = 1e-12
 BY_CHANCE = 0.01
+LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03  # evidence, and share of a large evidence, by which to lead others
+ALIAS_SHARE_OF_LEAD = 0.25
+"""The same between causes that are aliases of each other, such as the rate of temperature and a temperature gradient:
+both follow one cause, and the noise of their channels must not decide."""
+_LEAST_LOG_P = -600.0  # exp of less is 0
 TRUST = 4
 _LEAST_SHARE = 0.01  # least share of the information that a replicate needs to count
 
 
-def one_degree(likelihood_ratio: float, degrees: int) -> float:
+def one_degree(likelihood_ratio: FloatArray | float, degrees: int) -> FloatArray:
     """Equivalent chi-square of one degree of freedom.
 
-    >>> round(one_degree(30.0, 1), 3), round(one_degree(30.0, 8), 1)
-    (30.0, 13.7)
+    >>> one_degree(30.0, 1).round(3), one_degree(30.0, 8).round(1)
+    (np.float64(30.0), np.float64(13.7))
     """
-    if likelihood_ratio <= 0:
-        return 0.0
-    log_p = float(stats.chi2.logsf(likelihood_ratio, degrees))
-    if log_p > -600:
-        return float(stats.chi2.isf(np.exp(log_p), 1))
-    return likelihood_ratio - 2 * (degrees - 1)
+    ratio = np.maximum(likelihood_ratio, 0.0)
+    if degrees == 1:
+        return ratio
+    log_p = stats.chi2.logsf(ratio, degrees)
+    exact = stats.chi2.isf(np.exp(np.maximum(log_p, _LEAST_LOG_P)), 1)
+    return np.where(log_p > _LEAST_LOG_P, exact, ratio - 2 * (degrees - 1))[()]
 
 
-def evidence(likelihood_ratio: float, degrees: int, *, is_function: bool) -> float:
-    """Evidence of an effect: equivalent chi-square less penalties."""
-    if likelihood_ratio <= 0:
-        return -np.inf
-    return one_degree(likelihood_ratio, degrees) - PRICE - (FUNCTION_PRICE if is_function else 0.0)
+def penalty(effect: Effect) -> float:
+    """Multiplicity penalty of an effect, in chi-square."""
+    return PRICE + (FUNCTION_PRICE if effect.kind is EffectKind.FUNCTION else 0.0)
+
+
+def evidence(likelihood_ratio: float, degrees: int, effect: Effect) -> float:
+    """Evidence of an effect: equivalent chi-square less its penalty; -inf where it explains nothing."""
+    return float(one_degree(likelihood_ratio, degrees)) - penalty(effect) if likelihood_ratio > 0 else -np.inf
+
+
+def needed_lead(best: FloatArray | float) -> FloatArray:
+    """Evidence by which the best candidate has to lead another.
+
+    The wrong one of two leads by L with a probability of at most Phi(-sqrt(L)), however similar they are: 1 in 3700
+    at 12, and an effect has some ten similar ones. Of a large effect a share of its own evidence is required, since
+    channels are measured and forms are idealised no better than that.
+    """
+    return np.maximum(LEAST_LEAD, LEAST_SHARE_OF_LEAD * np.asarray(best))[()]
+
+
+def leads(best: FloatArray | float, effect: Effect, other: FloatArray | float, its_effect: Effect) -> BoolArray:
+    """Whether the data separate the best candidate from another, by the evidence of both."""
+    lead = needed_lead(best)
+    is_alias = its_effect.name in _aliases(effect) or effect.name in _aliases(its_effect)
+    if is_alias and effect.role is its_effect.role is Role.CAUSE:
+        lead = np.maximum(lead, ALIAS_SHARE_OF_LEAD * np.asarray(best))
+    return np.subtract(best, other) >= lead
+
+
+def is_common(effect: Effect) -> bool:
+    """Whether its coefficients hold for all units; those of lines and jumps do not."""
+    return effect.kind not in (EffectKind.LINE, EffectKind.EVENT)
+
+
+def _aliases(effect: Effect) -> tuple[str, ...]:
+    return effect.aliases if is_common(effect) else ()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from analytics.loop.effects.base import Effect, EffectKind, Role
+from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.search.event_scans import jump_column, line_columns, scan_jumps, scan_lines
@@ -15,7 +15,10 @@ from analytics.loop.tracing.search.evidence import (
     PRICE,
     Replication,
     evidence,
+    is_common,
+    leads,
     leave_one_out,
+    needed_lead,
     noise_inflation,
     one_degree,
 )
@@ -32,10 +35,6 @@ UNMASKED = 1e-4
 MOST_UNMASKED = 8
 SWALLOWED = 0.25  # excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect
 EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0  # ratio to the declared variance at which the noise model is not trusted
-LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03  # evidence, and share of a large evidence, by which to lead others
-ALIAS_SHARE_OF_LEAD = 0.25
-"""The same between causes that are aliases of each other, such as the rate of temperature and a temperature gradient:
-both follow one cause, and the noise of their channels must not decide."""
 _SAME_EVIDENCE = 6  # decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
@@ -64,34 +63,21 @@ class FittedCandidate:
 
     @property
     def is_common(self) -> bool:
-        """Whether its coefficients hold for all units; those of lines and jumps do not."""
-        return self.effect.kind not in (EffectKind.LINE, EffectKind.EVENT)
+        """Whether its coefficients hold for all units."""
+        return is_common(self.effect)
 
     def is_near(self, best: "FittedCandidate") -> bool:
         """Whether the data cannot separate it from the best candidate.
 
         The noise inflation is left out here, since a wrong form also makes coefficients disagree between runs.
         """
-        lead = best.lead
-        is_alias = self.name in best.aliases or best.name in self.aliases
-        if is_alias and self.effect.role is best.effect.role is Role.CAUSE:
-            lead = max(lead, ALIAS_SHARE_OF_LEAD * best.evidence)
-        return best.evidence - (self.evidence if self.at_most is None else self.at_most) < lead
-
-    @property
-    def aliases(self) -> tuple[str, ...]:
-        """Effects of the library that look like it."""
-        return self.effect.aliases if self.is_common else ()
+        own = self.evidence if self.at_most is None else self.at_most
+        return not leads(best.evidence, best.effect, own, self.effect)
 
     @property
     def lead(self) -> float:
-        """Evidence by which it has to lead another candidate.
-
-        The wrong one of two leads by L with a probability of at most Phi(-sqrt(L)), however similar they are: 1 in 3700
-        at 12, and an effect has some ten similar ones. Of a large effect a share of its own evidence is required, since
-        channels are measured and forms are idealised no better than that.
-        """
-        return max(LEAST_LEAD, LEAST_SHARE_OF_LEAD * self.evidence)
+        """Evidence by which it has to lead another candidate."""
+        return float(needed_lead(self.evidence))
 
     @property
     def significance(self) -> float:
@@ -176,12 +162,12 @@ def _fitted(
         if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
             continue
         degrees = result.degrees + (len(group) > 1)
-        evidence = _evidence(joint, ratio, degrees, item.effect.kind)
+        evidence = _evidence(joint, ratio, degrees, item.effect)
         best = FittedCandidate(item.effect, dict(item.shape), columns, joint, ratio, degrees, evidence)
     return best
 
 
-def _evidence(joint: JointFit, ratio: float, degrees: int, kind: EffectKind) -> float:
+def _evidence(joint: JointFit, ratio: float, degrees: int, effect: Effect) -> float:
     """Evidence of a fit; the penalty doubles if its noise is far from the declared noise."""
     excess = [
         record.noise_model.average_variance(noise, EXCESS_AVERAGE_S)
@@ -189,7 +175,7 @@ def _evidence(joint: JointFit, ratio: float, degrees: int, kind: EffectKind) -> 
         for record, noise in zip(joint.records, joint.noises, strict=True)
     ]
     price = PRICE if max(excess) > GROSS_EXCESS else 0.0
-    return evidence(ratio, degrees, is_function=kind is EffectKind.FUNCTION) - price
+    return evidence(ratio, degrees, effect) - price
 
 
 def _discounted(each: FittedCandidate) -> FittedCandidate:
@@ -201,7 +187,7 @@ def _discounted(each: FittedCandidate) -> FittedCandidate:
     if not replication.replicates:
         return replace(each, replication=replication, replicates=False)
     ratio = each.likelihood_ratio / noise_inflation(each.joint, replicates, runs, width)
-    evidence = _evidence(each.joint, ratio, each.degrees, each.effect.kind)
+    evidence = _evidence(each.joint, ratio, each.degrees, each.effect)
     return replace(each, likelihood_ratio=ratio, evidence=evidence, replication=replication, at_most=each.evidence)
 
 

@@ -106,7 +106,7 @@ def _fitted(
         return []
     ratio /= noise_inflation(joint, replicates, [stack.run_number for stack in stacks], degrees)
     p_value = float(stats.chi2.sf(max(ratio, 0.0), degrees))
-    gain = one_degree(ratio, degrees) - PAIR_PRICE
+    gain = float(one_degree(ratio, degrees)) - PAIR_PRICE
     if gain <= 0 or family_p_value(p_value, max(tests, tests**2 / 2)) >= PAIR_ALPHA:
         return []
     return [

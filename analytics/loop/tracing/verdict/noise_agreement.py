@@ -102,7 +102,7 @@ def scatter_finding(
         return None
     unit = runs[0].unit_of_measure
     chi_square = float(np.sum(((scatter.means - scatter.means.mean()) / scatter.within) ** 2))
-    equivalent = one_degree(chi_square, len(runs) - 1)
+    equivalent = float(one_degree(chi_square, len(runs) - 1))
     low, high = scatter.bounds()
     rows = zip(runs, scatter.means, scatter.within, strict=True)
     return FoundEffect(

@@ -1,0 +1,124 @@
+"""Test plans: candidate tests with as many repeats as they need, and the cheapest of them."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.registry import effect
+from analytics.loop.next_test.candidate_test import CandidateTest
+from analytics.loop.next_test.candidate_tests import candidate_tests
+from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run, repeated_run
+from analytics.loop.next_test.separation import Separation
+from analytics.loop.next_test.station_bounds import StationBounds
+from analytics.loop.next_test.timeline import timeline
+
+WANTED_POWER = 0.9
+_LEAST_POWER, _HOPELESS_POWER = 0.05, 0.02  # of a plan worth naming; of a test not worth repeating
+_MOST_PLANS = 5
+_MOST_REPEATS = 3
+_PREPARATION_H = 0.25  # to mount and warm up, for each run
+
+Decides = Callable[[RunBlocks], Callable[[int], Separation] | None]
+"""What a test decides if it is run a number of times; None if a channel that it needs has no value."""
+
+
+class TestPlan(msgspec.Struct, frozen=True, kw_only=True):
+    """A test that may decide.
+
+    Parameters
+    ----------
+    hours: Of all its runs, with ramps and pauses.
+    power: Probability that it decides.
+    separation: Least expected difference of evidence between a true effect and another, chi-square.
+    by_truth: Power if each of the rivals is the true one.
+    """
+
+    __test__ = False
+
+    test: CandidateTest
+    hours: float
+    power: float
+    separation: float
+    by_truth: dict[str, float]
+
+    def document(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "procedure": self.test.name,
+            "what": str(self.test.what),
+            "repeat_of": self.test.like or None,
+            "runs": self.test.repeats,
+            "hours": round(self.hours, 2),
+            "power": round(self.power, 3),
+            "separation": round(self.separation, 1),
+            "by_truth": {name: round(power, 3) for name, power in self.by_truth.items()},
+            "steps": list(self.test.steps),
+        }
+
+
+def cheapest_plans(
+    decides: Decides,
+    names: Sequence[str],
+    runs: Sequence[RunBlocks],
+    bounds: StationBounds,
+    on_progress: Callable[[str], None],
+) -> tuple[tuple[TestPlan, ...], TestPlan | None]:
+    """Plans that reach the power, the cheapest first, else the most powerful; and the cheapest repetition.
+
+    Parameters
+    ----------
+    names: Of the rivals, which the tests are to move.
+    runs: Of the unit.
+    """
+    needed = {channel for name in names for channel in effect(name).needs}
+    chain, last_ns = ThermalChain.of_runs(runs), max(run.t0_ns for run in runs)
+    of_name = {run.run: run for run in runs}
+    timed = []
+    for test in candidate_tests(needed, bounds, runs):
+        if test.like:
+            run = repeated_run(of_name[test.like], test.name, last_ns)
+        else:
+            run = predicted_run(timeline(test, bounds), runs, chain, test.name)
+        timed.append((_hours(run), run, test))
+    timed.sort(key=lambda each: each[0])
+    good: list[TestPlan] = []
+    weak: list[TestPlan] = []
+    repeat: TestPlan | None = None
+    for number, (hours, run, test) in enumerate(timed, start=1):
+        on_progress(f"planning the next test ({number} of {len(timed)})")
+        most = good[_MOST_PLANS - 1].hours if len(good) >= _MOST_PLANS else np.inf
+        plan = _cheapest(decides, run, hours, test, np.inf if test.like and repeat is None else most)
+        if plan is None:
+            continue
+        if test.like and plan.power >= WANTED_POWER and (repeat is None or plan.hours < repeat.hours):
+            repeat = plan
+        (good if plan.power >= WANTED_POWER else weak).append(plan)
+        good.sort(key=lambda each: each.hours)
+    chosen = good or sorted(weak, key=lambda each: -each.power)
+    return tuple(each for each in chosen[:_MOST_PLANS] if each.power > _LEAST_POWER), repeat
+
+
+def _cheapest(decides: Decides, run: RunBlocks, hours: float, test: CandidateTest, most_h: float) -> TestPlan | None:
+    """The test with as many repeats as its power needs; None if it does not fit or has no hope."""
+    if hours > most_h or (of_repeats := decides(run)) is None:
+        return None
+    best: TestPlan | None = None
+    for repeats in range(1, min(_MOST_REPEATS, int(most_h / hours) if np.isfinite(most_h) else _MOST_REPEATS) + 1):
+        found = of_repeats(repeats)
+        best = TestPlan(
+            test=msgspec.structs.replace(test, repeats=repeats),
+            hours=repeats * hours,
+            power=found.power,
+            separation=found.least,
+            by_truth=found.by_truth,
+        )
+        if found.power >= WANTED_POWER or found.power < _HOPELESS_POWER:
+            break
+    return best
+
+
+def _hours(run: RunBlocks) -> float:
+    return float(run.slot[-1] + 1 - run.slot[0]) * run.block_s / 3600.0 + _PREPARATION_H
