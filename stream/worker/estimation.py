@@ -50,7 +50,7 @@ class Estimation:
     def __init__(
         self, every_ns: int, factories: Mapping[str, Callable[[], PointEstimator]],
         publish: Callable[[str, AnyDocument], None], fill: Callable[[StreamId, int], None] | None = None, *,
-        spectrum: bool = True, estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+        spectrum: bool = True, estimated: EstimatedSignals = EstimatedSignals(),
     ) -> None:  # fmt: skip
         self._every_ns, self._estimated = every_ns, estimated
         self._not_estimated: set[tuple[str, str, str]] = set()

@@ -61,7 +61,7 @@ class EstimationWorker(Closing):
         estimators: Mapping[str, Callable[[], PointEstimator]] | None = None,
         on_document: Callable[[AnyDocument], None] | None = None, log: RecordedLog | None = None,
         checkpoint: Path | None = None, checkpoint_every_s: float = 30.0, spectrum: bool = True,
-        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+        estimated: EstimatedSignals = EstimatedSignals(),
     ) -> None:  # fmt: skip
         self._publisher, self._on_document, self._log = publisher, on_document, log
         self._checkpoint, self._checkpoint_every_s = checkpoint, checkpoint_every_s
