@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[1]
-GUIDES = ROOT / "docs" / "how-to"
+from tests.sources import SOURCES
+
+GUIDES = Path(__file__).parents[1] / "docs" / "how-to"
 
 Ask = Callable[..., str]
 
@@ -30,8 +31,8 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the packages; compiled kernels are copied with them."""
     house = tmp_path_factory.mktemp("house")
     for package in ("stream", "storage", "ingest", "analytics"):
-        shutil.copytree(ROOT / package, house / package)
-    shutil.copy2(ROOT / "gyrofleet.py", house)
+        shutil.copytree(SOURCES / package, house / package)
+    shutil.copy2(SOURCES / "gyrofleet.py", house)
     return house
 
 

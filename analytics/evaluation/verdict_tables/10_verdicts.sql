@@ -6,7 +6,7 @@ create or replace macro verdict_of_rank(rank) as
   case rank when 1 then 'FAIL' when 2 then 'MARGINAL' when 3 then 'NO_DATA' when 4 then 'PASS' end;
 
 -- The last run of each unit; its product from the last run that knew it.
-create or replace view internal.unit_last_run as
+create or replace table internal.unit_last_run as
 select u.* replace (coalesce(u.product, p.product) as product)
 from unit_runs u
 left join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null group by unit) p
@@ -15,7 +15,7 @@ qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_s
 
 -- Every unit that was tested or checked, with the moment and place that decide what is asked of it: those of its last
 -- run; without a run, those of the last check that was entered.
-create or replace view internal.judged_units as
+create or replace table internal.judged_units as
 with entered as (
   select unit, max(t_ns) as t_ns, min(arrival_ns) as recorded_ns
   from internal.lake_documents where kind = 'CheckEntered' group by unit
@@ -57,7 +57,7 @@ from moment m left join applied a using (unit, run);
 
 -- The values of metrics that have limits, with the run that each is of: the last of those that it rests on; the unit's
 -- last run where it rests on none.
-create or replace view internal.metric_runs as
+create or replace table internal.metric_runs as
 with limited as (
   select rowid as row, * from unit_metrics where metric in (select metric from internal.limit_editions)
 ), over_several as (
@@ -115,7 +115,7 @@ where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
   and (s.signal is null or s.signal = m.signal)
   and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard));
 
-create or replace view verdicts as
+create or replace table verdicts as
 with candidate as materialized (
   select * from internal.limit_candidates
 ), converted as (                       -- in the unit of the limit
@@ -210,4 +210,4 @@ union all select * from outside
 union all select * from lacking
 union all select * from unknown_product
 union all select * from entered;
-comment on view verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';
+comment on table verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';

@@ -2,7 +2,7 @@
 -- gave no value counts only where no other did. A unit passes only where limits of a specification were judged: checks
 -- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each limit instead: after a
 -- repair and a second test the two differ.
-create or replace view internal.limit_verdicts as
+create or replace table internal.limit_verdicts as
 select unit, signal, metric, subject, of_standard, specification,
   verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict,
   coalesce(arg_max(verdict, (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 'NO_DATA') as latest_verdict,

@@ -15,8 +15,8 @@ from ingest.simulator.physics.gyro import GyroParameters
 from ingest.simulator.physics.plan import Plan, load_plan, parse_plan
 from ingest.simulator.physics.truth import truth, write_truth
 from stream.errors import BadInput
+from tests.sources import SOURCES
 
-ROOT = Path(__file__).resolve().parents[3]
 FLEET = """
 [fleet]
 seed = 7
@@ -245,7 +245,7 @@ def test_truth_that_cannot_be_written(tmp_path: Path) -> None:
 def test_nothing_but_the_simulation_reads_the_truth() -> None:
     readers = []
     for package in ("stream", "storage", "ingest", "analytics"):
-        for path in (ROOT / package).rglob("*.py"):
+        for path in (SOURCES / package).rglob("*.py"):
             if "simulator" in path.parts:
                 continue
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -257,7 +257,7 @@ def test_nothing_but_the_simulation_reads_the_truth() -> None:
 
 
 def test_the_physics_knows_nothing_of_analytics_or_estimators() -> None:
-    for path in (ROOT / "ingest/simulator/physics").glob("*.py"):
+    for path in (SOURCES / "ingest/simulator/physics").glob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert "analytics." not in text
         assert "stream.estimators" not in text

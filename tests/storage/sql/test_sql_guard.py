@@ -10,9 +10,9 @@ import pytest
 from storage.sql.guard import TABLE_FUNCTIONS, check_statement
 from storage.sql.landlock import landlock_version
 from stream.errors import QueryError
+from tests.sources import SOURCES
 from tests.storage import sql_corpus
 
-ROOT = Path(__file__).parents[3]
 READS = [
     "select 1", "from samples", "select * from samples s join signals using (unit) where value > 1.5",
     "describe samples", "summarize samples", "show tables", "explain select 1", "explain analyze from samples",
@@ -105,6 +105,6 @@ for statement in (
         print("written:", statement)
 """
     command = [sys.executable, "-P", "-c", script, str(tmp_path), str(place)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=SOURCES)
     assert (done.returncode, done.stdout, done.stderr) == (0, "[(9,)]\n", "")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("samples.parquet", b"as it was")]
