@@ -59,6 +59,7 @@ def beside() -> Iterator[ExitStack]:
         yield stack
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", RUN)
 def test_code_blocks_run_and_give_the_output_that_is_shown(page: str, tmp_path: Path, beside: ExitStack) -> None:
     output = ""

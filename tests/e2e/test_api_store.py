@@ -103,6 +103,7 @@ def test_metrics_are_a_frame(store: gf.FleetStore) -> None:
     assert "none" in {json.loads(each)["earth_rate"] for each in biases["parameters"]}
 
 
+@pytest.mark.long
 def test_an_effect_that_was_not_declared_is_found(store: gf.FleetStore) -> None:
     found = store.diagnose("G-2", "rate = bias").diagnosis
     assert store.diagnose("G-2", "rate = bias", runs=["t0", "t1"], holdout="t1").diagnosis.training_runs == ("t0",)

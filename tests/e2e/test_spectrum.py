@@ -126,6 +126,7 @@ def test_a_single_segment_will_do(gyrofleet: Callable[..., Any], store: Path) ->
     assert gyrofleet(*ask(store, "--plot", "one.png", run="one_segment")).code == 0
 
 
+@pytest.mark.long
 def test_the_plot_is_written(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
     done = gyrofleet(*ask(store, "--plot", "a.png"))
     assert done.code == 0

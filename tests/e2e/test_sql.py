@@ -72,6 +72,12 @@ def store(folder: Path) -> Store:
     return Store.open(folder / "S")
 
 
+@pytest.mark.in_gate(
+    "with x as (copy (select 42) to 'PLACE') from x",
+    "create table t as select 1",
+    "with x as (delete from internal.lake_channels returning *) select * from x",
+    "update extensions",
+)
 @pytest.mark.parametrize("statement", BY_COMMAND)
 def test_the_command_ends_with_2(
     statement: str, folder: Path, place: Path, run_command: Callable[..., Any], unchanged: None
@@ -103,6 +109,9 @@ def test_without_landlock_the_rest_holds(store: Store, place: Path, unchanged: N
                 door.ask(statement.replace("PLACE", str(place))).read_all()
 
 
+@pytest.mark.in_gate(
+    "select length(repeat('x', 2000000000)) + length(repeat('y', 2000000000))", "select range(500000000)"
+)
 @pytest.mark.parametrize("statement", sql_corpus.ENDLESS)
 def test_what_has_no_end_is_ended(statement: str, store: Store, unchanged: None) -> None:
     limits = QueryLimits(time_s=2.0, memory_bytes=256 << 20, rows=1_000_000)

@@ -95,6 +95,7 @@ def test_run_lengths_of_rules(rules: list[int], published: float) -> None:
     _check_run_length(rules, published, 10_000, 6)
 
 
+@pytest.mark.in_gate("2")
 @pytest.mark.parametrize("rule", [2, 7])
 def test_run_lengths_that_follow_from_coins(rule: int) -> None:
     """A run of r equal throws comes after 2**r - 1 throws; of r successes after (1 - p**r)/((1 - p) p**r)."""

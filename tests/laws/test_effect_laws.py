@@ -144,6 +144,7 @@ def test_planted_in_noise_it_comes_back_with_sign_and_size(name: str) -> None:
     assert abs(found / size - 1.0) < (5.0 / Z + missed) / (1.0 - missed)
 
 
+@pytest.mark.in_gate("saturation", "dead_zone", "scale_factor_warm_up")
 @pytest.mark.parametrize("name", GRID)
 def test_between_two_values_of_its_grid_it_is_still_seen(name: str) -> None:
     (parameter,) = effect(name).parameters

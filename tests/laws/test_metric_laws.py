@@ -292,6 +292,7 @@ def test_a_reversed_output_reverses_what_has_a_sign_and_nothing_else(simulated: 
             assert after["value"] == pytest.approx(before["value"] * factor, rel=1e-9), before
 
 
+@pytest.mark.long
 def test_limits_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None:
     """The short form of ``tests/bench/metric_coverage.py``: the tests of few steps, few units."""
     few = {"static_bias", "bias_acceleration_sensitivity", "scale_factor", "misalignment_repeatability"}

@@ -151,6 +151,7 @@ def test_points_without_a_logarithm_are_left_out() -> None:
     assert tilted.drawable().tau_s == FLEET[0].tau_s[1:-1]
 
 
+@pytest.mark.long
 def test_many_curves_are_drawn_in_several_threads(tmp_path: Path) -> None:
     curves = [curve(f"FOG-{i}", 1 + 0.02 * i) for i in range(40)]
     with ThreadPoolExecutor(4) as pool:

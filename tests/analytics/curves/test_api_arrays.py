@@ -13,6 +13,7 @@ import gyrofleet as gf
 from stream.errors import BadInput, NotEnoughData
 
 
+@pytest.mark.in_gate("300.0-adev", "300.0-mdev", "300.0-hdev", "1.0-hdev")
 @pytest.mark.parametrize("kind", ["oadev", "adev", "mdev", "ohdev", "hdev"])
 @pytest.mark.parametrize("rate_hz", [1.0, 300.0])
 def test_deviations_are_those_of_allantools(kind: str, rate_hz: float) -> None:
@@ -51,6 +52,7 @@ def test_masked_samples_are_missing() -> None:
     assert masked.curve.missing > 0
 
 
+@pytest.mark.long
 def test_planted_coefficients_are_covered() -> None:
     rng = np.random.default_rng(5)
     rate_hz, n = 10.0, 200_000

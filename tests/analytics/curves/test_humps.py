@@ -25,6 +25,7 @@ def humps(values: FloatArray) -> list[tuple[float, float, float, float]]:
     return [(each.frequency_lo_hz, each.frequency_hi_hz, each.rms_lo, each.rms_hi) for each in found]
 
 
+@pytest.mark.in_gate("white")
 @pytest.mark.parametrize("kind", ["white", "walk", "quantization"])
 def test_noise_of_the_model_shows_a_hump_no_more_often_than_promised(kind: str) -> None:
     rng = np.random.default_rng(20260901)

@@ -34,6 +34,7 @@ def surface(rows: int = 6, columns: int = 9, scale: float = 1.0) -> RollingAllan
     )
 
 
+@pytest.mark.in_gate(".svg-shape2", ".svg-shape1")
 @pytest.mark.parametrize("shape", [(6, 9), (1, 9), (6, 1), (300, 30)])
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_it_is_drawn(tmp_path: Path, shape: tuple[int, int], suffix: str) -> None:

@@ -16,14 +16,14 @@ from tests.bench.tracing_peers import PEERS, lasso, ordinary, peers
 from tests.bench.tracing_tables import at_least, at_most, tables
 
 
-@pytest.mark.in_gate("heavy_tails", "bursts")
+@pytest.mark.in_gate("bursts")
 @pytest.mark.parametrize("misspecified", ["random_walk_3x", "heavy_tails", "bursts"])
 def test_nothing_is_invented(misspecified: str) -> None:
     line = traced(Case("null", misspecified, 0.0, 1000))
     assert line["found"] == []
 
 
-@pytest.mark.in_gate("stale_input_rate", "table_angle_harmonic_2")
+@pytest.mark.in_gate("stale_input_rate")
 @pytest.mark.parametrize(
     "name", ["gravity_product_is", "thermal_lag", "scale_factor_warm_up", "table_angle_harmonic_2", "stale_input_rate"]
 )
@@ -38,6 +38,7 @@ def test_two_effects_are_told_apart() -> None:
     assert line["outcome"] in RIGHT, line
 
 
+@pytest.mark.long
 def test_a_ramp_does_not_tell_and_a_single_test_does_not_repeat() -> None:
     ramp = traced(Case("ramp", "warm_up", 14.0, 4000))
     assert ramp["outcome"] != "wrong", ramp
@@ -52,6 +53,7 @@ def test_what_has_no_name_is_a_function() -> None:
     assert line["found"][0]["unknown_function_of"] == ["vibration"]
 
 
+@pytest.mark.long
 def test_a_promoted_effect_that_goes_away_is_rolled_back() -> None:
     line = traced(Case("removed", "gravity_o", 16.0, 4001))
     assert line["watch"]["kept"] is None

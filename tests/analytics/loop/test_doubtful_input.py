@@ -86,6 +86,7 @@ def test_a_rate_under_the_label_of_another_unit_is_reported(
     assert all("correct the label and import again" in text for text in found)
 
 
+@pytest.mark.long
 def test_isolated_outliers_that_raise_n_are_reported(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     """One sample in ten thousand, 35 times the noise: N is 6 % higher for it."""
     rng = np.random.default_rng(6)

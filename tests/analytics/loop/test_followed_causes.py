@@ -80,6 +80,7 @@ def rate_runs() -> list[RunBlocks]:
     return [*runs[:3], still, *runs[4:]]
 
 
+@pytest.mark.long
 def test_one_run_of_ten_without_a_channel_hides_its_effect_from_none_of_the_others() -> None:
     found = diagnose(rate_runs(), BIAS, declared_noise=NOISE)
     assert "scale_factor" in found.names

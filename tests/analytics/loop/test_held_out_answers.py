@@ -100,6 +100,7 @@ def test_held_out_runs_that_do_not_excite_an_effect_neither_confirm_nor_refuse_i
     assert again.verdict is ModelVerdict.EFFECT_FOUND
 
 
+@pytest.mark.in_gate("None")
 @pytest.mark.parametrize("holdout", [(), None])
 def test_nothing_is_found_for_sure_without_held_out_runs(campaign: Campaign, holdout: Sequence[str] | None) -> None:
     size = campaign.coefficients_for("gravity_o", {}, 14.0)
@@ -147,6 +148,7 @@ def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Cam
     assert found.document()["error"]["gain_within"]["rms_1800s"]["runs"] == 5
 
 
+@pytest.mark.long
 def test_the_error_about_the_mean_of_each_run_is_free_of_its_turn_on_bias(campaign: Campaign) -> None:
     quiet = diagnose(campaign.runs(), MODEL, declared_noise=DECLARED)
     rng = np.random.default_rng(5)

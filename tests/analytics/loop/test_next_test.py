@@ -158,6 +158,7 @@ def test_a_clock_and_a_slope_are_inseparable() -> None:
     assert inseparable(names, runs()) == {names[0]: (names[1],), names[2]: ()}
 
 
+@pytest.mark.long
 def test_causes_that_look_alike_have_no_test_but_say_so() -> None:
     ramps = Campaign(4000, types=("ramp",), runs=9)
     planted = planted_in(ramps, "temperature_rate", 14.0, np.random.default_rng((0, 3)))

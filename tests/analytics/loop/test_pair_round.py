@@ -58,6 +58,7 @@ def test_two_effects_that_mask_each_other_are_found_by_a_pairwise_round(seed: in
     assert all(each.confirmed for each in found.effects)
 
 
+@pytest.mark.long
 def test_no_pair_is_made_of_noise_or_of_one_effect() -> None:
     campaign = Campaign(4)
     for planted in ([], [Planted("gravity_o", campaign.coefficients_for("gravity_o", {}, 10.0))]):

@@ -95,6 +95,7 @@ def test_no_average_is_told_that_is_longer_than_the_runs() -> None:
     assert [row.averaging_s for row in found.error.rows] == [30.0, 300.0, 1800.0]
 
 
+@pytest.mark.long
 def test_a_jump_is_told_but_cannot_be_confirmed(campaign: Campaign) -> None:
     found = reported(planted(campaign, "jump", 14.0, run=campaign.names[3], at_s=9000.0))
     assert found.names == ("jump",)
@@ -222,6 +223,7 @@ def test_json_has_the_agreed_form(campaign: Campaign) -> None:
     assert "gravity_o" in document["model"]["text"]
 
 
+@pytest.mark.long
 def test_the_model_found_predicts_the_held_out_runs(campaign: Campaign) -> None:
     runs = planted(campaign, "gravity_o", 20.0)
     found = reported(runs)

@@ -54,6 +54,7 @@ def test_without_a_limit_there_is_no_value_and_too_short_a_record_says_so(tested
     assert len(row["reason"]) > 10
 
 
+@pytest.mark.long
 def test_a_limit_that_is_entered_later_brings_its_averaging_time(tested: TestedUnits, tmp_path: Path) -> None:
     recorded(tested)
     with tested.catalog() as catalog:

@@ -190,6 +190,7 @@ def select_within(catalog: Any, name: str) -> list[dict[str, Any]]:
     return first
 
 
+@pytest.mark.long
 def test_nothing_is_computed_where_nothing_changed_and_compaction_changes_nothing(tested: Any, work: Work) -> None:
     bench = Bench(tested)
     bench.still("r1", 0, ("U1",))
@@ -231,7 +232,7 @@ def test_a_unit_without_any_metric_is_not_evaluated_again(tested: Any, work: Wor
     assert work.done() == ([], [])
 
 
-@pytest.mark.in_gate("PAR1 no more")
+@pytest.mark.long
 @pytest.mark.parametrize("damage", [b"", b"PAR1 no more", None])
 def test_kept_metrics_that_cannot_be_read_are_computed_anew(tested: Any, damage: bytes | None) -> None:
     Bench(tested).rates("r1", 0, "U1")

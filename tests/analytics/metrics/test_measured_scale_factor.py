@@ -38,6 +38,7 @@ def only(rows: list[dict[str, Any]], **words: Any) -> dict[str, Any]:
     return row
 
 
+@pytest.mark.in_gate("mV-20.0")
 @pytest.mark.parametrize(("measure", "per_deg_per_s"), [("deg/h", 3600.0), ("deg/s", 1.0), ("mV", 20.0)])
 def test_a_bias_is_of_the_input_whatever_the_output_is_in(
     tested: TestedUnits, measure: str, per_deg_per_s: float

@@ -70,7 +70,7 @@ def test_an_output_that_does_not_answer_has_reasons_and_no_infinite_number(teste
         json.loads(row["parameters"], parse_constant=pytest.fail)
 
 
-@pytest.mark.in_gate("1e+300")
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [1e150, 1e-150, 1e300])
 def test_numbers_of_any_size_are_measured_and_spare_the_other_units(tested: TestedUnits, scale: float) -> None:
     turn(tested, "ODD", scale=scale, noise=scale * 1e-3, measure="mV")
@@ -102,6 +102,7 @@ def test_a_time_zone_that_nobody_knows_takes_only_the_day(tested: TestedUnits) -
     assert all(bias == pytest.approx(1.0, abs=0.01) for _, _, bias in found)
 
 
+@pytest.mark.in_gate("95")
 @pytest.mark.parametrize("text", ["somewhere", "95", "nan"])
 def test_a_latitude_that_is_none_leaves_the_earth_rate_in(tested: TestedUnits, text: str) -> None:
     tested.run("r1", procedure="static_bias", latitude_deg=text)  # type: ignore[arg-type]
@@ -173,7 +174,7 @@ def test_a_step_that_ended_before_its_settle_time_is_told(tested: TestedUnits) -
     assert (row["value"], row["reason"]) == (None, "no sample in the evaluated part of the step")
 
 
-@pytest.mark.in_gate("steps.parquet-PAR1 this is none", "unit_metrics.parquet-PAR1 this is none")
+@pytest.mark.in_gate("steps.parquet-PAR1 this is none")
 @pytest.mark.parametrize("damage", [b"", b"PAR1 this is none", b"\0" * 4096])
 @pytest.mark.parametrize("file", ["steps.parquet", "unit_metrics.parquet"])
 def test_damaged_records_are_made_anew(tested: TestedUnits, file: str, damage: bytes) -> None:
@@ -187,7 +188,7 @@ def test_damaged_records_are_made_anew(tested: TestedUnits, file: str, damage: b
     assert path.stat().st_size > 1000
 
 
-@pytest.mark.in_gate("steps.parquet")
+@pytest.mark.long
 @pytest.mark.parametrize("file", ["steps.parquet", "unit_metrics.parquet"])
 def test_records_of_another_version_are_made_anew(tested: TestedUnits, file: str) -> None:
     turn(tested, "U1")

@@ -130,6 +130,7 @@ def test_misalignment_without_a_scale_factor(tested: Any) -> None:
     assert "no scale factor for an output in V" in row["reason"]
 
 
+@pytest.mark.in_gate("6")
 @pytest.mark.parametrize("repeats", [7, 6])
 def test_misalignment_repeatability(tested: Any, repeats: int) -> None:
     bench = Bench(tested)

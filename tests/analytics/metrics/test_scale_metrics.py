@@ -131,6 +131,9 @@ def test_rates_given_in_other_units_have_a_scale_factor_of_one(tested: Any, tabl
     assert row["value"] == pytest.approx(1.0001, rel=1e-8)
 
 
+@pytest.mark.in_gate(
+    "rates1-True-7 rates measured forwards and 7 backwards, 11-7 rates measured forwards and 7 backwards"
+)
 @pytest.mark.parametrize(
     ("rates", "rests", "gjb", "jjf"),
     [
@@ -220,6 +223,7 @@ def test_room_temperature_point_is_needed(tested: Any, table: Callable[..., Tabl
         assert "40.0 degC from it" in row["reason"]
 
 
+@pytest.mark.in_gate("-1")
 @pytest.mark.parametrize("sign", [1, -1])
 def test_acceleration_sensitivity(tested: Any, table: Callable[..., Table], sign: int) -> None:
     rig = table(unit="V")
@@ -243,6 +247,7 @@ def test_acceleration_sensitivity_cut_short(tested: Any, table: Callable[..., Ta
     assert "not measured with the IRA down" in row["reason"]
 
 
+@pytest.mark.in_gate("vibration")
 @pytest.mark.parametrize("kind", ["shock", "vibration"])
 def test_changes_by_shock_and_vibration(tested: Any, table: Callable[..., Table], kind: str) -> None:
     rig = table(unit="V")
@@ -366,7 +371,7 @@ def bounds(n: int, least: float, most: float, checks: int) -> tuple[float, float
     return stats.binom.ppf(chance, n, least), stats.binom.ppf(1 - chance, n, most)
 
 
-@pytest.mark.in_gate("4e-05")
+@pytest.mark.long
 @pytest.mark.parametrize("asymmetry", [0.0, 40e-6])
 def test_truth_lies_inside_the_limits(recorded: Any, asymmetry: float) -> None:
     rows = units_of(500, 11, asymmetry)
@@ -416,6 +421,7 @@ def test_quantiles_against_scipy(tested: Any, freedom: float) -> None:
             assert found == pytest.approx(stats.t.isf(tail / 2, freedom), rel=2e-5)
 
 
+@pytest.mark.long
 def test_a_run_cut_short_after_one_rate_says_so(tested: Any, table: Callable[..., Table]) -> None:
     rig = table()
     rig.step(0.0, procedure="scale_factor", step="rest_before")

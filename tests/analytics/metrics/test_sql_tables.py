@@ -205,6 +205,7 @@ QUESTIONS = (
 )
 
 
+@pytest.mark.long
 def test_the_exported_catalogue_answers_alike_in_any_duckdb(store: Store, tmp_path: Path) -> None:
     path = tmp_path / "catalogue.duckdb"
     export_catalogue(store, path)

@@ -254,6 +254,7 @@ with Catalog(Store.open(Path(sys.argv[1]))) as catalog:
 """
 
 
+@pytest.mark.in_gate("whole")
 @pytest.mark.parametrize("moment", ["half", "whole"])
 def test_a_kill_while_the_records_are_written_leaves_the_old_ones_or_none(tested: Any, moment: str) -> None:
     tested.run("r1")

@@ -18,6 +18,7 @@ def _found(values: np.ndarray, false_alarm: float = 0.01) -> Changes:
     return found
 
 
+@pytest.mark.in_gate("12")
 @pytest.mark.parametrize("n", [12, 20, 60, 200])
 def test_noise_shows_a_change_in_at_most_one_of_a_hundred_series(n: int) -> None:
     rng = np.random.default_rng([20260711, n])
@@ -97,6 +98,7 @@ def test_units_of_measure_do_not_matter() -> None:
     assert large.points[0].size == pytest.approx(plain.points[0].size * 1e6, rel=1e-6)
 
 
+@pytest.mark.in_gate("0.9-0.91")
 @pytest.mark.parametrize(("correlation", "least"), [(0.0, 0.95), (0.6, 0.94), (0.9, 0.91)])
 def test_slope_is_covered_though_neighbours_resemble_each_other(correlation: float, least: float) -> None:
     rng = np.random.default_rng([20260718, round(10 * correlation)])

@@ -132,6 +132,7 @@ def test_moving_averages_see_a_small_shift_that_single_points_do_not() -> None:
     assert np.abs(values).max() < 3
 
 
+@pytest.mark.long
 def test_capability_intervals_cover() -> None:
     rng = np.random.default_rng(20260705)
     trials = 2000

@@ -25,12 +25,14 @@ def shifts_of(plan: Plan, seed: int) -> LevelShifts:
     return found
 
 
+@pytest.mark.in_gate("rounds-80")
 @pytest.mark.parametrize(("how", "series"), [("weekly", 80), ("rounds", 80), ("single", 30)])
 def test_independent_measurements_show_a_shift_in_at_most_one_of_a_hundred_series(how: str, series: int) -> None:
     found = counted(SMALL._replace(how=how), series, seed=2)
     assert found.anything <= binom.isf(0.001 / 3, series, 0.01)
 
 
+@pytest.mark.long
 def test_a_wandering_station_is_no_plain_shift_but_is_said_to_wander() -> None:
     plan = SMALL._replace(of_sessions=0.2, correlation=0.6)
     found = counted(plan, 20, seed=3)

@@ -231,6 +231,7 @@ def test_a_later_revision_changes_no_verdict_given_before(measured_store: Store,
     assert judged(measured_store) == PASSED
 
 
+@pytest.mark.long
 def test_a_specification_that_was_never_valid_at_the_time_says_so(measured_store: Store, specify: Specify) -> None:
     specify(measured_store, "A", limit(2.0, "valid_from = 2030-01-01"))
     with Catalog(measured_store) as catalog:
@@ -241,6 +242,7 @@ def test_a_specification_that_was_never_valid_at_the_time_says_so(measured_store
     assert judged(measured_store) == [("bias", "0", "PASS"), ("unit", None, "PASS")]
 
 
+@pytest.mark.long
 def test_what_holds_now_judges_what_was_recorded_before_where_that_is_asked_for(
     measured_store: Store, specify: Specify
 ) -> None:

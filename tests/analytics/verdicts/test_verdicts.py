@@ -396,6 +396,7 @@ def test_a_unit_of_unknown_product_passes_only_where_no_limit_asks_for_the_produ
     assert unit["reason"].startswith("its product is not known, so that no limit of X is applied: name its product")
 
 
+@pytest.mark.in_gate("FOG_0231", "FOG-02.31")
 @pytest.mark.parametrize("other", ["fog-0231", "FOG_0231", "FOG0231", "FOG-02.31"])
 def test_a_unit_under_two_names_is_warned_of(judged: Judged, other: str) -> None:
     runs = [{"unit": unit, "run": "r1"} for unit in ("FOG-0231", other, "FOG-0232")]

@@ -197,6 +197,7 @@ def test_several_units_in_one_file(gyrofleet: Callable[..., Any], tmp_path: Path
     assert [tuple(row.values()) for row in rows] == [("A", "rate", 500), ("A", "temperature", 50), ("B", "rate", 500)]
 
 
+@pytest.mark.long
 def test_the_same_file_at_another_start_is_another_stretch_of_the_run(
     gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -233,6 +234,7 @@ def test_it_ends_with_what_to_ask_next(gyrofleet: Callable[..., Any], tmp_path: 
     assert gyrofleet(*shlex.split(asked)[3:]).code == 0
 
 
+@pytest.mark.long
 def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:

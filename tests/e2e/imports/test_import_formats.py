@@ -65,6 +65,7 @@ STAMPS: dict[str, tuple[Callable[[datetime], str], str]] = {
 }
 
 
+@pytest.mark.in_gate("time-zone", "Time (UTC)-blank")
 @pytest.mark.parametrize(
     ("title", "kind"),
     [("time", "zone"), ("Time (s)", "utc"), ("Timestamp", "blank"), ("Date Time", "apart"), ("Time (UTC)", "blank")],

@@ -23,6 +23,7 @@ def adis_store(measured: Path, tmp_path_factory: pytest.TempPathFactory, run_com
     return store
 
 
+@pytest.mark.in_gate("rate_z-2", "rate_z-1")
 @pytest.mark.parametrize("run", [1, 2])
 @pytest.mark.parametrize("signal", RATES)
 def test_allan_agrees_with_an_independent_computation(
@@ -49,6 +50,7 @@ def test_allan_agrees_with_an_independent_computation(
     assert 2.2 < np.exp(at_1_s) / 60.0 < 2.9
 
 
+@pytest.mark.long
 def test_every_sample_is_in_the_lake_once_with_its_value(
     gyrofleet: Callable[..., Any], measured: Path, adis_store: Path
 ) -> None:
@@ -103,6 +105,7 @@ def test_bias_stability_is_that_of_the_averages(
     }  # fmt: skip
 
 
+@pytest.mark.in_gate("rate_y-1")
 @pytest.mark.parametrize("run", [1, 2])
 @pytest.mark.parametrize("signal", RATES)
 def test_the_fitted_random_walk_is_that_of_the_device(

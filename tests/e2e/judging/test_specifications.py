@@ -66,6 +66,7 @@ def reported(ask: Ask, **words: Any) -> Any:
     return json.loads(ask("verdicts", "--json", **words).stdout)
 
 
+@pytest.mark.long
 def test_what_is_entered_later_or_edited_changes_no_verdict_and_the_log_alone_gives_it_again(
     ask: Ask, folder: Path
 ) -> None:
@@ -112,6 +113,7 @@ def test_what_is_entered_later_or_edited_changes_no_verdict_and_the_log_alone_gi
     assert ask("limits", "show", "fog-A", "--toml", store=restored).stdout == copy.read_text()
 
 
+@pytest.mark.long
 def test_a_store_is_judged_anew_where_a_person_says_so(ask: Ask, folder: Path) -> None:
     ask("limits", "add", file(folder, "A", 2.0))
     ask("limits", "revise", file(folder, "B", 1.0, "valid_from = 2026-01-01"), "--reason", "typing error", "--rejudge")
@@ -124,6 +126,7 @@ def test_a_store_is_judged_anew_where_a_person_says_so(ask: Ask, folder: Path) -
     assert "whole" in ask("limits", "settle", "--reason", "x", code=1).output
 
 
+@pytest.mark.long
 def test_a_revision_that_is_there_judges_anew_when_it_is_asked_to(ask: Ask, folder: Path) -> None:
     ask("limits", "add", file(folder, "A", 2.0))
     revised = ("limits", "revise", file(folder, "B", 1.0, "valid_from = 2026-01-01"), "--reason", "typing error")

@@ -80,6 +80,7 @@ def test_the_offset_of_a_station_is_found_and_attributed(ask: Ask) -> None:
     assert "it is the station, not its units" in said
 
 
+@pytest.mark.long
 def test_people_read_tables_and_sentences_in_either_language(ask: Ask, folder: Path) -> None:
     english = ask("trend", "bias", "--by", "station", "--plot", folder / "bias.png")
     assert "bench-B" in english.stdout
@@ -107,6 +108,7 @@ def test_capability_is_against_the_specification(ask: Ask) -> None:
     assert chart["points"][0]["standard_uncertainty"] > 0
 
 
+@pytest.mark.long
 def test_choices_narrow_the_values(ask: Ask) -> None:
     one = json.loads(ask("trend", "bias", "--unit", "FOG-0007", "--json").stdout)
     assert (one["by"], one["values"]) == ("unit", 2)
@@ -117,6 +119,7 @@ def test_choices_narrow_the_values(ask: Ask) -> None:
     assert raw["kind"]["parameters"]["earth_rate"] == "none"
 
 
+@pytest.mark.in_gate("words4-average_s=100", "words6---since")
 @pytest.mark.parametrize(
     ("words", "message"),
     [

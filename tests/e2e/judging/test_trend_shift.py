@@ -83,6 +83,7 @@ def test_a_shift_of_one_chamber_is_dated_and_sized(ask: Ask) -> None:
     assert found["charts"][0]["in_control"] is False
 
 
+@pytest.mark.long
 def test_every_measurement_stands_on_the_charts_of_the_chambers(ask: Ask, folder: Path) -> None:
     found = json.loads(ask("trend", "bias", "--by", "station", "--json").stdout)
     charts = {each["name"]: each for each in found["charts"]}

@@ -87,6 +87,7 @@ def test_a_planted_effect_is_found_and_the_document_has_its_parts(gyrofleet: Cal
     assert found["noise"]["declared"]["N"] == pytest.approx(0.01, rel=0.3)
 
 
+@pytest.mark.long
 def test_a_unit_without_an_effect_lacks_nothing(gyrofleet: Callable[..., Any], store: Path) -> None:
     found = gyrofleet(*ask(store, "--json", unit="FOG-1")).json
     assert found["verdict"] == "nothing_missing"
@@ -115,6 +116,7 @@ def test_the_verdict_is_told_in_words_with_a_report_and_pictures(
     assert text.count("data:image/png;base64,") == len(list(plots.glob("FOG-2-*.png"))) >= 4
 
 
+@pytest.mark.long
 def test_a_verdict_is_told_though_its_model_cannot_be_saved(
     gyrofleet: Callable[..., Any], store: Path, tmp_path: Path
 ) -> None:
@@ -136,6 +138,7 @@ def fleet(store: Path) -> Result:
     return done
 
 
+@pytest.mark.long
 def test_a_fleet_is_pooled(fleet: Result) -> None:
     found = json.loads(fleet.stdout)
     assert list(found["units"]) == ["FOG-1", "FOG-2"]
@@ -191,6 +194,13 @@ def test_runs_noise_and_blocks_can_be_named(gyrofleet: Callable[..., Any], store
     assert single["verdict"] != "effect_found"
 
 
+@pytest.mark.in_gate(
+    "more0-B, K is missing",
+    "more1-N above 0",
+    "more4-such as 30s, 1min or 0.5h",
+    "more2-could not convert",
+    "more5-last-third, none, or runs=A,B",
+)
 @pytest.mark.parametrize(("more", "message"), [
     (("--noise", "N=1"), "B, K is missing"),
     (("--noise", "N=0,B=0,K=0,turn_on=0"), "N above 0"),

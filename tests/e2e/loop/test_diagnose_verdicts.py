@@ -66,6 +66,7 @@ def test_a_scale_factor_that_no_fitted_run_tells_is_not_nothing_missing(
     assert again["verdict"] == "nothing_missing"
 
 
+@pytest.mark.long
 def test_two_runs_that_differ_cannot_tell_temperature_from_turn_on(gyrofleet: Callable[..., Any], store: Path) -> None:
     words = ("diagnose", "--unit", "PAIR", "--model", "rate = bias", "--store", store)
     found = gyrofleet(*words, "--json").json
@@ -88,6 +89,7 @@ def test_two_runs_that_differ_cannot_tell_temperature_from_turn_on(gyrofleet: Ca
     assert "turn_on" not in [each["name"] for each in declared["effects"]]
 
 
+@pytest.mark.long
 def test_a_run_without_a_channel_does_not_hide_its_effect(gyrofleet: Callable[..., Any], store: Path) -> None:
     found = gyrofleet("diagnose", "--unit", "SEVEN", "--model", "rate = bias", "--store", store, "--json").json
     names = [each["name"] for each in (*found["effects"], *found["confounded"])]
@@ -97,6 +99,7 @@ def test_a_run_without_a_channel_does_not_hide_its_effect(gyrofleet: Callable[..
     assert after < 0.2 * found["error"]["before"]["rms_300s"]
 
 
+@pytest.mark.long
 @pytest.mark.measured
 def test_bmi270_cold_and_hot_differ_and_two_runs_cannot_tell_why(
     gyrofleet: Callable[..., Any], measured: Path, tmp_path: Path

@@ -187,6 +187,7 @@ def test_the_embedded_path_opens_no_port(spawn: Spawn, tmp_path: Path) -> None:
     assert source.wait(timeout=60) == 0
 
 
+@pytest.mark.long
 def test_a_recorder_that_is_stopped_while_samples_come_ends_at_once_and_goes_on_where_it_was(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
 ) -> None:

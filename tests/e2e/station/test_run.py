@@ -41,6 +41,7 @@ def ended(process: subprocess.Popen[str], code: int = 0) -> dict[str, Any]:
     return reported
 
 
+@pytest.mark.long
 def test_a_run_that_is_killed_again_and_again_is_recorded_once(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str
 ) -> None:

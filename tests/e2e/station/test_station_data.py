@@ -16,6 +16,7 @@ Gyrofleet = Callable[..., Any]
 EARTH_DEG_PER_H = 15.041067
 
 
+@pytest.mark.long
 def test_a_scale_factor_is_measured_as_it_was_planted(
     gyrofleet: Gyrofleet, kept: Kept, bench: Bench, tmp_path: Path
 ) -> None:

@@ -119,6 +119,7 @@ class FullDisk(Disk):
         return Space(self.free, 100 << 30)
 
 
+@pytest.mark.long
 def test_a_recorder_that_pauses_is_told_while_the_procedure_goes_on(
     store: Path, kept: Kept, spawn: Spawn, bench: Bench, endpoint: str
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_recorder_elsewhere_may_be_killed_in_the_middle(
     kept.sound()
 
 
+@pytest.mark.long
 def test_a_simulated_station_ends_as_a_whole_and_goes_on_with_its_clock(
     tmp_path: Path, simulated: Callable[..., Bench], command_line: Callable[..., list[str]]
 ) -> None:

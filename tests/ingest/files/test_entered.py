@@ -78,6 +78,7 @@ def test_a_writer_that_takes_no_messages_is_named(tmp_path: Path) -> None:
         enter(store.folder, [check_entered(GOOD, 0)], role="test")
 
 
+@pytest.mark.long
 def test_the_recorder_that_writes_the_store_takes_it(
     tmp_path: Path, endpoint: str, spawn: Callable[..., Popen[str]], gyrofleet: Callable[..., Any]
 ) -> None:

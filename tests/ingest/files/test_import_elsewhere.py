@@ -63,7 +63,7 @@ def moments(folder: Path) -> tuple[int, int]:
     return int(samples), int(different)
 
 
-@pytest.mark.in_gate("missing-localhost", "other-127.0.0.1", "store-127.0.0.1")
+@pytest.mark.in_gate("other-127.0.0.1")
 @pytest.mark.parametrize("named", ["localhost", "127.0.0.1"])
 @pytest.mark.parametrize("where", ["store", "other", "missing"])
 def test_a_recorder_by_any_name_and_with_any_store_gives_the_same_answer(

@@ -211,6 +211,7 @@ def test_one_bad_cell_does_not_make_the_whole_block_slow(write: Tool, monkeypatc
     assert sum(seen) < 100_000
 
 
+@pytest.mark.in_gate("1000", "1000000")
 @pytest.mark.parametrize("block_bytes", [1, 17, 1000, 10**6])
 def test_block_size_changes_nothing(
     write: Tool, deliver: Tool, by_signal: Tool, monkeypatch: pytest.MonkeyPatch, block_bytes: int

@@ -110,6 +110,7 @@ def joined(parts: list[Samples]) -> list[Any]:
     return [np.concatenate([part[k] for part in parts]).tolist() for k in (1, 2, 3)]
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None)
 @given(blocks=st.lists(st.one_of(st.integers(0, 40), st.integers(0, 9_000)), min_size=1, max_size=12))
 def test_samples_do_not_depend_on_the_sizes_of_the_blocks(blocks: list[int]) -> None:

@@ -33,6 +33,7 @@ def test_every_segment_once_and_every_file_described(days: Filler) -> None:
     assert total(days.store) == TOTAL
 
 
+@pytest.mark.in_gate("0", "2")
 @pytest.mark.parametrize("seed", range(4))
 def test_any_damage_to_the_manifest_is_found_and_mended(days: Filler, seed: int) -> None:
     days.build()
@@ -96,6 +97,7 @@ def test_a_folder_that_is_gone_or_not_whole_is_made_anew(days: Filler) -> None:
     assert (store.lake / "notes").is_dir()
 
 
+@pytest.mark.long
 def test_every_damaged_file_is_found_kept_aside_and_made_anew(days: Filler) -> None:
     days.build()
     store, rng = days.store, np.random.default_rng(5)

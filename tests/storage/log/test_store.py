@@ -77,6 +77,7 @@ def _identity(folder: Path) -> str:
     return Store.create(folder).identity
 
 
+@pytest.mark.long
 def test_processes_that_make_one_store_have_one(tmp_path: Path) -> None:
     with multiprocessing.get_context("forkserver").Pool(4) as pool:
         for trial in range(5):

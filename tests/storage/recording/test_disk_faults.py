@@ -158,7 +158,7 @@ class ForgetfulDisk(Disk):
         return bytes(content)
 
 
-@pytest.mark.in_gate("7", "11", "2")
+@pytest.mark.in_gate("11")
 @pytest.mark.parametrize("seed", range(12))
 def test_after_a_power_loss_the_log_has_what_was_acknowledged(tmp_path: Path, seed: int) -> None:
     rng = random.Random(seed)
@@ -262,7 +262,7 @@ def record_through(log: EventLog, rounds: int) -> dict[str, int]:
     return acknowledged
 
 
-@pytest.mark.in_gate("5-True", "28-False")
+@pytest.mark.in_gate("28-False")
 @pytest.mark.parametrize("half", [False, True])
 @pytest.mark.parametrize("error", [errno.EIO, errno.ENOSPC])
 def test_an_error_at_any_operation_loses_nothing_acknowledged(tmp_path: Path, error: int, half: bool) -> None:

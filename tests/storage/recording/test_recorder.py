@@ -42,6 +42,7 @@ class FaultyBus(LocalBus):
             super().publish(*each)
 
 
+@pytest.mark.in_gate("0", "1")
 @pytest.mark.parametrize("seed", range(5))
 def test_each_sample_once_over_a_bus_that_loses_doubles_and_delays(tmp_path: Path, seed: int) -> None:
     store = Store.create(tmp_path)

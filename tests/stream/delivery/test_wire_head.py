@@ -52,7 +52,7 @@ def validated(batch: SampleBatch) -> SampleBatch:
 
 
 @given(st.one_of(messages(), st.binary(max_size=300)))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_all_ways_of_reading_refuse_the_same_and_agree(payload: bytes) -> None:
     refusals = []
     for read in (decode_batch, read_batch_head, read_wire_batch):
@@ -76,7 +76,7 @@ def test_all_ways_of_reading_refuse_the_same_and_agree(payload: bytes) -> None:
 
 
 @given(int64s, int64s, int64s, st.none() | hnp.arrays(np.int64, 2, elements=int64s), st.floats())
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_what_a_batch_itself_refuses_is_refused_on_the_wire(
     seq: int, t0_ns: int, dt_ns: int, times: np.ndarray[tuple[int], np.dtype[np.int64]] | None, scale: float
 ) -> None:

@@ -82,6 +82,7 @@ def test_the_reference_is_allantools_oadev() -> None:
         overlapping_allan_variance(values, 1001)
 
 
+@pytest.mark.in_gate("1-0.4", "4-0.4")
 @pytest.mark.parametrize("loss", [0.002, 0.05, 0.4])
 @pytest.mark.parametrize("points_per_octave", [1, 4])
 def test_gaps_by_the_definition(loss: float, points_per_octave: int) -> None:

@@ -85,6 +85,7 @@ def hourly(averages: int) -> FloatArray:
     return np.arange(1, LOOKS + 1) / LOOKS * averages
 
 
+@pytest.mark.in_gate("8-0.05", "8-0.01")
 @pytest.mark.parametrize("promise", PROMISES)
 @pytest.mark.parametrize("averages", AVERAGES[:4])
 def test_bounds_keep_their_promise_on_other_draws(averages: int, promise: float) -> None:
@@ -102,6 +103,7 @@ def test_bounds_keep_their_promise_on_other_draws(averages: int, promise: float)
         assert np.count_nonzero(((ratio <= used.passes) & (np.array(used.passes) > 0.0)).any(axis=1)) <= most
 
 
+@pytest.mark.in_gate("white")
 @pytest.mark.parametrize("kind", KINDS)
 def test_wrong_at_the_limit_no_more_often_than_promised(kind: str) -> None:
     runs, averages = 1200, 120
@@ -272,6 +274,7 @@ def test_short_tests_have_no_bounds_and_end_by_the_point() -> None:
     assert test.look(6.0, a_point(0.0, plan.windows(6.0))).outcome is Outcome.PASS
 
 
+@pytest.mark.long
 def test_points_of_the_estimator_fit_the_plan() -> None:
     rng = np.random.default_rng(9)
     estimator = AllanDeviation()

@@ -83,6 +83,9 @@ def assert_defined(record: FullOverlap, values: FloatArray, kind: Deviation, fac
         assert found[m].value == pytest.approx(value, rel=1e-11, abs=1e-12 * scale)
 
 
+@pytest.mark.in_gate(
+    "3-hdev", "3-ohdev", "4-hdev", "3-oadev", "3-mdev", "4-adev", "4-oadev", "4-mdev", "4-ohdev", "100-adev"
+)
 @pytest.mark.parametrize("kind", Deviation)
 @pytest.mark.parametrize("n", [3, 4, 100, 4095, 4096, 4097, 9001])
 def test_equal_to_the_definition(kind: Deviation, n: int) -> None:
@@ -91,6 +94,7 @@ def test_equal_to_the_definition(kind: Deviation, n: int) -> None:
         assert_defined(record, values, kind, [m for m in (1, 2, 3, 10, 31, 100, 1365, 2048, 3000) if 2 * m <= n])
 
 
+@pytest.mark.in_gate("0.5-ohdev", "0.5-hdev", "0.1-ohdev", "0.1-hdev", "0.02-hdev")
 @pytest.mark.parametrize("kind", Deviation)
 @pytest.mark.parametrize("loss", [0.0005, 0.02, 0.1, 0.5])
 def test_gaps_by_the_definition(kind: Deviation, loss: float) -> None:
@@ -102,6 +106,7 @@ def test_gaps_by_the_definition(kind: Deviation, loss: float) -> None:
         assert_defined(record, values, kind, [1, 2, 5, 64, 500, 2500, 4500, 6000])
 
 
+@pytest.mark.in_gate("ohdev", "hdev")
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("kind", Deviation)
 def test_gaps_by_the_definition_in_tiny_blocks_on_disk(kind: Deviation) -> None:
@@ -128,6 +133,7 @@ def test_any_record_by_the_definition(samples: list[float], size: int, kind: Dev
             assert_defined(record, values, kind, range(1, 40))
 
 
+@pytest.mark.in_gate("hdev", "adev")
 @pytest.mark.parametrize("kind", Deviation)
 def test_blocks_batches_and_disk_make_no_difference(kind: Deviation, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(7)

@@ -126,6 +126,7 @@ def test_white_noise_shows_nothing_but_angle_random_walk(seed: int) -> None:
         assert other.reason.startswith("not observable in this record: at most")
 
 
+@pytest.mark.long
 def test_a_day_with_all_five_terms() -> None:
     """Ten days: bounds are those of the bench (N 0.3 %, B 7 %, K 35 % RMS) with room for ten runs."""
     rng = np.random.default_rng(20)

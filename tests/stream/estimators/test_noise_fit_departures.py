@@ -46,6 +46,7 @@ def test_markov_noise_is_rarely_claimed_where_there_is_none() -> None:
     assert claims < 2
 
 
+@pytest.mark.in_gate("1")
 @pytest.mark.parametrize("per_octave", [1, 4])
 def test_a_filter_does_not_change_angle_random_walk(per_octave: int) -> None:
     """The filter leaves 1 - 15/(8 m) of the Allan variance of white noise over m samples, from m = 4 on."""

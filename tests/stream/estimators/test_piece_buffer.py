@@ -144,7 +144,7 @@ def test_documents_do_not_depend_on_how_batches_were_cut(signal: list[Stretch], 
 
 
 @given(signals(), st.data())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_pieces_hold_every_sample_once_in_order_and_end_where_documents_are_due(
     signal: list[Stretch], data: st.DataObject
 ) -> None:

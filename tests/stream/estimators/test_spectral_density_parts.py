@@ -44,6 +44,7 @@ def test_the_result_does_not_depend_on_how_the_stream_is_cut(cuts: list[int], ho
         assert spectrum.edf == welch_edf(len(used), pairs)
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_parts_merge_to_one_pass_wherever_the_seams_lie(data: st.DataObject) -> None:

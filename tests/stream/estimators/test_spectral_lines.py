@@ -38,6 +38,18 @@ def assert_at_least(hits: int, trials: int, share: float) -> None:
     assert scipy.stats.binom.cdf(hits, trials, share) > 1e-4, f"{hits} of {trials}, at least {share:.0%} expected"
 
 
+@pytest.mark.in_gate(
+    "0.5-100000.0-1-90.0",
+    "0.5-100000.0-4-30.0",
+    "0.0-100000.0-1-90.0",
+    "0.25-100000.0-1-90.0",
+    "0.5-3.0-4-30.0",
+    "0.25-1.0-1-90.0",
+    "0.25-30.0-1-90.0",
+    "0.5-100000.0-40-6.0",
+    "0.0-3.0-1-90.0",
+    "0.0-3.0-4-30.0",
+)
 @pytest.mark.parametrize(("segments", "weakest"), [(1, 90.0), (4, 30.0), (40, 6.0), (200, 2.0)])
 @pytest.mark.parametrize("times_stronger", [1.0, 3.0, 30.0, 1e5])
 @pytest.mark.parametrize("off_bin", [0.0, 0.25, 0.5])
@@ -115,6 +127,7 @@ def test_harmonics_over_coloured_noise_are_told_apart() -> None:
     assert [line.amplitude for line in found] == pytest.approx([0.5, 0.3, 0.2], rel=0.1)
 
 
+@pytest.mark.in_gate("1")
 @pytest.mark.parametrize("segments", [1, 2, 8, 40])
 def test_the_false_alarm_rate_over_white_noise_is_that_promised(segments: int) -> None:
     size, trials = 512, 2000
@@ -131,6 +144,7 @@ def test_the_false_alarm_rate_over_white_noise_is_that_promised(segments: int) -
     assert scipy.stats.binom.sf(alarms - 1, trials, 0.01) > 0.001, f"{alarms} of {trials}"
 
 
+@pytest.mark.in_gate("1--2", "1-1")
 @pytest.mark.parametrize("exponent", [-2, 1, 2])
 @pytest.mark.parametrize("segments", [1, 8, 100])
 def test_coloured_noise_raises_no_more_false_alarms(exponent: int, segments: int) -> None:
