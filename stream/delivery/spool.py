@@ -22,7 +22,7 @@ from stream.wire.acknowledgement import StreamId
 __all__ = ["Spool", "SpoolError", "SpoolFull", "SpooledMessage", "held_messages"]
 
 _LOCK = "lock"
-_READ_BYTES = 1 << 20
+_FRAME_BYTES = (64 << 10, 4 << 20)  # more than asked for is read, to have the last frame whole
 _RETRY_S = 1.0
 _LEAST_FILES = 4
 
@@ -281,11 +281,11 @@ class Spool(Closing):
 
     def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[SpoolFrame]:
         left = file.size - file.read_to
-        for length in (min(left, most_bytes + _READ_BYTES), left):
+        for length in (*(min(left, most_bytes + each) for each in _FRAME_BYTES), left):
             with file.path.open("rb") as opened:
                 opened.seek(file.read_to)
                 data = opened.read(length)
-            parsed = parse_frames(data, is_end=length == left)
+            parsed = parse_frames(data, is_end=length == left, most_bytes=most_bytes)
             if parsed.frames or length == left:
                 break
         file.read_to += parsed.used

@@ -4,6 +4,7 @@ A frame is a head (mark, CRC-32, length, stream number, first and next number) a
 that follows it. After a damaged frame, reading resumes at the next mark of a sound frame.
 """
 
+import math
 import struct
 import zlib
 from typing import NamedTuple
@@ -41,10 +42,11 @@ def encode_frame(number: int, seq: int, next_seq: int, payload: bytes) -> bytes:
     return b"".join((_MARK, zlib.crc32(payload, zlib.crc32(rest)).to_bytes(4, "little"), rest, payload))
 
 
-def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
+def parse_frames(data: bytes, *, is_end: bool, most_bytes: float = math.inf) -> Parsed:
     """Read a piece of a spool file that begins with a frame.
 
     If it does not reach the end of the file (`is_end`), reading stops, at `used`, at the first frame that is not sound.
+    It also stops where payloads of `most_bytes` are read, at one frame at least.
 
     >>> data = bytearray(encode_frame(2, 0, 1, b"one") + encode_frame(2, 1, 2, b"two"))
     >>> data[33] ^= 1
@@ -54,8 +56,8 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
     """
     frames: list[SpoolFrame] = []
     damaged: list[tuple[int, int]] = []
-    at, torn = 0, 0
-    while at < len(data):
+    at, torn, size = 0, 0, 0
+    while at < len(data) and size < most_bytes:
         frame = _frame_at(data, at)
         if frame is None:
             if not is_end:
@@ -68,6 +70,7 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
             at = following
             continue
         frames.append(frame)
+        size += len(frame.payload)
         at += _HEAD.size + len(frame.payload)
     return Parsed(frames, at, damaged, torn)
 

@@ -255,6 +255,16 @@ def test_a_write_that_fails_is_told_and_leaves_no_trace(
         assert [message.payload for message in everything(spool)] == [payload(A, 0), payload(A, 1)]
 
 
+def test_no_more_is_read_than_was_asked_for_and_one_message(tmp_path: Path) -> None:
+    with Spool(tmp_path) as spool:
+        for seq in range(200):
+            spool.append(A, seq, seq + 1, b"x" * 100)
+        read = [len(spool.read(most)) for most in (1, 100, 250, 5000)]
+        assert read == [1, 1, 3, 50]
+        spool.append(B, 0, 1, b"y" * (6 << 20))  # a frame longer than what is read at once
+        assert sum(len(each.payload) for each in everything(spool)) == (200 - sum(read)) * 100 + (6 << 20)
+
+
 def test_one_process_at_a_time(tmp_path: Path) -> None:
     with Spool(tmp_path / "s"), pytest.raises(SpoolError, match="another process sends from the spool"):
         Spool(tmp_path / "s")

@@ -29,7 +29,7 @@ class TestSpool:
             with DurablePublisher(bus, window_bytes=10 * size, resend_after_s=0.1, spool=spool) as publisher:
                 for i in range(1000):
                     publisher.send_batch(KEY, batch(i))
-                assert publisher._out.bytes <= 10 * size
+                assert publisher._out.bytes <= 11 * size  # a message read from the disk is taken whole
                 assert publisher.outstanding == 1000
                 recorder = StandIn(bus)
                 publisher.drain()
