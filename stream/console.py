@@ -33,7 +33,11 @@ _STATUS_EVERY_S = 5.0
 # C0 but tab and line feed, delete, C1, and Unicode's marks of direction
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
-_EXTRAS = {"asammdf": "mf4"} | dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station")
+_EXTRAS = {
+    "asammdf": "mf4",
+    **dict.fromkeys(("sklearn", "threadpoolctl"), "explain"),
+    **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
+}
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 

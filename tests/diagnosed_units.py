@@ -8,7 +8,7 @@ import msgspec
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
-from analytics.loop.report.residuals import Residuals, residuals_of
+from analytics.loop.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import significant_findings
 from analytics.loop.tracing.result.diagnosis_result import EffectCoefficient, FoundEffect

@@ -66,13 +66,20 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     type=click.Path(path_type=Path),
     help="Write the first plan of the next test as a procedure for `gyrofleet run`: FILE.toml.",
 )
+@click.option(
+    "--explainable/--no-explainable",
+    "asks_explainable",
+    default=None,
+    help="Try how much more of the error a function of the channels explains; by default for one unit without "
+    "an effect. Needs pip install 'gyrofleet[explain]'.",
+)
 @language_option
 @reporting
 def diagnose(
     folder: Path, units: tuple[str, ...], signal: str | None, model: str, block: str | None, noise: str | None,
     holdout: str, runs: tuple[str, ...], since: str | None, report_path: Path | None, plot_folder: Path | None,
     bounds: str | None, procedure_path: Path | None, language: "Language", *, fleet: bool, save: bool,
-    asks_next_test: bool, as_json: bool,
+    asks_next_test: bool, asks_explainable: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Find effects that a declared error model lacks, or report that none is missing or that the data cannot tell.
 
@@ -84,17 +91,14 @@ def diagnose(
     gyrofleet diagnose --fleet --signal rate --model bias --report nov.html
     """  # noqa: D301  \b keeps the lines apart
     from analytics.evaluation.selection import dated
-    from analytics.loop.unit_diagnosis import trace_units, with_next_tests
+    from analytics.loop.unit_diagnosis import trace_units, with_explainable, with_next_tests
     from analytics.loop.unit_reduction import Question, reduce_units, units_with
 
     if not units and not fleet:
         raise BadInput("no unit is named: give --unit, once or several times, or --fleet for all units with the signal")
-    if report_path is not None and report_path.suffix.lower() not in (".html", ".htm"):
-        raise BadInput(f"report {report_path}: reports are written as .html; for pictures only give --plot FOLDER")
-    if procedure_path is not None and procedure_path.suffix.lower() != ".toml":
-        raise BadInput(f"procedure {procedure_path}: procedures are written as .toml; name a file such as next.toml")
     if procedure_path is not None and (len(units) != 1 or fleet):
         raise BadInput("a procedure is written for one unit: give one --unit with --write-procedure")
+    _check_suffixes(report_path, procedure_path)
     asks_next_test = asks_next_test or procedure_path is not None or bounds is not None
     question = Question(
         model=model, signal=signal, block_s=None if block is None else block_seconds(block),
@@ -107,6 +111,8 @@ def diagnose(
             read = reduce_units(catalog, chosen, question, on_progress=report)
         # the catalogue is closed to free its memory for the trace
         found = trace_units(read, question, is_pooled=fleet, on_progress=report)
+        if asks_explainable is not False:
+            found = with_explainable(found, report, is_asked=asks_explainable is not None)
         if asks_next_test:
             found = with_next_tests(found, read.models, bounds_of(bounds or ""), report)
     saved, unsaved = _saved(folder, found) if save else ({}, {})
@@ -130,6 +136,13 @@ def diagnose(
         notes().print(f"error: the model of unit {unit} is not saved: {why}", soft_wrap=True)
     if found.failed or unsaved:
         sys.exit(1)
+
+
+def _check_suffixes(report_path: Path | None, procedure_path: Path | None) -> None:
+    if report_path is not None and report_path.suffix.lower() not in (".html", ".htm"):
+        raise BadInput(f"report {report_path}: reports are written as .html; for pictures only give --plot FOLDER")
+    if procedure_path is not None and procedure_path.suffix.lower() != ".toml":
+        raise BadInput(f"procedure {procedure_path}: procedures are written as .toml; name a file such as next.toml")
 
 
 def _saved(folder: Path, found: "UnitsDiagnosis") -> tuple[dict[str, dict[str, object]], dict[str, str]]:

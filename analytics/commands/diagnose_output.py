@@ -42,6 +42,8 @@ def print_unit(found: UnitDiagnosis, language: Language) -> None:
                 console.print(_rich(table))
         if (share := achieved(diagnosis.error, words)) is not None:
             console.print(share)
+    if found.left is not None:
+        console.print(words.clause(found.left.sentence))
     if diagnosis.noise is not None:
         console.print(_rich(noise_rows(diagnosis, words)))
         source = words.of("source of the declared noise", "已声明噪声的来源")
@@ -79,6 +81,8 @@ def print_units(found: UnitsDiagnosis, language: Language) -> None:
             notes().print(f"{caveat}: {words.text(text)}", soft_wrap=True)
     console.print(_rich(unit_rows(found, words)))
     for unit, each in found.units.items():
+        if each.left is not None:
+            console.print(f"{unit}: {words.clause(each.left.sentence)}")
         if each.next_test is not None:
             console.print(f"{unit}: {next_test_sentence(each.next_test, Wording(language, each.data.runs[0]))}")
     _print_remarks(found.units, words)

@@ -2,14 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
+
+from msgspec import structs
 
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.next_test.next_test import NextTest, next_test
 from analytics.loop.next_test.station_bounds import StationBounds
+from analytics.loop.residuals import residuals_of
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.unit_reduction import Progress, Question, ReducedUnit, ReducedUnits, model_on, reduce_units, silent
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
@@ -23,6 +28,7 @@ class UnitDiagnosis:
     diagnosis: Diagnosis
     next_test: NextTest | None = None  # of what the diagnosis leaves open, if it was asked for
     is_planned: bool = False  # whether it was asked for
+    left: Explainable | None = None  # what a black box explains of the error; None if it was not tried
 
     @property
     def unit(self) -> str:
@@ -32,7 +38,12 @@ class UnitDiagnosis:
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
         notes = [{"what": note.what, "text": str(note.text), "channel": note.channel} for note in self.data.notes]
-        document = {**self.diagnosis.document(), "noise_source": str(self.data.noise_source), "reduction": notes}
+        document = {
+            **self.diagnosis.document(),
+            "explainable": None if self.left is None else self.left.document(),
+            "noise_source": str(self.data.noise_source),
+            "reduction": notes,
+        }
         if self.is_planned:
             document["next_test"] = None if self.next_test is None else self.next_test.document()
         return document
@@ -70,6 +81,30 @@ def with_next_tests(
             bounds=StationBounds.of_runs(runs, **bounds), on_progress=on_progress,
         )  # fmt: skip
         units[unit] = replace(each, next_test=planned, is_planned=True)
+    return replace(found, units=units)
+
+
+def with_explainable(found: UnitsDiagnosis, on_progress: Progress = silent, *, is_asked: bool = True) -> UnitsDiagnosis:
+    """The diagnoses with what a black box explains of the error; where it explains some, something is missing.
+
+    If it is not asked for, it is tried on a single unit without a lasting effect, if scikit-learn is installed.
+    """
+    if not is_asked and (len(found.units) > 1 or find_spec("sklearn") is None):
+        return found
+    units = {}
+    for unit, each in found.units.items():
+        units[unit] = each
+        if not is_asked and each.diagnosis.effects:
+            continue
+        on_progress(f"trying a black box on {unit} ({len(units)} of {len(found.units)})")
+        residuals = residuals_of(each.data.runs, each.diagnosis)
+        left = None if residuals is None else explainable(residuals)
+        if left is None:
+            continue
+        diagnosis = each.diagnosis
+        if left.is_significant and diagnosis.verdict in (ModelVerdict.NOTHING_MISSING, ModelVerdict.UNREPLICATED):
+            diagnosis = structs.replace(diagnosis, verdict=ModelVerdict.UNEXPLAINED, unexplained=left.sentence)
+        units[unit] = replace(each, diagnosis=diagnosis, left=left)
     return replace(found, units=units)
 
 

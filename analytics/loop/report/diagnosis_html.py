@@ -15,9 +15,9 @@ from analytics.loop.report import report_tables as tables
 from analytics.loop.report.diagnosis_plots import figures_of
 from analytics.loop.report.drivers import bias_over_temperature, scale_factor_over_rate
 from analytics.loop.report.next_test_rows import next_test_rows, next_test_sentence
-from analytics.loop.report.residuals import residual_allan, residuals_of
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
+from analytics.loop.residuals import residual_allan, residuals_of
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.errors import BadInput
@@ -81,6 +81,7 @@ def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, An
         "caveats": _texts([*caveats, *(note.text for note in notes if note.is_limit)], words),
         "notes": _texts((note.text for note in notes if not note.is_limit), words),
         "absent": tables.absent_rows(diagnosis, words),
+        "left": found.left and words.clause(found.left.sentence),
         "next_test": found.next_test and next_test_sentence(found.next_test, words),
         "plans": found.next_test and found.next_test.plans and next_test_rows(found.next_test, words),
     }

@@ -12,14 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from analytics.loop.report.drivers import Drawn, drawn
-from analytics.loop.report.residuals import (
-    DeviationAt,
-    WhitenedSpectrum,
-    residual_allan,
-    residuals_of,
-    whitened_spectrum,
-)
 from analytics.loop.report.wording import Wording
+from analytics.loop.residuals import DeviationAt, WhitenedSpectrum, residual_allan, residuals_of, whitened_spectrum
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.result.holdout import HoldoutSlope
 from analytics.loop.unit_diagnosis import UnitDiagnosis

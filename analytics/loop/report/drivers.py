@@ -8,8 +8,8 @@ import numpy as np
 from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effect
-from analytics.loop.report.residuals import Residuals
 from analytics.loop.report.wording import Wording
+from analytics.loop.residuals import Residuals
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from stream.batch import BoolArray, FloatArray
 from stream.errors import UnknownUnit

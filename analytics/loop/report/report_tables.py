@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.report.drivers import ErrorOverDriver
-from analytics.loop.report.residuals import DeviationAt
 from analytics.loop.report.wording import Wording, measured, number
+from analytics.loop.residuals import DeviationAt
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.result.holdout import ErrorGain, ErrorTable
 from stream.quantities import ANGULAR_RATE_UNIT, format_unit

@@ -186,8 +186,8 @@ def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
     if diagnosis.unexplained is not None:
         why = words.text(diagnosis.unexplained)
         return words.of(
-            f"the declared model lacks something that no channel explains: {why}",
-            f"存在缺项，但通道中无可解释者：{why}",
+            f"the declared model lacks something that no effect tested explains: {why}",
+            f"存在缺项，但所检验的效应均不能解释：{why}",
         )
     if diagnosis.effects:
         effects = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)

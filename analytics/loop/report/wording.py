@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from analytics.loop.bilingual import chinese
+from analytics.loop.bilingual import Bilingual, chinese
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import parameter_unit
 from analytics.loop.effects.registry import effect
@@ -60,6 +60,11 @@ class Wording:
     def of(self, en: str, zh: str) -> str:
         """The text in this language."""
         return zh if self.language == "zh" else en
+
+    def clause(self, text: Bilingual) -> str:
+        """A clause as a sentence."""
+        written = self.text(text)
+        return written[0].upper() + written[1:] + self.of(".", "。")
 
     def each(self, *pairs: tuple[str, str]) -> tuple[str, ...]:
         """Texts in this language, such as the head of a table."""

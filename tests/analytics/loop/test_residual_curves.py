@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analytics.loop.report.drivers import bias_over_temperature, drawn, scale_factor_over_rate
-from analytics.loop.report.residuals import Residuals, residual_allan, whitened_spectrum
 from analytics.loop.report.wording import Wording
+from analytics.loop.residuals import Residuals, residual_allan, whitened_spectrum
 from analytics.loop.tracing.result.diagnosis_result import EffectCoefficient
 from tests.diagnosed_units import SHUPE, SQUARE, a_finding, diagnosed, left
 
