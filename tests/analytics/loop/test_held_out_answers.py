@@ -145,7 +145,8 @@ def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Cam
     assert row.gain.fraction == pytest.approx(1 - (row.after / row.before) ** 2)
     assert not row.gain.is_significant
     assert "(not significant)" in sentence(found, runs[0])
-    assert found.document()["error"]["gain_within"]["rms_1800s"]["runs"] == 5
+    assert found.document()["error"]["gain_within_at"]["rms_1800s"]["runs"] == 5
+    assert set(found.document()["error"]["gain"]) == {"value", "lo", "hi", "runs", "significant"}
 
 
 @pytest.mark.long

@@ -137,11 +137,13 @@ class ErrorTable(msgspec.Struct, frozen=True):
 
     def document(self) -> dict[str, Any]:
         """JSON form."""
+        reference = self.reference
         by_time = {f"rms_{row.averaging_s:g}s": row for row in self.rows}
         return {
             **{part: {key: getattr(row, part) for key, row in by_time.items()} for part in _PARTS},
-            "gain": {key: _gain(row.gain) for key, row in by_time.items()},
-            "gain_within": {key: _gain(row.gain_within) for key, row in by_time.items()},
+            "gain": None if reference is None else _gain(reference.gain),
+            "gain_at": {key: _gain(row.gain) for key, row in by_time.items()},
+            "gain_within_at": {key: _gain(row.gain_within) for key, row in by_time.items()},
             "achievable_fraction": self.achievable_fraction,
             "achievable_fraction_excited": self.achievable_fraction_excited,
             "unit_of_measure": self.unit_of_measure,
@@ -151,4 +153,6 @@ class ErrorTable(msgspec.Struct, frozen=True):
 
 
 def _gain(gain: ErrorGain | None) -> dict[str, Any] | None:
-    return None if gain is None else {**msgspec.to_builtins(gain), "significant": gain.is_significant}
+    if gain is None:
+        return None
+    return {"value": gain.fraction, "lo": gain.lo, "hi": gain.hi, "runs": gain.runs, "significant": gain.is_significant}
