@@ -67,6 +67,13 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     help="Write the first plan of the next test as a procedure for `gyrofleet run`: FILE.toml.",
 )
 @click.option(
+    "--recover",
+    "tries",
+    type=click.IntRange(1, 1000),
+    metavar="N",
+    help="Plant what was found in N simulations of these data, and count how often it is found again.",
+)
+@click.option(
     "--explainable/--no-explainable",
     "asks_explainable",
     default=None,
@@ -79,7 +86,7 @@ def diagnose(
     folder: Path, units: tuple[str, ...], signal: str | None, model: str, block: str | None, noise: str | None,
     holdout: str, runs: tuple[str, ...], since: str | None, report_path: Path | None, plot_folder: Path | None,
     bounds: str | None, procedure_path: Path | None, language: "Language", *, fleet: bool, save: bool,
-    asks_next_test: bool, asks_explainable: bool | None, as_json: bool,
+    tries: int | None, asks_next_test: bool, asks_explainable: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Find effects that a declared error model lacks, or report that none is missing or that the data cannot tell.
 
@@ -91,7 +98,7 @@ def diagnose(
     gyrofleet diagnose --fleet --signal rate --model bias --report nov.html
     """  # noqa: D301  \b keeps the lines apart
     from analytics.evaluation.selection import dated
-    from analytics.loop.unit_diagnosis import trace_units, with_explainable, with_next_tests
+    from analytics.loop.unit_diagnosis import trace_units, with_explainable, with_next_tests, with_recovery
     from analytics.loop.unit_reduction import Question, reduce_units, units_with
 
     if not units and not fleet:
@@ -113,6 +120,8 @@ def diagnose(
         found = trace_units(read, question, is_pooled=fleet, on_progress=report)
         if asks_explainable is not False:
             found = with_explainable(found, report, is_asked=asks_explainable is not None)
+        if tries is not None:
+            found = with_recovery(found, read.models, tries, report)
         if asks_next_test:
             found = with_next_tests(found, read.models, bounds_of(bounds or ""), report)
     saved, unsaved = _saved(folder, found) if save else ({}, {})

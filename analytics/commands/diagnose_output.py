@@ -12,6 +12,7 @@ from analytics.loop.report.finding_sentences import (
 )
 from analytics.loop.report.next_test_rows import afterwards, next_test_rows, next_test_sentence
 from analytics.loop.report.report_tables import TextTable, absent_rows, achieved, error_rows, gain_rows, noise_rows
+from analytics.loop.report.scrutiny_rows import recovery_sentences
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
@@ -42,16 +43,24 @@ def print_unit(found: UnitDiagnosis, language: Language) -> None:
                 console.print(_rich(table))
         if (share := achieved(diagnosis.error, words)) is not None:
             console.print(share)
+    for sentence in recovery_sentences(found.recovery or {}, words):
+        console.print(sentence)
     if found.left is not None:
         console.print(words.clause(found.left.sentence))
+    _print_noise(found, words)
+    _print_next_test(found, words)
+    _print_remarks({found.unit: found}, words)
+
+
+def _print_noise(found: UnitDiagnosis, words: Wording) -> None:
+    """Noise, and what it hides."""
+    console, diagnosis = results(), found.diagnosis
     if diagnosis.noise is not None:
         console.print(_rich(noise_rows(diagnosis, words)))
         source = words.of("source of the declared noise", "已声明噪声的来源")
         console.print(f"{source}: {words.text(found.data.noise_source)}")
     if diagnosis.detection_limits:
         console.print(_rich(absent_rows(diagnosis, words)))
-    _print_next_test(found, words)
-    _print_remarks({found.unit: found}, words)
 
 
 def _print_next_test(found: UnitDiagnosis, words: Wording) -> None:

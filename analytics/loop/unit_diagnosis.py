@@ -2,16 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.util import find_spec
 
-from msgspec import structs
+import msgspec
 
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence
 from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.next_test.next_test import NextTest, next_test
 from analytics.loop.next_test.station_bounds import StationBounds
-from analytics.loop.residuals import residuals_of
+from analytics.loop.provenance import provenance
+from analytics.loop.recovery import Recovery, recovered
+from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor_diagnostics
+from analytics.loop.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
@@ -28,6 +33,7 @@ class UnitDiagnosis:
     diagnosis: Diagnosis
     next_test: NextTest | None = None  # of what the diagnosis leaves open, if it was asked for
     is_planned: bool = False  # whether it was asked for
+    recovery: Mapping[str, Recovery] | None = None  # of the effects found; None if it was not asked for
     left: Explainable | None = None  # what a black box explains of the error; None if it was not tried
 
     @property
@@ -35,12 +41,33 @@ class UnitDiagnosis:
         """Name of the unit."""
         return self.data.runs[0].unit
 
+    @cached_property
+    def residuals(self) -> Residuals | None:
+        """Residuals of the model found; None if there was not enough data for a diagnosis."""
+        return residuals_of(self.data.runs, self.diagnosis)
+
+    @property
+    def regressors(self) -> RegressorDiagnostics | None:
+        """Collinearity and leverage of the columns of the model found."""
+        if self.residuals is None or self.diagnosis.model is None:
+            return None
+        return regressor_diagnostics(self.residuals, self.diagnosis.model)
+
+    @property
+    def coherence(self) -> tuple[ChannelCoherence, ...]:
+        """Coherence of the remaining residual with the channels."""
+        return () if self.residuals is None else channel_coherence(self.residuals)
+
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
         notes = [{"what": note.what, "text": str(note.text), "channel": note.channel} for note in self.data.notes]
         document = {
             **self.diagnosis.document(),
             "explainable": None if self.left is None else self.left.document(),
+            "recovery": msgspec.to_builtins(self.recovery),
+            "regressors": msgspec.to_builtins(self.regressors),
+            "coherence": msgspec.to_builtins(self.coherence),
+            "provenance": msgspec.to_builtins(provenance(self.data.runs)),
             "noise_source": str(self.data.noise_source),
             "reduction": notes,
         }
@@ -84,6 +111,26 @@ def with_next_tests(
     return replace(found, units=units)
 
 
+def with_recovery(
+    found: UnitsDiagnosis, models: Mapping[str, ErrorModel], tries: int, on_progress: Progress = silent
+) -> UnitsDiagnosis:
+    """The diagnoses with how often effects of the sizes found are found again, see `recovered`."""
+    units = {}
+    for unit, each in found.units.items():
+        recovery = None
+        if each.residuals is not None and each.diagnosis.names:
+            recovery = recovered(
+                each.diagnosis,
+                each.residuals,
+                models[unit],
+                tries,
+                declared_noise=each.data.noise,
+                on_progress=on_progress,
+            )
+        units[unit] = replace(each, recovery=recovery)
+    return replace(found, units=units)
+
+
 def with_explainable(found: UnitsDiagnosis, on_progress: Progress = silent, *, is_asked: bool = True) -> UnitsDiagnosis:
     """The diagnoses with what a black box explains of the error; where it explains some, something is missing.
 
@@ -97,13 +144,12 @@ def with_explainable(found: UnitsDiagnosis, on_progress: Progress = silent, *, i
         if not is_asked and each.diagnosis.effects:
             continue
         on_progress(f"trying a black box on {unit} ({len(units)} of {len(found.units)})")
-        residuals = residuals_of(each.data.runs, each.diagnosis)
-        left = None if residuals is None else explainable(residuals)
+        left = None if each.residuals is None else explainable(each.residuals)
         if left is None:
             continue
         diagnosis = each.diagnosis
         if left.is_significant and diagnosis.verdict in (ModelVerdict.NOTHING_MISSING, ModelVerdict.UNREPLICATED):
-            diagnosis = structs.replace(diagnosis, verdict=ModelVerdict.UNEXPLAINED, unexplained=left.sentence)
+            diagnosis = msgspec.structs.replace(diagnosis, verdict=ModelVerdict.UNEXPLAINED, unexplained=left.sentence)
         units[unit] = replace(each, diagnosis=diagnosis, left=left)
     return replace(found, units=units)
 

@@ -10,14 +10,16 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from analytics.loop.effects.registry import effect
+from analytics.loop.provenance import provenance
 from analytics.loop.report import finding_sentences as sentences
 from analytics.loop.report import report_tables as tables
 from analytics.loop.report.diagnosis_plots import figures_of
 from analytics.loop.report.drivers import bias_over_temperature, scale_factor_over_rate
 from analytics.loop.report.next_test_rows import next_test_rows, next_test_sentence
+from analytics.loop.report.scrutiny_rows import coherence_rows, provenance_rows, recovery_sentences, regressor_rows
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
-from analytics.loop.residuals import residual_allan, residuals_of
+from analytics.loop.residuals import residual_allan
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.errors import BadInput
@@ -81,6 +83,12 @@ def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, An
         "caveats": _texts([*caveats, *(note.text for note in notes if note.is_limit)], words),
         "notes": _texts((note.text for note in notes if not note.is_limit), words),
         "absent": tables.absent_rows(diagnosis, words),
+        "scrutiny": [
+            *([regressor_rows(found.regressors, words)] if found.regressors else []),
+            *([coherence_rows(found.coherence, words)] if found.coherence else []),
+            provenance_rows(provenance(found.data.runs), words),
+        ],
+        "recovery": recovery_sentences(found.recovery or {}, words),
         "left": found.left and words.clause(found.left.sentence),
         "next_test": found.next_test and next_test_sentence(found.next_test, words),
         "plans": found.next_test and found.next_test.plans and next_test_rows(found.next_test, words),
@@ -90,7 +98,7 @@ def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, An
 def _errors(found: UnitDiagnosis, words: Wording) -> dict[str, Any]:
     """Tables of the errors before and after; empty without a diagnosis."""
     diagnosis = found.diagnosis
-    residuals = residuals_of(found.data.runs, diagnosis)
+    residuals = found.residuals
     if diagnosis.error is None or residuals is None:
         return {"errors": []}
     curves: list[tables.TextTable] = []

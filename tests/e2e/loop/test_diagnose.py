@@ -21,7 +21,7 @@ SHUPE = 30.0  # deg/h per degC/s
 KEYS = [
     "verdict", "units", "signal", "effects", "confounded", "unreplicated", "holdout", "error", "noise",
     "detection_limits", "not_tested", "limits", "missing", "left_out", "replication", "training_runs", "model",
-    "noise_source", "reduction",
+    "explainable", "recovery", "regressors", "coherence", "provenance", "noise_source", "reduction",
 ]  # fmt: skip
 HIT_2012 = Path(__file__).resolve().parents[2] / "golden" / "hit2012_table1.csv"
 HIT_MODEL = "rate = bias + channel:table_rate + cross_axis_o + cross_axis_s + fixture_cos + fixture_sin"
@@ -85,6 +85,10 @@ def test_a_planted_effect_is_found_and_the_document_has_its_parts(gyrofleet: Cal
     assert after < 1.1 * floor
     assert found["noise_source"] == "the unit's own Allan fits; turn-on scatter estimated from these runs"
     assert found["noise"]["declared"]["N"] == pytest.approx(0.01, rel=0.3)
+    assert effect["false_alarm_probability"] < 1e-6
+    assert {each["name"] for each in found["regressors"]["regressors"]} >= {"bias", "temperature", effect["name"]}
+    assert {each["channel"] for each in found["coherence"]} >= {"temperature", "input_rate"}
+    assert set(found["provenance"]["sha256"]) == {f"r{number}" for number in range(9)}
 
 
 @pytest.mark.long

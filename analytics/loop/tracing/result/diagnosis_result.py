@@ -4,6 +4,8 @@ from enum import StrEnum
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
+from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
@@ -146,12 +148,18 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     judged: ErrorModel | None = None
     missing: tuple[Bilingual, ...] = ()  # what is missing if the verdict is not_enough_data
     left_out: tuple[LeftOut, ...] = ()  # of the record, the worst first
+    tests: float = 1.0  # independent tests of the search, for the probability of a false alarm
     unexplained: Bilingual | None = None  # by how much the held-out error exceeds the noise, if it is far above
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects found."""
         return tuple(effect.name for effect in self.effects)
+
+    def false_alarm(self, found: FoundEffect) -> float:
+        """Probability that noise of the fitted model shows an effect as significant in any of the tests."""
+        p_value = float(stats.chi2.sf(found.significance**2, 1))
+        return float(-np.expm1(self.tests * np.log1p(-min(p_value, 1.0 - 1e-15))))
 
     @property
     def by_size(self) -> tuple[FoundEffect, ...]:
@@ -174,7 +182,9 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
             "verdict": self.verdict.value,
             "units": list(self.units),
             "signal": self.signal,
-            "effects": [effect.document() for effect in self.effects],
+            "effects": [
+                effect.document() | {"false_alarm_probability": self.false_alarm(effect)} for effect in self.effects
+            ],
             "confounded": [other.document(effect.name) for effect in self.effects for other in effect.confounded],
             "unreplicated": [effect.document() for effect in self.unreplicated],
             "holdout": None if self.holdout is None else self.holdout.document(),

@@ -108,6 +108,7 @@ def conclude(
         limits=(*found_caveats, *remarks),
         missing=(*undetermined, *losses) if is_lacking else (),
         unexplained=unexplained,
+        tests=float(tests),
         replication=case.replication,
         training_runs=training.stack.replicates,
         runs=case.stack.replicates,

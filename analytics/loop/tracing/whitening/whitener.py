@@ -126,6 +126,12 @@ class Whitener:
         _whiten(np.ascontiguousarray(columns), self.steps, self.decay, self.gain, self.innovation, out)
         return out
 
+    def colour(self, columns: FloatArray) -> FloatArray:
+        """Invert the whitening: white columns of variance one become noise of this covariance."""
+        out = np.empty(columns.shape)
+        _colour(np.ascontiguousarray(columns), self.steps, self.decay, self.gain, self.innovation, out)
+        return out
+
     def adjoint(self, columns: FloatArray) -> FloatArray:
         """Apply the transpose: `sum(self(x) * u) == sum(x * self.adjoint(u))` for any x."""
         out = np.empty(columns.shape)
@@ -236,6 +242,29 @@ def _whiten(columns, steps, decay, gain, innovation, out):  # type: ignore[no-un
                 state[i, c] += gain[t, i] * out[t, c]
         for c in range(width):
             out[t, c] *= scale
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _colour(columns, steps, decay, gain, innovation, out):  # type: ignore[no-untyped-def]
+    n, width = columns.shape
+    states = decay.size + 1
+    state = np.zeros((states, width))
+    for t in range(n):
+        if steps[t] == 0:
+            state[:] = 0.0
+        else:
+            for i in range(1, states):
+                factor = decay[i - 1] ** steps[t]
+                for c in range(width):
+                    state[i, c] *= factor
+        scale = np.sqrt(innovation[t])
+        for c in range(width):
+            out[t, c] = scale * columns[t, c]
+            for i in range(states):
+                out[t, c] += state[i, c]
+        for i in range(states):
+            for c in range(width):
+                state[i, c] += gain[t, i] * scale * columns[t, c]
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -1,0 +1,99 @@
+"""Coherence of the residual with each channel, over frequency, and the lag at which they agree most."""
+
+import msgspec
+import numpy as np
+from scipy import signal
+
+from analytics.loop.residuals import Residuals
+from stream.batch import FloatArray
+
+_SEGMENT_BLOCKS, _FEWEST_SEGMENTS = 64, 4
+_OVERLAP_COST = (
+    1.056  # variance of a Hann-windowed spectrum with half-overlapping segments, relative to independent ones
+)
+_MOST_LAG_BLOCKS = 20
+
+
+class ChannelCoherence(msgspec.Struct, frozen=True, kw_only=True):
+    """Agreement of the residual of the model found with a channel, both whitened by the fitted noise.
+
+    Parameters
+    ----------
+    coherence: Largest magnitude-squared coherence over frequency, at `frequency_hz`.
+    p_value: Of a coherence as large by chance, corrected for the number of frequencies and channels.
+    lag_s: Lag of the residual behind the channel at which their `correlation` is largest.
+    """
+
+    channel: str
+    coherence: float
+    frequency_hz: float
+    p_value: float
+    lag_s: float
+    correlation: float
+
+
+def channel_coherence(residuals: Residuals) -> tuple[ChannelCoherence, ...]:
+    """Coherence with each channel in the runs in which it changes, the least likely by chance first.
+
+    Welch's method, Hann windows of 64 blocks, half overlapping, pooled over runs (Carter, Proc. IEEE 75(2), 1987,
+    236-255: of independent series it exceeds c with probability (1 - c)^(segments - 1)).
+    """
+    stack = residuals.record.stack
+    names = sorted(residuals.channels)
+    columns = np.column_stack([residuals.after, *(residuals.channel(name) for name in names)])
+    columns = residuals.record.whitener(residuals.noise)(np.nan_to_num(columns))
+    runs = [columns[stack.run_number == number] for number in range(len(stack.runs))]
+    runs = [run - run.mean(axis=0) for run in runs if len(run) >= _SEGMENT_BLOCKS]
+    changing = {at: [run[:, [0, at]] for run in runs if np.ptp(run[:, at]) > 0] for at in range(1, columns.shape[1])}
+    changing = {at: own for at, own in changing.items() if sum(map(_segments, own)) >= _FEWEST_SEGMENTS}
+    block_s = residuals.record.noise_model.block_s
+    found = []
+    for at, own in changing.items():
+        frequency, coherence = _pooled(own, block_s)
+        best = int(np.argmax(coherence))
+        by_chance = (1.0 - coherence[best]) ** (sum(map(_segments, own)) / _OVERLAP_COST - 1.0)
+        lag, correlation = _lag(own)
+        found.append(
+            ChannelCoherence(
+                channel=names[at - 1],
+                coherence=float(coherence[best]),
+                frequency_hz=float(frequency[best]),
+                p_value=float(-np.expm1(frequency.size * len(changing) * np.log1p(-min(by_chance, 1.0 - 1e-15)))),
+                lag_s=lag * block_s,
+                correlation=correlation,
+            )
+        )
+    return tuple(sorted(found, key=lambda each: (each.p_value, -each.coherence)))
+
+
+def _segments(run: FloatArray) -> int:
+    return 1 + (len(run) - _SEGMENT_BLOCKS) // (_SEGMENT_BLOCKS // 2)
+
+
+def _pooled(runs: list[FloatArray], block_s: float) -> tuple[FloatArray, FloatArray]:
+    """Frequencies without zero, and the squared coherence of the two columns over runs."""
+    options = {"fs": 1.0 / block_s, "nperseg": _SEGMENT_BLOCKS, "detrend": "constant"}
+    spectra = np.zeros((3, _SEGMENT_BLOCKS // 2 + 1), dtype=np.complex128)
+    for run in runs:
+        own, channel = run.T
+        for number, pair in enumerate(((own, own), (channel, channel), (own, channel))):
+            spectra[number] += _segments(run) * signal.csd(*pair, **options)[1]
+    frequency = np.fft.rfftfreq(_SEGMENT_BLOCKS, block_s)
+    squared = np.abs(spectra[2]) ** 2 / np.maximum((spectra[0] * spectra[1]).real, 1e-300)
+    return np.asarray(frequency[1:], dtype=np.float64), np.asarray(np.minimum(squared[1:], 1.0))
+
+
+def _lag(runs: list[FloatArray]) -> tuple[int, float]:
+    """Lag in blocks of the first column behind the second, and the correlation there."""
+    lags = np.arange(-_MOST_LAG_BLOCKS, _MOST_LAG_BLOCKS + 1)
+    products = np.zeros(lags.size)
+    squares = np.zeros(2)
+    for run in runs:
+        own, channel = run.T
+        whole = signal.correlate(own, channel)
+        middle = len(run) - 1
+        products += whole[middle + lags[0] : middle + lags[-1] + 1]
+        squares += own @ own, channel @ channel
+    correlation = products / max(float(np.sqrt(squares.prod())), 1e-300)
+    best = int(np.argmax(np.abs(correlation)))
+    return int(lags[best]), float(correlation[best])
