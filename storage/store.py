@@ -43,10 +43,7 @@ class Store:
 
     @classmethod
     def open(cls, folder: Path) -> Self:
-        """Open an existing store.
-
-        Raises a StoreError if the folder is missing, is not a store, or was written by a newer gyrofleet.
-        """
+        """Open an existing store; StoreError if the folder is none, or was written by a newer gyrofleet."""
         marker = folder / MARKER
         try:
             return cls(folder, read_marker(marker))
@@ -70,10 +67,7 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path) -> Self:
-        """Open a store for writing; create it if the folder is empty or missing, or its creation was interrupted.
-
-        Raises a StoreError if the folder holds other files, or cannot be written.
-        """
+        """Open a store for writing, or create it in an empty or missing folder; StoreError if that cannot be done."""
         marker = folder / MARKER
         try:
             folder.mkdir(parents=True, exist_ok=True)

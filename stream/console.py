@@ -53,10 +53,7 @@ estimates_option = click.option(
 
 
 class PlainConsole(Console):
-    """Console that prints text as it is: no markup (``rate[deg/s]``), no control characters.
-
-    `styled` gives coloured text.
-    """
+    """Console that prints text as it is: no markup (``rate[deg/s]``), no control characters; colour by `styled`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(highlight=False, emoji=False, markup=False, **options)
@@ -191,10 +188,7 @@ def progress_bar(*, hidden: bool) -> Iterator[Progress]:
 
 @contextmanager
 def status_line() -> Iterator[Callable[[str], None]]:
-    """Give a function that shows the present activity on standard error.
-
-    A terminal shows one line that changes; a log gets a line every few seconds at most.
-    """
+    """Give a function that shows the activity on standard error: one changing line, in a log one every few seconds."""
     console = notes()
     if console.is_terminal:
         with console.status("starting") as status:

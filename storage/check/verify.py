@@ -25,10 +25,7 @@ Check = Callable[[Store], Iterable[Finding]]
 
 
 def verify(store: Store, progress: Callable[[float], None] | None = None) -> tuple[Verification, LogState]:
-    """Read everything in a store and report what is wrong, without changes; `progress` gets the fraction read.
-
-    Segments that are still being written are not verified.
-    """
+    """Report what is wrong in the sealed part of a store, without changes; `progress` gets the fraction read."""
     began = time.monotonic()
     state = verify_log(store, progress)
     findings = [

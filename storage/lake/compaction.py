@@ -64,10 +64,7 @@ def compact(lake: "Lake", *, now_ns: int | None = None) -> Iterator[Compacted]:
 
 
 def due(manifest: Manifest, now_ns: int, skipped: Set[str] = frozenset()) -> Iterator[list[Part]]:
-    """Groups of neighbouring parts to be merged, the oldest first.
-
-    All parts of a finished day (UTC, by arrival); of the present day, full groups of parts of similar size.
-    """
+    """Neighbouring parts to merge, oldest first: all of a finished day (UTC, by arrival), full groups of today."""
     kinds: dict[tuple[str, bool, bool, int], list[Part]] = defaultdict(list)
     for part in manifest.parts:
         if part.name in skipped or part.bytes > MOST_BYTES // 2:

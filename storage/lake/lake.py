@@ -155,10 +155,7 @@ class Lake:
         self._apply_dropped()
 
     def restore_raw(self, restored: Mapping[str, tuple[str, ...]]) -> None:
-        """Restore the raw rows of segments from the log; `restored` names the documents that no longer apply to each.
-
-        The document of the restoration must be in the log.
-        """
+        """Restore raw rows of segments from the log; `restored` names the documents that no longer apply to each."""
         self.commit(**self._drops().join(Drops({}, dict(restored)))._asdict())
         self._apply_dropped()
 

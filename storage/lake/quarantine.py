@@ -1,7 +1,4 @@
-"""Messages of a segment that cannot be built into the lake: left out, counted, and reported as events of the store.
-
-Recorders reject such messages; a log of an older version may hold them.
-"""
+"""Messages that cannot be built into the lake, as of older versions: left out, counted, reported as events."""
 
 from dataclasses import dataclass
 from uuid import NAMESPACE_OID, uuid5

@@ -70,10 +70,7 @@ def abandoned_name(path: Path, durable_bytes: int) -> Path:
 
 
 def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Seal what an open segment holds; `known` are the positions that streams reached in the segments before it.
-
-    The caller holds the writer lock. It can be repeated after an OSError.
-    """
+    """Seal an open segment, given the positions `known` before it; writer lock held; repeatable after an OSError."""
     match = _ABANDONED.fullmatch(path.name)
     limit = int(match[2]) if match else None
     sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
@@ -85,10 +82,7 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
 
 
 def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Replace a damaged sealed segment by its readable part; parameters as of `recover_segment`.
-
-    The losses that `examine_segment` finds must be documented in the log first.
-    """
+    """Replace a damaged sealed segment by its readable part; the log must document its losses first."""
     aside = _aside(store, path)
     disk.link(path, aside)
     disk.sync_folder(store.aside)

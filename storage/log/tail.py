@@ -43,10 +43,7 @@ def first_to_read(store: Store, sealed: list[str]) -> int:
 
 
 class RunScan:
-    """Reads a log in its order and keeps where runs begin and whether they have ended.
-
-    `open_runs` have samples or documents other than estimates after their last end.
-    """
+    """Finds where runs begin; `open_runs` have samples or documents other than estimates after their last end."""
 
     def __init__(self) -> None:
         self.runs: set[str] = set()
@@ -105,10 +102,7 @@ class LogTail:
         self._marks: dict[str, dict[StreamId, int]] = {}
 
     def beginning(self, *, thorough: bool = False) -> LogBeginning:
-        """Where to begin without a checkpoint: unfinished runs from their first message, all else from its end.
-
-        `thorough` reads the whole log, and includes ended runs whose last estimates are missing.
-        """
+        """Where to begin without a checkpoint; `thorough` reads the whole log for ended runs without last estimates."""
         sealed = _sealed(self._store)
         start = 0 if thorough else first_to_read(self._store, sealed)
         positions: dict[StreamId, int] = {}
@@ -156,10 +150,7 @@ def open_records(store: Store) -> Iterator[LogRecord]:
 
 
 def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool]) -> Iterator[LogRecord]:
-    """Messages of the log in their order, while another process may be writing it.
-
-    Sealed segments are read if `is_needed` is true of their name, messages are yielded if `wanted` is of their key.
-    """
+    """Messages of a log in their order, of the segments needed and the keys wanted; the log may be being written."""
     done: set[str] = set()
     begun: Counter[str] = Counter()  # messages read of a segment before it was sealed
     while True:

@@ -57,10 +57,7 @@ class ManifestDamage(NamedTuple):
 
 @dataclass
 class LogManifest:
-    """Entries of the manifest, the last one of each segment, and its damage.
-
-    `lost` has segments that no longer exist; their numbers are not reused.
-    """
+    """Last entry of each segment, and damage; numbers of `lost` segments, which no longer exist, are not reused."""
 
     entries: dict[str, SegmentEntry] = field(default_factory=dict)
     lost: dict[str, SegmentEntry] = field(default_factory=dict)

@@ -45,10 +45,7 @@ class RecorderClient:
         self.store = wanted if wanted in stores else stores[0]
 
     def ask(self, question: requests.Question, patience_s: float = _PATIENCE_S) -> Any:
-        """The answer to a question.
-
-        Raises a StoreError if the recorder cannot answer, a DeliveryError if it does not answer in time.
-        """
+        """The answer to a question; StoreError if the recorder cannot answer, DeliveryError if not in time."""
         (reply,) = self._ask(question, patience_s)
         if reply.error:
             raise StoreError(f"the recorder cannot answer: {reply.error}")

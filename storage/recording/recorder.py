@@ -42,20 +42,17 @@ class Recorder(Closing):
     drops duplicates, requests a rewind if one is missing, and acknowledges after an fdatasync every `sync_interval_s`.
     Another thread builds the lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
 
-    `builds_lake` says whether this process builds the lake; `on_lake` gets the name of each segment that has reached
-    it, `on_warning` messages for people: pauses, disk errors, low disk space. `on_failure` is called once, when
-    recording has ended by a failure.
+    `builds_lake` says whether this process builds the lake; `on_warning` gets messages for people: pauses, disk errors,
+    low disk space. `on_failure` is called once, when recording has ended by a failure.
     """
 
     def __init__(
         self, store: Store, bus: Bus, log: EventLog, *, sync_interval_s: float = 0.1, builds_lake: bool = True,
-        on_lake: Callable[[str], None] | None = None, on_warning: Callable[[str], None] | None = None,
-        on_failure: Callable[[GyrofleetError], None] | None = None, disk: Disk = DISK,
+        on_warning: Callable[[str], None] = lambda _text: None,
+        on_failure: Callable[[GyrofleetError], None] = lambda _error: None, disk: Disk = DISK,
     ) -> None:  # fmt: skip
-        self._store, self._bus, self._log = store, bus, log
-        self._sync_interval_s = sync_interval_s
-        self._warn: Callable[[str], None] = on_warning or (lambda _text: None)
-        self._on_failure: Callable[[GyrofleetError], None] = on_failure or (lambda _error: None)
+        self._store, self._bus, self._log, self._sync_interval_s = store, bus, log, sync_interval_s
+        self._warn, self._on_failure = on_warning, on_failure
         self._intake = Intake(log, store)
         self.counts = self._intake.counts
         self._reports = Reports(store, log, self._intake, self._warn)
@@ -66,12 +63,11 @@ class Recorder(Closing):
         self._incoming_bytes = 0
         self._state = threading.Condition()
         self._closing = False
-        self._ended_runs = self._late = 0
         self._settle_wanted = self._settle_done = self._settle_from = self._received = self._processed = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
-        self._builder = LakeBuilder(store, on_lake=on_lake, on_warning=self._warn) if builds_lake else None
+        self._builder = LakeBuilder(store, on_warning) if builds_lake else None
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
@@ -172,12 +168,12 @@ class Recorder(Closing):
         for key, payload, arrival_ns in taken:
             self._intake.add(key, payload, arrival_ns)
         now = time.monotonic()
-        if self._intake.ended_runs > self._ended_runs:
-            self._ended_runs = self._intake.ended_runs
+        if self._intake.ended_runs:
+            self._intake.ended_runs = 0
             self._seal_at = now + _SEAL_GRACE_S
-        if self._intake.late > self._late:
+        if self._intake.late:
             # once no more of it comes: a run that is extended for hours must not be cut into seconds
-            self._late = self._intake.late
+            self._intake.late = 0
             self._quiet_at = now + _SEAL_GRACE_S
         missing, self._intake.rewinds = self._intake.rewinds, []
         if missing:
@@ -210,7 +206,7 @@ class Recorder(Closing):
 
     def _request_rewind(self, streams: Iterable[StreamId]) -> None:
         marks = self._log.marks
-        self._acknowledge(tuple(StreamPosition(s.key, s.epoch, marks.get(s, 0), rewind=True) for s in streams))
+        self._acknowledge(tuple(StreamPosition(*stream, marks.get(stream, 0), rewind=True) for stream in streams))
 
     def _acknowledge(self, positions: tuple[StreamPosition, ...]) -> None:
         payload = encode_acknowledgement(self._store.identity, positions, self.paused or "")

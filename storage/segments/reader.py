@@ -1,7 +1,4 @@
-"""Reading one segment of the event log: a sealed one strictly, an open or damaged one chunk by chunk.
-
-Every read checks the CRCs; the library's default reader does not report a flipped byte.
-"""
+"""Reading a segment, strictly or skipping damage; all CRCs are checked, which the library does not do by default."""
 
 import mmap
 import struct
@@ -233,10 +230,7 @@ def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | Non
 
 
 def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
-    """Whether a frame other than a chunk is plausible by kind and length.
-
-    A flipped bit can turn a chunk's frame into an index or an end, or extend it across the next chunks.
-    """
+    """Whether a frame other than a chunk is plausible: a flipped bit can make a chunk another, longer record."""
     if opcode == Opcode.MESSAGE_INDEX:
         if after - position < FRAME.size + 6:
             return False

@@ -40,10 +40,7 @@ class NotKept(Exception):
 
 
 class Layer(Protocol):
-    """Further tables of a higher package; an entry point in the group `gyrofleet.catalog`.
-
-    Its tables are computed when a statement first names one of them.
-    """
+    """Tables of a higher package (entry points `gyrofleet.catalog`), computed when a statement first names one."""
 
     tables: tuple[str, ...]  # names of its tables and views for users
     folder: str  # folder in the store in which it keeps what it has computed

@@ -34,10 +34,7 @@ def landlock_version() -> int:
 
 
 def allow_reading_only(paths: Iterable[Path]) -> bool:
-    """Restrict this thread, and those it starts, to reading existing `paths`; files already open stay open.
-
-    Returns False if the kernel has no Landlock; nothing is restricted then.
-    """
+    """Restrict this thread, and those it starts, to reading `paths` and what is open; False without Landlock."""
     version = landlock_version()
     if version == 0:
         return False

@@ -51,10 +51,7 @@ class OpenedStore(Closing):
         self.door = SqlDoor(Store.open(Path(folder)), limits)
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
-        """Run one reading statement; `parameters` fill its ``$name`` or ``?``.
-
-        Raises a QueryError if it would do more than read the store, fails, or exceeds the limits.
-        """
+        """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
         return Answer(self.door.ask(statement, parameters).read_all())
 
     def close(self) -> None:

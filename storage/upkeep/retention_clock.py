@@ -36,11 +36,7 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 def check_clock(store: Store, manifest: Manifest, now_ns: int) -> None:
-    """Check the clock, and keep its reading; RetentionPaused if it is implausible.
-
-    It is if it leapt against the machine's clock, went back, or advanced by more than 30 days without any recording or
-    check.
-    """
+    """Keep a reading of the clock; RetentionPaused if it leapt, went back, or 30 days passed without any record."""
     last = _read(store)
     reason = _doubt(manifest, last, now_ns)
     if reason is not None:

@@ -103,20 +103,13 @@ class OutgoingStream:
         return self.sent > 0 and not self.pumping and now - self.quiet_since > self.patience_s
 
     def poll(self, now: float, longest_s: float) -> list[HeldMessage]:
-        """The first and the last message that were sent and not acknowledged, to be sent again.
-
-        The recorder may lack the first; the last makes it ask for whatever else it lacks.
-        """
+        """The first message sent, which the recorder may lack, and the last, which makes it ask for the rest."""
         self.quiet_since = now
         self.patience_s = min(2 * self.patience_s, longest_s)
         return [self.held[i] for i in sorted({0, self.sent - 1})]
 
     def rewind(self, asked: int, now: float) -> int:
-        """Return to number `asked`; returns how many messages will be sent again.
-
-        Messages in transit make the recorder repeat its request: repeated requests are ignored for a while, longer
-        each time.
-        """
+        """Return to `asked`; how many are sent again: repeats of a request, for those on the way, wait ever longer."""
         self.on_ack()
         if asked == self._rewound_to:
             if now - self._rewound_at < self._rewind_patience_s:

@@ -117,10 +117,7 @@ class DurablePublisher:
             self._bus.publish(key, stream.on_wire(payload))
 
     def send_event(self, key: str, document: AnyDocument) -> None:
-        """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`.
-
-        It also raises a WireError if the document makes no sense, or a number in it is beyond its bounds.
-        """
+        """Number and send a document, waiting and raising like `send_batch`; WireError if it makes no sense."""
         try:
             decode_received(encode_event(document, self._epoch, 0))
         except (WireError, OverflowError) as error:
@@ -137,10 +134,7 @@ class DurablePublisher:
                 self._bus.publish(key, stream.on_wire(payload))
 
     def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
-        """Wait until everything is acknowledged, or until `given_up`, which is polled, returns True.
-
-        Raises a DeliveryError if nothing is acknowledged for `timeout_s`; the message says what is outstanding.
-        """
+        """Wait until all is acknowledged, or `given_up()`; DeliveryError if nothing is acknowledged for `timeout_s`."""
         began = time.monotonic()
         while not given_up():
             with self._state:
@@ -156,10 +150,7 @@ class DurablePublisher:
             self._state.notify_all()
 
     def close(self) -> None:
-        """Stop sending, without waiting.
-
-        Raises a DeliveryError if messages are outstanding and no error has reported it before; `drain` waits for them.
-        """
+        """Stop at once; DeliveryError if messages are outstanding and no error has said so. `drain` waits for them."""
         self._stop()
         if (self._out.bytes or self._is_spooled()) and not self._is_reported:
             self._is_reported = True

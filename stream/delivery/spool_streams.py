@@ -166,10 +166,7 @@ def scan(folder: Path) -> Scanned:
 
 
 def held_messages(folder: Path) -> int:
-    """Number of messages in a spool's folder that no recorder has, as far as its source knows; it may be in use.
-
-    Raises a SpoolError if it cannot be read.
-    """
+    """Messages in a spool that no recorder has as far as known; SpoolError if it cannot be read. It may be in use."""
     try:
         found = scan(folder)
         known = found.table.by_number

@@ -1,7 +1,4 @@
-"""Bias stability: the standard deviation of averaged output (GJB 2426A-2004 5.12.2, JJF 2014-2022 7.2.14).
-
-Not bias instability, which is the floor of the Allan deviation (IEEE 952).
-"""
+"""Bias stability, not instability: the deviation of averaged output (GJB 2426A-2004 5.12.2, JJF 2014-2022 7.2.14)."""
 
 import math
 from typing import Self

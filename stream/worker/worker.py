@@ -88,10 +88,7 @@ class EstimationWorker(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Process what has arrived, write a checkpoint, and stop; raises the error that had stopped it before.
-
-        Of runs that have not ended nothing more is published: with a checkpoint they resume.
-        """
+        """Process what came, write a checkpoint, stop, and raise what had stopped it; unfinished runs resume."""
         with self._state:
             self._closing = True
             self._state.notify_all()

@@ -40,10 +40,7 @@ class NoiseCoefficient(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MarkovNoise(msgspec.Struct, frozen=True, kw_only=True):
-    """Exponentially correlated noise that the curve requires beside the five terms.
-
-    `amplitude` is q of IEEE 952; the standard deviation of the noise is q sqrt(correlation time/2).
-    """
+    """Correlated noise required beside the five terms: q of IEEE 952; its deviation is q sqrt(correlation time/2)."""
 
     amplitude: NoiseCoefficient
     correlation_s: float

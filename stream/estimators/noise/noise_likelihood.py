@@ -62,10 +62,7 @@ class CurveLikelihood:
         return self._with((self.columns * self.sizes)[:, :-1])
 
     def widened(self, excess: FloatArray, alike: FloatArray) -> "CurveLikelihood":
-        """The same with a model error: relative variance 2/edf + excess, the errors correlated as `alike`.
-
-        Degrees of freedom are those of the sum, so that D keeps its form.
-        """
+        """The same with a model error of relative variance `excess`, correlated as `alike`; D keeps its form."""
         scatter = 2.0 / self.degrees
         total = scatter + excess
         covariance = self._correlation * np.sqrt(np.outer(scatter, scatter)) + alike * np.sqrt(np.outer(excess, excess))
@@ -146,10 +143,7 @@ class CurveLikelihood:
         return mean, mean**2 / square if square > 0.0 else 0.0
 
     def known_share(self) -> float:
-        """Share of a gain in `height` that counts, 1 where the variances are known.
-
-        If all is model error, the gain is n ln of the ratio of two sums of squares, of which only nu are free: nu/n.
-        """
+        """Share of a gain in `height` that counts: 1 if variances are known, nu/n where all is model error."""
         unknown = float(np.mean(self.excess * self.degrees / 2.0))
         return 1.0 - unknown * (1.0 - self.freedom(self.minimum()[0])[0] / len(self.degrees))
 
