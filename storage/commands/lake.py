@@ -89,8 +89,8 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
     store = Store.open(folder)
     with _patient_lock(store, as_json=as_json), progress_bar(hidden=as_json) as progress:
         task = progress.add_task("segments", total=None)
-        for step in steps(store, force=force):
-            progress.update(task, completed=step.done, total=step.of)
+        for built, of in steps(store, force=force):
+            progress.update(task, completed=built, total=of)
     manifest = read_manifest(store)
     done = {
         "segments": len(manifest.segments), "parts": len(manifest.parts),

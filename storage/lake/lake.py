@@ -164,7 +164,7 @@ class Lake:
         part = self.manifest.part(name)
         self.swap([name], [self._built(segment) for segment in part.segments])
         if aside and (self.store.lake / name).is_dir():
-            self.set_aside(name)
+            quarantine(self.store, self.store.lake / name)
 
     def free_name(self, wanted: str) -> str:
         """`wanted`, with a number if the lake has such a folder."""
@@ -187,10 +187,6 @@ class Lake:
         if due:
             self.commit(replaced=tuple(each for each in self.manifest.replaced if each.at_ns > before_ns))
         return [each.path for each in due]
-
-    def set_aside(self, name: str) -> Path:
-        """Quarantine a folder or file of the lake; returns its new path."""
-        return quarantine(self.store, self.store.lake / name)
 
     def _put_in_force(self, built: list[BuiltPart]) -> list[str]:
         if built:
@@ -216,10 +212,10 @@ class Lake:
             try:
                 part = read_part(path)
             except StoreError:
-                self.set_aside(path.name)
+                quarantine(self.store, path)
                 continue
             if not is_from_log(part, listed):
-                self.set_aside(path.name)
+                quarantine(self.store, path)
             elif covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
                 found.append(part)
                 covered |= set(part.segments)
@@ -266,11 +262,6 @@ def rebuilt_manifest(store: Store) -> Manifest:
         with suppress(StoreError):  # a damaged part is rebuilt, with its documents
             drops = drops.join(documented_drops(store.lake / part.name, store.identity))
     return Manifest(parts=tuple(parts), **drops._asdict())
-
-
-def parts(store: Store) -> list[Part]:
-    """Parts of the lake that are in force, in the order of their segments."""
-    return list(read_manifest(store).parts)
 
 
 def quarantine(store: Store, path: Path) -> Path:

@@ -110,8 +110,7 @@ class _Segment:
             raise
         except (GyrofleetError, ArithmeticError, LookupError, TypeError, ValueError) as error:
             self.quarantine.add(record, error)
-        arrival_ns = record.arrival_ns
-        first_ns, last_ns = self.arrival_first_ns, self.arrival_last_ns
+        arrival_ns, first_ns, last_ns = record.arrival_ns, self.arrival_first_ns, self.arrival_last_ns
         self.arrival_first_ns = arrival_ns if first_ns is None else min(first_ns, arrival_ns)
         self.arrival_last_ns = arrival_ns if last_ns is None else max(last_ns, arrival_ns)
 
@@ -260,8 +259,5 @@ def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile],
             "clocks": pa.concat_tables(clocks).combine_chunks(),
         }
         files = {SAMPLES_FILE: samples.finish()}
-        for name, table in tables.items():
-            each = writer(name)
-            each.write(table)
-            files[f"{name}.parquet"] = each.finish()
+        files |= {f"{name}.parquet": writer(name).write_all([table]) for name, table in tables.items()}
     return files, rows

@@ -79,7 +79,8 @@ def forgery(store: Store, document: AnyDocument) -> str | None:
     if isinstance(document, SpecificationEntered):
         if document.store != store.identity:
             return "it is a specification of another store"
-        seal, wanted = document.seal, signed_specification(store, document).seal
+        seal: object = document.seal
+        wanted = signed_specification(store, document).seal
     elif isinstance(document, StoreNoted) and not is_foreign(document, store.identity):
         seal, wanted = document.details.get(_SEAL), signed(store, document).details[_SEAL]
     else:

@@ -23,11 +23,10 @@ from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
-from stream.transport.bus import Bus
+from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 
 _QUEUE_BYTES = 64 << 20
-_OVERHEAD_BYTES = 300  # of a message in the queue, beside its key and payload
 _ROOM_PATIENCE_S = 2.0  # of a bus callback: a source closes a transport that stalls for 8 s
 _SEAL_GRACE_S = 1.0  # the last estimates of a run arrive just after its end
 _SETTLE_S = 120.0
@@ -117,7 +116,7 @@ class Recorder(Closing):
             time.sleep(0.05)
 
     def _on_message(self, key: str, payload: bytes) -> None:
-        size = _size(key, payload)
+        size = queued_bytes(key, payload)
         with self._state:
             until = time.monotonic() + _ROOM_PATIENCE_S
             while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.paused is None:
@@ -200,7 +199,7 @@ class Recorder(Closing):
                 self._state.wait(self._sync_interval_s)
             # bounded, so that data are made durable and acknowledged while more are waiting
             taken = [self._incoming.popleft() for _ in range(min(len(self._incoming), 1000))]
-            self._incoming_bytes -= sum(_size(key, payload) for key, payload, _ in taken)
+            self._incoming_bytes -= sum(queued_bytes(key, payload) for key, payload, _ in taken)
             self._state.notify_all()
             return taken, self._closing and not self._incoming
 
@@ -291,8 +290,3 @@ class Recorder(Closing):
         text = f"recording resumes after a pause of {paused_s:.1f} s: {reason}"
         self._warn(text)
         self._reports.append("recording_paused", text, {"paused_s": paused_s, "reason": reason})
-
-
-def _size(key: str, payload: bytes) -> int:
-    """Memory of a message in the queue, at most 4 bytes per character of its key."""
-    return len(payload) + 4 * len(key) + _OVERHEAD_BYTES

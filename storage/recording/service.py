@@ -80,7 +80,7 @@ class RecorderService:
 
     def _on_request(self, _key: str, payload: bytes) -> None:
         try:
-            request = requests.decode_request(payload)
+            request = requests.decode(payload, requests.Request)
         except WireError:
             return  # no one to answer
         if request.store not in {"", self._store.identity} or self._closing:

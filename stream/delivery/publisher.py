@@ -8,7 +8,6 @@ acknowledges that it is on disk. At least once on the wire, exactly once in the 
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Protocol, Self
 from uuid import uuid4
 
@@ -105,8 +104,7 @@ class DurablePublisher:
         """
         stream = self._by_key.get(key)
         if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
-            _check_key(key)
-            stream = self._stream(StreamId(key, batch.epoch.hex))
+            stream = self._stream(key, batch.epoch.hex)
             stream.epoch = batch.epoch
             self._by_key[key] = stream
         seq = batch.seq
@@ -123,8 +121,7 @@ class DurablePublisher:
         except (WireError, OverflowError) as error:
             reason = str(error).removeprefix("not a run document: ")
             raise WireError(f"run {document.run[:80]}: {type(document).__name__} cannot be sent: {reason}") from error
-        _check_key(key)
-        stream = self._stream(StreamId(key, self._epoch))
+        stream = self._stream(key, self._epoch)
         with self._numbering:  # a number is sent before the next is assigned
             seq = self._event_seq.get(key, 0)
             payload = encode_event(document, self._epoch, seq)
@@ -164,9 +161,7 @@ class DurablePublisher:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None and not self._is_reported:
                 self.drain()
@@ -179,12 +174,13 @@ class DurablePublisher:
             self._state.notify_all()
         self._pump.join()
 
-    def _stream(self, stream_id: StreamId) -> OutgoingStream:
-        stream = self._out.streams.get(stream_id)
-        if stream is None:
-            with self._lock:
-                stream = self._out.stream(stream_id)
-        return stream
+    def _stream(self, key: str, epoch: str) -> OutgoingStream:
+        if len(key) > MAX_KEY_CHARS:
+            raise WireError(
+                f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
+            )
+        with self._lock:
+            return self._out.stream(StreamId(key, epoch))
 
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
@@ -310,10 +306,3 @@ class DurablePublisher:
                 stream.pumping = True
             self._state.notify_all()
         return now_due
-
-
-def _check_key(key: str) -> None:
-    if len(key) > MAX_KEY_CHARS:
-        raise WireError(
-            f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
-        )

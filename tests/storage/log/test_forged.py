@@ -8,7 +8,7 @@ import pytest
 
 from storage.lake.lake import Lake, builder_lock
 from storage.log.event_log import EventLog
-from storage.log.store_documents import is_signed, signed, store_document
+from storage.log.store_documents import forgery, signed, store_document
 from storage.manifests.lake import read_manifest
 from storage.recording.recorder import Recorder
 from storage.segments.reader import read_segment
@@ -187,11 +187,11 @@ def test_a_seal_is_of_one_document_of_one_store(recorded: Store, tmp_path: Path)
     document = signed(
         recorded, store_document(recorded.identity, RAW_ROWS_DROPPED, "dropped", {"segments": ["00000001"]})
     )
-    assert is_signed(recorded, document)
+    assert forgery(recorded, document) is None
     document.details["segments"].append("00000002")
-    assert not is_signed(recorded, document)
+    assert forgery(recorded, document) is not None
     other = Store.create(tmp_path / "other")
-    assert not is_signed(other, signed(recorded, store_document(other.identity, "x", "", {})))
+    assert forgery(other, signed(recorded, store_document(other.identity, "x", "", {}))) is not None
 
 
 def test_retention_beside_a_recorder_is_believed(recorded: Store) -> None:
