@@ -75,20 +75,23 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
     limit = int(match[2]) if match else None
     sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
     if sealed.exists():
-        if _is_copied(path, limit, sealed):  # by a process that ended before it could remove this one
+        reached = reached_in(sealed)
+        places = (place_of(record) for record in SegmentScan(path, limit))
+        if all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places):
+            # it was copied by a process that ended before it could remove this one
             return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
         sealed = next_free(sealed)  # another process sealed one of that number: both are kept
     return _seal(store, path, sealed, SegmentScan(path, limit), known, disk)
 
 
-def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
+def salvage_segment(store: Store, path: Path, known: dict[StreamId, int]) -> Recovery:
     """Replace a damaged sealed segment by its readable part; the log must document its losses first."""
     aside = _aside(store, path)
-    disk.link(path, aside)
-    disk.sync_folder(store.aside)
-    recovery = _copy(store, path, SegmentScan(aside, sealed=True), known, reached_in(aside), disk, replaces=True)
+    DISK.link(path, aside)
+    DISK.sync_folder(store.aside)
+    recovery = _copy(store, path, SegmentScan(aside, sealed=True), known, reached_in(aside), DISK, replaces=True)
     if recovery.entry is None:
-        disk.remove(path)
+        DISK.remove(path)
     return replace(recovery, kept_aside=aside)
 
 
@@ -126,13 +129,6 @@ def unlisted_entry(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamI
     raise_positions(positions, reached_in(path))
     origin = "salvaged" if is_copy else "found"
     return tally.entry(SealedSegment(path, path.stat().st_size, sha256_of(path)), origin), positions
-
-
-def _is_copied(path: Path, limit: int | None, sealed: Path) -> bool:
-    """Whether a sealed segment has all numbered messages of an open one."""
-    reached = reached_in(sealed)
-    places = (place_of(record) for record in SegmentScan(path, limit))
-    return all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places)
 
 
 def _seal(

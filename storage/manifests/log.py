@@ -42,11 +42,6 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     ended: tuple[str, ...] = ()
     origin: str = "recorded"
 
-    @property
-    def is_lost(self) -> bool:
-        """Whether only its number is kept."""
-        return self.origin == LOST
-
 
 class ManifestDamage(NamedTuple):
     """A damaged line of the manifest."""
@@ -66,7 +61,7 @@ class LogManifest:
 
     def take(self, entry: SegmentEntry) -> None:
         """Apply an entry."""
-        mine, other = (self.lost, self.entries) if entry.is_lost else (self.entries, self.lost)
+        mine, other = (self.lost, self.entries) if entry.origin == LOST else (self.entries, self.lost)
         other.pop(entry.segment, None)
         mine[entry.segment] = entry
 

@@ -54,7 +54,6 @@ class ClockStep:
     run: str
     seq: int
     back_ns: int
-    t_ns: int
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ class Intake:
         self._last_ns[stream] = last_ns
         if before_ns is not None and t0_ns <= before_ns:
             self.counts.backwards += 1
-            self.clock_steps.append(ClockStep(key, run, seq, before_ns - t0_ns, t0_ns))
+            self.clock_steps.append(ClockStep(key, run, seq, before_ns - t0_ns))
         shown_ns = self._previewed.get(key)
         if shown_ns is None or abs(t0_ns - shown_ns) >= _PREVIEW_INTERVAL_NS:
             self._previewed[key] = t0_ns

@@ -159,7 +159,7 @@ class Recorder(Closing):
 
     def _write_chunk(self) -> bool:
         """Write a chunk of messages; whether it was the last."""
-        self._reports.recoveries()
+        self._reports.log_changes()
         settling = self._settle_wanted
         taken, is_last = self._next_messages()
         # also if the disk fails: then they are not acknowledged, and are sent again
@@ -222,10 +222,9 @@ class Recorder(Closing):
     def _seal(self) -> None:
         self._seal_at = self._quiet_at = None
         recovered = self._log.recover()  # segments that were abandoned since
-        self._reports.recoveries()
+        self._reports.log_changes()
         self._sync()
         sealed = self._log.seal()
-        self._reports.log_warnings()
         self.counts.segments += sealed is not None
         if self._builder is not None and (recovered or sealed is not None):
             self._builder.wake()

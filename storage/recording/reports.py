@@ -34,14 +34,11 @@ class Reports:
         """Append a document."""
         append_document(self._log, self._stream, store_document(self._store.identity, what, text, details))
 
-    def log_warnings(self) -> None:
-        """Pass on new warnings of the log."""
+    def log_changes(self) -> None:
+        """Document segments that were recovered since the last call, and pass on new warnings of the log."""
         for warning in self._log.warnings[self._warnings :]:
             self._warn(warning)
         self._warnings = len(self._log.warnings)
-
-    def recoveries(self) -> None:
-        """Document segments that were recovered since the last call."""
         while self._recoveries < len(self._log.recovered):
             recovery = self._log.recovered[self._recoveries]
             self._recoveries += 1

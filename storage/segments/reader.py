@@ -96,7 +96,7 @@ def _marks_in(content: Buffer) -> dict[str, str] | None:
     while content[position] != Opcode.FOOTER:
         opcode, length = FRAME.unpack_from(content, position)
         if opcode == Opcode.METADATA_INDEX:
-            at = int.from_bytes(content[position + FRAME.size : position + FRAME.size + 8], "little")
+            (at,) = struct.unpack_from("<Q", content, position + FRAME.size)
             end = at + FRAME.size + FRAME.unpack_from(content, at)[1]
             metadata = Metadata.read(ReadDataStream(BytesIO(content[at + FRAME.size : end])))
             return dict(metadata.metadata) if metadata.name == MARKS else None

@@ -135,12 +135,9 @@ def _serve(
         request = waiting.get()
         try:
             _answer(catalog, request, answers, timer, setup["memory_bytes"])
-        except GyrofleetError as error:
+        except (GyrofleetError, MemoryError) as error:
             timer.pause()
             write_frame(answers, FrameKind.FAILED, _encode(error))
-        except MemoryError:
-            timer.pause()
-            write_frame(answers, FrameKind.FAILED, json.dumps({"kinds": ["MemoryError"], "message": ""}).encode())
 
 
 def _catalog(setup: dict[str, Any]) -> "Catalog":
@@ -172,7 +169,7 @@ def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], tim
     _limit_memory(memory_bytes)
     reader = catalog.user_reader(request["statement"], request["parameters"])
     left_s = timer.pause()
-    write_frame(answers, FrameKind.ROWS, _stream(reader.schema, None))
+    write_frame(answers, FrameKind.ROWS, _stream(reader.schema))
     timer.resume(left_s)
     for batch in catalog.guarded(reader):
         content = _stream(reader.schema, batch)
@@ -184,12 +181,12 @@ def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], tim
     write_frame(answers, FrameKind.DONE)
 
 
-def _stream(schema: "pa.Schema", batch: "pa.RecordBatch | None") -> memoryview:
+def _stream(schema: "pa.Schema", *batches: "pa.RecordBatch") -> memoryview:
     import pyarrow as pa
 
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, schema) as writer:
-        if batch is not None:
+        for batch in batches:
             writer.write_batch(batch)
     return memoryview(sink.getvalue())
 

@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,18 +83,20 @@ class Spool(Closing):
         self._stopped = threading.Event()
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._lock_file = (folder / _LOCK).open("a")
-            try:
-                self._hold_lock()
+            with ExitStack() as stack:
+                self._lock_file = stack.enter_context((folder / _LOCK).open("a"))
+                fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 found = scan(folder)
                 self._table, self.damages, self.torn_bytes = found.table, found.damages, found.torn_bytes
                 self._files = deque(found.files)
                 self._bytes = sum(file.size for file in self._files)
                 self.waiting = sum(file.unread for file in self._files)
                 self._begin_file()
-            except BaseException:
-                self._lock_file.close()
-                raise
+                stack.pop_all()  # it is closed with the spool
+        except BlockingIOError:
+            raise SpoolError(
+                f"another process sends from the spool {self.folder}; wait until it has ended, or stop it"
+            ) from None
         except OSError as error:
             raise SpoolError(
                 f"the spool {folder} cannot be opened: {error}; its messages are kept; correct this and start again"
@@ -153,7 +156,10 @@ class Spool(Closing):
                 file.unread += 1
                 self.waiting += 1
             if file.size >= self._file_bytes:
-                self._rotate()
+                try:
+                    self._begin_file()
+                except OSError as error:
+                    self._failed(error)  # what was appended is kept; the next append tries again
 
     def acknowledge(self, store: str, stream: StreamId, next_seq: int) -> None:
         """Record that a recorder has the messages before `next_seq` on disk."""
@@ -216,14 +222,6 @@ class Spool(Closing):
             self._unsynced, self._out = [], -1
             self._lock_file.close()
 
-    def _hold_lock(self) -> None:
-        try:
-            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise SpoolError(
-                f"another process sends from the spool {self.folder}; wait until it has ended, or stop it"
-            ) from None
-
     def _begin_file(self) -> None:
         number = 1 + max((int(file.path.stem) for file in self._files), default=0)
         path = self.folder / f"{number:08d}{SUFFIX}"
@@ -240,12 +238,6 @@ class Spool(Closing):
         self._out = descriptor
         self._files.append(SpoolFile(path, size=len(head)))
         self._bytes += len(head)
-
-    def _rotate(self) -> None:
-        try:
-            self._begin_file()
-        except OSError as error:
-            self._failed(error)  # what was appended is kept; the next append tries again
 
     def _write(self, frame: bytes) -> None:
         """Write a frame whole, or leave the file as it was."""

@@ -96,11 +96,6 @@ class StreamTable:
                 state.lost.append((state.appended, frame.seq))
             state.appended = max(state.appended, frame.next_seq)
 
-    def drop_acknowledged_losses(self) -> None:
-        """After all frames, remove spans from `lost` that a recorder has."""
-        for state in self.streams.values():
-            state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
-
     def _put(self, state: StreamState) -> None:
         self.streams[state.id] = self.by_number[state.number] = state
 
@@ -156,11 +151,12 @@ def scan(folder: Path) -> Scanned:
                 file.unread += 1
                 file.last[frame.number] = max(frame.next_seq, file.last.get(frame.number, 0))
         found.files.append(file)
-    found.table.drop_acknowledged_losses()
     nameless = sum(number not in found.table.by_number for file in found.files for number in file.last)
     if nameless:
         found.damages.append(f"{folder}: the names of {nameless} streams are lost, their messages are kept")
     for state in found.table.streams.values():
+        # what a recorder has is not lost
+        state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
         found.damages += [f"{state.id.key}: numbers {first} to {after - 1} are lost" for first, after in state.lost]
     return found
 

@@ -155,7 +155,12 @@ class BiasStability(PointEstimator):
                 f"unit {unit}, signal {signal}: averages of {self.average_s:g} s are shorter than the sample "
                 f"interval of {self.sample_interval_s:g} s"
             )
-        n, squares, correlation = self._statistics_of_window() if self.window_s else self._statistics_of_record()
+        if self.window_s:
+            n, squares, correlation = self._statistics_of_window()
+        else:
+            numbers = self._state.numbers
+            n, squares = int(self._state.places[AVERAGES]), float(numbers[SQUARES])
+            correlation = _correlation(*(float(numbers[i]) for i in (COVARIANCE, EARLY_SQUARES, LATE_SQUARES)))
         if n < 2:
             what = f"averages of {self.average_s:g} s" if self.average_s else "samples"
             within = f" within {self.window_s:g} s" if self.window_s else ""
@@ -168,13 +173,8 @@ class BiasStability(PointEstimator):
         tau_s = self.average_s or self.sample_interval_s
         return (EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=degrees, n=n),)
 
-    def _statistics_of_record(self) -> tuple[int, float, float]:
-        """Number of averages, sum of squares about their mean, correlation of neighbours."""
-        numbers = self._state.numbers
-        correlation = _correlation(*(float(numbers[i]) for i in (COVARIANCE, EARLY_SQUARES, LATE_SQUARES)))
-        return int(self._state.places[AVERAGES]), float(numbers[SQUARES]), correlation
-
     def _statistics_of_window(self) -> tuple[int, float, float]:
+        """Number of averages, sum of squares about their mean, correlation of neighbours."""
         places, _, ring, blocks = self._state
         in_window = np.flatnonzero(blocks >= max(0, int(places[BLOCK]) - len(ring)))
         in_window = in_window[np.argsort(blocks[in_window])]

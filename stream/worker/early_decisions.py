@@ -179,7 +179,8 @@ class EarlyDecisions:
         point = next((each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s), None)
         try:
             if point is None and points and points[-1].tau_s > tau_s:
-                near = ", ".join(f"{each.tau_s:g} s" for each in _around(points, tau_s))
+                below, above = [p for p in points if p.tau_s < tau_s], [p for p in points if p.tau_s > tau_s]
+                near = ", ".join(f"{each.tau_s:g} s" for each in below[-1:] + above[:1])
                 return _cannot(
                     f"the estimator has no averaging time of {tau_s:g} s, but {near}; judged at the end",
                     f"估计器没有 {tau_s:g} s 的平均时间(有 {near});结束时判定",
@@ -245,11 +246,6 @@ def _is_allan(limit: Limit) -> bool:
 
 def _tau_s(limit: Limit) -> float:
     return 1.0 if limit.characteristic == ANGLE_RANDOM_WALK or limit.tau_s is None else limit.tau_s
-
-
-def _around(points: tuple[EstimatePoint, ...], tau_s: float) -> list[EstimatePoint]:
-    below = [point for point in points if point.tau_s < tau_s][-1:]
-    return below + [point for point in points if point.tau_s > tau_s][:1]
 
 
 def _cannot(en: str, zh: str) -> Decision:

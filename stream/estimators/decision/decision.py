@@ -171,7 +171,11 @@ class AllanDecision(_Looks):
         if elapsed_s < plan.duration_s and share > 1.0 + ROUNDING:
             return self._curtail(share)
         if elapsed_s >= plan.duration_s:
-            return self._finish(point) if plan.point_decides else self._end_undecided(point)
+            if plan.point_decides:
+                return self._finish(point)
+            en = f"the test is finished and does not tell {point.value:.4g} from limit {plan.limit:.4g}"
+            zh = f"测试已完成,无法区分 {point.value:.4g} 与限值 {plan.limit:.4g}"
+            return self._decide(Outcome.UNDECIDED, DecisionRule.FINISHED, plan.error_probability, en, zh)
         return self._undecided(plan.error_probability, point, lambda value: self._expected_s(ratio, point.n, value))
 
     def _cross(self, elapsed_s: float, point: EstimatePoint, ratio: float) -> Decision | None:
@@ -192,11 +196,6 @@ class AllanDecision(_Looks):
                 zh = f"{where_zh} 等于或{side_zh} {outcome} 界限 {at}(限值 {limit})"
                 return self._decide(outcome, DecisionRule.BOUNDS, plan.error_probability, en, zh)
         return None
-
-    def _end_undecided(self, point: EstimatePoint) -> Decision:
-        en = f"the test is finished and does not tell {point.value:.4g} from limit {self.plan.limit:.4g}"
-        zh = f"测试已完成,无法区分 {point.value:.4g} 与限值 {self.plan.limit:.4g}"
-        return self._decide(Outcome.UNDECIDED, DecisionRule.FINISHED, self.plan.error_probability, en, zh)
 
     def _expected_s(self, ratio: float, n: int, value: float) -> float:
         """When the test is decided if all further squares average 2 value**2; infinite if not before the end."""

@@ -54,19 +54,11 @@ def _extend(sums: FloatArray, counts: IntArray, first: int, values: FloatArray, 
         counts[first + i + 1] = counts[first + i] + (1 if is_finite else 0)
 
 
-@njit(cache=True, nogil=True)
-def _add(high: float, low: float, term: float) -> tuple[float, float]:
-    """Sum of high + low and `term`, with its rounding error (D. E. Knuth, TAOCP 4.2.2 theorem B)."""
+def _add(high: Any, low: Any, term: Any) -> tuple[Any, Any]:
+    """Sums of high + low and `term`, with their rounding errors (D. E. Knuth, TAOCP 4.2.2 theorem B)."""
     total = high + term
     shadow = total - high
     return total, low + ((high - (total - shadow)) + (term - shadow))
-
-
-@njit(cache=True, nogil=True)
-def _subtract_mean(high: FloatArray, low: FloatArray, before: IntArray, mean: float) -> None:
-    """Subtract `mean` from every sample; mean * before must be exact: a mean of 20 bits."""
-    for i in range(high.shape[0]):
-        high[i], low[i] = _add(high[i], low[i], -mean * before[i])
 
 
 class PrefixColumn:
@@ -205,7 +197,8 @@ class PrefixRecord:
         high, low, before = np.array(self._high), np.array(self._low), np.array(self._before)
         count = int(before[-1] + self._counts.line[self._filled])
         mean = _rounded((float(high[-1]) + float(self._sums.line[self._filled])) / max(1, count))
-        _subtract_mean(high, low, before, mean)
+        with np.errstate(over="ignore", invalid="ignore"):
+            high, low = _add(high, low, -mean * before)  # exact products: a mean of 20 bits
         return PrefixSums(self._sums.table(), self._counts.table(), rows, before, high, low, mean, self.slots)
 
     def close(self) -> None:

@@ -223,10 +223,7 @@ def _pair(
         start += -1 if place[NEXT] > place[FIRST] else 1
     pairs = max(0, (filled + given - start) // 2)
     for which in range(1 if full else 2):
-        below = line[which, start:]
-        above = parents[which]
-        for i in range(pairs):
-            above[i] = below[2 * i] + below[2 * i + 1]
+        _add_pairs(line[which, start:], parents[which], pairs)
     made = pairs
     all_parents = max(0, (filled + total - start) // 2)
     if total > given:
