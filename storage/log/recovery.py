@@ -21,8 +21,7 @@ from storage.store import Store
 from stream.errors import StoreError
 from stream.wire.acknowledgement import StreamId
 
-_ABANDONED = re.compile(r"(\d+\.mcap)\.abandoned-(\d+)")
-_OPEN = re.compile(r"(\d+\.mcap)\.open")
+_UNFINISHED = re.compile(r"(\d+\.mcap)\.(?:open|abandoned-(\d+))")
 _COPY = ".recovering"
 
 
@@ -57,11 +56,8 @@ class Recovery:
 
 def left_open(store: Store) -> list[Path]:
     """Segments that are not sealed, in their order."""
-    return sorted(
-        path
-        for path in store.log.glob("*.mcap.*")
-        if (_ABANDONED.fullmatch(path.name) or _OPEN.fullmatch(path.name)) and is_own(store, path)
-    )
+    unfinished = (path for path in store.log.glob("*.mcap.*") if _UNFINISHED.fullmatch(path.name))
+    return sorted(path for path in unfinished if is_own(store, path))
 
 
 def abandoned_name(path: Path, durable_bytes: int) -> Path:
@@ -71,9 +67,9 @@ def abandoned_name(path: Path, durable_bytes: int) -> Path:
 
 def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
     """Seal an open segment, given the positions `known` before it; writer lock held; repeatable after an OSError."""
-    match = _ABANDONED.fullmatch(path.name)
-    limit = int(match[2]) if match else None
-    sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
+    match = _UNFINISHED.fullmatch(path.name)
+    assert match is not None
+    limit, sealed = int(match[2]) if match[2] else None, store.log / match[1]
     if sealed.exists():
         reached = reached_in(sealed)
         places = (place_of(record) for record in SegmentScan(path, limit))

@@ -122,7 +122,7 @@ class ManifestWriter:
         self.found.take(entry)
 
 
-def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk = DISK) -> Path | None:
+def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry]) -> Path | None:
     """Replace the manifest; returns the path of the old one in the quarantine."""
     path = manifest_path(store)
     store.tmp.mkdir(exist_ok=True)
@@ -133,15 +133,15 @@ def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk =
         text = msgspec.json.encode(entry)
         last = _chain(last, text)
         lines.append(text + b"\t" + last.encode() + b"\n")
-    disk.write_whole(disk.create(fresh), b"".join(lines))
+    DISK.write_whole(DISK.create(fresh), b"".join(lines))
     aside = None
     if path.exists():
         store.aside.mkdir(exist_ok=True)
         aside = store.aside / f"{_NAME}.{time.time_ns()}"
-        disk.link(path, aside)  # there is a manifest at every moment
-        disk.sync_folder(store.aside)
-    disk.replace(fresh, path)
-    disk.sync_folder(path.parent)
+        DISK.link(path, aside)  # there is a manifest at every moment
+        DISK.sync_folder(store.aside)
+    DISK.replace(fresh, path)
+    DISK.sync_folder(path.parent)
     return aside
 
 

@@ -41,11 +41,6 @@ class Edition(NamedTuple):
     known_until_ns: int
 
 
-@lru_cache(maxsize=1000)
-def _parsed(name: str, revision: str, content: str) -> Specification:
-    return parse_specification(content, f"{name}-{revision}.toml")._replace(name=name, revision=revision)
-
-
 def in_force(links: Iterable[Link]) -> list[Specification]:
     """Specifications that were added and not withdrawn, in that order; BadInput if one of them cannot be read."""
     found: dict[str, SpecificationEntered] = {}
@@ -132,8 +127,10 @@ def format_moment(t_ns: int | None) -> str | None:
     return moment.strftime("%Y-%m-%d") if t_ns % (86_400 * 10**9) == 0 else moment.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
+@lru_cache(maxsize=1000)
 def _specification(document: SpecificationEntered) -> Specification:
-    return _parsed(document.name, document.revision, document.content)
+    name, revision = document.name, document.revision
+    return parse_specification(document.content, f"{name}-{revision}.toml")._replace(name=name, revision=revision)
 
 
 def _apply(link: Link, found: dict[str, SpecificationEntered]) -> None:

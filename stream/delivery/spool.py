@@ -66,7 +66,6 @@ class Spool(Closing):
     ) -> None:
         self.folder = folder
         self.damages: list[str] = []
-        self.torn_bytes = 0
         self.failure: str | None = None
         self.waiting = 0
         self._max_bytes = max_bytes
@@ -87,7 +86,7 @@ class Spool(Closing):
                 self._lock_file = stack.enter_context((folder / _LOCK).open("a"))
                 fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 found = scan(folder)
-                self._table, self.damages, self.torn_bytes = found.table, found.damages, found.torn_bytes
+                self._table, self.damages = found.table, found.damages
                 self._files = deque(found.files)
                 self._bytes = sum(file.size for file in self._files)
                 self.waiting = sum(file.unread for file in self._files)

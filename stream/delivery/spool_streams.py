@@ -128,12 +128,11 @@ class SpoolFile:
 
 @dataclass
 class Scanned:
-    """All files of a spool in order, the state of its streams, its damages, and bytes of torn ends."""
+    """All files of a spool in order, the state of its streams, and its damages."""
 
     table: StreamTable = field(default_factory=StreamTable)
     files: list[SpoolFile] = field(default_factory=list)
     damages: list[str] = field(default_factory=list)
-    torn_bytes: int = 0
 
 
 def scan(folder: Path) -> Scanned:
@@ -144,7 +143,6 @@ def scan(folder: Path) -> Scanned:
         file = SpoolFile(path, len(data))
         parsed = parse_frames(data, is_end=True)
         found.damages += [f"{path}: bytes {first} to {after} are damaged" for first, after in parsed.damaged]
-        found.torn_bytes += parsed.torn
         for frame in parsed.frames:
             found.table.apply(frame)
             if frame.number >= FIRST_STREAM:

@@ -14,8 +14,9 @@ squares is S = 2 n value**2; of a standard deviation of n averages it is M2 = (n
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
+
+import msgspec
 
 from stream.errors import EstimatorError
 from stream.estimators.confidence import least_edf
@@ -40,18 +41,11 @@ class _Looks:
     def export_state(self) -> dict[str, Any]:
         """The state between looks, in plain values."""
         state = {name: value for name, value in vars(self).items() if name in {"_elapsed_s", "_last_n", "_used"}}
-        return {**state, "decision": None if self.decision is None else asdict(self.decision)}
+        return {**state, "decision": msgspec.to_builtins(self.decision)}
 
     def import_state(self, state: dict[str, Any]) -> None:
         """Take over the state of another one of the same plan."""
-        if (given := state["decision"]) is None:
-            self.decision = None
-        else:
-            kinds = {"outcome": Outcome(given["outcome"]), "rule": DecisionRule(given["rule"])}
-            self.decision = Decision(**{**given, **kinds})
-        for name, value in state.items():
-            if name != "decision":
-                setattr(self, name, value)
+        vars(self).update(state, decision=msgspec.convert(state["decision"], Decision | None))
 
     def _enter(self, elapsed_s: float, point: EstimatePoint | None, most: Callable[[float], int]) -> None:
         plan = self.plan

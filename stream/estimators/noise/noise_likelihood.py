@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from stream.batch import FloatArray
 from stream.estimators.noise.noise_kernel import descend, deviance, weighted_least_squares
@@ -91,7 +90,7 @@ class CurveLikelihood:
         terms = self.columns.shape[1]
         every, nothing = np.ones(terms, np.bool_), np.zeros(len(self.columns))
         start = weighted_least_squares(self.columns, self.degrees, np.ones(len(self.columns)), nothing, every)
-        return self._descend(start, every)
+        return descend(self.columns, self.degrees, start, every)
 
     def minimum_at(self, theta: FloatArray, which: int, at: float) -> float:
         """Least deviance with one coefficient fixed `at`, searched from theta; never more than that of theta there."""
@@ -100,11 +99,7 @@ class CurveLikelihood:
         if np.min(self.columns @ start / (self.columns @ theta)) < _NEGLIGIBLE:
             # no other term explains some tau: the others need a positive start value
             start[free] = np.maximum(start[free], _NEGLIGIBLE)
-        return self._descend(start, free)[1]
-
-    def _descend(self, theta: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
-        found, least = descend(self.columns, self.degrees, theta, free)
-        return found, float(least)
+        return descend(self.columns, self.degrees, start, free)[1]
 
     def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
         """Columns in units of the scatter of each variance expected by theta, m sqrt(2/edf)."""
