@@ -1,7 +1,7 @@
 """The command `gyrofleet sql`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -79,7 +79,7 @@ def sql(
     from storage.sql.door import QueryLimits, SqlDoor
 
     memory_bytes = None if memory_gib is None else int(memory_gib * 2**30)
-    given = {"time_s": time_s, "memory_bytes": memory_bytes, "rows": max_rows}
+    given: dict[str, Any] = {"time_s": time_s, "memory_bytes": memory_bytes, "rows": max_rows}
     limits = QueryLimits()._replace(**{name: value for name, value in given.items() if value is not None})
     with SqlDoor(store, limits) as door:
         result = door.ask(statement)
