@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Set
 from contextlib import suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -124,7 +125,7 @@ class LogTail:
 
     def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
         """Identities of the estimates and decisions beyond `positions`."""
-        for message in self._since(positions, _is_key_of(EstimateKey)):
+        for message in self._since(positions, partial(_is_of, EstimateKey)):
             yield decode_event(message.payload).document.uid
 
     def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[LoggedMessage]:
@@ -174,7 +175,8 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
 
 def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocument, int]]:
     """Documents of the log that are not in the lake yet, each with its arrival time in ns."""
-    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, _is_key_of(EventKey)):
+    is_event = partial(_is_of, EventKey)
+    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, is_event):
         if record.schema != EVENTS:
             continue  # rejected messages keep their key
         with suppress(WireError):  # `gyrofleet verify` reports it
@@ -191,11 +193,8 @@ def _sealed(store: Store, known: Collection[str] = ()) -> list[str]:
     return sorted(path.name for path in store.log.glob("*.mcap") if path.name in known or is_own(store, path))
 
 
-def _is_key_of(kind: type) -> Callable[[str], bool]:
-    def is_of(key: str) -> bool:
-        try:
-            return isinstance(parse_key(key), kind)
-        except BadInput:
-            return False  # a rejected message, or a preview
-
-    return is_of
+def _is_of(kind: type, key: str) -> bool:
+    try:
+        return isinstance(parse_key(key), kind)
+    except BadInput:
+        return False  # a rejected message, or a preview

@@ -232,10 +232,8 @@ def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | Non
 def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
     """Whether a frame other than a chunk is plausible: a flipped bit can make a chunk another, longer record."""
     if opcode == Opcode.MESSAGE_INDEX:
-        if after - position < FRAME.size + 6:
-            return False
-        (length,) = struct.unpack_from("<I", content, position + FRAME.size + 2)
-        return bool(after - position == FRAME.size + 6 + length)
+        size = after - position - FRAME.size - 6
+        return bool(size >= 0 and struct.unpack_from("<I", content, position + FRAME.size + 2)[0] == size)
     if opcode == Opcode.DATA_END:
         return after - position == FRAME.size + 4
     return opcode in {Opcode.HEADER, Opcode.SCHEMA, Opcode.METADATA} and _next_chunk(content, position, after) is None
@@ -247,9 +245,8 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
         return None
     opcode, length, first_ns, last_ns, size, crc, named, compression, packed = CHUNK.unpack_from(content, position)
     begin = position + CHUNK.size
-    if (opcode, named, compression) != (Opcode.CHUNK, len(COMPRESSION), COMPRESSION):
-        return None
-    if length != CHUNK.size - FRAME.size + packed or packed > end - begin:
+    is_chunk = (opcode, named, compression) == (Opcode.CHUNK, len(COMPRESSION), COMPRESSION)
+    if not is_chunk or length != CHUNK.size - FRAME.size + packed or packed > end - begin:
         return None
     try:
         if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
@@ -296,8 +293,7 @@ def _messages(
         elif opcode == Opcode.CHANNEL:
             channel = Channel.read(ReadDataStream(BytesIO(content[position + FRAME.size : after])))
             channels[channel.id] = (channel.topic, _SCHEMAS[channel.schema_id])
-            if summary is not None:
+            if index is not None and summary is not None:
                 summary.channels[channel.id] = channel
-            if index is not None:
                 index.setdefault(channel.id, [])
         position = after

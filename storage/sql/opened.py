@@ -28,9 +28,7 @@ class Answer:
         """As a Polars frame."""
         import polars as pl
 
-        frame = pl.from_arrow(self._table)
-        assert isinstance(frame, pl.DataFrame)
-        return frame
+        return pl.DataFrame(self._table)
 
     def rows(self) -> list[dict[str, object]]:
         """As a list of dictionaries."""

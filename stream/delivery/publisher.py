@@ -63,8 +63,7 @@ class DurablePublisher:
         self._by_key: dict[str, OutgoingStream] = {}
         self._is_reported = self._is_loading = self._closed = False
         self._numbering = threading.Lock()
-        self._lock = threading.Lock()
-        self._state = threading.Condition(self._lock)
+        self._state = threading.Condition(threading.Lock())
         bus.subscribe(ACKNOWLEDGEMENT_KEY, self._on_acknowledgement)
         self._pump = threading.Thread(target=self._pump_loop, name="gyrofleet-resend", daemon=True)
         self._pump.start()
@@ -72,24 +71,19 @@ class DurablePublisher:
     @property
     def outstanding(self) -> int:
         """Messages that no recorder has acknowledged yet; of those from before a restart, an upper bound."""
-        with self._lock:
+        with self._state:
             return self._out.count()
 
     @property
     def paused(self) -> str | None:
         """Why the recorder pauses; None while it records, or reports nothing."""
-        with self._lock:
+        with self._state:
             return self._out.paused if self._out.is_paused() else None
 
     @property
     def resent(self) -> int:
         """How many messages were sent again."""
         return self._out.resent
-
-    @property
-    def ignored(self) -> int:
-        """Answers about numbers that were never sent."""
-        return self._out.ignored
 
     @property
     def warning(self) -> str | None:
@@ -179,16 +173,16 @@ class DurablePublisher:
             raise WireError(
                 f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
             )
-        with self._lock:
+        with self._state:
             return self._out.stream(StreamId(key, epoch))
 
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
-        with self._lock:
+        with self._state:
             if self._spool is not None:
                 if not self._keep(self._spool, stream, seq, next_seq, payload):
                     return False  # on disk; it is sent when its turn comes
-            elif not self._out.fits(len(payload)):
+            else:
                 self._wait_for_room(len(payload))
             if self._out.broken:
                 self._check()
@@ -271,7 +265,7 @@ class DurablePublisher:
                 chunk += self._load()
                 for stream, held in chunk:
                     self._bus.publish(stream.id.key, stream.on_wire(held.payload))
-                with self._lock:
+                with self._state:
                     for stream, _ in chunk:
                         stream.pumping = False
                         if stream.sent < len(stream.held):
@@ -285,7 +279,7 @@ class DurablePublisher:
 
     def _load(self) -> list[Due]:
         """Bring messages from the disk into memory; returns those to publish now, in their order."""
-        with self._lock:
+        with self._state:
             if self._out.credit <= 0 or not self._can_load():
                 return []
             assert self._spool is not None

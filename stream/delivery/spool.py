@@ -12,33 +12,28 @@ import time
 from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
 
 from stream.atomic_file import sync_folder
 from stream.closing import Closing
-from stream.delivery.spool_frames import FIRST_STREAM, SpoolFrame, encode_frame, parse_frames
-from stream.delivery.spool_streams import SUFFIX, SpoolError, SpoolFile, StreamState, StreamTable, held_messages, scan
+from stream.delivery.spool_frames import FIRST_STREAM, encode_frame
+from stream.delivery.spool_streams import (
+    SUFFIX,
+    SpooledMessage,
+    SpoolError,
+    SpoolFile,
+    SpoolFull,
+    StreamState,
+    StreamTable,
+    held_messages,
+    scan,
+)
 from stream.wire.acknowledgement import StreamId
 
 __all__ = ["Spool", "SpoolError", "SpoolFull", "SpooledMessage", "held_messages"]
 
 _LOCK = "lock"
-_READ_BYTES = 1 << 20
 _RETRY_S = 1.0
 _LEAST_FILES = 4
-
-
-class SpoolFull(SpoolError):
-    """A spool that has reached its size."""
-
-
-class SpooledMessage(NamedTuple):
-    """A message read back."""
-
-    stream: StreamId
-    seq: int
-    next_seq: int
-    payload: bytes
 
 
 class Spool(Closing):
@@ -187,7 +182,7 @@ class Spool(Closing):
             while size < most_bytes and self.waiting:
                 file = next(each for each in self._files if each.unread)
                 try:
-                    frames = self._read_frames(file, most_bytes - size)
+                    frames = file.read(most_bytes - size)
                 except OSError as error:
                     raise SpoolError(
                         f"the spool file {file.path} cannot be read: {error}; repair the disk and start again"
@@ -197,7 +192,9 @@ class Spool(Closing):
                 if is_read and file.unread > len(messages):
                     missing = file.unread - len(messages)
                     self.damages.append(f"{file.path}: {missing} messages cannot be read any more")
-                self._count_read(file, file.unread if is_read else len(messages))
+                counted = file.unread if is_read else len(messages)
+                file.unread -= counted
+                self.waiting -= counted
                 for frame in messages:
                     state = self._table.by_number.get(frame.number)
                     if state is not None and frame.next_seq > state.acknowledged:
@@ -270,22 +267,6 @@ class Spool(Closing):
                 f"`gyrofleet record` again, or let the spool be larger"
             )
 
-    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[SpoolFrame]:
-        left = file.size - file.read_to
-        for length in (min(left, most_bytes + _READ_BYTES), left):
-            with file.path.open("rb") as opened:
-                opened.seek(file.read_to)
-                data = opened.read(length)
-            parsed = parse_frames(data, is_end=length == left)
-            if parsed.frames or length == left:
-                break
-        file.read_to += parsed.used
-        return parsed.frames
-
-    def _count_read(self, file: SpoolFile, messages: int) -> None:
-        file.unread -= messages
-        self.waiting -= messages
-
     def _sync_loop(self) -> None:
         while not self._stopped.wait(self._sync_interval_s):
             try:
@@ -319,7 +300,7 @@ class Spool(Closing):
             if any(n not in known or known[n].acknowledged < last for n, last in file.last.items()):
                 return
             file.path.unlink(missing_ok=True)
-            self._count_read(file, file.unread)
+            self.waiting -= file.unread
             self._bytes -= file.size
             self._files.popleft()
 

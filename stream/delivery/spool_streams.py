@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -11,6 +12,7 @@ from stream.errors import DeliveryError
 from stream.wire.acknowledgement import StreamId
 
 SUFFIX = ".spool"
+_READ_BYTES = 1 << 20
 
 
 @dataclass
@@ -115,6 +117,19 @@ class SpoolError(DeliveryError):
     """A spool that cannot be opened, written or read at the moment."""
 
 
+class SpoolFull(SpoolError):
+    """A spool that has reached its size."""
+
+
+class SpooledMessage(NamedTuple):
+    """A message read back."""
+
+    stream: StreamId
+    seq: int
+    next_seq: int
+    payload: bytes
+
+
 @dataclass
 class SpoolFile:
     """A file of a spool: `unread` messages after `read_to`, and the next number of each stream in it."""
@@ -124,6 +139,19 @@ class SpoolFile:
     read_to: int = 0
     unread: int = 0
     last: dict[int, int] = field(default_factory=dict)
+
+    def read(self, most_bytes: int) -> list[SpoolFrame]:
+        """The next frames, about so many bytes, at least one if there is any."""
+        left = self.size - self.read_to
+        for length in (min(left, most_bytes + _READ_BYTES), left):
+            with self.path.open("rb") as opened:
+                opened.seek(self.read_to)
+                data = opened.read(length)
+            parsed = parse_frames(data, is_end=length == left)
+            if parsed.frames or length == left:
+                break
+        self.read_to += parsed.used
+        return parsed.frames
 
 
 @dataclass

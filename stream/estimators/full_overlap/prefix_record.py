@@ -87,10 +87,6 @@ class PrefixColumn:
         """Size of the file, 0 while all is in memory."""
         return 0 if self._file is None else self.stored * self._row_bytes
 
-    def repeat(self, filled: int, slots: int) -> None:
-        """Fill slots behind those that are filled; they add nothing."""
-        self.line[filled + 1 : filled + 1 + slots] = self.line[filled]
-
     def end_block(self, constant: int | None) -> None:
         """End the block being filled: a row of its own, or that of a constant."""
         self.rows.append(self.stored if constant is None else constant)
@@ -219,8 +215,8 @@ class PrefixRecord:
         self._leave(rest)
 
     def _leave(self, slots: int) -> None:
-        for column in (self._sums, self._counts):
-            column.repeat(self._filled, slots)
+        for line in (self._sums.line, self._counts.line):
+            line[self._filled + 1 : self._filled + 1 + slots] = line[self._filled]  # they add nothing
         self._advance(slots)
 
     def _advance(self, slots: int) -> None:

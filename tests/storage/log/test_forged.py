@@ -55,8 +55,8 @@ def test_an_answer_beyond_what_was_sent_is_ignored_and_reported(tmp_path: Path, 
         publisher.send_batch(KEY, batch(0))
         publisher.send_batch(KEY, batch(1))
         answer(bus, next_seq, rewind=rewind)
-        assert (publisher.outstanding, publisher.ignored) == (2, 1)
-        assert f"number {next_seq}" in str(publisher.warning)
+        assert publisher.outstanding == 2
+        assert f"an answer is ignored, 1 so far: it names number {next_seq}" in str(publisher.warning)
         assert "200 were sent" in str(publisher.warning)
         publisher.abandon()
     store = Store.create(tmp_path / "store")
@@ -87,7 +87,7 @@ def test_a_recorder_acknowledges_no_more_than_it_was_given(tmp_path: Path) -> No
             for i in range(count):
                 publisher.send_batch(KEY, batch(i))
             publisher.drain()
-            assert publisher.ignored == 0
+            assert publisher.warning is None
         assert max(answers) == count * N
     assert lake_values(store) == list(range(10 * N))
 
