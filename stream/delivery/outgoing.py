@@ -109,7 +109,11 @@ class OutgoingStream:
         return [self.held[i] for i in sorted({0, self.sent - 1})]
 
     def rewind(self, asked: int, now: float) -> int:
-        """Return to `asked`; how many are sent again: repeats of a request, for those on the way, wait ever longer."""
+        """Return to number `asked`; returns how many messages will be sent again.
+
+        Messages in transit make the recorder repeat its request: repeated requests are ignored for a while, longer
+        each time.
+        """
         self.on_ack()
         if asked == self._rewound_to:
             if now - self._rewound_at < self._rewind_patience_s:

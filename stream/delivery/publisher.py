@@ -63,7 +63,8 @@ class DurablePublisher:
         self._by_key: dict[str, OutgoingStream] = {}
         self._is_reported = self._is_loading = self._closed = False
         self._numbering = threading.Lock()
-        self._state = threading.Condition(threading.Lock())
+        self._lock = threading.Lock()
+        self._state = threading.Condition(self._lock)
         bus.subscribe(ACKNOWLEDGEMENT_KEY, self._on_acknowledgement)
         self._pump = threading.Thread(target=self._pump_loop, name="gyrofleet-resend", daemon=True)
         self._pump.start()
@@ -71,13 +72,13 @@ class DurablePublisher:
     @property
     def outstanding(self) -> int:
         """Messages that no recorder has acknowledged yet; of those from before a restart, an upper bound."""
-        with self._state:
+        with self._lock:
             return self._out.count()
 
     @property
     def paused(self) -> str | None:
         """Why the recorder pauses; None while it records, or reports nothing."""
-        with self._state:
+        with self._lock:
             return self._out.paused if self._out.is_paused() else None
 
     @property
@@ -173,16 +174,16 @@ class DurablePublisher:
             raise WireError(
                 f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
             )
-        with self._state:
+        with self._lock:
             return self._out.stream(StreamId(key, epoch))
 
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
-        with self._state:
+        with self._lock:
             if self._spool is not None:
                 if not self._keep(self._spool, stream, seq, next_seq, payload):
                     return False  # on disk; it is sent when its turn comes
-            else:
+            elif not self._out.fits(len(payload)):
                 self._wait_for_room(len(payload))
             if self._out.broken:
                 self._check()
@@ -265,7 +266,7 @@ class DurablePublisher:
                 chunk += self._load()
                 for stream, held in chunk:
                     self._bus.publish(stream.id.key, stream.on_wire(held.payload))
-                with self._state:
+                with self._lock:
                     for stream, _ in chunk:
                         stream.pumping = False
                         if stream.sent < len(stream.held):
@@ -279,7 +280,7 @@ class DurablePublisher:
 
     def _load(self) -> list[Due]:
         """Bring messages from the disk into memory; returns those to publish now, in their order."""
-        with self._state:
+        with self._lock:
             if self._out.credit <= 0 or not self._can_load():
                 return []
             assert self._spool is not None

@@ -119,7 +119,7 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
 
 
 def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
-    """ABORTED, which may have disturbed the samples, else the worst check; NO_DATA without any."""
+    """Worst of a unit's checks, NO_DATA without any; ABORTED for an aborted run, whose samples may be disturbed."""
     if aborted:
         return Verdict.ABORTED
     found = {check.verdict for check in checks}
