@@ -9,10 +9,7 @@ if TYPE_CHECKING:
 
 
 def open_store(folder: "str | PathLike[str]", limits: "QueryLimits | None" = None) -> "OpenedStore":
-    """Open a store to ask it in SQL from Python; see `storage.sql.opened.OpenedStore`.
-
-    Raises a StoreError if the folder is no store.
-    """
+    """Open a store to ask it in SQL from Python (`OpenedStore`); StoreError if the folder is no store."""
     from storage.sql.opened import OpenedStore
 
     return OpenedStore(folder, limits)

@@ -20,6 +20,7 @@ from storage.store_marker import (
     read_marker,
     write_markers,
 )
+from stream.closing import Closing
 from stream.errors import BadInput, StoreError
 
 _LOCK = "writer.lock"
@@ -43,10 +44,7 @@ class Store:
 
     @classmethod
     def open(cls, folder: Path) -> Self:
-        """Open an existing store.
-
-        Raises a StoreError if the folder is missing, is not a store, or was written by a newer gyrofleet.
-        """
+        """Open an existing store; StoreError if the folder is none, or was written by a newer gyrofleet."""
         marker = folder / MARKER
         try:
             return cls(folder, read_marker(marker))
@@ -70,10 +68,7 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path) -> Self:
-        """Open a store for writing; create it if the folder is empty or missing, or its creation was interrupted.
-
-        Raises a StoreError if the folder holds other files, or cannot be written.
-        """
+        """Open a store for writing, or create it in an empty or missing folder; StoreError if that cannot be done."""
         marker = folder / MARKER
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -139,7 +134,7 @@ class Store:
         return store, text
 
 
-class WriterLock:
+class WriterLock(Closing):
     """Lock of the one process that writes a store: on ``writer.lock``, which names the holder, and on the log folder.
 
     `role` is who writes, for the error message of other processes; `endpoint` is where, empty if it does not listen.
@@ -163,7 +158,7 @@ class WriterLock:
         self._last_endpoint = endpoint or _holder(store.folder).get("last_endpoint", "")
         self._write({"role": role, "process": os.getpid(), "endpoint": endpoint})
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Let another process write."""
         self._write({})
         self._file.close()
@@ -173,12 +168,6 @@ class WriterLock:
         content = (json.dumps({**holder, "last_endpoint": self._last_endpoint}) + "\n").encode()
         os.pwrite(self._file.fileno(), content, 0)  # one call: a kill leaves the old or the new content
         self._file.truncate(len(content))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
 
 @contextmanager

@@ -172,10 +172,7 @@ def checked_batch(**parts: Any) -> SampleBatch:
 
 
 def writable(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """The array, copied unless it is contiguous and writeable.
-
-    Arrays from the wire are read-only: another type to numba, which would compile its code once more.
-    """
+    """The array, copied unless contiguous and writeable: numba would compile its code once more for read-only ones."""
     flags = array.flags
     return array if flags.c_contiguous and flags.writeable else array.copy()
 

@@ -83,10 +83,7 @@ class GridTracker:
         self.import_state(later.export_state() | counts | start)
 
     def place_next(self, batch: SampleBatch, n: int) -> int:
-        """Place a batch of n samples that continues exactly where the last one ended, as nearly all do.
-
-        Returns its first slot; -1 if it does not, and nothing is placed.
-        """
+        """Place n samples that continue exactly, as nearly all do: their first slot, or -1 and nothing is placed."""
         dt_ns, first_slot = self.dt_ns, self.next_slot
         last_ns = self.last_ns + n * dt_ns
         if (
@@ -106,11 +103,7 @@ class GridTracker:
         return first_slot
 
     def place(self, batch: SampleBatch) -> list[Piece]:
-        """Slots of the samples of `batch` that are not late, as pieces without holes.
-
-        Raises an EstimatorError if the nominal interval differs from that of the first batch by more than 0.1 %, or the
-        times lie too far apart to be numbered.
-        """
+        """Pieces of the samples that are not late; EstimatorError if the interval changes by 0.1 %, or times leap."""
         n, t0_ns = len(batch), batch.t0_ns
         if batch.dt_ns != self.dt_ns:
             self._check_interval(batch)
@@ -185,10 +178,7 @@ class GridTracker:
 
 
 def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, FloatArray]]:
-    """Values of the pieces, each with the slot of its first.
-
-    Pieces that lie close together come as one, NaN between them: a call for each would cost more than the NaN.
-    """
+    """Values of the pieces with their first slots; close ones joined by NaN, which cost less than a call for each."""
     values = batch.own_values
     if len(pieces) == 1:
         first_slot, start, stop = pieces[0]

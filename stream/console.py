@@ -57,10 +57,7 @@ estimates_option = click.option(
 
 
 class PlainConsole(Console):
-    """Console that prints text as it is: no markup (``rate[deg/s]``), no control characters.
-
-    `styled` gives coloured text.
-    """
+    """Console that prints text as it is: no markup (``rate[deg/s]``), no control characters; colour by `styled`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(highlight=False, emoji=False, markup=False, **options)
@@ -146,35 +143,29 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             return command(*args, **kwargs)
         except GyrofleetError as error:
             kind = next(each.__name__ for each in type(error).__mro__ if not each.__name__.startswith("_"))
-            _report_error(kind, str(error), as_json=kwargs.get("as_json", False))
-            sys.exit(error.exit_code)
+            message, code = str(error), error.exit_code
         except OSError as error:
             if error.errno not in _DISK_REFUSES:
                 raise
             where = f"{error.filename}: " if error.filename else ""
-            text = f"{where}{error.strerror or error}; free or repair the disk, then repeat the command"
-            _report_error("DiskError", text, as_json=kwargs.get("as_json", False))
-            sys.exit(1)
+            message = f"{where}{error.strerror or error}; free or repair the disk, then repeat the command"
+            kind, code = "DiskError", 1
         except ModuleNotFoundError as error:
             extra = _EXTRAS.get((error.name or "").split(".")[0])
             if extra is None:
                 raise
-            text = f"this needs {error.name}, which is not installed: pip install 'gyrofleet[{extra}]'"
-            _report_error("MissingExtra", text, as_json=kwargs.get("as_json", False))
-            sys.exit(1)
+            message = f"this needs {error.name}, which is not installed: pip install 'gyrofleet[{extra}]'"
+            kind, code = "MissingExtra", 1
         except KeyboardInterrupt:
-            _report_error("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))
-            sys.exit(130)
+            kind, message, code = "Interrupted", _INTERRUPTED, 130
+        if kwargs.get("as_json", False):
+            print_json({"error": {"kind": kind, "message": message}})
+        else:
+            with suppress(BrokenPipeError):
+                click.secho(f"error: {shown_text(message)}", err=True, fg="red")
+        sys.exit(code)
 
     return run
-
-
-def _report_error(kind: str, message: str, *, as_json: bool) -> None:
-    if as_json:
-        print_json({"error": {"kind": kind, "message": message}})
-    else:
-        with suppress(BrokenPipeError):
-            click.secho(f"error: {shown_text(message)}", err=True, fg="red")
 
 
 def output_is_closed() -> bool:
@@ -195,10 +186,7 @@ def progress_bar(*, hidden: bool) -> Iterator[Progress]:
 
 @contextmanager
 def status_line() -> Iterator[Callable[[str], None]]:
-    """Give a function that shows the present activity on standard error.
-
-    A terminal shows one line that changes; a log gets a line every few seconds at most.
-    """
+    """Give a function that shows the activity on standard error: one changing line, in a log one every few seconds."""
     console = notes()
     if console.is_terminal:
         with console.status("starting") as status:

@@ -15,14 +15,13 @@ from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
 from storage.log.files import quarantine_unknown
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
-from storage.log.sequence import LogPlace, LostStretch
-from storage.log.store_documents import store_document
+from storage.log.sequence import LostStretch
+from storage.log.store_documents import append_document, store_document
 from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
-from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.copies import mend_copies
 from storage.store import Store, WriterLock
 from stream.errors import StoreError
-from stream.events import StoreNoted, encode_event, new_uid
+from stream.events import StoreNoted, new_uid
 from stream.identity import Place, event_key
 from stream.wire.acknowledgement import StreamId
 from stream.worker.checkpoint import quarantine as quarantine_checkpoint
@@ -40,10 +39,7 @@ class Action(msgspec.Struct, frozen=True):
 
 
 def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
-    """Repair what `verify` finds; yields every step when it is done. Every step can be repeated.
-
-    With `quarantine` files that are not the store's are moved to ``log/aside``.
-    """
+    """Repair what `verify` finds, step by step, all repeatable; with `quarantine` foreign files go to ``log/aside``."""
     try:
         with WriterLock(store, "gyrofleet recover"), builder_lock(store):
             for folder in (store.log, store.tmp):
@@ -76,11 +72,15 @@ def _repair_log(store: Store) -> Iterator[Action]:
         yield Action("segment_sealed", str(store.log / recovery.segment), _describe(recovery))
     state = verify_log(store)
     only = only_in_lake(store, state)
-    documents = [*_of_damage(store, state), *_of_missing(store, state, only), *_of_recovered(store, log, state)]
+    documents = [*_of_damage(store, state, only), *_of_recovered(store, log, state)]
     documented = {stretch_id(lost) for document in documents for lost in document.details.get("lost", [])}
     undocumented = [lost for lost in state.undocumented if stretch_id(vars(lost)) not in documented]
     documents += [_document(store, "numbers_missing", str(lost), "", (lost,)) for lost in undocumented]
-    _append(log, [document for document in documents if document.uid not in state.uids])
+    stream = StreamId(_NOTES_KEY, new_uid())
+    for document in documents:
+        if document.uid not in state.uids:
+            append_document(log, stream, document)
+    log.seal()
     for lost in undocumented:
         yield Action("loss_documented", f"{lost.key} {lost.epoch}", str(lost))
     for name in state.undocumented_salvage:
@@ -105,13 +105,10 @@ def _repair_manifest(store: Store) -> Iterator[Action]:
         yield Action("manifest_written", str(store.log), f"its valid entries are kept{kept}")
 
 
-def _of_damage(store: Store, state: LogState) -> Iterator[StoreNoted]:
+def _of_damage(store: Store, state: LogState, only: list[str]) -> Iterator[StoreNoted]:
     for path in state.damaged:
         found = examine_segment(path, state.before[path.name])
         yield _document(store, "segment_salvaged", _describe(found), path.name, found.lost)
-
-
-def _of_missing(store: Store, state: LogState, only: list[str]) -> Iterator[StoreNoted]:
     for name in state.gone:
         entry = state.entries[name]
         text = f"segment {name} with {entry.samples:,} samples is missing"
@@ -134,18 +131,7 @@ def _of_recovered(store: Store, log: EventLog, state: LogState) -> Iterator[Stor
 
 def _lost(name: str, entry: SegmentEntry | None) -> SegmentEntry:
     """Entry of a missing segment; its number is not reused."""
-    known = entry or SegmentEntry(name, 0, "", 0, 0, 0, 0)
-    return msgspec.structs.replace(known, origin=LOST)
-
-
-def _append(log: EventLog, documents: list[StoreNoted]) -> None:
-    """Append documents to the log, durably."""
-    stream = StreamId(_NOTES_KEY, new_uid())
-    for seq, document in enumerate(documents):
-        payload = encode_event(document, stream.epoch, seq)
-        record = LogRecord(_NOTES_KEY, EVENTS, document.t_ns, document.t_ns, payload)
-        log.append(LogPlace(stream, seq, seq + 1, document.t_ns, document.t_ns, ""), record)
-    log.seal()
+    return msgspec.structs.replace(entry or SegmentEntry(name, 0, "", 0, 0, 0, 0), origin=LOST)
 
 
 def _document(

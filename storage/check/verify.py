@@ -9,8 +9,7 @@ from pathlib import Path
 from storage.check.verify_lake import lasting_problems
 from storage.check.verify_log import LogState, verify_log
 from storage.findings import Finding, Severity, Verification
-from storage.lake.lake import parts
-from storage.manifests.lake import Part
+from storage.manifests.lake import Part, read_manifest
 from storage.specifications.copies import specification_findings
 from storage.store import Store, writer_is_active
 from stream.delivery.spool import held_messages
@@ -25,10 +24,7 @@ Check = Callable[[Store], Iterable[Finding]]
 
 
 def verify(store: Store, progress: Callable[[float], None] | None = None) -> tuple[Verification, LogState]:
-    """Read everything in a store and report what is wrong, without changes; `progress` gets the fraction read.
-
-    Segments that are still being written are not verified.
-    """
+    """Report what is wrong in the sealed part of a store, without changes; `progress` gets the fraction read."""
     began = time.monotonic()
     state = verify_log(store, progress)
     findings = [
@@ -42,9 +38,9 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
         findings += _run_check(partial(check, store), store.folder)
     findings += kept_findings(store)
     try:
-        in_force = parts(store)
+        in_force = read_manifest(store).parts
     except StoreError:
-        in_force = []
+        in_force = ()
     verification = Verification(
         store=str(store.folder), segments=len(state.samples), messages=state.messages,
         samples=sum(state.samples.values()), parts=len(in_force), lake_samples=sum(part.samples for part in in_force),
@@ -88,10 +84,10 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
         damaged_file = store.lake / problem.part / problem.file
         found.append(Finding("lake_damaged", Severity.DAMAGE, str(damaged_file), problem.what, problem.remedy))
     try:
-        in_force = parts(store)
+        manifest = read_manifest(store)
     except StoreError:
         return found  # reported above
-    for part in in_force:
+    for part in manifest.parts:
         finding = _compare_with_log(store, state, part)
         if finding is not None:
             found.append(finding)
@@ -101,8 +97,7 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
                 f"the documents message_quarantined in the view events give the reasons, the log keeps them"
             )
             found.append(Finding("messages_quarantined", Severity.NOTE, str(store.lake / part.name), what))
-    held = {segment for part in in_force for segment in part.segments}
-    missing = sorted({name.removesuffix(".mcap") for name in state.samples} - held)
+    missing = sorted({name.removesuffix(".mcap") for name in state.samples} - manifest.segments)
     if missing and not writer_is_active(store.folder):
         what = f"{len(missing)} sealed segments are not in it: {', '.join(missing[:5])}"
         found.append(Finding("lake_behind", Severity.UNFINISHED, str(store.lake), what, "bring them to the lake"))
@@ -123,11 +118,11 @@ def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | No
     if is_uncounted or {path.stem for path in state.damaged}.intersection(there):  # damage is reported
         return None
     expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
-    changed = gone | (salvaged(state) & set(there))
-    entries = {each: state.entries.get(f"{each}.mcap") for each in there if each not in changed}
-    others = [each for each, entry in entries.items() if entry and part.sources.get(each, entry.sha256) != entry.sha256]
+    entries = {each: entry for each in there if (entry := state.entries.get(f"{each}.mcap")) is not None}
+    whole = {each: entry for each, entry in entries.items() if entry.origin != "salvaged"}
+    others = [each for each, entry in whole.items() if part.sources.get(each, entry.sha256) != entry.sha256]
     held = part.samples + part.quarantined_samples
-    if held > expected and changed and not others:
+    if held > expected and (gone or len(whole) < len(entries)) and not others:
         what = f"{held - expected:,} samples that the log has lost are still in the lake"
         return Finding("lake_has_more", Severity.NOTE, where, what, "`gyrofleet rebuild` would lose them")
     if others:
@@ -144,15 +139,10 @@ def _declared(state: LogState) -> set[str]:
     return state.declared | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
 
 
-def salvaged(state: LogState) -> set[str]:
-    """Segments that are the readable part of damaged ones."""
-    return {name.removesuffix(".mcap") for name, entry in state.entries.items() if entry.origin == "salvaged"}
-
-
 def only_in_lake(store: Store, state: LogState) -> list[str]:
     """Lost segments that only the lake knows."""
     try:
-        held = {segment for part in parts(store) for segment in part.segments}
+        held = read_manifest(store).segments
     except StoreError:
         return []
     return sorted(each for each in held - _declared(state) if not (store.log / f"{each}.mcap").exists())

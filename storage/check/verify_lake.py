@@ -10,19 +10,7 @@ import pyarrow as pa
 from storage.lake.lake import Lake, quarantine, rebuilt_manifest
 from storage.lake.part import without_samples
 from storage.lake.tables import open_table
-from storage.manifests.lake import (
-    MANIFEST,
-    NEW_LAKE,
-    PART,
-    LakeManifestDamaged,
-    Manifest,
-    Part,
-    PartFile,
-    found_parts,
-    read_manifest,
-    read_part,
-    write_manifest,
-)
+from storage.manifests import lake as manifests
 from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.errors import StoreError
@@ -46,12 +34,12 @@ def lake_problems(store: Store) -> Iterator[LakeProblem]:
 
 def lasting_problems(store: Store) -> list[LakeProblem]:
     """As `lake_problems`, for a lake that may change meanwhile: changed parts are checked again."""
-    sound: dict[str, Part] = {}
+    sound: dict[str, manifests.Part] = {}
     until = time.monotonic() + _SETTLED_WITHIN_S
     while True:
         before = _version(store)
         found = list(_problems(store, sound))
-        if found and not store.lake.is_dir() and (store.folder / NEW_LAKE).is_dir():
+        if found and not store.lake.is_dir() and (store.folder / manifests.NEW_LAKE).is_dir():
             time.sleep(0.05)  # it is being replaced
         now = _version(store)
         if not found or before == now or time.monotonic() >= until:
@@ -63,7 +51,7 @@ def lasting_problems(store: Store) -> list[LakeProblem]:
 def _version(store: Store) -> tuple[int, int, int]:
     """Identity of the lake and of its manifest; 0 for what is missing at this moment."""
     folder, _ = _stamp(store.lake)
-    return folder, *_stamp(store.lake / MANIFEST)
+    return folder, *_stamp(store.lake / manifests.MANIFEST)
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -74,14 +62,14 @@ def _stamp(path: Path) -> tuple[int, int]:
     return found.st_ino, found.st_mtime_ns  # inode numbers are reused
 
 
-def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
+def _problems(store: Store, sound: dict[str, manifests.Part]) -> Iterator[LakeProblem]:
     """Damage of the parts that are not in `sound`; intact parts are added to it."""
     try:
-        manifest = read_manifest(store)
-    except LakeManifestDamaged as error:
+        manifest = manifests.read_manifest(store)
+    except manifests.LakeManifestDamaged as error:
         remedy = "rebuild the manifest from the parts' descriptions, and missing parts from the log"
-        yield LakeProblem("", MANIFEST, str(error), remedy)
-        manifest = Manifest(parts=tuple(found_parts(store)))
+        yield LakeProblem("", manifests.MANIFEST, str(error), remedy)
+        manifest = manifests.Manifest(parts=tuple(manifests.found_parts(store)))
     seen: set[str] = set()
     for part in manifest.parts:
         if sound.get(part.name) != part:
@@ -91,7 +79,7 @@ def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
                 sound[part.name] = part
         again = seen.intersection(part.segments)
         if again:
-            yield _problem(part, MANIFEST, f"segments {', '.join(sorted(again))} are in another part as well")
+            yield _problem(part, manifests.MANIFEST, f"segments {', '.join(sorted(again))} are in another part as well")
         seen.update(part.segments)
 
 
@@ -104,9 +92,9 @@ def repair_lake(store: Store) -> Iterator[LakeProblem]:
     found = list(lake_problems(store))
     for problem in found:
         if not problem.part:
-            if (store.lake / MANIFEST).exists():
-                quarantine(store, store.lake / MANIFEST)
-            write_manifest(store, rebuilt_manifest(store))
+            if (store.lake / manifests.MANIFEST).exists():
+                quarantine(store, store.lake / manifests.MANIFEST)
+            manifests.write_manifest(store, rebuilt_manifest(store))
             yield problem
     if not any(problem.part for problem in found):
         return
@@ -123,21 +111,21 @@ def repair_lake(store: Store) -> Iterator[LakeProblem]:
         raise failure
 
 
-def _part_problems(store: Store, part: Part) -> Iterator[LakeProblem]:
+def _part_problems(store: Store, part: manifests.Part) -> Iterator[LakeProblem]:
     folder = store.lake / part.name
     if not folder.is_dir():
         yield _problem(part, "", "its folder is missing")
         return
     try:
-        described = read_part(folder)
+        described = manifests.read_part(folder)
         if described.dropped is not None and part.dropped is None:
             is_as_listed = described == without_samples(part, described.dropped.document)  # written before the manifest
         else:
             is_as_listed = described == part
         if not is_as_listed:
-            yield _problem(part, PART, "it does not match the manifest")
+            yield _problem(part, manifests.PART, "it does not match the manifest")
     except StoreError as error:
-        yield _problem(part, PART, str(error))
+        yield _problem(part, manifests.PART, str(error))
     for name, file in part.files.items():
         wrong = _wrong_with(folder / name, file)
         if wrong is not None:
@@ -147,7 +135,7 @@ def _part_problems(store: Store, part: Part) -> Iterator[LakeProblem]:
         yield _problem(part, "samples.parquet", f"{raw.rows} rows, its segments have {part.samples} samples")
 
 
-def _wrong_with(path: Path, file: PartFile) -> str | None:
+def _wrong_with(path: Path, file: manifests.PartFile) -> str | None:
     try:
         size = path.stat().st_size
         if size != file.bytes:
@@ -163,6 +151,6 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
     return None if rows == file.rows else f"{rows} rows, {file.rows} are expected"
 
 
-def _problem(part: Part, file: str, what: str) -> LakeProblem:
+def _problem(part: manifests.Part, file: str, what: str) -> LakeProblem:
     remedy = f"quarantine {part.name} and rebuild its {len(part.segments)} segments from the log"
     return LakeProblem(part.name, file, what, remedy)

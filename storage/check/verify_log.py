@@ -77,13 +77,13 @@ def verify_log(store: Store, progress: Callable[[float], None] | None = None) ->
         if progress is not None:
             progress(done / size)
     if writer_is_active(store.folder):
-        _read_open(store, state)
+        for record in open_records(store):  # in which a recorder documents what it has recovered
+            _read_document(record, state, is_reported=False)
     else:
         for path in left_open(store):
-            state.add(
-                "segment_unfinished", Severity.UNFINISHED, str(path), "left open by a process that ended",
-                "seal what it holds; the next `gyrofleet record` does so too",
-            )  # fmt: skip
+            what = "left open by a process that ended"
+            remedy = "seal what it holds; the next `gyrofleet record` does so too"
+            state.add("segment_unfinished", Severity.UNFINISHED, str(path), what, remedy)
     _verify_numbers(state)
     _verify_salvaged(store, state)
     return state
@@ -112,37 +112,25 @@ def _verify_manifest(store: Store, state: LogState) -> list[Path]:
         state.add("file_unknown", Severity.NOTE, str(unknown.path), what, remedy)
     where = str(manifest_path(store))
     remedy = "rebuild it from the segments, and keep the old one in log/aside"
-    if not manifest_path(store).exists() and (len(sealed) > 1 or _is_in_use(store)):
+    if not manifest_path(store).exists() and (len(sealed) > 1 or _has_parts(store)):
         state.add("manifest_missing", Severity.DAMAGE, where, "the manifest of the log is missing", remedy)
     for damage in manifest.damage:
         state.add("manifest_damaged", Severity.DAMAGE, where, f"line {damage.line}: {damage.reason}", remedy)
     for name, entry in sorted(manifest.entries.items()):
-        if (store.log / name).exists():
-            continue
-        state.gone.append(name)
-        state.add(
-            "segment_missing", Severity.DAMAGE, str(store.log / name),
-            f"listed with {entry.samples:,} samples and {entry.size:,} bytes, but missing",
-            "restore it from a copy; else document the loss in the log, and list it as lost",
-        )  # fmt: skip
+        if not (store.log / name).exists():
+            state.gone.append(name)
+            what = f"listed with {entry.samples:,} samples and {entry.size:,} bytes, but missing"
+            remedy = "restore it from a copy; else document the loss in the log, and list it as lost"
+            state.add("segment_missing", Severity.DAMAGE, str(store.log / name), what, remedy)
     return sealed
 
 
-def _is_in_use(store: Store) -> bool:
+def _has_parts(store: Store) -> bool:
     """Whether the lake has parts, which came from the log."""
     try:
         return bool(read_manifest(store).parts)
     except StoreError:
         return True
-
-
-def _read_open(store: Store, state: LogState) -> None:
-    """Read the open segment, in which a recorder documents what it has recovered."""
-    for record in open_records(store):
-        if record.schema == EVENTS and "/estimate/" not in record.topic:
-            document = decode_event(record.data).document
-            if isinstance(document, StoreNoted) and invalid_reason(document) is None:
-                _add_document(document, state)
 
 
 def _verify_segment(path: Path, state: LogState) -> bool:
@@ -187,19 +175,26 @@ def _follow(record: LogRecord, state: LogState) -> int:
     if place is None:
         return 0
     state.check.follow(place)
-    if record.schema == EVENTS and "/estimate/" not in record.topic:
-        document = decode_event(record.data).document
-        if (reason := invalid_reason(document)) is not None:
+    _read_document(record, state)
+    return place.samples
+
+
+def _read_document(record: LogRecord, state: LogState, *, is_reported: bool = True) -> None:
+    """Take what a document of the store or the end of a run says; an invalid one is ignored, and reported."""
+    if record.schema != EVENTS or "/estimate/" in record.topic:
+        return
+    document = decode_event(record.data).document
+    if (reason := invalid_reason(document)) is not None:
+        if is_reported:
             where = f"{record.topic} {document.uid}"
             state.add("document_odd", Severity.NOTE, where, f"{type(document).__name__}, ignored: {reason}")
-        elif isinstance(document, StoreNoted):
-            _add_document(document, state)
-        elif isinstance(document, RunEnded):
-            station = parse_key(record.topic).place
-            for total in document.totals:
-                stream = StreamId(sample_key(station, total.unit, total.signal), UUID(total.epoch).hex)
-                state.totals[stream] = (document.run, total.samples)
-    return place.samples
+    elif isinstance(document, StoreNoted):
+        _add_document(document, state)
+    elif isinstance(document, RunEnded) and is_reported:
+        station = parse_key(record.topic).place
+        for total in document.totals:
+            stream = StreamId(sample_key(station, total.unit, total.signal), UUID(total.epoch).hex)
+            state.totals[stream] = (document.run, total.samples)
 
 
 def _add_document(document: StoreNoted, state: LogState) -> None:
@@ -221,10 +216,8 @@ def _verify_salvaged(store: Store, state: LogState) -> None:
     for name, entry in state.entries.items():
         if entry.origin == "salvaged" and name not in state.gone and name.removesuffix(".mcap") not in state.declared:
             state.undocumented_salvage.append(name)
-            state.add(
-                "salvage_undocumented", Severity.LOSS, str(store.log / name),
-                "it is the readable part of a damaged segment, without a document in the log", "document it in the log",
-            )  # fmt: skip
+            what = "it is the readable part of a damaged segment, without a document in the log"
+            state.add("salvage_undocumented", Severity.LOSS, str(store.log / name), what, "document it in the log")
 
 
 def _verify_numbers(state: LogState) -> None:

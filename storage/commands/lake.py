@@ -1,6 +1,7 @@
 """The commands `gyrofleet lake`, `gyrofleet rebuild` and `gyrofleet retain`."""
 
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import click
 from stream.console import notes, print_json, progress_bar, reporting, store_option, until_stopped
 
 if TYPE_CHECKING:
+    from storage.store import Store
     from storage.upkeep.retention import Dropped, Rule
 
 _POLL_S = 0.5
@@ -45,7 +47,7 @@ def lake(
 
     console = notes()
     store = Store.open(folder)
-    rule = _rule(older_than, max_size, required=False)
+    rule = None if older_than is None and max_size is None else _rule(older_than, max_size)
 
     def report(event: str, text: str, **numbers: object) -> None:
         if as_json:
@@ -61,8 +63,7 @@ def lake(
             problems = service.round(stopped)
             if once or stopped.wait(_POLL_S):
                 break
-    counts = service.counts
-    report("ended", f"{counts.segments} segments brought to the lake, {counts.compacted} parts merged")
+    report("ended", f"{service.segments} segments brought to the lake, {service.compacted} parts merged")
     if once and problems:
         raise StoreError("; ".join(problems))
 
@@ -81,17 +82,15 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
     if raw:
         _restore(folder, as_json=as_json)
         return
-    from storage.lake.lake import builder_lock
     from storage.lake.rebuild import rebuild as steps
     from storage.manifests.lake import left_aside, read_manifest
     from storage.store import Store
 
     store = Store.open(folder)
-    _note_waiting(as_json=as_json)
-    with builder_lock(store, patience_s=_PATIENCE_S), progress_bar(hidden=as_json) as progress:
+    with _patient_lock(store, as_json=as_json), progress_bar(hidden=as_json) as progress:
         task = progress.add_task("segments", total=None)
-        for step in steps(store, force=force):
-            progress.update(task, completed=step.done, total=step.of)
+        for built, of in steps(store, force=force):
+            progress.update(task, completed=built, total=of)
     manifest = read_manifest(store)
     done = {
         "segments": len(manifest.segments), "parts": len(manifest.parts),
@@ -107,13 +106,12 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
 
 
 def _restore(folder: Path, *, as_json: bool) -> None:
-    from storage.lake.lake import Lake, build_missing, builder_lock
+    from storage.lake.lake import Lake, build_missing
     from storage.store import Store
     from storage.upkeep.retention import restore_raw
 
     store = Store.open(folder)
-    _note_waiting(as_json=as_json)
-    with builder_lock(store, patience_s=_PATIENCE_S):
+    with _patient_lock(store, as_json=as_json):
         lake = Lake(store)
         wanted = len(lake.manifest.dropped)
         restored = restore_raw(lake)
@@ -143,20 +141,21 @@ def retain(
     A document in the log lists what is dropped, beforehand. After a leap of the clock nothing is dropped by age without
     --trust-clock. `gyrofleet rebuild --raw` restores what the log still has.
     """
-    from storage.lake.lake import Lake, build_missing, builder_lock
+    from storage.lake.lake import Lake, build_missing
     from storage.manifests.lake import read_manifest
     from storage.store import Store
     from storage.upkeep.retention import apply_rule, would_drop
     from storage.upkeep.retention_clock import trust_clock as trust
+    from stream.errors import BadInput
 
-    rule = _rule(older_than, max_size, required=True)
-    assert rule is not None
+    if older_than is None and max_size is None:
+        raise BadInput("give --older-than AGE or --max-size SIZE, or both")
+    rule = _rule(older_than, max_size)
     store = Store.open(folder)
     if dry_run:
         dropped = would_drop(read_manifest(store), rule)
     else:
-        _note_waiting(as_json=as_json)
-        with builder_lock(store, patience_s=_PATIENCE_S):
+        with _patient_lock(store, as_json=as_json):
             if trust_clock:
                 trust(store, time.time_ns())
             dropped = apply_rule(Lake(store), rule)
@@ -167,9 +166,12 @@ def retain(
         notes().print(describe(dropped, rule, dry_run=dry_run), soft_wrap=True)
 
 
-def _note_waiting(*, as_json: bool) -> None:
+def _patient_lock(store: "Store", *, as_json: bool) -> AbstractContextManager[None]:
+    from storage.lake.lake import builder_lock
+
     if not as_json:
         notes().print(f"waiting up to {_PATIENCE_S:g} s for another builder of the lake")
+    return builder_lock(store, patience_s=_PATIENCE_S)
 
 
 def describe(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:
@@ -188,14 +190,9 @@ def describe(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:
     )
 
 
-def _rule(older_than: str | None, max_size: str | None, *, required: bool) -> "Rule | None":
+def _rule(older_than: str | None, max_size: str | None) -> "Rule":
     from storage.upkeep.retention import Rule, parse_age, parse_size
-    from stream.errors import BadInput
 
-    if older_than is None and max_size is None:
-        if required:
-            raise BadInput("give --older-than AGE or --max-size SIZE, or both")
-        return None
     return Rule(
         None if older_than is None else parse_age(older_than), None if max_size is None else parse_size(max_size)
     )

@@ -1,7 +1,7 @@
 """The command `gyrofleet sql`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -78,12 +78,9 @@ def sql(
     assert statement is not None
     from storage.sql.door import QueryLimits, SqlDoor
 
-    limits = QueryLimits()
-    limits = QueryLimits(
-        limits.time_s if time_s is None else time_s,
-        limits.memory_bytes if memory_gib is None else int(memory_gib * 2**30),
-        limits.rows if max_rows is None else max_rows,
-    )
+    memory_bytes = None if memory_gib is None else int(memory_gib * 2**30)
+    given: dict[str, Any] = {"time_s": time_s, "memory_bytes": memory_bytes, "rows": max_rows}
+    limits = QueryLimits()._replace(**{name: value for name, value in given.items() if value is not None})
     with SqlDoor(store, limits) as door:
         result = door.ask(statement)
         if not door.is_enforced:

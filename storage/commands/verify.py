@@ -38,10 +38,9 @@ def verify(folder: Path, *, as_json: bool) -> None:
         shown: Counter[str] = Counter()
         for finding in found.findings:
             shown[finding.kind] += 1
-            if shown[finding.kind] > _SHOWN_OF_A_KIND:
-                continue
-            colour = _COLOURS[finding.severity]
-            table.add_row(styled(finding.severity, colour), finding.where, finding.what, finding.remedy)
+            if shown[finding.kind] <= _SHOWN_OF_A_KIND:
+                severity = styled(finding.severity, _COLOURS[finding.severity])
+                table.add_row(severity, finding.where, finding.what, finding.remedy)
         results().print(table)
         for kind, count in shown.items():
             if count > _SHOWN_OF_A_KIND:

@@ -122,10 +122,7 @@ class ChannelBuffer:
         }  # fmt: skip
 
     def tables(self) -> Iterator[tuple[pa.Table, Rollup, IntArray]]:
-        """Its samples in pieces of at most a row group: rows, 1 s buckets, and steps back of time within messages.
-
-        The steps back are places in `Messages` and how far, shape (2, n).
-        """
+        """Pieces of at most a row group: rows, 1 s buckets, steps back of time as places in `Messages` and how far."""
         messages = self._matrix()
         ends = np.cumsum(messages.n)
         begin_at = 0

@@ -6,6 +6,7 @@ crash leaves the parts as they were.
 
 import hashlib
 import itertools
+import math
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Set
@@ -64,17 +65,14 @@ def compact(lake: "Lake", *, now_ns: int | None = None) -> Iterator[Compacted]:
 
 
 def due(manifest: Manifest, now_ns: int, skipped: Set[str] = frozenset()) -> Iterator[list[Part]]:
-    """Groups of neighbouring parts to be merged, the oldest first.
-
-    All parts of a finished day (UTC, by arrival); of the present day, full groups of parts of similar size.
-    """
+    """Neighbouring parts to merge, oldest first: all of a finished day (UTC, by arrival), full groups of today."""
     kinds: dict[tuple[str, bool, bool, int], list[Part]] = defaultdict(list)
     for part in manifest.parts:
         if part.name in skipped or part.bytes > MOST_BYTES // 2:
             continue
         arrival_ns = part.arrival_first_ns or 0
         is_finished = (arrival_ns // _DAY_NS + 1) * _DAY_NS + _DAY_GRACE_NS <= now_ns
-        level = 0 if is_finished else _level(len(part.segments))
+        level = 0 if is_finished else math.floor(math.log(len(part.segments), FAN_IN) + 1e-9)
         kinds[part.day, part.dropped is not None, is_finished, level].append(part)
     for (_, _, is_finished, _), parts in kinds.items():
         group: list[Part] = []
@@ -105,26 +103,12 @@ def _merged_files(lake: "Lake", group: list[Part], folder: Path) -> dict[str, Pa
     files: dict[str, PartFile] = {}
     with part_writers(folder) as writer:
         if group[0].dropped is None:
-            samples = writer("samples")
             with ExitStack() as stack:
-                for table in _sorted_samples(lake, group, stack):
-                    samples.write(table)
-            files[SAMPLES_FILE] = samples.finish()
-        merged = {name: _joined_rows(lake, group, name) for name in _JOINED}
-        for name, tables in {"channels": iter([_merged_channels(lake, group)]), **merged}.items():
-            joined = writer(name)
-            for table in tables:
-                joined.write(table)
-            files[f"{name}.parquet"] = joined.finish()
+                files[SAMPLES_FILE] = writer("samples").write_all(_sorted_samples(lake, group, stack))
+        files["channels.parquet"] = writer("channels").write_all([_merged_channels(lake, group)])
+        for name in _JOINED:
+            files[f"{name}.parquet"] = writer(name).write_all(_joined_rows(lake, group, name))
     return files
-
-
-def _level(segments: int) -> int:
-    level = 0
-    while segments >= FAN_IN:
-        segments //= FAN_IN
-        level += 1
-    return level
 
 
 def _fits(group: list[Part]) -> bool:

@@ -17,21 +17,7 @@ from storage.lake.compaction import FAN_IN, compact
 from storage.lake.part import BuiltPart, Drops, build_part, documented_drops, without_samples
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.files import sealed_segments
-from storage.manifests.lake import (
-    MANIFEST,
-    NEW_LAKE,
-    PART,
-    Manifest,
-    Part,
-    Replaced,
-    finish_switch,
-    found_parts,
-    in_order,
-    read_manifest,
-    read_part,
-    write_manifest,
-    write_part,
-)
+from storage.manifests import lake as manifests
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.store import Store, only_one
 from stream.atomic_file import sync_folder
@@ -91,14 +77,14 @@ class Lake:
 
     def __init__(self, store: Store) -> None:
         self.store = store
-        if store.lake.name != NEW_LAKE:
-            finish_switch(store)
+        if store.lake.name != manifests.NEW_LAKE:
+            manifests.finish_switch(store)
         store.lake.mkdir(exist_ok=True)
-        self.manifest = read_manifest(store)
+        self.manifest = manifests.read_manifest(store)
         for left in store.tmp.glob("lake-*"):
             shutil.rmtree(left, ignore_errors=True)
-        if not (store.lake / MANIFEST).exists():
-            write_manifest(store, self.manifest)
+        if not (store.lake / manifests.MANIFEST).exists():
+            manifests.write_manifest(store, self.manifest)
         self._adopt_parts()
         self._apply_dropped()
 
@@ -136,8 +122,8 @@ class Lake:
         is_changed = drops != self._drops()
         kept = [part for part in self.manifest.parts if part.name not in gone]
         self.commit(
-            parts=tuple(in_order([*kept, *(each.part for each in new)])),
-            replaced=(*self.manifest.replaced, *(Replaced(name, now_ns) for name in sorted(gone))),
+            parts=tuple(manifests.in_order([*kept, *(each.part for each in new)])),
+            replaced=(*self.manifest.replaced, *(manifests.Replaced(name, now_ns) for name in sorted(gone))),
             **drops._asdict(),
         )
         if is_changed:
@@ -146,7 +132,7 @@ class Lake:
     def commit(self, **changes: object) -> None:
         """Write a changed manifest."""
         manifest = msgspec.structs.replace(self.manifest, number=self.manifest.number + 1, **changes)
-        write_manifest(self.store, manifest)
+        manifests.write_manifest(self.store, manifest)
         self.manifest = manifest
 
     def drop_raw(self, dropped: Mapping[str, str]) -> None:
@@ -155,10 +141,7 @@ class Lake:
         self._apply_dropped()
 
     def restore_raw(self, restored: Mapping[str, tuple[str, ...]]) -> None:
-        """Restore the raw rows of segments from the log; `restored` names the documents that no longer apply to each.
-
-        The document of the restoration must be in the log.
-        """
+        """Restore raw rows of segments from the log; `restored` names the documents that no longer apply to each."""
         self.commit(**self._drops().join(Drops({}, dict(restored)))._asdict())
         self._apply_dropped()
 
@@ -167,7 +150,7 @@ class Lake:
         part = self.manifest.part(name)
         self.swap([name], [self._built(segment) for segment in part.segments])
         if aside and (self.store.lake / name).is_dir():
-            self.set_aside(name)
+            quarantine(self.store, self.store.lake / name)
 
     def free_name(self, wanted: str) -> str:
         """`wanted`, with a number if the lake has such a folder."""
@@ -191,10 +174,6 @@ class Lake:
             self.commit(replaced=tuple(each for each in self.manifest.replaced if each.at_ns > before_ns))
         return [each.path for each in due]
 
-    def set_aside(self, name: str) -> Path:
-        """Quarantine a folder or file of the lake; returns its new path."""
-        return quarantine(self.store, self.store.lake / name)
-
     def _put_in_force(self, built: list[BuiltPart]) -> list[str]:
         if built:
             self.swap((), built)
@@ -214,25 +193,27 @@ class Lake:
         for path in sorted(self.store.lake.iterdir()):
             if path.name in known or not path.is_dir():
                 continue
-            if not (path / PART).exists() and not path.name.isdecimal():
+            if not (path / manifests.PART).exists() and not path.name.isdecimal():
                 continue  # not a part
             try:
-                part = read_part(path)
+                part = manifests.read_part(path)
             except StoreError:
-                self.set_aside(path.name)
+                quarantine(self.store, path)
                 continue
             if not is_from_log(part, listed):
-                self.set_aside(path.name)
+                quarantine(self.store, path)
             elif covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
                 found.append(part)
                 covered |= set(part.segments)
                 drops = drops.join(documented_drops(path, self.store.identity))
             else:
                 shutil.rmtree(path)
-        lost = {part.name for part in self.manifest.parts if not (self.store.lake / part.name / PART).exists()}
+        lost = {
+            part.name for part in self.manifest.parts if not (self.store.lake / part.name / manifests.PART).exists()
+        }
         if found or lost:
             kept = [part for part in self.manifest.parts if part.name not in lost]
-            self.commit(parts=tuple(in_order([*kept, *found])), **drops._asdict())
+            self.commit(parts=tuple(manifests.in_order([*kept, *found])), **drops._asdict())
 
     def _drops(self) -> Drops:
         return Drops(self.manifest.dropped, self.manifest.restored)
@@ -243,16 +224,16 @@ class Lake:
             due = [segment for segment in part.segments if segment in self.manifest.dropped]
             if part.dropped is None and due and len(due) == len(part.segments):
                 without = without_samples(part, self.manifest.dropped[due[-1]])
-                write_part(self.store.lake / part.name, without)
+                manifests.write_part(self.store.lake / part.name, without)
                 parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
-                gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
+                gone = manifests.Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
                 self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
             elif len(due) < len(part.segments) and (due or part.dropped is not None):
                 with suppress(StoreError):  # a segment is missing or damaged: the part stays as it is
                     self.rebuild_part(part.name)
 
 
-def is_from_log(part: Part, log: LogManifest) -> bool:
+def is_from_log(part: manifests.Part, log: LogManifest) -> bool:
     """Whether a part was made from segments of this log, as far as that is known."""
     known = {name.removesuffix(".mcap"): entry for name, entry in (*log.lost.items(), *log.entries.items())}
     return not known or all(
@@ -260,20 +241,15 @@ def is_from_log(part: Part, log: LogManifest) -> bool:
     )
 
 
-def rebuilt_manifest(store: Store) -> Manifest:
+def rebuilt_manifest(store: Store) -> manifests.Manifest:
     """A manifest from the parts' own descriptions, to replace one that is lost or damaged."""
     listed = read_log_manifest(store)
-    parts = [part for part in found_parts(store) if is_from_log(part, listed)]
+    parts = [part for part in manifests.found_parts(store) if is_from_log(part, listed)]
     drops = Drops({}, {})
     for part in parts:
         with suppress(StoreError):  # a damaged part is rebuilt, with its documents
             drops = drops.join(documented_drops(store.lake / part.name, store.identity))
-    return Manifest(parts=tuple(parts), **drops._asdict())
-
-
-def parts(store: Store) -> list[Part]:
-    """Parts of the lake that are in force, in the order of their segments."""
-    return list(read_manifest(store).parts)
+    return manifests.Manifest(parts=tuple(parts), **drops._asdict())
 
 
 def quarantine(store: Store, path: Path) -> Path:

@@ -10,20 +10,10 @@ from typing import Any, NamedTuple
 import msgspec
 import pyarrow as pa
 
+from storage.lake import tables
 from storage.lake.channel_buffer import ChannelBuffer
 from storage.lake.quarantine import Quarantine, event_row
 from storage.lake.rollups import Rollup, merge, rollup_table
-from storage.lake.tables import (
-    CHANNEL_COLUMNS,
-    CLOCK_COLUMNS,
-    ESTIMATE_COLUMNS,
-    EVENT_COLUMNS,
-    ROLLUP_COLUMNS,
-    SAMPLES_FILE,
-    damaged,
-    open_table,
-    part_writers,
-)
 from storage.log.store_documents import is_own
 from storage.manifests.lake import DroppedRows, Part, PartFile, write_part
 from storage.segments.disk import sha256_of
@@ -110,8 +100,7 @@ class _Segment:
             raise
         except (GyrofleetError, ArithmeticError, LookupError, TypeError, ValueError) as error:
             self.quarantine.add(record, error)
-        arrival_ns = record.arrival_ns
-        first_ns, last_ns = self.arrival_first_ns, self.arrival_last_ns
+        arrival_ns, first_ns, last_ns = record.arrival_ns, self.arrival_first_ns, self.arrival_last_ns
         self.arrival_first_ns = arrival_ns if first_ns is None else min(first_ns, arrival_ns)
         self.arrival_last_ns = arrival_ns if last_ns is None else max(last_ns, arrival_ns)
 
@@ -189,7 +178,7 @@ def _written(segment: Path, fresh: Path, name: str, content: _Segment, without_r
     )  # fmt: skip
     if without_raw is not None:
         part = without_samples(part, without_raw)
-        (fresh / SAMPLES_FILE).unlink()
+        (fresh / tables.SAMPLES_FILE).unlink()
     write_part(fresh, part)
     return BuiltPart(fresh, part, content.drops)
 
@@ -201,7 +190,7 @@ def _place(record: LogRecord) -> Place:
 def without_samples(part: Part, document: str) -> Part:
     """The description of a part once its raw rows are dropped by a document."""
     files = dict(part.files)
-    raw = files.pop(SAMPLES_FILE)
+    raw = files.pop(tables.SAMPLES_FILE)
     dropped = DroppedRows(document, raw.rows, raw.bytes)
     return msgspec.structs.replace(part, files=files, dropped=dropped)
 
@@ -210,9 +199,9 @@ def documented_drops(folder: Path, store: str) -> Drops:
     """Dropped and restored raw rows by the store's own documents in a part."""
     path = folder / "events.parquet"
     try:
-        rows = open_table(path).read(["kind", "document"]).to_pylist()
+        rows = tables.open_table(path).read(["kind", "document"]).to_pylist()
     except (pa.ArrowException, OSError) as error:
-        raise damaged(path, error) from error
+        raise tables.damaged(path, error) from error
     found = Drops({}, {})
     for row in rows:
         if row["kind"] == StoreNoted.__name__:
@@ -230,10 +219,10 @@ def channel_id(key: str, batch: SampleBatch) -> int:
 
 
 def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile], list[dict[str, Any]]]:
-    seconds, tens = [ROLLUP_COLUMNS.empty_table()], [ROLLUP_COLUMNS.empty_table()]
-    clocks = [CLOCK_COLUMNS.empty_table()]
+    seconds, tens = [tables.ROLLUP_COLUMNS.empty_table()], [tables.ROLLUP_COLUMNS.empty_table()]
+    clocks = [tables.CLOCK_COLUMNS.empty_table()]
     rows: list[dict[str, Any]] = []
-    with part_writers(folder) as writer:
+    with tables.part_writers(folder) as writer:
         samples = writer("samples")
         # each is freed once written: a segment can be too large to be in memory twice
         channels = sorted(content.channels.values(), key=lambda each: each.identity, reverse=True)
@@ -251,17 +240,14 @@ def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile],
             seconds.append(rollup_table(channel.identity, second))
             tens.append(rollup_table(channel.identity, merge(second, every=10)))
             clocks.append(clock)
-        tables = {
-            "channels": pa.Table.from_pylist(rows, schema=CHANNEL_COLUMNS),
-            "events": pa.Table.from_pylist(content.events, schema=EVENT_COLUMNS),
-            "estimates": pa.Table.from_pylist(content.estimates, schema=ESTIMATE_COLUMNS),
+        joined = {
+            "channels": pa.Table.from_pylist(rows, schema=tables.CHANNEL_COLUMNS),
+            "events": pa.Table.from_pylist(content.events, schema=tables.EVENT_COLUMNS),
+            "estimates": pa.Table.from_pylist(content.estimates, schema=tables.ESTIMATE_COLUMNS),
             "rollup_1s": pa.concat_tables(seconds).combine_chunks(),
             "rollup_10s": pa.concat_tables(tens).combine_chunks(),
             "clocks": pa.concat_tables(clocks).combine_chunks(),
         }
-        files = {SAMPLES_FILE: samples.finish()}
-        for name, table in tables.items():
-            each = writer(name)
-            each.write(table)
-            files[f"{name}.parquet"] = each.finish()
+        files = {tables.SAMPLES_FILE: samples.finish()}
+        files |= {f"{name}.parquet": writer(name).write_all([table]) for name, table in joined.items()}
     return files, rows

@@ -1,7 +1,4 @@
-"""Messages of a segment that cannot be built into the lake: left out, counted, and reported as events of the store.
-
-Recorders reject such messages; a log of an older version may hold them.
-"""
+"""Messages that cannot be built into the lake, as of older versions: left out, counted, reported as events."""
 
 from dataclasses import dataclass
 from uuid import NAMESPACE_OID, uuid5
@@ -62,20 +59,19 @@ class Quarantine:
 
     def rows(self) -> list[dict[str, object]]:
         """Rows of the table of events, one for each key and reason; deterministic."""
-        return [self._row(kind) for kind in self._kinds.values()]
+        return [event_row(LAKE, self._document(kind), kind.arrival_ns) for kind in self._kinds.values()]
 
-    def _row(self, kind: _Kind) -> dict[str, object]:
+    def _document(self, kind: _Kind) -> StoreNoted:
         text = (
             f"segment {self._segment}: {kind.messages} messages with {kind.samples} samples of {kind.key} cannot be "
             f"brought to the lake: {kind.reason}; the log keeps them"
         )
-        details: dict[str, object] = {
+        details = {
             "store": self._store, "segment": self._segment, "key": kind.key, "reason": kind.reason,
+            "messages": kind.messages, "samples": kind.samples, "first_seq": kind.first_seq,
         }  # fmt: skip
-        details |= {"messages": kind.messages, "samples": kind.samples, "first_seq": kind.first_seq}
         uid = uuid5(NAMESPACE_OID, f"{self._store}\x00{self._segment}\x00{kind.key}\x00{kind.reason}").hex
-        document = StoreNoted(run="", t_ns=kind.arrival_ns, uid=uid, what=QUARANTINED, text=text, details=details)
-        return event_row(LAKE, document, kind.arrival_ns)
+        return StoreNoted(run="", t_ns=kind.arrival_ns, uid=uid, what=QUARANTINED, text=text, details=details)
 
 
 def event_row(place: Place, document: AnyDocument, arrival_ns: int) -> dict[str, object]:

@@ -4,7 +4,6 @@ import shutil
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
-from typing import NamedTuple
 
 from storage.lake.compaction import FAN_IN, compact
 from storage.lake.lake import Lake
@@ -13,18 +12,11 @@ from storage.store import Store
 from stream.errors import StoreError
 
 
-class RebuildStep(NamedTuple):
-    """Segments in the new lake, and in total."""
+def rebuild(store: Store, *, force: bool = False) -> Iterator[tuple[int, int]]:
+    """Rebuild the lake of a store, under `builder_lock`; yields how many segments the new one has, of how many.
 
-    done: int
-    of: int
-
-
-def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
-    """Rebuild the lake of a store; resumes after a kill. The caller holds `builder_lock`.
-
-    If a segment is damaged, or the old lake holds more than the log, StoreError is raised and the old lake stays in
-    force; with `force` it is replaced, and quarantined.
+    After a kill it resumes. If a segment is damaged, or the old lake holds more than the log, StoreError is raised and
+    the old lake stays in force; with `force` it is replaced, and quarantined.
     """
     try:
         yield from _rebuilt(store, force=force)
@@ -35,7 +27,7 @@ def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
         ) from error
 
 
-def _rebuilt(store: Store, *, force: bool) -> Iterator[RebuildStep]:
+def _rebuilt(store: Store, *, force: bool) -> Iterator[tuple[int, int]]:
     finish_switch(store)
     beside = Store(store.folder, store.identity)
     beside.lake = store.folder / NEW_LAKE
@@ -44,7 +36,7 @@ def _rebuilt(store: Store, *, force: bool) -> Iterator[RebuildStep]:
     of = len(missing) + len(lake.manifest.segments)
     failed: dict[str, StoreError] = {}
     for number, _ in enumerate(lake.bring(missing, failed), start=1):
-        yield RebuildStep(of - len(missing) + number, of)
+        yield of - len(missing) + number, of
         if number % FAN_IN == 0:
             deque(compact(lake), maxlen=0)
     problems = [str(error) for error in failed.values()]

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -148,6 +148,12 @@ class TableWriter:
         self._small_rows += table.num_rows
         if self._small_rows >= _SHARED_ROWS:
             self._write_small()
+
+    def write_all(self, tables: Iterable[pa.Table]) -> PartFile:
+        """Add all rows there are, and complete the file, durably."""
+        for table in tables:
+            self.write(table)
+        return self.finish()
 
     def finish(self) -> PartFile:
         """Complete the file, durably."""

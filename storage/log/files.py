@@ -19,9 +19,8 @@ from storage.segments.reader import read_origin
 from storage.store import Store
 from storage.store_marker import MARKER
 
-_SEALED = re.compile(r"\d+\.mcap")
-# open, abandoned, or being salvaged
-_UNSEALED = re.compile(r"\d+\.mcap\.(open|recovering|abandoned-\d+)")
+# sealed; or open, being salvaged, or abandoned
+_SEGMENT = re.compile(r"\d+\.mcap(\.(open|recovering|abandoned-\d+))?")
 
 
 class UnknownFile(NamedTuple):
@@ -38,7 +37,7 @@ def sealed_segments(store: Store) -> list[Path]:
 
 def is_own(store: Store, path: Path) -> bool:
     """Whether a file in the log is a segment of the store, sealed or not."""
-    return _has_segment_name(path) and _foreign_reason(store, path) is None
+    return _SEGMENT.fullmatch(path.name) is not None and _foreign_reason(store, path) is None
 
 
 def unknown_files(store: Store) -> list[UnknownFile]:
@@ -47,7 +46,8 @@ def unknown_files(store: Store) -> list[UnknownFile]:
     for path in sorted(store.log.iterdir()) if store.log.is_dir() else []:
         if path in {manifest_path(store), store.aside, store.log / MARKER}:
             continue
-        why = _foreign_reason(store, path) if _has_segment_name(path) else "it does not have the name of a segment"
+        is_named = _SEGMENT.fullmatch(path.name) is not None
+        why = _foreign_reason(store, path) if is_named else "it does not have the name of a segment"
         if why is not None and path.exists():  # else it has been sealed meanwhile
             found.append(UnknownFile(path, why))
     return found
@@ -102,10 +102,6 @@ def _known_names(store: Store) -> Iterator[str]:
             parts = in_force.parts
             yield from in_force.dropped
         yield from (segment for part in parts for segment in part.segments)
-
-
-def _has_segment_name(path: Path) -> bool:
-    return (_SEALED.fullmatch(path.name) or _UNSEALED.fullmatch(path.name)) is not None
 
 
 def _foreign_reason(store: Store, path: Path) -> str | None:

@@ -21,8 +21,7 @@ from storage.store import Store
 from stream.errors import StoreError
 from stream.wire.acknowledgement import StreamId
 
-_ABANDONED = re.compile(r"(\d+\.mcap)\.abandoned-(\d+)")
-_OPEN = re.compile(r"(\d+\.mcap)\.open")
+_UNFINISHED = re.compile(r"(\d+\.mcap)\.(?:open|abandoned-(\d+))")
 _COPY = ".recovering"
 
 
@@ -57,11 +56,8 @@ class Recovery:
 
 def left_open(store: Store) -> list[Path]:
     """Segments that are not sealed, in their order."""
-    return sorted(
-        path
-        for path in store.log.glob("*.mcap.*")
-        if (_ABANDONED.fullmatch(path.name) or _OPEN.fullmatch(path.name)) and is_own(store, path)
-    )
+    unfinished = (path for path in store.log.glob("*.mcap.*") if _UNFINISHED.fullmatch(path.name))
+    return sorted(path for path in unfinished if is_own(store, path))
 
 
 def abandoned_name(path: Path, durable_bytes: int) -> Path:
@@ -70,31 +66,28 @@ def abandoned_name(path: Path, durable_bytes: int) -> Path:
 
 
 def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Seal what an open segment holds; `known` are the positions that streams reached in the segments before it.
-
-    The caller holds the writer lock. It can be repeated after an OSError.
-    """
-    match = _ABANDONED.fullmatch(path.name)
-    limit = int(match[2]) if match else None
-    sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
+    """Seal an open segment, given the positions `known` before it; writer lock held; repeatable after an OSError."""
+    match = _UNFINISHED.fullmatch(path.name)
+    assert match is not None
+    limit, sealed = int(match[2]) if match[2] else None, store.log / match[1]
     if sealed.exists():
-        if _is_copied(path, limit, sealed):  # by a process that ended before it could remove this one
+        reached = reached_in(sealed)
+        places = (place_of(record) for record in SegmentScan(path, limit))
+        if all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places):
+            # it was copied by a process that ended before it could remove this one
             return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
         sealed = next_free(sealed)  # another process sealed one of that number: both are kept
     return _seal(store, path, sealed, SegmentScan(path, limit), known, disk)
 
 
-def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Replace a damaged sealed segment by its readable part; parameters as of `recover_segment`.
-
-    The losses that `examine_segment` finds must be documented in the log first.
-    """
+def salvage_segment(store: Store, path: Path, known: dict[StreamId, int]) -> Recovery:
+    """Replace a damaged sealed segment by its readable part; the log must document its losses first."""
     aside = _aside(store, path)
-    disk.link(path, aside)
-    disk.sync_folder(store.aside)
-    recovery = _copy(store, path, SegmentScan(aside, sealed=True), known, reached_in(aside), disk, replaces=True)
+    DISK.link(path, aside)
+    DISK.sync_folder(store.aside)
+    recovery = _copy(store, path, SegmentScan(aside, sealed=True), known, reached_in(aside), DISK, replaces=True)
     if recovery.entry is None:
-        disk.remove(path)
+        DISK.remove(path)
     return replace(recovery, kept_aside=aside)
 
 
@@ -132,13 +125,6 @@ def unlisted_entry(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamI
     raise_positions(positions, reached_in(path))
     origin = "salvaged" if is_copy else "found"
     return tally.entry(SealedSegment(path, path.stat().st_size, sha256_of(path)), origin), positions
-
-
-def _is_copied(path: Path, limit: int | None, sealed: Path) -> bool:
-    """Whether a sealed segment has all numbered messages of an open one."""
-    reached = reached_in(sealed)
-    places = (place_of(record) for record in SegmentScan(path, limit))
-    return all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places)
 
 
 def _seal(

@@ -71,10 +71,7 @@ class LostStretch:
 
 
 class SequenceCheck:
-    """Finds missing (`lost`) and repeated messages (`repeated`) of all streams of a log, read in its order.
-
-    `next_seq` is the number that each stream expects next.
-    """
+    """Finds `lost` and `repeated` messages of a log read in its order; `next_seq` is what each stream expects next."""
 
     def __init__(self) -> None:
         self.next_seq: dict[StreamId, int] = {}

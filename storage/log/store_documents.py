@@ -13,10 +13,14 @@ from typing import Any
 
 import msgspec
 
+from storage.log.event_log import EventLog
+from storage.log.sequence import LogPlace
+from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
 from stream.errors import StoreError
-from stream.events import AnyDocument, SpecificationEntered, StoreNoted
+from stream.events import AnyDocument, SpecificationEntered, StoreNoted, encode_event
 from stream.identity import Place
+from stream.wire.acknowledgement import StreamId
 
 LAKE = Place("store", "lake")
 _SECRET = "seal.key"  # noqa: S105  a file name
@@ -32,6 +36,13 @@ def store_document(store: str, what: str, text: str, details: dict[str, Any]) ->
     (True, False)
     """
     return StoreNoted(run="", t_ns=time.time_ns(), what=what, text=text, details={**details, "store": store})
+
+
+def append_document(log: EventLog, stream: StreamId, document: StoreNoted) -> None:
+    """Append a document to the log as the next message of a stream; durable after its next `sync`."""
+    seq, t_ns = log.marks.get(stream, 0), document.t_ns
+    record = LogRecord(stream.key, EVENTS, t_ns, t_ns, encode_event(document, stream.epoch, seq))
+    log.append(LogPlace(stream, seq, seq + 1, t_ns, t_ns, ""), record)
 
 
 def is_own(document: StoreNoted, store: str) -> bool:
@@ -53,15 +64,6 @@ def signed(store: Store, document: StoreNoted) -> StoreNoted:
     return msgspec.structs.replace(document, details={**details, _SEAL: _digest(_secret(store), plain)})
 
 
-def is_signed(store: Store, document: StoreNoted) -> bool:
-    """Whether a document carries the store's own signature."""
-    found = document.details.get(_SEAL)
-    if not isinstance(found, str):
-        return False
-    wanted = signed(store, document).details[_SEAL]
-    return hmac.compare_digest(found.encode(), str(wanted).encode())
-
-
 def signed_specification(store: Store, document: SpecificationEntered) -> SpecificationEntered:
     """The document with the identity and the signature of a store."""
     plain = msgspec.structs.replace(document, store=store.identity, seal="")
@@ -77,11 +79,13 @@ def forgery(store: Store, document: AnyDocument) -> str | None:
     if isinstance(document, SpecificationEntered):
         if document.store != store.identity:
             return "it is a specification of another store"
-        is_valid = hmac.compare_digest(document.seal.encode(), signed_specification(store, document).seal.encode())
-    elif isinstance(document, StoreNoted):
-        is_valid = is_foreign(document, store.identity) or is_signed(store, document)
+        seal: object = document.seal
+        wanted = signed_specification(store, document).seal
+    elif isinstance(document, StoreNoted) and not is_foreign(document, store.identity):
+        seal, wanted = document.details.get(_SEAL), signed(store, document).details[_SEAL]
     else:
-        is_valid = True
+        return None
+    is_valid = isinstance(seal, str) and hmac.compare_digest(seal.encode(), wanted.encode())
     return None if is_valid else "it claims to be of the store that is recorded to, and lacks its seal"
 
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Set
 from contextlib import suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -43,10 +44,7 @@ def first_to_read(store: Store, sealed: list[str]) -> int:
 
 
 class RunScan:
-    """Reads a log in its order and keeps where runs begin and whether they have ended.
-
-    `open_runs` have samples or documents other than estimates after their last end.
-    """
+    """Finds where runs begin; `open_runs` have samples or documents other than estimates after their last end."""
 
     def __init__(self) -> None:
         self.runs: set[str] = set()
@@ -105,10 +103,7 @@ class LogTail:
         self._marks: dict[str, dict[StreamId, int]] = {}
 
     def beginning(self, *, thorough: bool = False) -> LogBeginning:
-        """Where to begin without a checkpoint: unfinished runs from their first message, all else from its end.
-
-        `thorough` reads the whole log, and includes ended runs whose last estimates are missing.
-        """
+        """Where to begin without a checkpoint; `thorough` reads the whole log for ended runs without last estimates."""
         sealed = _sealed(self._store)
         start = 0 if thorough else first_to_read(self._store, sealed)
         positions: dict[StreamId, int] = {}
@@ -130,7 +125,7 @@ class LogTail:
 
     def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
         """Identities of the estimates and decisions beyond `positions`."""
-        for message in self._since(positions, _is_key_of(EstimateKey)):
+        for message in self._since(positions, partial(_is_of, EstimateKey)):
             yield decode_event(message.payload).document.uid
 
     def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[LoggedMessage]:
@@ -156,10 +151,7 @@ def open_records(store: Store) -> Iterator[LogRecord]:
 
 
 def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool]) -> Iterator[LogRecord]:
-    """Messages of the log in their order, while another process may be writing it.
-
-    Sealed segments are read if `is_needed` is true of their name, messages are yielded if `wanted` is of their key.
-    """
+    """Messages of a log in their order, of the segments needed and the keys wanted; the log may be being written."""
     done: set[str] = set()
     begun: Counter[str] = Counter()  # messages read of a segment before it was sealed
     while True:
@@ -183,7 +175,8 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
 
 def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocument, int]]:
     """Documents of the log that are not in the lake yet, each with its arrival time in ns."""
-    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, _is_key_of(EventKey)):
+    is_event = partial(_is_of, EventKey)
+    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, is_event):
         if record.schema != EVENTS:
             continue  # rejected messages keep their key
         with suppress(WireError):  # `gyrofleet verify` reports it
@@ -200,11 +193,8 @@ def _sealed(store: Store, known: Collection[str] = ()) -> list[str]:
     return sorted(path.name for path in store.log.glob("*.mcap") if path.name in known or is_own(store, path))
 
 
-def _is_key_of(kind: type) -> Callable[[str], bool]:
-    def is_of(key: str) -> bool:
-        try:
-            return isinstance(parse_key(key), kind)
-        except BadInput:
-            return False  # a rejected message, or a preview
-
-    return is_of
+def _is_of(kind: type, key: str) -> bool:
+    try:
+        return isinstance(parse_key(key), kind)
+    except BadInput:
+        return False  # a rejected message, or a preview

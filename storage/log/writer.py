@@ -132,12 +132,10 @@ class SegmentWriter:
         self._write(self._ending(MetadataIndex(offset=at, length=len(metadata), name=MARKS)))
         self._disk.sync(self._file)
         self._disk.close(self._file)
-        if replaces:
-            self._disk.replace(self.open_path, self.path)
-            return SealedSegment(self.path, self._size, self._hash.hexdigest())
+        move = self._disk.replace if replaces else self._disk.rename
         while True:
             try:
-                self._disk.rename(self.open_path, self.path)
+                move(self.open_path, self.path)
                 break
             except FileExistsError:
                 self.path = next_free(self.path)

@@ -194,10 +194,7 @@ def write_part(folder: Path, part: Part) -> None:
 
 
 def found_parts(store: Store) -> list[Part]:
-    """Parts by their own descriptions, without the manifest.
-
-    Of parts that share segments, the one of more segments counts: it was made from the others.
-    """
+    """Parts by their own descriptions alone; of parts that share segments, the one made from the others."""
     found = []
     for path in sorted(store.lake.glob(f"*/{PART}")):
         try:

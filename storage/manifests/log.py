@@ -42,11 +42,6 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     ended: tuple[str, ...] = ()
     origin: str = "recorded"
 
-    @property
-    def is_lost(self) -> bool:
-        """Whether only its number is kept."""
-        return self.origin == LOST
-
 
 class ManifestDamage(NamedTuple):
     """A damaged line of the manifest."""
@@ -57,10 +52,7 @@ class ManifestDamage(NamedTuple):
 
 @dataclass
 class LogManifest:
-    """Entries of the manifest, the last one of each segment, and its damage.
-
-    `lost` has segments that no longer exist; their numbers are not reused.
-    """
+    """Last entry of each segment, and damage; numbers of `lost` segments, which no longer exist, are not reused."""
 
     entries: dict[str, SegmentEntry] = field(default_factory=dict)
     lost: dict[str, SegmentEntry] = field(default_factory=dict)
@@ -69,7 +61,7 @@ class LogManifest:
 
     def take(self, entry: SegmentEntry) -> None:
         """Apply an entry."""
-        mine, other = (self.lost, self.entries) if entry.is_lost else (self.entries, self.lost)
+        mine, other = (self.lost, self.entries) if entry.origin == LOST else (self.entries, self.lost)
         other.pop(entry.segment, None)
         mine[entry.segment] = entry
 
@@ -130,7 +122,7 @@ class ManifestWriter:
         self.found.take(entry)
 
 
-def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk = DISK) -> Path | None:
+def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry]) -> Path | None:
     """Replace the manifest; returns the path of the old one in the quarantine."""
     path = manifest_path(store)
     store.tmp.mkdir(exist_ok=True)
@@ -141,15 +133,15 @@ def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk =
         text = msgspec.json.encode(entry)
         last = _chain(last, text)
         lines.append(text + b"\t" + last.encode() + b"\n")
-    disk.write_whole(disk.create(fresh), b"".join(lines))
+    DISK.write_whole(DISK.create(fresh), b"".join(lines))
     aside = None
     if path.exists():
         store.aside.mkdir(exist_ok=True)
         aside = store.aside / f"{_NAME}.{time.time_ns()}"
-        disk.link(path, aside)  # there is a manifest at every moment
-        disk.sync_folder(store.aside)
-    disk.replace(fresh, path)
-    disk.sync_folder(path.parent)
+        DISK.link(path, aside)  # there is a manifest at every moment
+        DISK.sync_folder(store.aside)
+    DISK.replace(fresh, path)
+    DISK.sync_folder(path.parent)
     return aside
 
 

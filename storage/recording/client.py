@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -16,6 +16,7 @@ from storage.log.store_documents import LAKE
 from storage.recording.knowledge import KnownRuns, KnownSignal, KnownStep, unpacked
 from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint
 from stream.batch import FloatArray, IntArray
+from stream.closing import Closing
 from stream.delivery.publisher import DurablePublisher
 from stream.errors import DeliveryError, GyrofleetError, StoreError, WireError
 from stream.events import AnyDocument
@@ -45,10 +46,7 @@ class RecorderClient:
         self.store = wanted if wanted in stores else stores[0]
 
     def ask(self, question: requests.Question, patience_s: float = _PATIENCE_S) -> Any:
-        """The answer to a question.
-
-        Raises a StoreError if the recorder cannot answer, a DeliveryError if it does not answer in time.
-        """
+        """The answer to a question; StoreError if the recorder cannot answer, DeliveryError if not in time."""
         (reply,) = self._ask(question, patience_s)
         if reply.error:
             raise StoreError(f"the recorder cannot answer: {reply.error}")
@@ -85,7 +83,7 @@ class RecorderClient:
 
         def take(_key: str, payload: bytes) -> None:
             with suppress(WireError):
-                reply = requests.decode_reply(payload)
+                reply = requests.decode(payload, requests.Reply)
                 with self._state:
                     if reply.store not in {each.store for each in found} and self.store in {"", reply.store}:
                         found.append(reply)
@@ -111,7 +109,7 @@ class RecorderClient:
             self._bus.unsubscribe(requests.reply_key(request.id))
 
 
-class HeldClaim:
+class HeldClaim(Closing):
     """The exclusive right to send samples of some units and runs (`owners`), renewed until it is released.
 
     `what` describes the source in the message that another one gets. `on_loss` is called once, with the reason, if
@@ -156,18 +154,12 @@ class HeldClaim:
                     self.on_loss(reason)
                 return
 
-    def release(self) -> None:
+    def close(self) -> None:
         """End the claim."""
         self._stop.set()
         self._thread.join()
         with suppress(GyrofleetError):
             self._client.ask(requests.Release(self._claim.holder), _RELEASE_S)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
 
 def is_recorded(bus: Bus, folder: Path, endpoint: str) -> bool:

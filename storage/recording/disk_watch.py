@@ -1,6 +1,5 @@
 """Disk space: an early warning, and a pause of recording before the disk is full."""
 
-import time
 from pathlib import Path
 
 from storage.segments.disk import Disk
@@ -14,10 +13,7 @@ _RATE_OVER_S = 60.0
 
 
 class DiskWatch:
-    """Watches the free space on the disk of a store.
-
-    `reserve_bytes` are kept free to finish what is recorded: 256 MB, or a twentieth of a smaller disk.
-    """
+    """Watches the free space of a store's disk; `reserve_bytes`, 256 MB or a twentieth, are kept free to finish."""
 
     def __init__(self, folder: Path, disk: Disk) -> None:
         self._folder, self._disk = folder, disk
@@ -28,10 +24,7 @@ class DiskWatch:
         self._has_warned = False
 
     def look(self, now: float, *, again: bool = False) -> tuple[str | None, str | None]:
-        """Why nothing more may be written, and a warning; each None if there is none.
-
-        At most once a second unless `again`; it warns once, until there is space again.
-        """
+        """Why nothing more may be written, and a warning, given once; looks once a second at most unless `again`."""
         if not again and now - self._looked_at < _LOOK_EVERY_S:
             return None, None
         self._looked_at = now
@@ -69,8 +62,3 @@ def format_bytes(size: int) -> str:
         if size >= factor:
             return f"{size / factor:.1f} {name}"
     return f"{size} B"
-
-
-def monotonic_and_wall_ns() -> tuple[int, int]:
-    """Both clocks of this machine, read together."""
-    return time.monotonic_ns(), time.time_ns()

@@ -12,7 +12,7 @@ from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogReco
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
-from stream.events import AnyDocument, StoreNoted
+from stream.events import StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch, encode_preview, read_batch_head
@@ -54,7 +54,6 @@ class ClockStep:
     run: str
     seq: int
     back_ns: int
-    t_ns: int
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ class Intake:
     `moved` are streams whose source waits for an acknowledgement, `received` the number after the last message received
     of each: no more is acknowledged, whatever the log has. `rewinds` are streams of which messages are missing, to be
     requested; `conflicts` messages whose numbers are recorded with other content. `ended_runs` counts ends of runs,
-    `late` messages after the end of their run (resent ones, estimates).
+    `late` messages after the end of their run (resent ones, estimates); the recorder resets both.
     """
 
     def __init__(self, log: EventLog, store: Store) -> None:
@@ -173,7 +172,7 @@ class Intake:
         self._last_ns[stream] = last_ns
         if before_ns is not None and t0_ns <= before_ns:
             self.counts.backwards += 1
-            self.clock_steps.append(ClockStep(key, run, seq, before_ns - t0_ns, t0_ns))
+            self.clock_steps.append(ClockStep(key, run, seq, before_ns - t0_ns))
         shown_ns = self._previewed.get(key)
         if shown_ns is None or abs(t0_ns - shown_ns) >= _PREVIEW_INTERVAL_NS:
             self._previewed[key] = t0_ns
@@ -185,7 +184,8 @@ class Intake:
         message = decode_received(payload)
         document = message.document
         if (reason := forgery(self._store, document)) is not None:
-            raise WireError(f"{_describe(document)}: {reason}")
+            what = document.what if isinstance(document, StoreNoted) else ""
+            raise WireError(f"{type(document).__name__} {what[:80]}".strip() + f": {reason}")
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)
         place = LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
@@ -231,8 +231,3 @@ class Intake:
         self.conflicts.append(NumberConflict(record.topic, place.stream.epoch, place.seq, place.next_seq))
         if self._keep_rejected(record.topic, record.data, record.arrival_ns, most=MAX_MESSAGE_BYTES):
             self.moved.add(place.stream)  # else its source keeps it
-
-
-def _describe(document: AnyDocument) -> str:
-    what = document.what if isinstance(document, StoreNoted) else ""
-    return f"{type(document).__name__} {what[:80]}".strip()

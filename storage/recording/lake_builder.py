@@ -1,6 +1,7 @@
 """Building the lake in the background of a recorder."""
 
 import threading
+from collections import deque
 from collections.abc import Callable
 
 from storage.lake.lake import LakeBusy, build_missing, builder_lock
@@ -13,13 +14,8 @@ _RETRY_S = 10.0
 class LakeBuilder:
     """A thread that builds the lake from sealed segments; a failure goes to `on_warning`, and is retried."""
 
-    def __init__(
-        self, store: Store, *, on_lake: Callable[[str], None] | None = None,
-        on_warning: Callable[[str], None] | None = None,
-    ) -> None:  # fmt: skip
-        self._store = store
-        self._on_lake: Callable[[str], None] = on_lake or (lambda _segment: None)
-        self._on_warning: Callable[[str], None] = on_warning or (lambda _text: None)
+    def __init__(self, store: Store, on_warning: Callable[[str], None]) -> None:
+        self._store, self._on_warning = store, on_warning
         self._failure: StoreError | None = None
         self._is_wanted = True  # segments that an earlier process sealed
         self._closing = False
@@ -67,8 +63,7 @@ class LakeBuilder:
     def _build(self) -> StoreError | None:
         try:
             with builder_lock(self._store):
-                for name in build_missing(self._store):
-                    self._on_lake(name)
+                deque(build_missing(self._store), maxlen=0)
         except LakeBusy:
             return None  # the other builder builds it
         except StoreError as error:

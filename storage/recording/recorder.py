@@ -23,11 +23,10 @@ from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
-from stream.transport.bus import Bus
+from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 
 _QUEUE_BYTES = 64 << 20
-_OVERHEAD_BYTES = 300  # of a message in the queue, beside its key and payload
 _ROOM_PATIENCE_S = 2.0  # of a bus callback: a source closes a transport that stalls for 8 s
 _SEAL_GRACE_S = 1.0  # the last estimates of a run arrive just after its end
 _SETTLE_S = 120.0
@@ -42,20 +41,17 @@ class Recorder(Closing):
     drops duplicates, requests a rewind if one is missing, and acknowledges after an fdatasync every `sync_interval_s`.
     Another thread builds the lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
 
-    `builds_lake` says whether this process builds the lake; `on_lake` gets the name of each segment that has reached
-    it, `on_warning` messages for people: pauses, disk errors, low disk space. `on_failure` is called once, when
-    recording has ended by a failure.
+    `builds_lake` says whether this process builds the lake; `on_warning` gets messages for people: pauses, disk errors,
+    low disk space. `on_failure` is called once, when recording has ended by a failure.
     """
 
     def __init__(
         self, store: Store, bus: Bus, log: EventLog, *, sync_interval_s: float = 0.1, builds_lake: bool = True,
-        on_lake: Callable[[str], None] | None = None, on_warning: Callable[[str], None] | None = None,
-        on_failure: Callable[[GyrofleetError], None] | None = None, disk: Disk = DISK,
+        on_warning: Callable[[str], None] = lambda _text: None,
+        on_failure: Callable[[GyrofleetError], None] = lambda _error: None, disk: Disk = DISK,
     ) -> None:  # fmt: skip
-        self._store, self._bus, self._log = store, bus, log
-        self._sync_interval_s = sync_interval_s
-        self._warn: Callable[[str], None] = on_warning or (lambda _text: None)
-        self._on_failure: Callable[[GyrofleetError], None] = on_failure or (lambda _error: None)
+        self._store, self._bus, self._log, self._sync_interval_s = store, bus, log, sync_interval_s
+        self._warn, self._on_failure = on_warning, on_failure
         self._intake = Intake(log, store)
         self.counts = self._intake.counts
         self._reports = Reports(store, log, self._intake, self._warn)
@@ -66,12 +62,11 @@ class Recorder(Closing):
         self._incoming_bytes = 0
         self._state = threading.Condition()
         self._closing = False
-        self._ended_runs = self._late = 0
         self._settle_wanted = self._settle_done = self._settle_from = self._received = self._processed = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
-        self._builder = LakeBuilder(store, on_lake=on_lake, on_warning=self._warn) if builds_lake else None
+        self._builder = LakeBuilder(store, on_warning) if builds_lake else None
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
@@ -121,7 +116,7 @@ class Recorder(Closing):
             time.sleep(0.05)
 
     def _on_message(self, key: str, payload: bytes) -> None:
-        size = _size(key, payload)
+        size = queued_bytes(key, payload)
         with self._state:
             until = time.monotonic() + _ROOM_PATIENCE_S
             while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.paused is None:
@@ -164,7 +159,7 @@ class Recorder(Closing):
 
     def _write_chunk(self) -> bool:
         """Write a chunk of messages; whether it was the last."""
-        self._reports.recoveries()
+        self._reports.log_changes()
         settling = self._settle_wanted
         taken, is_last = self._next_messages()
         # also if the disk fails: then they are not acknowledged, and are sent again
@@ -172,12 +167,12 @@ class Recorder(Closing):
         for key, payload, arrival_ns in taken:
             self._intake.add(key, payload, arrival_ns)
         now = time.monotonic()
-        if self._intake.ended_runs > self._ended_runs:
-            self._ended_runs = self._intake.ended_runs
+        if self._intake.ended_runs:
+            self._intake.ended_runs = 0
             self._seal_at = now + _SEAL_GRACE_S
-        if self._intake.late > self._late:
+        if self._intake.late:
             # once no more of it comes: a run that is extended for hours must not be cut into seconds
-            self._late = self._intake.late
+            self._intake.late = 0
             self._quiet_at = now + _SEAL_GRACE_S
         missing, self._intake.rewinds = self._intake.rewinds, []
         if missing:
@@ -204,13 +199,13 @@ class Recorder(Closing):
                 self._state.wait(self._sync_interval_s)
             # bounded, so that data are made durable and acknowledged while more are waiting
             taken = [self._incoming.popleft() for _ in range(min(len(self._incoming), 1000))]
-            self._incoming_bytes -= sum(_size(key, payload) for key, payload, _ in taken)
+            self._incoming_bytes -= sum(queued_bytes(key, payload) for key, payload, _ in taken)
             self._state.notify_all()
             return taken, self._closing and not self._incoming
 
     def _request_rewind(self, streams: Iterable[StreamId]) -> None:
         marks = self._log.marks
-        self._acknowledge(tuple(StreamPosition(s.key, s.epoch, marks.get(s, 0), rewind=True) for s in streams))
+        self._acknowledge(tuple(StreamPosition(*stream, marks.get(stream, 0), rewind=True) for stream in streams))
 
     def _acknowledge(self, positions: tuple[StreamPosition, ...]) -> None:
         payload = encode_acknowledgement(self._store.identity, positions, self.paused or "")
@@ -227,10 +222,9 @@ class Recorder(Closing):
     def _seal(self) -> None:
         self._seal_at = self._quiet_at = None
         recovered = self._log.recover()  # segments that were abandoned since
-        self._reports.recoveries()
+        self._reports.log_changes()
         self._sync()
         sealed = self._log.seal()
-        self._reports.log_warnings()
         self.counts.segments += sealed is not None
         if self._builder is not None and (recovered or sealed is not None):
             self._builder.wake()
@@ -295,8 +289,3 @@ class Recorder(Closing):
         text = f"recording resumes after a pause of {paused_s:.1f} s: {reason}"
         self._warn(text)
         self._reports.append("recording_paused", text, {"paused_s": paused_s, "reason": reason})
-
-
-def _size(key: str, payload: bytes) -> int:
-    """Memory of a message in the queue, at most 4 bytes per character of its key."""
-    return len(payload) + 4 * len(key) + _OVERHEAD_BYTES

@@ -1,18 +1,15 @@
 """The recorder's documents about itself in the log: recoveries, clock steps, conflicts and pauses."""
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 from uuid import uuid4
 
 from storage.log.event_log import EventLog
-from storage.log.sequence import LogPlace
-from storage.log.store_documents import store_document
-from storage.recording.disk_watch import monotonic_and_wall_ns
+from storage.log.store_documents import append_document, store_document
 from storage.recording.intake import Intake
-from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
-from stream.events import encode_event
 from stream.identity import Place, event_key
 from stream.wire.acknowledgement import StreamId
 
@@ -35,20 +32,13 @@ class Reports:
 
     def append(self, what: str, text: str, details: dict[str, Any]) -> None:
         """Append a document."""
-        seq = self._log.marks.get(self._stream, 0)
-        document = store_document(self._store.identity, what, text, details)
-        now_ns = document.t_ns
-        record = LogRecord(_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._stream.epoch, seq))
-        self._log.append(LogPlace(self._stream, seq, seq + 1, now_ns, now_ns, ""), record)
+        append_document(self._log, self._stream, store_document(self._store.identity, what, text, details))
 
-    def log_warnings(self) -> None:
-        """Pass on new warnings of the log."""
+    def log_changes(self) -> None:
+        """Document segments that were recovered since the last call, and pass on new warnings of the log."""
         for warning in self._log.warnings[self._warnings :]:
             self._warn(warning)
         self._warnings = len(self._log.warnings)
-
-    def recoveries(self) -> None:
-        """Document segments that were recovered since the last call."""
         while self._recoveries < len(self._log.recovered):
             recovery = self._log.recovered[self._recoveries]
             self._recoveries += 1
@@ -62,8 +52,7 @@ class Reports:
         for step in steps[:100]:
             text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
             self.append("source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns})
-        monotonic_ns, wall_ns = monotonic_and_wall_ns()
-        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, wall_ns - monotonic_ns
+        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, time.time_ns() - time.monotonic_ns()
         step_ns = 0 if before_ns is None else self._wall_ahead_ns - before_ns
         if abs(step_ns) > _CLOCK_STEP_NS:
             text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"

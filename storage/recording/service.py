@@ -80,7 +80,7 @@ class RecorderService:
 
     def _on_request(self, _key: str, payload: bytes) -> None:
         try:
-            request = requests.decode_request(payload)
+            request = requests.decode(payload, requests.Request)
         except WireError:
             return  # no one to answer
         if request.store not in {"", self._store.identity} or self._closing:
@@ -120,8 +120,10 @@ class RecorderService:
                 self._settle()
                 return None
         from storage.recording.knowledge import CatalogKnowledge, packed
+        from storage.sql.catalog import Catalog  # a recorder without requests needs no DuckDB
 
-        knowledge = CatalogKnowledge(self._lake())
+        self._catalog = self._catalog or Catalog(self._store)
+        knowledge = CatalogKnowledge(self._catalog)
         match question:
             case requests.AskSignals():
                 return knowledge.signals(list(question.runs))
@@ -131,13 +133,6 @@ class RecorderService:
                 times_ns, values = knowledge.samples(unit, signal, run, first_ns, last_ns)
                 return packed(times_ns, values) if len(times_ns) <= requests.MOST_ROWS else None
         raise StoreError(f"a recorder of this version does not answer {type(question).__name__}")
-
-    def _lake(self) -> "Catalog":
-        if self._catalog is None:
-            from storage.sql.catalog import Catalog  # a recorder without requests needs no DuckDB
-
-            self._catalog = Catalog(self._store)
-        return self._catalog
 
     def _forget(self) -> None:
         if self._catalog is not None:

@@ -1,7 +1,4 @@
-"""Reading one segment of the event log: a sealed one strictly, an open or damaged one chunk by chunk.
-
-Every read checks the CRCs; the library's default reader does not report a flipped byte.
-"""
+"""Reading a segment, strictly or skipping damage; all CRCs are checked, which the library does not do by default."""
 
 import mmap
 import struct
@@ -99,7 +96,7 @@ def _marks_in(content: Buffer) -> dict[str, str] | None:
     while content[position] != Opcode.FOOTER:
         opcode, length = FRAME.unpack_from(content, position)
         if opcode == Opcode.METADATA_INDEX:
-            at = int.from_bytes(content[position + FRAME.size : position + FRAME.size + 8], "little")
+            (at,) = struct.unpack_from("<Q", content, position + FRAME.size)
             end = at + FRAME.size + FRAME.unpack_from(content, at)[1]
             metadata = Metadata.read(ReadDataStream(BytesIO(content[at + FRAME.size : end])))
             return dict(metadata.metadata) if metadata.name == MARKS else None
@@ -233,15 +230,10 @@ def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | Non
 
 
 def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
-    """Whether a frame other than a chunk is plausible by kind and length.
-
-    A flipped bit can turn a chunk's frame into an index or an end, or extend it across the next chunks.
-    """
+    """Whether a frame other than a chunk is plausible: a flipped bit can make a chunk another, longer record."""
     if opcode == Opcode.MESSAGE_INDEX:
-        if after - position < FRAME.size + 6:
-            return False
-        (length,) = struct.unpack_from("<I", content, position + FRAME.size + 2)
-        return bool(after - position == FRAME.size + 6 + length)
+        size = after - position - FRAME.size - 6
+        return bool(size >= 0 and struct.unpack_from("<I", content, position + FRAME.size + 2)[0] == size)
     if opcode == Opcode.DATA_END:
         return after - position == FRAME.size + 4
     return opcode in {Opcode.HEADER, Opcode.SCHEMA, Opcode.METADATA} and _next_chunk(content, position, after) is None
@@ -253,9 +245,8 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
         return None
     opcode, length, first_ns, last_ns, size, crc, named, compression, packed = CHUNK.unpack_from(content, position)
     begin = position + CHUNK.size
-    if (opcode, named, compression) != (Opcode.CHUNK, len(COMPRESSION), COMPRESSION):
-        return None
-    if length != CHUNK.size - FRAME.size + packed or packed > end - begin:
+    is_chunk = (opcode, named, compression) == (Opcode.CHUNK, len(COMPRESSION), COMPRESSION)
+    if not is_chunk or length != CHUNK.size - FRAME.size + packed or packed > end - begin:
         return None
     try:
         if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
@@ -302,8 +293,7 @@ def _messages(
         elif opcode == Opcode.CHANNEL:
             channel = Channel.read(ReadDataStream(BytesIO(content[position + FRAME.size : after])))
             channels[channel.id] = (channel.topic, _SCHEMAS[channel.schema_id])
-            if summary is not None:
+            if index is not None and summary is not None:
                 summary.channels[channel.id] = channel
-            if index is not None:
                 index.setdefault(channel.id, [])
         position = after

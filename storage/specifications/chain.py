@@ -53,10 +53,7 @@ class Chain(NamedTuple):
 
 
 def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
-    """Specification documents of a store, including those not yet in the lake; `catalog` is its, if one is open.
-
-    Raises a StoreError if the lake or the log is damaged.
-    """
+    """Specification documents of a store, also those not yet in the lake; StoreError if lake or log is damaged."""
     if catalog is None:
         with Catalog(store) as opened:
             return read_chain(store, opened)
@@ -96,10 +93,7 @@ def hash_of(document: SpecificationEntered) -> str:
 
 
 def append_document(store: Store, document: SpecificationEntered) -> None:
-    """Append a document to the log, with the store's seal; it is on disk when this returns.
-
-    Raises a StoreError or a DeliveryError if it cannot be written.
-    """
+    """Append a document, sealed, to the log, durably; StoreError or DeliveryError if it cannot be written."""
     record_documents(store, [signed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 
 

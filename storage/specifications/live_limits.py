@@ -66,10 +66,7 @@ def chosen_periods(store: Store, t_ns: int, wanted: str | None = None) -> list[P
 def unit_limits(
     specifications: Iterable[Specification], product: str | None, signals: Sequence[str]
 ) -> UnitLimits | None:
-    """Limits on a unit; None where the specifications in force have none for its product.
-
-    Limits for every product apply to each unit, limits without a signal to `signals`, its angular rates.
-    """
+    """Limits on a unit, those without a signal on all its `signals`; None where none is for its product."""
     labels: list[str] = []
     live: dict[Limit, None] = {}
     after: list[str] = []

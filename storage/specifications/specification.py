@@ -78,10 +78,7 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 class Specification(NamedTuple):
-    """A revision of a specification; the revisions of one name follow each other.
-
-    Without an end it is valid until the next revision begins. `limits` are in the file's order.
-    """
+    """A revision, valid until its end or the next revision begins; `limits` are in the file's order."""
 
     name: str
     revision: str

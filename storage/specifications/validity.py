@@ -33,20 +33,12 @@ class Period(NamedTuple):
 
 
 class Edition(NamedTuple):
-    """A period as it was known for a time by the recorder's clock: later documents may end it, or withdraw it.
-
-    `revisions` of its name were known then.
-    """
+    """A period and the number of revisions as known for a time, until documents ended or withdrew it."""
 
     period: Period
     revisions: int
     known_from_ns: int
     known_until_ns: int
-
-
-@lru_cache(maxsize=1000)
-def _parsed(name: str, revision: str, content: str) -> Specification:
-    return parse_specification(content, f"{name}-{revision}.toml")._replace(name=name, revision=revision)
 
 
 def in_force(links: Iterable[Link]) -> list[Specification]:
@@ -63,10 +55,7 @@ def stored_specifications(store: Store) -> list[Specification]:
 
 
 def specification_named(store: Store, label: str) -> tuple[Period, str]:
-    """A specification of a store by ``NAME-REVISION``, withdrawn or not, or by its name the last revision; its TOML.
-
-    Raises a NotFound if there is none.
-    """
+    """Period and TOML of a ``NAME-REVISION``, withdrawn or not, or of the last revision of a name; else NotFound."""
     links = read_chain(store).links
     contents = {link.label: link.document for link in links if link.document.content}
     periods = ordered_periods(in_force(links))
@@ -103,10 +92,7 @@ def editions_of(links: Sequence[Link]) -> list[Edition]:
 
 
 def periods_of(specifications: Sequence[Specification]) -> list[Period]:
-    """When each of them is valid, by name and begin.
-
-    Raises a BadInput if two revisions of one name are valid at one time, or two names limit the same at one time.
-    """
+    """When each is valid, by name and begin; BadInput if revisions overlap, or two names limit the same at one time."""
     for each, after in pairwise(sorted(specifications, key=_place)):
         if each.name == after.name:
             _check_after(each, after)
@@ -141,8 +127,10 @@ def format_moment(t_ns: int | None) -> str | None:
     return moment.strftime("%Y-%m-%d") if t_ns % (86_400 * 10**9) == 0 else moment.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
+@lru_cache(maxsize=1000)
 def _specification(document: SpecificationEntered) -> Specification:
-    return _parsed(document.name, document.revision, document.content)
+    name, revision = document.name, document.revision
+    return parse_specification(document.content, f"{name}-{revision}.toml")._replace(name=name, revision=revision)
 
 
 def _apply(link: Link, found: dict[str, SpecificationEntered]) -> None:

@@ -40,10 +40,7 @@ class NotKept(Exception):
 
 
 class Layer(Protocol):
-    """Further tables of a higher package; an entry point in the group `gyrofleet.catalog`.
-
-    Its tables are computed when a statement first names one of them.
-    """
+    """Tables of a higher package (entry points `gyrofleet.catalog`), computed when a statement first names one."""
 
     tables: tuple[str, ...]  # names of its tables and views for users
     folder: str  # folder in the store in which it keeps what it has computed
@@ -198,13 +195,13 @@ class Catalog(Closing):
             raise
         self._fill(sql)
 
-    def user_reader(self, sql: str, parameters: object = None, rows: int = 16_384) -> pa.RecordBatchReader:
+    def user_reader(self, sql: str, parameters: object = None) -> pa.RecordBatchReader:
         """Result of a user's statement, which may read the store's views and no files."""
         self.prepare(sql)
         try:
             cursor = self._connection.cursor()
             cursor.execute("begin transaction read only")
-            return cursor.sql(sql, params=parameters).to_arrow_reader(rows)
+            return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
         except duckdb.Error as error:
             raise _failed(error) from error
 

@@ -69,21 +69,14 @@ def _exactly(file: IO[bytes], length: int) -> bytes:
     return content
 
 
-class _Timer:
-    """Kills this process after some computing time, by a signal, since DuckDB ignores interrupts within functions."""
+def _run_for(left_s: float) -> None:
+    """Let a signal kill this process after some computing time: DuckDB ignores interrupts within functions."""
+    signal.setitimer(signal.ITIMER_REAL, max(left_s, 1e-3))
 
-    def __init__(self, time_s: float) -> None:
-        self._time_s = time_s
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
-    def begin(self) -> None:
-        signal.setitimer(signal.ITIMER_REAL, self._time_s)
-
-    def pause(self) -> float:
-        return signal.setitimer(signal.ITIMER_REAL, 0.0)[0]
-
-    def resume(self, left_s: float) -> None:
-        signal.setitimer(signal.ITIMER_REAL, max(left_s, 1e-3))
+def _pause() -> float:
+    """Stop the time; returns how much is left."""
+    return signal.setitimer(signal.ITIMER_REAL, 0.0)[0]
 
 
 def main() -> None:
@@ -130,17 +123,14 @@ def _serve(
         write_frame(answers, FrameKind.FAILED, _encode(error))
         return
     write_frame(answers, FrameKind.READY, json.dumps({"landlock": is_enforced}).encode())
-    timer = _Timer(setup["time_s"])
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     while True:
         request = waiting.get()
         try:
-            _answer(catalog, request, answers, timer, setup["memory_bytes"])
-        except GyrofleetError as error:
-            timer.pause()
+            _answer(catalog, request, answers, setup)
+        except (GyrofleetError, MemoryError) as error:
+            _pause()
             write_frame(answers, FrameKind.FAILED, _encode(error))
-        except MemoryError:
-            timer.pause()
-            write_frame(answers, FrameKind.FAILED, json.dumps({"kinds": ["MemoryError"], "message": ""}).encode())
 
 
 def _catalog(setup: dict[str, Any]) -> "Catalog":
@@ -157,39 +147,39 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     )  # fmt: skip
 
 
-def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], timer: _Timer, memory_bytes: int) -> None:
+def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], setup: dict[str, Any]) -> None:
     from storage.sql.catalog import NotKept
 
     _limit_memory(None)
-    timer.begin()
+    _run_for(setup["time_s"])
     try:
         catalog.prepare(request["statement"])
     except NotKept:
-        timer.pause()
+        _pause()
         write_frame(answers, FrameKind.NOT_KEPT)
         return
-    timer.begin()  # opening tables for the first time does not count
-    _limit_memory(memory_bytes)
+    _run_for(setup["time_s"])  # opening tables for the first time does not count
+    _limit_memory(setup["memory_bytes"])
     reader = catalog.user_reader(request["statement"], request["parameters"])
-    left_s = timer.pause()
-    write_frame(answers, FrameKind.ROWS, _stream(reader.schema, None))
-    timer.resume(left_s)
+    left_s = _pause()
+    write_frame(answers, FrameKind.ROWS, _stream(reader.schema))
+    _run_for(left_s)
     for batch in catalog.guarded(reader):
         content = _stream(reader.schema, batch)
-        left_s = timer.pause()
+        left_s = _pause()
         write_frame(answers, FrameKind.ROWS, content)
-        timer.resume(left_s)
-    timer.pause()
+        _run_for(left_s)
+    _pause()
     _limit_memory(None)
     write_frame(answers, FrameKind.DONE)
 
 
-def _stream(schema: "pa.Schema", batch: "pa.RecordBatch | None") -> memoryview:
+def _stream(schema: "pa.Schema", *batches: "pa.RecordBatch") -> memoryview:
     import pyarrow as pa
 
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, schema) as writer:
-        if batch is not None:
+        for batch in batches:
             writer.write_batch(batch)
     return memoryview(sink.getvalue())
 

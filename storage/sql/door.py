@@ -73,10 +73,7 @@ class SqlDoor(Closing):
         self._process: _Process | None = None
 
     def ask(self, statement: str, parameters: object = None) -> Result:
-        """Run one statement; `parameters` fill its ``$name`` or ``?``.
-
-        Raises a QueryError if it would do more than read, fails, or exceeds its limits.
-        """
+        """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()
             process.send(FrameKind.REQUEST, pickle.dumps({"statement": statement, "parameters": parameters}))
@@ -149,10 +146,7 @@ class SqlDoor(Closing):
         return process
 
     def _compute(self, statement: str, *, scratch: bool) -> None:
-        """Compute the layers that a statement needs in this process, which can keep them.
-
-        In a scratch folder if the store cannot keep them, or now keeps results of another process.
-        """
+        """Compute the layers a statement needs, in a scratch folder if the store cannot keep them or has others."""
         from storage.sql.catalog import Catalog, layers
 
         if scratch and self._scratch is None:

@@ -27,17 +27,17 @@ _NETWORK = 0b11  # bind and connect TCP
 _SCOPES_SINCE = 6
 _SCOPES = 0b11  # abstract UNIX sockets and signals of others
 
+_libc = ctypes.CDLL(None, use_errno=True)
+_libc.syscall.restype = ctypes.c_long
+
 
 def landlock_version() -> int:
     """Version of Landlock in this kernel; 0 without it."""
-    return max(int(_libc().syscall(_CREATE_RULESET, None, 0, _VERSION_FLAG)), 0)
+    return max(int(_libc.syscall(_CREATE_RULESET, None, 0, _VERSION_FLAG)), 0)
 
 
 def allow_reading_only(paths: Iterable[Path]) -> bool:
-    """Restrict this thread, and those it starts, to reading existing `paths`; files already open stay open.
-
-    Returns False if the kernel has no Landlock; nothing is restricted then.
-    """
+    """Restrict this thread, and those it starts, to reading `paths` and what is open; False without Landlock."""
     version = landlock_version()
     if version == 0:
         return False
@@ -46,12 +46,12 @@ def allow_reading_only(paths: Iterable[Path]) -> bool:
     scopes = _SCOPES if version >= _SCOPES_SINCE else 0
     attributes = struct.pack("QQQ", handled, network, scopes)
     # older kernels accept a longer structure whose unknown fields are 0
-    ruleset = _checked(_libc().syscall(_CREATE_RULESET, ctypes.c_char_p(attributes), len(attributes), 0))
+    ruleset = _checked(_libc.syscall(_CREATE_RULESET, ctypes.c_char_p(attributes), len(attributes), 0))
     try:
         for path in paths:
             _allow(ruleset, path)
-        _checked(_libc().prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0))
-        _checked(_libc().syscall(_RESTRICT_SELF, ruleset, 0))
+        _checked(_libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0))
+        _checked(_libc.syscall(_RESTRICT_SELF, ruleset, 0))
     finally:
         os.close(ruleset)
     return True
@@ -65,15 +65,9 @@ def _allow(ruleset: int, path: Path) -> None:
     try:
         rights = _READ_FILE | _READ_FOLDER if path.is_dir() else _READ_FILE
         rule = struct.pack("=Qi", rights, opened)
-        _checked(_libc().syscall(_ADD_RULE, ruleset, _PATH_BENEATH, ctypes.c_char_p(rule), 0))
+        _checked(_libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, ctypes.c_char_p(rule), 0))
     finally:
         os.close(opened)
-
-
-def _libc() -> ctypes.CDLL:
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.syscall.restype = ctypes.c_long
-    return libc
 
 
 def _checked(result: int) -> int:

@@ -28,9 +28,7 @@ class Answer:
         """As a Polars frame."""
         import polars as pl
 
-        frame = pl.from_arrow(self._table)
-        assert isinstance(frame, pl.DataFrame)
-        return frame
+        return pl.DataFrame(self._table)
 
     def rows(self) -> list[dict[str, object]]:
         """As a list of dictionaries."""
@@ -51,10 +49,7 @@ class OpenedStore(Closing):
         self.door = SqlDoor(Store.open(Path(folder)), limits)
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
-        """Run one reading statement; `parameters` fill its ``$name`` or ``?``.
-
-        Raises a QueryError if it would do more than read the store, fails, or exceeds the limits.
-        """
+        """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
         return Answer(self.door.ask(statement, parameters).read_all())
 
     def close(self) -> None:

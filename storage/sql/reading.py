@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -86,23 +86,16 @@ def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]
             )  # fmt: skip
 
 
-class _Stretch(NamedTuple):
-    seq_first: int
-    seq_next: int
-    folder: Path
-
-
 def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.RecordBatch]:
     """Numbers, times and data of a channel in the order of its numbers."""
-    rows = catalog.rows(
+    sql = (
         "select seq_first, seq_next, filename from internal.lake_channel_parts "
-        "where channel = $channel order by seq_first",
-        {"channel": channel},
+        "where channel = $channel order by seq_first"
     )
-    stretches = [_Stretch(first, after, Path(path).parent) for first, after, path in rows]
-    if all(before.seq_next <= after.seq_first for before, after in itertools.pairwise(stretches)):
-        for stretch in stretches:
-            yield from _part_rows(stretch.folder / SAMPLES_FILE, channel, column)
+    stretches = catalog.rows(sql, {"channel": channel})
+    if all(seq_next <= after for (_, seq_next, _), (after, _, _) in itertools.pairwise(stretches)):
+        for _, _, path in stretches:
+            yield from _part_rows(Path(path).with_name(SAMPLES_FILE), channel, column)
         return
     # a segment that was recovered later has numbers between those of another part
     sql = (

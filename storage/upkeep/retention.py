@@ -1,7 +1,4 @@
-"""Retention: raw rows of the oldest parts are dropped by age or size; what was derived from them stays.
-
-A document of it is in the log before a file is removed, so that the lake stays a function of the log.
-"""
+"""Retention: raw rows of the oldest parts are dropped, after a document in the log; what was derived stays."""
 
 import time
 from datetime import UTC, datetime

@@ -5,6 +5,7 @@ to when a person has confirmed leaps.
 """
 
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -36,12 +37,10 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 def check_clock(store: Store, manifest: Manifest, now_ns: int) -> None:
-    """Check the clock, and keep its reading; RetentionPaused if it is implausible.
-
-    It is if it leapt against the machine's clock, went back, or advanced by more than 30 days without any recording or
-    check.
-    """
-    last = _read(store)
+    """Keep a reading of the clock; RetentionPaused if it leapt, went back, or 30 days passed without any record."""
+    last = None
+    with suppress(OSError, msgspec.MsgspecError):
+        last = msgspec.json.decode((store.folder / _NAME).read_bytes(), type=Seen)
     reason = _doubt(manifest, last, now_ns)
     if reason is not None:
         raise RetentionPaused(f"{store.folder}: {reason}; {_REMEDY}")
@@ -94,13 +93,6 @@ def _boot() -> str:
         return _BOOT.read_text().strip()
     except OSError:
         return ""  # then only arrivals are compared
-
-
-def _read(store: Store) -> Seen | None:
-    try:
-        return msgspec.json.decode((store.folder / _NAME).read_bytes(), type=Seen)
-    except (OSError, msgspec.MsgspecError):
-        return None
 
 
 def _write(store: Store, seen: Seen) -> None:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from storage.lake.compaction import FAN_IN, compact
 from storage.lake.lake import Lake
@@ -14,23 +13,14 @@ from stream.errors import GyrofleetError, StoreError
 _RETRY_S = 60.0
 _RETENTION_EVERY_S = 60.0
 
-
 Report = Callable[..., None]  # gets an event in one word, a sentence, and numbers by name
-
-
-@dataclass
-class LakeCounts:
-    """Totals since the start."""
-
-    segments: int = 0
-    compacted: int = 0
 
 
 class LakeService:
     """Maintains a lake round by round; the caller holds `builder_lock`.
 
     A failure is reported once and retried after a minute; it delays nothing else. `grace_s` is how long replaced files
-    stay for their readers.
+    stay for their readers. `segments` were brought to the lake, and `compacted` parts merged, since the start.
     """
 
     def __init__(self, store: Store, *, report: Report, rule: Rule | None = None, grace_s: float = 3600.0) -> None:
@@ -40,7 +30,7 @@ class LakeService:
         self._retained_at = float("-inf")
         self._failed: dict[str, float] = {}
         self._reported: set[str] = set()
-        self.counts = LakeCounts()
+        self.segments = self.compacted = 0
 
     def round(self, stopped: Stop) -> list[str]:
         """Do everything that is due, until `stopped`; returns the failures."""
@@ -62,7 +52,7 @@ class LakeService:
         untouched = (segment for segment in waiting if stopped.asked_at is None)
         for number, segment in enumerate(lake.bring(untouched, failed), start=1):
             self._failed.pop(segment, None)
-            self.counts.segments += 1
+            self.segments += 1
             left = len(waiting) - number - len(failed)
             more = f", {left} more to come" if left else ""
             self._report("segment", f"segment {segment} is in the lake{more}", segment=segment, left=left)
@@ -75,7 +65,7 @@ class LakeService:
     def _compact(self, stopped: Stop, _problems: list[str]) -> None:
         lake = self._opened()
         for done in compact(lake):
-            self.counts.compacted += done.parts
+            self.compacted += done.parts
             self._report("compacted", f"{done.parts} parts are one now: {done.name}", part=done.name, parts=done.parts)
             if stopped.asked_at is not None:
                 return

@@ -114,7 +114,11 @@ class Outbox:
             return
         next_seq = base + position.next_seq
         if not base <= next_seq <= stream.sent_to:
-            self._ignore(stream, store, next_seq)
+            self.ignored += 1
+            self.warning = (
+                f"an answer is ignored, {self.ignored} so far: it names number {next_seq} of {stream.id.key}, of which "
+                f"{stream.sent_to} were sent; another program answers on this bus as store {store[:40]}"
+            )
         elif position.rewind:
             self._rewind(stream, next_seq, now)
         else:
@@ -127,14 +131,6 @@ class Outbox:
         return (
             f"; a recorder of another store ({self.other_store[:40]}) requests them, but they go to the store "
             f"{self.store}: send to one store until the run has ended"
-        )
-
-    def _ignore(self, stream: OutgoingStream, store: str, next_seq: int) -> None:
-        """Warn of an answer about numbers that were never sent."""
-        self.ignored += 1
-        self.warning = (
-            f"an answer is ignored, {self.ignored} so far: it names number {next_seq} of {stream.id.key}, of which "
-            f"{stream.sent_to} were sent; another program answers on this bus as store {store[:40]}"
         )
 
     def update_pause(self, reason: str, now: float) -> None:

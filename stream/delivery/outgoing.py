@@ -103,10 +103,7 @@ class OutgoingStream:
         return self.sent > 0 and not self.pumping and now - self.quiet_since > self.patience_s
 
     def poll(self, now: float, longest_s: float) -> list[HeldMessage]:
-        """The first and the last message that were sent and not acknowledged, to be sent again.
-
-        The recorder may lack the first; the last makes it ask for whatever else it lacks.
-        """
+        """The first message sent, which the recorder may lack, and the last, which makes it ask for the rest."""
         self.quiet_since = now
         self.patience_s = min(2 * self.patience_s, longest_s)
         return [self.held[i] for i in sorted({0, self.sent - 1})]

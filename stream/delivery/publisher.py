@@ -8,7 +8,6 @@ acknowledges that it is on disk. At least once on the wire, exactly once in the 
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Protocol, Self
 from uuid import uuid4
 
@@ -88,11 +87,6 @@ class DurablePublisher:
         return self._out.resent
 
     @property
-    def ignored(self) -> int:
-        """Answers about numbers that were never sent."""
-        return self._out.ignored
-
-    @property
     def warning(self) -> str | None:
         """Current warning, for people; None if there is none."""
         return (self._spool.failure if self._spool is not None else None) or self._out.warning
@@ -105,8 +99,7 @@ class DurablePublisher:
         """
         stream = self._by_key.get(key)
         if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
-            _check_key(key)
-            stream = self._stream(StreamId(key, batch.epoch.hex))
+            stream = self._stream(key, batch.epoch.hex)
             stream.epoch = batch.epoch
             self._by_key[key] = stream
         seq = batch.seq
@@ -117,17 +110,13 @@ class DurablePublisher:
             self._bus.publish(key, stream.on_wire(payload))
 
     def send_event(self, key: str, document: AnyDocument) -> None:
-        """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`.
-
-        It also raises a WireError if the document makes no sense, or a number in it is beyond its bounds.
-        """
+        """Number and send a document, waiting and raising like `send_batch`; WireError if it makes no sense."""
         try:
             decode_received(encode_event(document, self._epoch, 0))
         except (WireError, OverflowError) as error:
             reason = str(error).removeprefix("not a run document: ")
             raise WireError(f"run {document.run[:80]}: {type(document).__name__} cannot be sent: {reason}") from error
-        _check_key(key)
-        stream = self._stream(StreamId(key, self._epoch))
+        stream = self._stream(key, self._epoch)
         with self._numbering:  # a number is sent before the next is assigned
             seq = self._event_seq.get(key, 0)
             payload = encode_event(document, self._epoch, seq)
@@ -137,10 +126,7 @@ class DurablePublisher:
                 self._bus.publish(key, stream.on_wire(payload))
 
     def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
-        """Wait until everything is acknowledged, or until `given_up`, which is polled, returns True.
-
-        Raises a DeliveryError if nothing is acknowledged for `timeout_s`; the message says what is outstanding.
-        """
+        """Wait until all is acknowledged, or `given_up()`; DeliveryError if nothing is acknowledged for `timeout_s`."""
         began = time.monotonic()
         while not given_up():
             with self._state:
@@ -156,10 +142,7 @@ class DurablePublisher:
             self._state.notify_all()
 
     def close(self) -> None:
-        """Stop sending, without waiting.
-
-        Raises a DeliveryError if messages are outstanding and no error has reported it before; `drain` waits for them.
-        """
+        """Stop at once; DeliveryError if messages are outstanding and no error has said so. `drain` waits for them."""
         self._stop()
         if (self._out.bytes or self._is_spooled()) and not self._is_reported:
             self._is_reported = True
@@ -173,9 +156,7 @@ class DurablePublisher:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None and not self._is_reported:
                 self.drain()
@@ -188,12 +169,13 @@ class DurablePublisher:
             self._state.notify_all()
         self._pump.join()
 
-    def _stream(self, stream_id: StreamId) -> OutgoingStream:
-        stream = self._out.streams.get(stream_id)
-        if stream is None:
-            with self._lock:
-                stream = self._out.stream(stream_id)
-        return stream
+    def _stream(self, key: str, epoch: str) -> OutgoingStream:
+        if len(key) > MAX_KEY_CHARS:
+            raise WireError(
+                f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
+            )
+        with self._lock:
+            return self._out.stream(StreamId(key, epoch))
 
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
@@ -319,10 +301,3 @@ class DurablePublisher:
                 stream.pumping = True
             self._state.notify_all()
         return now_due
-
-
-def _check_key(key: str) -> None:
-    if len(key) > MAX_KEY_CHARS:
-        raise WireError(
-            f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
-        )

@@ -10,34 +10,30 @@ import os
 import threading
 import time
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
 
 from stream.atomic_file import sync_folder
 from stream.closing import Closing
-from stream.delivery.spool_frames import FIRST_STREAM, SpoolFrame, encode_frame, parse_frames
-from stream.delivery.spool_streams import SUFFIX, SpoolError, SpoolFile, StreamState, StreamTable, held_messages, scan
+from stream.delivery.spool_frames import FIRST_STREAM, encode_frame
+from stream.delivery.spool_streams import (
+    SUFFIX,
+    SpooledMessage,
+    SpoolError,
+    SpoolFile,
+    SpoolFull,
+    StreamState,
+    StreamTable,
+    held_messages,
+    scan,
+)
 from stream.wire.acknowledgement import StreamId
 
 __all__ = ["Spool", "SpoolError", "SpoolFull", "SpooledMessage", "held_messages"]
 
 _LOCK = "lock"
-_FRAME_BYTES = (64 << 10, 4 << 20)  # more than asked for is read, to have the last frame whole
 _RETRY_S = 1.0
 _LEAST_FILES = 4
-
-
-class SpoolFull(SpoolError):
-    """A spool that has reached its size."""
-
-
-class SpooledMessage(NamedTuple):
-    """A message read back."""
-
-    stream: StreamId
-    seq: int
-    next_seq: int
-    payload: bytes
 
 
 class Spool(Closing):
@@ -65,7 +61,6 @@ class Spool(Closing):
     ) -> None:
         self.folder = folder
         self.damages: list[str] = []
-        self.torn_bytes = 0
         self.failure: str | None = None
         self.waiting = 0
         self._max_bytes = max_bytes
@@ -82,18 +77,20 @@ class Spool(Closing):
         self._stopped = threading.Event()
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._lock_file = (folder / _LOCK).open("a")
-            try:
-                self._hold_lock()
+            with ExitStack() as stack:
+                self._lock_file = stack.enter_context((folder / _LOCK).open("a"))
+                fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 found = scan(folder)
-                self._table, self.damages, self.torn_bytes = found.table, found.damages, found.torn_bytes
+                self._table, self.damages = found.table, found.damages
                 self._files = deque(found.files)
                 self._bytes = sum(file.size for file in self._files)
                 self.waiting = sum(file.unread for file in self._files)
                 self._begin_file()
-            except BaseException:
-                self._lock_file.close()
-                raise
+                stack.pop_all()  # it is closed with the spool
+        except BlockingIOError:
+            raise SpoolError(
+                f"another process sends from the spool {self.folder}; wait until it has ended, or stop it"
+            ) from None
         except OSError as error:
             raise SpoolError(
                 f"the spool {folder} cannot be opened: {error}; its messages are kept; correct this and start again"
@@ -153,7 +150,10 @@ class Spool(Closing):
                 file.unread += 1
                 self.waiting += 1
             if file.size >= self._file_bytes:
-                self._rotate()
+                try:
+                    self._begin_file()
+                except OSError as error:
+                    self._failed(error)  # what was appended is kept; the next append tries again
 
     def acknowledge(self, store: str, stream: StreamId, next_seq: int) -> None:
         """Record that a recorder has the messages before `next_seq` on disk."""
@@ -182,7 +182,7 @@ class Spool(Closing):
             while size < most_bytes and self.waiting:
                 file = next(each for each in self._files if each.unread)
                 try:
-                    frames = self._read_frames(file, most_bytes - size)
+                    frames = file.read(most_bytes - size)
                 except OSError as error:
                     raise SpoolError(
                         f"the spool file {file.path} cannot be read: {error}; repair the disk and start again"
@@ -192,7 +192,9 @@ class Spool(Closing):
                 if is_read and file.unread > len(messages):
                     missing = file.unread - len(messages)
                     self.damages.append(f"{file.path}: {missing} messages cannot be read any more")
-                self._count_read(file, file.unread if is_read else len(messages))
+                counted = file.unread if is_read else len(messages)
+                file.unread -= counted
+                self.waiting -= counted
                 for frame in messages:
                     state = self._table.by_number.get(frame.number)
                     if state is not None and frame.next_seq > state.acknowledged:
@@ -216,14 +218,6 @@ class Spool(Closing):
             self._unsynced, self._out = [], -1
             self._lock_file.close()
 
-    def _hold_lock(self) -> None:
-        try:
-            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise SpoolError(
-                f"another process sends from the spool {self.folder}; wait until it has ended, or stop it"
-            ) from None
-
     def _begin_file(self) -> None:
         number = 1 + max((int(file.path.stem) for file in self._files), default=0)
         path = self.folder / f"{number:08d}{SUFFIX}"
@@ -240,12 +234,6 @@ class Spool(Closing):
         self._out = descriptor
         self._files.append(SpoolFile(path, size=len(head)))
         self._bytes += len(head)
-
-    def _rotate(self) -> None:
-        try:
-            self._begin_file()
-        except OSError as error:
-            self._failed(error)  # what was appended is kept; the next append tries again
 
     def _write(self, frame: bytes) -> None:
         """Write a frame whole, or leave the file as it was."""
@@ -278,22 +266,6 @@ class Spool(Closing):
                 f"the spool {self.folder} is full: {self._bytes / 1e6:.0f} MB wait for a recorder; start "
                 f"`gyrofleet record` again, or let the spool be larger"
             )
-
-    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[SpoolFrame]:
-        left = file.size - file.read_to
-        for length in (*(min(left, most_bytes + each) for each in _FRAME_BYTES), left):
-            with file.path.open("rb") as opened:
-                opened.seek(file.read_to)
-                data = opened.read(length)
-            parsed = parse_frames(data, is_end=length == left, most_bytes=most_bytes)
-            if parsed.frames or length == left:
-                break
-        file.read_to += parsed.used
-        return parsed.frames
-
-    def _count_read(self, file: SpoolFile, messages: int) -> None:
-        file.unread -= messages
-        self.waiting -= messages
 
     def _sync_loop(self) -> None:
         while not self._stopped.wait(self._sync_interval_s):
@@ -328,7 +300,7 @@ class Spool(Closing):
             if any(n not in known or known[n].acknowledged < last for n, last in file.last.items()):
                 return
             file.path.unlink(missing_ok=True)
-            self._count_read(file, file.unread)
+            self.waiting -= file.unread
             self._bytes -= file.size
             self._files.popleft()
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -11,6 +12,7 @@ from stream.errors import DeliveryError
 from stream.wire.acknowledgement import StreamId
 
 SUFFIX = ".spool"
+_FRAME_BYTES = (64 << 10, 4 << 20)  # more than asked for is read, to have the last frame whole
 
 
 @dataclass
@@ -96,11 +98,6 @@ class StreamTable:
                 state.lost.append((state.appended, frame.seq))
             state.appended = max(state.appended, frame.next_seq)
 
-    def drop_acknowledged_losses(self) -> None:
-        """After all frames, remove spans from `lost` that a recorder has."""
-        for state in self.streams.values():
-            state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
-
     def _put(self, state: StreamState) -> None:
         self.streams[state.id] = self.by_number[state.number] = state
 
@@ -120,6 +117,19 @@ class SpoolError(DeliveryError):
     """A spool that cannot be opened, written or read at the moment."""
 
 
+class SpoolFull(SpoolError):
+    """A spool that has reached its size."""
+
+
+class SpooledMessage(NamedTuple):
+    """A message read back."""
+
+    stream: StreamId
+    seq: int
+    next_seq: int
+    payload: bytes
+
+
 @dataclass
 class SpoolFile:
     """A file of a spool: `unread` messages after `read_to`, and the next number of each stream in it."""
@@ -130,15 +140,27 @@ class SpoolFile:
     unread: int = 0
     last: dict[int, int] = field(default_factory=dict)
 
+    def read(self, most_bytes: int) -> list[SpoolFrame]:
+        """The next frames, about so many bytes, at least one if there is any."""
+        left = self.size - self.read_to
+        for length in (*(min(left, most_bytes + each) for each in _FRAME_BYTES), left):
+            with self.path.open("rb") as opened:
+                opened.seek(self.read_to)
+                data = opened.read(length)
+            parsed = parse_frames(data, is_end=length == left, most_bytes=most_bytes)
+            if parsed.frames or length == left:
+                break
+        self.read_to += parsed.used
+        return parsed.frames
+
 
 @dataclass
 class Scanned:
-    """All files of a spool in order, the state of its streams, its damages, and bytes of torn ends."""
+    """All files of a spool in order, the state of its streams, and its damages."""
 
     table: StreamTable = field(default_factory=StreamTable)
     files: list[SpoolFile] = field(default_factory=list)
     damages: list[str] = field(default_factory=list)
-    torn_bytes: int = 0
 
 
 def scan(folder: Path) -> Scanned:
@@ -149,27 +171,24 @@ def scan(folder: Path) -> Scanned:
         file = SpoolFile(path, len(data))
         parsed = parse_frames(data, is_end=True)
         found.damages += [f"{path}: bytes {first} to {after} are damaged" for first, after in parsed.damaged]
-        found.torn_bytes += parsed.torn
         for frame in parsed.frames:
             found.table.apply(frame)
             if frame.number >= FIRST_STREAM:
                 file.unread += 1
                 file.last[frame.number] = max(frame.next_seq, file.last.get(frame.number, 0))
         found.files.append(file)
-    found.table.drop_acknowledged_losses()
     nameless = sum(number not in found.table.by_number for file in found.files for number in file.last)
     if nameless:
         found.damages.append(f"{folder}: the names of {nameless} streams are lost, their messages are kept")
     for state in found.table.streams.values():
+        # what a recorder has is not lost
+        state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
         found.damages += [f"{state.id.key}: numbers {first} to {after - 1} are lost" for first, after in state.lost]
     return found
 
 
 def held_messages(folder: Path) -> int:
-    """Number of messages in a spool's folder that no recorder has, as far as its source knows; it may be in use.
-
-    Raises a SpoolError if it cannot be read.
-    """
+    """Messages in a spool that no recorder has as far as known; SpoolError if it cannot be read. It may be in use."""
     try:
         found = scan(folder)
         known = found.table.by_number

@@ -41,10 +41,7 @@ class EstimatorState(NamedTuple):
 
 
 class SignalInput:
-    """The one signal that is taken in, and the grid that its samples lie on (`tracker`).
-
-    `unit_of_measure` is that of the results, deg/h for angular rates; empty before the first batch.
-    """
+    """The signal taken in and the grid of its samples; `unit_of_measure` of the results, deg/h for angular rates."""
 
     def __init__(self) -> None:
         self.tracker = GridTracker()
@@ -143,11 +140,7 @@ class Estimator(SignalInput, ABC, Generic[Result]):
         """Append the state of the part that follows."""
 
     def update(self, batch: SampleBatch) -> None:
-        """Take in the next batch of the signal.
-
-        Raises an EstimatorError if the batch is of another signal, unit of measure or sample interval than those before
-        it.
-        """
+        """Take in the next batch; EstimatorError if it is of another signal, unit of measure or sample interval."""
         if (batch.unit, batch.signal, batch.unit_of_measure) != self._signal:
             self._begin(batch, self.names["en"])
         values = batch.values
@@ -177,10 +170,7 @@ class Estimator(SignalInput, ABC, Generic[Result]):
         return EstimatorState(self._signal, self.tracker.export_state(), self._reference, arrays)
 
     def import_state(self, state: EstimatorState) -> None:
-        """Take over the state of another instance with the same arguments.
-
-        Raises an EstimatorError if the arrays have other shapes or types than this estimator's.
-        """
+        """Take over a state; EstimatorError if its arrays have other shapes or types than this estimator's."""
         room = self._room_for(state.arrays)
         mine, theirs = (", ".join(f"{each.dtype} {each.shape}" for each in arrays) for arrays in (room, state.arrays))
         if mine != theirs:
@@ -221,11 +211,7 @@ class Estimator(SignalInput, ABC, Generic[Result]):
         return later
 
     def merge(self, later: Self) -> None:
-        """Become the estimator of both parts; `later` begins where this one ends, and is not changed.
-
-        Raises an EstimatorError if `later` is of another kind, signal or setting, or is no `continuation` of this one
-        as it is now.
-        """
+        """Become the estimator of both parts; EstimatorError if `later` is no `continuation` of this one as it is."""
         if type(later) is not type(self) or later.arguments != self.arguments:
             raise EstimatorError(
                 f"the {self.names['en']} {dict(self.arguments)} cannot be merged with the {later.names['en']} "

@@ -1,7 +1,4 @@
-"""Bias stability: the standard deviation of averaged output (GJB 2426A-2004 5.12.2, JJF 2014-2022 7.2.14).
-
-Not bias instability, which is the floor of the Allan deviation (IEEE 952).
-"""
+"""Bias stability, not instability: the deviation of averaged output (GJB 2426A-2004 5.12.2, JJF 2014-2022 7.2.14)."""
 
 import math
 from typing import Self
@@ -13,22 +10,7 @@ from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points
 from stream.estimators.confidence import deviation_bounds
-from stream.estimators.kernels.averages_kernel import (
-    AVERAGES,
-    BLOCK,
-    COVARIANCE,
-    EARLY_SQUARES,
-    LATE_SQUARES,
-    SQUARES,
-    AveragesState,
-    average_grid,
-    average_times,
-    begin_at,
-    empty_averages,
-    first_slot_of,
-    merge_averages,
-    take_samples,
-)
+from stream.estimators.kernels import averages_kernel as kernel
 from stream.events import EstimatePoint
 
 _MOST_SECONDS = 1e9
@@ -94,7 +76,7 @@ class BiasStability(PointEstimator):
             english, chinese = f"{english}, last {window_s:g} s", f"{chinese},最近 {window_s:g} s"
         self.names = {"en": f"Bias stability ({english})", "zh": f"零偏稳定性({chinese})"}
         self._average_ns = round(average_s * 1e9)
-        self._state: AveragesState = empty_averages(averages)
+        self._state: kernel.AveragesState = kernel.empty_averages(averages)
 
     @property
     def arguments(self) -> dict[str, int | float]:
@@ -110,17 +92,17 @@ class BiasStability(PointEstimator):
     def _take_run(self, first_slot: int, values: FloatArray) -> None:
         self._set_reference(values)
         if self._average_ns == 0:
-            take_samples(*self._state, self._reference, first_slot, values)
+            kernel.take_samples(*self._state, self._reference, first_slot, values)
         elif self._average_ns >= self.tracker.dt_ns:
             dt_ns = self.tracker.dt_ns
-            average_grid(*self._state, self._reference, self._average_ns, LEAST_SHARE, dt_ns, first_slot, values)
+            kernel.average_grid(*self._state, self._reference, self._average_ns, LEAST_SHARE, dt_ns, first_slot, values)
 
     def _take_timed(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         tracker = self.tracker
         times_ns, values = writable(batch.time_array), batch.own_values
         for _, start, stop in pieces:
             self._set_reference(values[start:stop])
-            average_times(
+            kernel.average_times(
                 *self._state, self._reference, self._average_ns, LEAST_SHARE, tracker.dt_ns, tracker.first_ns,
                 times_ns[start:stop], values[start:stop],
             )  # fmt: skip
@@ -130,25 +112,25 @@ class BiasStability(PointEstimator):
             self._reference = first_finite(values)
 
     def _continue_from(self, earlier: Self) -> None:
-        tracker, block = self.tracker, int(earlier._state.places[BLOCK])
+        tracker, block = self.tracker, int(earlier._state.places[kernel.BLOCK])
         if self._average_ns == 0:
             is_within = False
         elif tracker.irregular or tracker.dt_ns == 0:
             is_within = True
         else:
-            is_within = tracker.next_slot != first_slot_of(block, self._average_ns, tracker.dt_ns)
-        begin_at(self._state.places, block, is_within=is_within)
+            is_within = tracker.next_slot != kernel.first_slot_of(block, self._average_ns, tracker.dt_ns)
+        kernel.begin_at(self._state.places, block, is_within=is_within)
 
     def _append(self, later: Self) -> None:
-        block, dt_ns = int(self._state.places[BLOCK]), later.tracker.dt_ns
+        block, dt_ns = int(self._state.places[kernel.BLOCK]), later.tracker.dt_ns
         if self._average_ns == 0:
             expected = 1.0
         elif later.tracker.irregular or dt_ns == 0:
             expected = self._average_ns / max(dt_ns, 1)
         else:
-            first, end = (first_slot_of(each, self._average_ns, dt_ns) for each in (block, block + 1))
+            first, end = (kernel.first_slot_of(each, self._average_ns, dt_ns) for each in (block, block + 1))
             expected = float(end - first)
-        merge_averages(*self._state, *later._state, expected, LEAST_SHARE if self._average_ns else 1.0)
+        kernel.merge_averages(*self._state, *later._state, expected, LEAST_SHARE if self._average_ns else 1.0)
 
     def estimate(self) -> Points | NoEstimate:
         """One point at tau = P, from two averages on."""
@@ -158,7 +140,12 @@ class BiasStability(PointEstimator):
                 f"unit {unit}, signal {signal}: averages of {self.average_s:g} s are shorter than the sample "
                 f"interval of {self.sample_interval_s:g} s"
             )
-        n, squares, correlation = self._statistics_of_window() if self.window_s else self._statistics_of_record()
+        if self.window_s:
+            n, squares, correlation = self._statistics_of_window()
+        else:
+            n, numbers = int(self._state.places[kernel.AVERAGES]), self._state.numbers.tolist()
+            early, late = numbers[kernel.EARLY_SQUARES], numbers[kernel.LATE_SQUARES]
+            squares, correlation = numbers[kernel.SQUARES], _correlation(numbers[kernel.COVARIANCE], early, late)
         if n < 2:
             what = f"averages of {self.average_s:g} s" if self.average_s else "samples"
             within = f" within {self.window_s:g} s" if self.window_s else ""
@@ -171,15 +158,10 @@ class BiasStability(PointEstimator):
         tau_s = self.average_s or self.sample_interval_s
         return (EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=degrees, n=n),)
 
-    def _statistics_of_record(self) -> tuple[int, float, float]:
-        """Number of averages, sum of squares about their mean, correlation of neighbours."""
-        numbers = self._state.numbers
-        correlation = _correlation(*(float(numbers[i]) for i in (COVARIANCE, EARLY_SQUARES, LATE_SQUARES)))
-        return int(self._state.places[AVERAGES]), float(numbers[SQUARES]), correlation
-
     def _statistics_of_window(self) -> tuple[int, float, float]:
+        """Number of averages, sum of squares about their mean, correlation of neighbours."""
         places, _, ring, blocks = self._state
-        in_window = np.flatnonzero(blocks >= max(0, int(places[BLOCK]) - len(ring)))
+        in_window = np.flatnonzero(blocks >= max(0, int(places[kernel.BLOCK]) - len(ring)))
         in_window = in_window[np.argsort(blocks[in_window])]
         averages = ring[in_window]
         if len(averages) < 2:

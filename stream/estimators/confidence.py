@@ -22,10 +22,7 @@ _FAR = 100.0
 
 
 def sw(t: FloatArray, alpha: int) -> FloatArray:
-    """Generalised autocovariance of the phase of noise `alpha`, equation (7): abs(t)**n, n odd, or t**n ln abs(t).
-
-    Up to a factor that depends on `alpha` alone and may be negative; it cancels in ratios of covariances.
-    """
+    """Autocovariance of the phase of noise `alpha`, equation (7), up to a factor that cancels in ratios."""
     size = np.abs(t)
     if alpha % 2 == 0:
         return size ** (3 - alpha) * (-1.0 if alpha == 2 else 1.0)
@@ -67,10 +64,7 @@ def sz(t: FloatArray, averaging_factor: int, alpha: int, d: int) -> FloatArray:
 
 
 def basic_sum(windows: int, averaging_factor: int, stride_per_tau: int, alpha: int, d: int) -> float:
-    """Sum over pairs of windows of their squared correlation, divided by the windows: equation (10) over sz(0)**2.
-
-    Lags beyond ``(d + 1) tau`` add nothing and are left out, equation (13).
-    """
+    """Sum over pairs of windows of squared correlations, over the windows: (10) over sz(0)**2, cut off by (13)."""
     flat, rising = _partial_sums(averaging_factor, stride_per_tau, alpha, d)
     last = min(windows, (d + 1) * stride_per_tau)
     squares, lag_squares = flat[last - 1], rising[last - 1]

@@ -48,10 +48,7 @@ def take_snapshot(estimator: Estimator[Any]) -> bytes:
 
 
 def restore(snapshot: bytes) -> Estimator[Any]:
-    """The estimator that a snapshot was taken of.
-
-    Raises an EstimatorError if the bytes are no snapshot, are damaged, or are of another version.
-    """
+    """The estimator of a snapshot; EstimatorError if it is none, is damaged, or of another version."""
     if len(snapshot) < _HEAD.size:
         raise EstimatorError(f"{len(snapshot)} bytes are no snapshot of an estimator")
     mark, version, checksum = _HEAD.unpack_from(snapshot)

@@ -3,7 +3,7 @@
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from typing import Protocol, Self
+from typing import Protocol
 
 from stream.closing import Closing
 
@@ -24,12 +24,6 @@ class Bus(Protocol):
 
     def close(self) -> None:
         """Leave the bus."""
-
-    def __enter__(self) -> Self:
-        """Use as a context manager."""
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
 
 
 class LocalBus(Closing):
@@ -89,6 +83,11 @@ def call_handlers(handlers: Iterable[Handler], key: str, payload: bytes) -> None
         except Exception as error:  # noqa: BLE001  a mistake of this handler alone
             failure = (type(error), error, error.__traceback__, threading.current_thread())
             threading.excepthook(threading.ExceptHookArgs(failure))
+
+
+def queued_bytes(key: str, payload: bytes) -> int:
+    """Memory of a message in a queue: its payload, at most 4 bytes a character of its key, and the objects."""
+    return len(payload) + 4 * len(key) + 300
 
 
 def _matches(expression: str, key: str) -> bool:

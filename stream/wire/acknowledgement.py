@@ -24,10 +24,7 @@ class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
-    """Positions of the streams that moved since the last acknowledgement, and the store that holds them.
-
-    `paused` is why the recorder pauses; empty while it records.
-    """
+    """Streams that moved since the last one, their store, and why its recorder pauses; empty while it records."""
 
     schema: int
     store: str

@@ -80,10 +80,7 @@ class WireBatch(NamedTuple):
 
 
 def read_batch_head(payload: bytes, *, bounded: bool = True) -> WireBatchHead:
-    """Read the head of a batch; raises where `decode_batch` does, without making arrays.
-
-    Without `bounded`, numbers beyond their bounds are accepted: old logs may contain them.
-    """
+    """Read a batch's head, checked like a whole one; not `bounded` for old logs, with numbers beyond bounds."""
     message, last_ns = _checked(payload, bounded=bounded)
     seq = message.seq
     return WireBatchHead(
@@ -104,10 +101,7 @@ def read_wire_batch(payload: bytes) -> WireBatch:
 
 
 def decode_batch(payload: bytes) -> SampleBatch:
-    """Read a batch from its wire form.
-
-    Raises a NewerSchema if it was written by a newer gyrofleet, a WireError if it is not a batch, or not a whole one.
-    """
+    """Read a batch from its wire form; NewerSchema if a newer gyrofleet wrote it, WireError if it is no whole one."""
     message, _ = _checked(payload)
     values, times_ns, flags = message.values, message.times_ns, message.flags
     return checked_batch(

@@ -63,7 +63,6 @@ class AskSamples(msgspec.Struct, frozen=True, tag=True):
 
 
 Question = Hello | Claim | Release | Settle | AskSignals | AskRuns | AskSamples
-Message = TypeVar("Message")
 
 
 class Request(msgspec.Struct, frozen=True):
@@ -83,8 +82,7 @@ class Reply(msgspec.Struct, frozen=True):
     error: str = ""
 
 
-_request_decoder = msgspec.msgpack.Decoder(Request)
-_reply_decoder = msgspec.msgpack.Decoder(Reply)
+Message = TypeVar("Message", Request, Reply)
 
 
 def reply_key(request_id: str) -> str:
@@ -97,20 +95,11 @@ def encode(message: Request | Reply) -> bytes:
     return msgspec.msgpack.encode(message)
 
 
-def decode_request(payload: bytes) -> Request:
-    """Read a request; raises WireError."""
-    return _decoded(_request_decoder, payload)
-
-
-def decode_reply(payload: bytes) -> Reply:
-    """Read a reply; raises WireError."""
-    return _decoded(_reply_decoder, payload)
-
-
-def _decoded(decoder: msgspec.msgpack.Decoder[Message], payload: bytes) -> Message:
+def decode(payload: bytes, kind: type[Message]) -> Message:
+    """Read a request or a reply; raises WireError."""
     if len(payload) > MAX_MESSAGE_BYTES:
         raise WireError(f"{len(payload)} bytes are more than a message may have")
     try:
-        return decoder.decode(payload)
+        return msgspec.msgpack.decode(payload, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise WireError(f"neither a request nor an answer: {error}") from error

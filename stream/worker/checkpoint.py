@@ -46,10 +46,7 @@ def generations(path: Path) -> tuple[Path, Path]:
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write the newest checkpoint; the one before becomes the previous one.
-
-    Raises an EstimatorError if it cannot be written; an earlier one is then still there.
-    """
+    """Write the newest checkpoint, keeping the one before; EstimatorError if it cannot be written."""
     content = msgspec.msgpack.encode(checkpoint)
     head = _HEAD.pack(_MARK, CHECKPOINT_VERSION, _digest(CHECKPOINT_VERSION, content))
     newest, previous = generations(path)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -24,21 +24,14 @@ _STEPS = OVERLAP
 _EVEN = 6.0
 
 
-class DecisionLook(NamedTuple):
-    """Result of a look at one limit."""
-
-    limit: Limit
-    decision: Decision
-
-    def document(self, head: dict[str, Any]) -> EarlyDecision:
-        """The run document with that head."""
-        decision = self.decision
-        return EarlyDecision(
-            **head, limit=self.limit, outcome=decision.outcome.value, rule=decision.rule.value,
-            error_probability=None if decision.outcome is Outcome.UNDECIDED else decision.error_probability,
-            looked_at_fraction=decision.looked_at_fraction, reason=decision.reason_en, reason_zh=decision.reason_zh,
-            forecast_s=decision.forecast_s, forecast_latest_s=decision.forecast_latest_s,
-        )  # fmt: skip
+def decision_document(head: dict[str, Any], limit: Limit, decision: Decision) -> EarlyDecision:
+    """The run document of a look at a limit."""
+    return EarlyDecision(
+        **head, limit=limit, outcome=decision.outcome.value, rule=decision.rule.value,
+        error_probability=None if decision.outcome is Outcome.UNDECIDED else decision.error_probability,
+        looked_at_fraction=decision.looked_at_fraction, reason=decision.reason_en, reason_zh=decision.reason_zh,
+        forecast_s=decision.forecast_s, forecast_latest_s=decision.forecast_latest_s,
+    )  # fmt: skip
 
 
 class _ExactTau:
@@ -82,7 +75,6 @@ class EarlyDecisions:
         self._limits: tuple[Limit, ...] = ()
         self._tests: dict[int, AllanDecision | BiasStabilityDecision] = {}
         self._exact: dict[int, _ExactTau] = {}
-        self._plans: dict[int, DecisionPlan] = {}
         self._next: LimitsApplied | None = None
         self.since_ns: int | None = None
         self.estimators: list[PointEstimator] = []
@@ -102,7 +94,7 @@ class EarlyDecisions:
 
     def _set(self, limits: tuple[Limit, ...], since_ns: int | None = None) -> None:
         self._limits, self.since_ns = limits, since_ns
-        self._tests, self._plans = {}, {}
+        self._tests = {}
         self._exact = {i: _ExactTau(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
         of_record = {} if since_ns is None else {estimator_key(limit): limit for limit in limits}
         self.estimators = [
@@ -155,12 +147,9 @@ class EarlyDecisions:
     def _decided(self, number: int) -> Decision | None:
         return self._tests[number].decision if number in self._tests else None
 
-    def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[DecisionLook]:
+    def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[tuple[Limit, Decision]]:
         """Compare the estimates after `elapsed_s`, by the key of their estimator, with each limit."""
-        return [
-            DecisionLook(limit, self._look(number, limit, elapsed_s, estimates))
-            for number, limit in enumerate(self._limits)
-        ]
+        return [(limit, self._look(i, limit, elapsed_s, estimates)) for i, limit in enumerate(self._limits)]
 
     def _look(
         self, number: int, limit: Limit, elapsed_s: float, estimates: Mapping[str, EstimatePublished]
@@ -179,7 +168,8 @@ class EarlyDecisions:
         point = next((each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s), None)
         try:
             if point is None and points and points[-1].tau_s > tau_s:
-                near = ", ".join(f"{each.tau_s:g} s" for each in _around(points, tau_s))
+                below, above = [p for p in points if p.tau_s < tau_s], [p for p in points if p.tau_s > tau_s]
+                near = ", ".join(f"{each.tau_s:g} s" for each in below[-1:] + above[:1])
                 return _cannot(
                     f"the estimator has no averaging time of {tau_s:g} s, but {near}; judged at the end",
                     f"估计器没有 {tau_s:g} s 的平均时间(有 {near});结束时判定",
@@ -193,8 +183,8 @@ class EarlyDecisions:
             return _cannot(str(error), str(error))
 
     def _begin(self, number: int, plan: DecisionPlan) -> None:
-        test = AllanDecision(plan) if _is_allan(self._limits[number]) else BiasStabilityDecision(plan)
-        self._tests[number], self._plans[number] = test, plan
+        is_allan = _is_allan(self._limits[number])
+        self._tests[number] = AllanDecision(plan) if is_allan else BiasStabilityDecision(plan)
 
     def _plan(self, number: int, limit: Limit, estimate: EstimatePublished) -> DecisionPlan:
         assert self._planned_s is not None
@@ -209,10 +199,7 @@ class EarlyDecisions:
 
     def export_state(self) -> dict[str, Any]:
         """The state, in plain values."""
-        tests = {
-            str(number): {"plan": asdict(self._plans[number]), "state": test.export_state()}
-            for number, test in self._tests.items()
-        }
+        tests = {str(n): {"plan": asdict(test.plan), "state": test.export_state()} for n, test in self._tests.items()}
         return {
             "planned_s": self._planned_s, "limits": [msgspec.to_builtins(limit) for limit in self._limits],
             "tests": tests, "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
@@ -245,11 +232,6 @@ def _is_allan(limit: Limit) -> bool:
 
 def _tau_s(limit: Limit) -> float:
     return 1.0 if limit.characteristic == ANGLE_RANDOM_WALK or limit.tau_s is None else limit.tau_s
-
-
-def _around(points: tuple[EstimatePoint, ...], tau_s: float) -> list[EstimatePoint]:
-    below = [point for point in points if point.tau_s < tau_s][-1:]
-    return below + [point for point in points if point.tau_s > tau_s][:1]
 
 
 def _cannot(en: str, zh: str) -> Decision:

@@ -117,13 +117,9 @@ class Estimation:
             raise WireError("it holds samples of another unit or signal")
         stream = StreamId(key, batch.meaning[0].hex())
         first, after, counts = batch.seq, batch.next_seq, self.counts
-        expected = self._expected(stream, first)
-        if first > expected and not self.catching_up and self._fill is not None:
-            self._fill(stream, first)
-            expected = self._expected(stream, first)
-            if first > expected:
-                self.left_out = True
-                return
+        expected = self._filled_to(stream, first)
+        if expected is None:
+            return
         if first < expected:
             # partial overlaps are quarantined by the recorder too
             counts.duplicates += after <= expected
@@ -147,13 +143,9 @@ class Estimation:
 
     def _take_document(self, key: str, parsed: EventKey | EstimateKey, message: EventMessage) -> None:
         stream = StreamId(key, message.epoch)
-        expected = self._pending.next_seq(stream) or self._expected(stream, message.seq)
-        if message.seq > expected and not self.catching_up and self._fill is not None:
-            self._fill(stream, message.seq)
-            expected = self._pending.next_seq(stream) or self._expected(stream, message.seq)
-            if message.seq > expected:
-                self.left_out = True
-                return
+        expected = self._filled_to(stream, message.seq)
+        if expected is None:
+            return
         if message.seq < expected:
             self._pending.mark_seen(stream, message.seq, is_recorded=self.catching_up)
             return
@@ -183,9 +175,20 @@ class Estimation:
                 key = sample_key(place, each.unit, each.compensated)
                 yield StreamId(key, each.compensated_epoch.replace("-", "")), total - each.first_seq
 
+    def _filled_to(self, stream: StreamId, first: int) -> int | None:
+        """Number that a stream expects, once missing messages are filled in; None if a message is to be left out."""
+        expected = self._expected(stream, first)
+        if first > expected and not self.catching_up and self._fill is not None:
+            self._fill(stream, first)
+            expected = self._expected(stream, first)
+            if first > expected:
+                self.left_out = True
+                return None
+        return expected
+
     def _expected(self, stream: StreamId, first: int) -> int:
         # with a log a stream begins at 0; without, it may be joined in its middle
-        return self.positions.get(stream, first if self._fill is None else 0)
+        return self._pending.next_seq(stream) or self.positions.get(stream, first if self._fill is None else 0)
 
     def _process(self, place: Place, document: AnyDocument) -> None:
         if isinstance(document, LimitsApplied):

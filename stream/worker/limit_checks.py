@@ -119,10 +119,7 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
 
 
 def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
-    """Worst of a unit's checks: FAIL, then MARGINAL, then NO_DATA, then PASS; NO_DATA without any check.
-
-    An aborted run gives ABORTED whatever its checks say: what stopped it may have disturbed the samples.
-    """
+    """Worst of a unit's checks, NO_DATA without any; ABORTED for an aborted run, whose samples may be disturbed."""
     if aborted:
         return Verdict.ABORTED
     found = {check.verdict for check in checks}
@@ -132,10 +129,7 @@ def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
 def unit_verdicts(
     ended: RunEnded, applied: Iterable[LimitsApplied], final: Sequence[EstimatePublished]
 ) -> Iterator[VerdictGiven]:
-    """Verdict of each unit that limits were applied to, by its `final` estimates.
-
-    Limits on a unit take the place of those on every unit of the run.
-    """
+    """Verdict of each unit with limits by its `final` estimates; a unit's own limits replace those of the run."""
     by_unit = {each.unit: each for each in applied}
     common = by_unit.pop(None, None)
     of_unit = {unit: each for unit, each in by_unit.items() if unit is not None}

@@ -16,7 +16,7 @@ from stream.events import AnyDocument, EstimatePublished, LimitsApplied, NoiseFi
 from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.wire.batches import WireBatch
-from stream.worker.early_decisions import EarlyDecisions
+from stream.worker.early_decisions import EarlyDecisions, decision_document
 from stream.worker.piece_buffer import BufferedPiece, PieceBuffer
 
 NOISE_COEFFICIENTS = "noise_coefficients"
@@ -119,8 +119,8 @@ class SignalAnalysis:
                 msgspec.structs.replace(each, points=(*exact, *each.points)) if key == AllanDeviation.key else each
                 for key, each in points.items()
             )
-        for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
-            found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
+        for number, looked in enumerate(self._decisions.look(elapsed_s, points)):
+            found.append((EARLY_DECISION, decision_document(self._head(f"decision-{number}", final=final), *looked)))
         return found
 
     def _head(self, what: str, *, final: bool) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
 from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
-from stream.transport.bus import Bus
+from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId
 from stream.worker.checkpoint import generations, quarantine, read_checkpoint, write_checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
@@ -25,7 +25,6 @@ _MOST_BYTES = 48 << 20
 # a recorder has messages on disk within a second; for those not there after this time nothing waits: the log is read
 # again later
 _PATIENCE_S = 2.0
-_OVERHEAD_BYTES = 200  # of a message in the queue, beside its key and payload
 _RETRY_S = 0.2
 _READ_AGAIN_S = 2.0
 _LONGEST_READ_AGAIN_S = 60.0
@@ -88,10 +87,7 @@ class EstimationWorker(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Process what has arrived, write a checkpoint, and stop; raises the error that had stopped it before.
-
-        Of runs that have not ended nothing more is published: with a checkpoint they resume.
-        """
+        """Process what came, write a checkpoint, stop, and raise what had stopped it; unfinished runs resume."""
         with self._state:
             self._closing = True
             self._state.notify_all()
@@ -120,7 +116,7 @@ class EstimationWorker(Closing):
             if self._incoming_bytes > _MOST_BYTES:
                 return  # the gap in the numbers is counted as lost with the next batch of the signal
             self._incoming.append((key, payload))
-            self._incoming_bytes += _size(key, payload)
+            self._incoming_bytes += queued_bytes(key, payload)
             if len(self._incoming) == 1:
                 self._state.notify_all()
 
@@ -181,7 +177,7 @@ class EstimationWorker(Closing):
             if time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
         with self._state:
-            self._incoming_bytes -= sum(_size(key, payload) for key, payload in taken)
+            self._incoming_bytes -= sum(queued_bytes(key, payload) for key, payload in taken)
             self._state.notify_all()
             is_last = self._closing and not self._incoming
         if not is_last and time.monotonic() >= self._next_save:
@@ -274,8 +270,3 @@ class EstimationWorker(Closing):
         self.counts.estimates += isinstance(document, EstimatePublished)
         if self._on_document is not None:
             self._on_document(document)
-
-
-def _size(key: str, payload: bytes) -> int:
-    """Memory of a message in the queue; a key takes 4 bytes a character at most."""
-    return len(payload) + 4 * len(key) + _OVERHEAD_BYTES

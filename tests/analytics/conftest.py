@@ -165,7 +165,7 @@ class TestedUnits:
 
     def release(self) -> None:
         self._log.abandon()
-        self._lock.release()
+        self._lock.close()
 
     def _append(self, record: LogRecord) -> None:
         place = place_of(record)

@@ -21,9 +21,10 @@ from uuid import UUID
 import numpy as np
 
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, build_missing, builder_lock, parts
+from storage.lake.lake import Lake, build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.log.sequence import place_of
+from storage.manifests.lake import read_manifest
 from storage.segments.records import EVENTS, SAMPLES, LogRecord
 from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
@@ -105,7 +106,7 @@ def query(folder: Path, units: int, days: int, samples: int) -> dict[str, Any]:
         Lake(store).purge(grace_s=0.0)
     rows = units * days * samples
     files: dict[str, int] = {}
-    for part in parts(store):
+    for part in read_manifest(store).parts:
         for name, file in part.files.items():
             files[name] = files.get(name, 0) + file.bytes
     with Catalog(store) as catalog:
@@ -139,7 +140,7 @@ def ask_polars(store: Store) -> list[float]:
     """The same question to polars, over the same files."""
     import polars as pl
 
-    folders = [store.lake / part.name for part in parts(store)]
+    folders = [store.lake / part.name for part in read_manifest(store).parts]
     channels = pl.concat([pl.read_parquet(folder / "channels.parquet") for folder in folders]).unique("channel")
     samples = pl.scan_parquet([folder / "samples.parquet" for folder in folders])
     found = (
@@ -214,7 +215,7 @@ def segments(folder: Path, count: int, units: int) -> dict[str, Any]:
         "lake_built_s": built_s,
         "cold_start_uncompacted_s": before_s,
         "compacted_s": compacted_s,
-        "parts": len(parts(store)),
+        "parts": len(read_manifest(store).parts),
         "cold_start_s": cold_start(store),
         "peak_mb": peak_mb(),
     }

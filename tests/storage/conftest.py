@@ -66,7 +66,7 @@ class Filler:
         """Let other writers at the store."""
         if self._lock is not None:
             self._log.abandon()
-            self._lock.release()
+            self._lock.close()
             self._lock = None
 
     def _append(self, record: LogRecord) -> None:

@@ -14,8 +14,9 @@ squares is S = 2 n value**2; of a standard deviation of n averages it is M2 = (n
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
+
+import msgspec
 
 from stream.errors import EstimatorError
 from stream.estimators.confidence import least_edf
@@ -40,18 +41,11 @@ class _Looks:
     def export_state(self) -> dict[str, Any]:
         """The state between looks, in plain values."""
         state = {name: value for name, value in vars(self).items() if name in {"_elapsed_s", "_last_n", "_used"}}
-        return {**state, "decision": None if self.decision is None else asdict(self.decision)}
+        return {**state, "decision": msgspec.to_builtins(self.decision)}
 
     def import_state(self, state: dict[str, Any]) -> None:
         """Take over the state of another one of the same plan."""
-        if (given := state["decision"]) is None:
-            self.decision = None
-        else:
-            kinds = {"outcome": Outcome(given["outcome"]), "rule": DecisionRule(given["rule"])}
-            self.decision = Decision(**{**given, **kinds})
-        for name, value in state.items():
-            if name != "decision":
-                setattr(self, name, value)
+        vars(self).update(state, decision=msgspec.convert(state["decision"], Decision | None))
 
     def _enter(self, elapsed_s: float, point: EstimatePoint | None, most: Callable[[float], int]) -> None:
         plan = self.plan
@@ -171,7 +165,11 @@ class AllanDecision(_Looks):
         if elapsed_s < plan.duration_s and share > 1.0 + ROUNDING:
             return self._curtail(share)
         if elapsed_s >= plan.duration_s:
-            return self._finish(point) if plan.point_decides else self._end_undecided(point)
+            if plan.point_decides:
+                return self._finish(point)
+            en = f"the test is finished and does not tell {point.value:.4g} from limit {plan.limit:.4g}"
+            zh = f"测试已完成,无法区分 {point.value:.4g} 与限值 {plan.limit:.4g}"
+            return self._decide(Outcome.UNDECIDED, DecisionRule.FINISHED, plan.error_probability, en, zh)
         return self._undecided(plan.error_probability, point, lambda value: self._expected_s(ratio, point.n, value))
 
     def _cross(self, elapsed_s: float, point: EstimatePoint, ratio: float) -> Decision | None:
@@ -192,11 +190,6 @@ class AllanDecision(_Looks):
                 zh = f"{where_zh} 等于或{side_zh} {outcome} 界限 {at}(限值 {limit})"
                 return self._decide(outcome, DecisionRule.BOUNDS, plan.error_probability, en, zh)
         return None
-
-    def _end_undecided(self, point: EstimatePoint) -> Decision:
-        en = f"the test is finished and does not tell {point.value:.4g} from limit {self.plan.limit:.4g}"
-        zh = f"测试已完成,无法区分 {point.value:.4g} 与限值 {self.plan.limit:.4g}"
-        return self._decide(Outcome.UNDECIDED, DecisionRule.FINISHED, self.plan.error_probability, en, zh)
 
     def _expected_s(self, ratio: float, n: int, value: float) -> float:
         """When the test is decided if all further squares average 2 value**2; infinite if not before the end."""

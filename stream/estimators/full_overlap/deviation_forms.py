@@ -46,10 +46,7 @@ FORMS = {
 
 
 def squared_differences(record: PrefixSums, kind: Deviation, factor: int) -> tuple[float, int]:
-    """Sum of the squared differences of a record, each times the factor, and how many there are.
-
-    The variance is this sum over ``norm * n * factor**2``.
-    """
+    """Sum of squared differences times the factor, and their number n: the variance times ``norm * n * factor**2``."""
     if kind is Deviation.MODIFIED_ALLAN:
         squares, found = modified(record, factor, LEAST_SHARE, _RESTART)
         return squares / float(factor) ** 2, found

@@ -159,10 +159,9 @@ class FullOverlap(SignalInput, Closing):
         if kind is Deviation.OVERLAPPING_ALLAN and factors:
             noises = identify(np.array(factors), np.array(variances), np.array(freedom), np.array(strides))
         else:
-            noises = tuple(
-                Identified(exponent=0, plausible=NOISE_EXPONENTS, edf=_least(kind, factor, n, stride))
-                for factor, n, stride in zip(factors, freedom, strides, strict=True)
-            )
+            filtered = [1 if kind is Deviation.MODIFIED_ALLAN else factor for factor in factors]
+            edfs = [least_edf(*each, d=len(form.weights)) for each in zip(filtered, freedom, strides, strict=True)]
+            noises = tuple(Identified(exponent=0, plausible=NOISE_EXPONENTS, edf=edf) for edf in edfs)
         return tuple(
             allan_point(
                 factor * self.tracker.dt_ns / 1e9, math.sqrt(variance) * self._factor, n, noise, self.confidence
@@ -185,11 +184,6 @@ def _stride(factor: int) -> int:
     while factor >= _EDF_STRIDE:
         factor //= 2
     return factor
-
-
-def _least(kind: Deviation, factor: int, windows: int, stride: int) -> float:
-    filter_factor = 1 if kind is Deviation.MODIFIED_ALLAN else factor
-    return least_edf(filter_factor, windows, stride, d=len(FORMS[kind].weights))
 
 
 def averaging_factors(points_per_octave: int, largest: int) -> list[int]:

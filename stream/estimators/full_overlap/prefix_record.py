@@ -54,19 +54,11 @@ def _extend(sums: FloatArray, counts: IntArray, first: int, values: FloatArray, 
         counts[first + i + 1] = counts[first + i] + (1 if is_finite else 0)
 
 
-@njit(cache=True, nogil=True)
-def _add(high: float, low: float, term: float) -> tuple[float, float]:
-    """Sum of high + low and `term`, with its rounding error (D. E. Knuth, TAOCP 4.2.2 theorem B)."""
+def _add(high: Any, low: Any, term: Any) -> tuple[Any, Any]:
+    """Sums of high + low and `term`, with their rounding errors (D. E. Knuth, TAOCP 4.2.2 theorem B)."""
     total = high + term
     shadow = total - high
     return total, low + ((high - (total - shadow)) + (term - shadow))
-
-
-@njit(cache=True, nogil=True)
-def _subtract_mean(high: FloatArray, low: FloatArray, before: IntArray, mean: float) -> None:
-    """Subtract `mean` from every sample; mean * before must be exact: a mean of 20 bits."""
-    for i in range(high.shape[0]):
-        high[i], low[i] = _add(high[i], low[i], -mean * before[i])
 
 
 class PrefixColumn:
@@ -94,10 +86,6 @@ class PrefixColumn:
     def file_bytes(self) -> int:
         """Size of the file, 0 while all is in memory."""
         return 0 if self._file is None else self.stored * self._row_bytes
-
-    def repeat(self, filled: int, slots: int) -> None:
-        """Fill slots behind those that are filled; they add nothing."""
-        self.line[filled + 1 : filled + 1 + slots] = self.line[filled]
 
     def end_block(self, constant: int | None) -> None:
         """End the block being filled: a row of its own, or that of a constant."""
@@ -205,7 +193,8 @@ class PrefixRecord:
         high, low, before = np.array(self._high), np.array(self._low), np.array(self._before)
         count = int(before[-1] + self._counts.line[self._filled])
         mean = _rounded((float(high[-1]) + float(self._sums.line[self._filled])) / max(1, count))
-        _subtract_mean(high, low, before, mean)
+        with np.errstate(over="ignore", invalid="ignore"):
+            high, low = _add(high, low, -mean * before)  # exact products: a mean of 20 bits
         return PrefixSums(self._sums.table(), self._counts.table(), rows, before, high, low, mean, self.slots)
 
     def close(self) -> None:
@@ -226,8 +215,8 @@ class PrefixRecord:
         self._leave(rest)
 
     def _leave(self, slots: int) -> None:
-        for column in (self._sums, self._counts):
-            column.repeat(self._filled, slots)
+        for line in (self._sums.line, self._counts.line):
+            line[self._filled + 1 : self._filled + 1 + slots] = line[self._filled]  # they add nothing
         self._advance(slots)
 
     def _advance(self, slots: int) -> None:

@@ -29,7 +29,7 @@ class AveragesState(NamedTuple):
     of them; over the pairs mean and sum of squares of the earlier and of the later average, and the sum of their
     products; sum of the block within which a part began; the first average. ring, ring_blocks: shape (W,); the averages
     of the last W blocks and their blocks, block b at place b modulo W; for
-        a rolling window.
+    a rolling window.
     """
 
     places: IntArray

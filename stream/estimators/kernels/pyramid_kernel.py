@@ -11,9 +11,10 @@ from numba import njit
 
 from stream.batch import FloatArray, IntArray
 from stream.estimators.kernels import kernel_part
+from stream.estimators.kernels import pyramid_loops as loops
+from stream.estimators.kernels.pyramid_loops import COUNT, SUM
 
 FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
-SUM, COUNT = 0, 1
 _CHUNK = 2048
 _FEW = 32
 _OCTAVES = 5  # lags 1, 2, 4, 8, 16 of level 0 at one point per octave
@@ -26,8 +27,7 @@ class PyramidState(NamedTuple):
     never written are those of full blocks. An even block at the end of a tail waits for its odd neighbour; an odd first
     block of a level has none. squares, windows: shape (K, L); sum of D**2, and how many, for each lag n: D is the
     difference of two adjacent means of n blocks, times their slots. places: shape (K, 5); index of the first block and
-    of the next; blocks in the tail and in the head; whether the
-        tail's are all full.
+    of the next; blocks in the tail and in the head; whether the tail's are all full.
     """
 
     tails: FloatArray
@@ -52,141 +52,6 @@ def begin_at(state: PyramidState, slot: int) -> None:
     state.places[:, FIRST] = state.places[:, NEXT] = -(-slot >> levels)
 
 
-@kernel_part("reassoc")
-def _subtract(values: FloatArray, reference: float, out: FloatArray) -> bool:
-    """Write values - reference; whether all are finite (0 * NaN and 0 * inf are NaN)."""
-    zero = 0.0
-    for i in range(values.shape[0]):
-        difference = values[i] - reference
-        out[i] = difference
-        zero += difference * 0.0
-    return zero == 0.0
-
-
-@kernel_part()
-def _mask(sums: FloatArray, counts: FloatArray) -> None:
-    """Replace values that are not finite by empty blocks."""
-    for i in range(sums.shape[0]):
-        if sums[i] - sums[i] == 0.0:
-            counts[i] = 1.0
-        else:
-            sums[i] = 0.0
-            counts[i] = 0.0
-
-
-@kernel_part()
-def _prefix_sums(line: FloatArray, out: FloatArray) -> None:
-    """Prefix sums, out[0] = 0; groups of four, so that one addition in four waits for the one before."""
-    total = 0.0
-    out[0] = 0.0
-    whole = line.shape[0] - line.shape[0] % 4
-    for i in range(0, whole, 4):
-        two = line[i] + line[i + 1]
-        out[i + 1] = total + line[i]
-        out[i + 2] = total + two
-        out[i + 3] = total + (two + line[i + 2])
-        total += two + (line[i + 2] + line[i + 3])
-        out[i + 4] = total
-    for i in range(whole, line.shape[0]):
-        total += line[i]
-        out[i + 1] = total
-
-
-@kernel_part("reassoc", "contract")
-def _sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> float:
-    """Sum of the squared differences of adjacent windows, from three stretches of the prefix sums."""
-    total = 0.0
-    for i in range(late.shape[0]):
-        difference = (late[i] + early[i]) - 2.0 * middle[i]
-        total += difference * difference
-    return total
-
-
-@kernel_part("reassoc", "contract")
-def _sums_of_squares(
-    p0: FloatArray, p1: FloatArray, p2: FloatArray, p4: FloatArray, p8: FloatArray, p16: FloatArray, p32: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
-    """Add those of the lags 1, 2, 4, 8 and 16 at once; p_n is the prefix n blocks before p0."""
-    by_1 = by_2 = by_4 = by_8 = by_16 = 0.0
-    for i in range(p0.shape[0]):
-        last = p0[i]
-        difference = (last + p2[i]) - 2.0 * p1[i]
-        by_1 += difference * difference
-        difference = (last + p4[i]) - 2.0 * p2[i]
-        by_2 += difference * difference
-        difference = (last + p8[i]) - 2.0 * p4[i]
-        by_4 += difference * difference
-        difference = (last + p16[i]) - 2.0 * p8[i]
-        by_8 += difference * difference
-        difference = (last + p32[i]) - 2.0 * p16[i]
-        by_16 += difference * difference
-    out[0] += by_1
-    out[1] += by_2
-    out[2] += by_4
-    out[3] += by_8
-    out[4] += by_16
-
-
-@kernel_part()
-def _add_pairs(line: FloatArray, out: FloatArray, pairs: int) -> None:
-    """Write the sums of neighbours."""
-    for i in range(pairs):
-        out[i] = line[2 * i] + line[2 * i + 1]
-
-
-@kernel_part()
-def _sum_of_squares_with_gaps(
-    sums: FloatArray, counts: FloatArray, lag: int, first: int, stop: int, needed: float, slots: float
-) -> tuple[float, int]:
-    """Differences of window means, times the slots of a window, where both windows hold enough samples."""
-    total = 0.0
-    windows = 0
-    for i in range(first, stop):
-        late = counts[i] - counts[i - lag]
-        early = counts[i - lag] - counts[i - 2 * lag]
-        if late >= needed and early >= needed:
-            difference = (sums[i] - sums[i - lag]) / late - (sums[i - lag] - sums[i - 2 * lag]) / early
-            difference *= slots
-            total += difference * difference
-            windows += 1
-    return total, windows
-
-
-@kernel_part()
-def _accumulate(
-    squares: FloatArray, windows: IntArray, lags: IntArray, prefix: FloatArray, after: int, length: int, until: int,
-    full: bool, share: float, width: float,
-) -> None:  # fmt: skip
-    """Add the windows of a level that end after the first `after` of `length` blocks and begin before `until`."""
-    sums = prefix[SUM]
-    for j in range(lags.shape[0]):
-        lag = lags[j]
-        first = max(after + 1, 2 * lag)
-        stop = min(length + 1, until + 2 * lag)
-        if lag == 0 or first >= stop:
-            continue
-        if full:
-            squares[j] += _sum_of_squares(
-                sums[first:stop], sums[first - lag : stop - lag], sums[first - 2 * lag : stop - 2 * lag]
-            )
-            windows[j] += stop - first
-        else:
-            slots = lag * width
-            total, found = _sum_of_squares_with_gaps(sums, prefix[COUNT], lag, first, stop, share * slots, slots)
-            squares[j] += total
-            windows[j] += found
-
-
-@kernel_part()
-def _are_full(counts: FloatArray, number: int, width: float) -> bool:
-    """Whether each of the first `number` counts is `width`."""
-    others = 0
-    for i in range(number):
-        others += counts[i] != width
-    return others == 0
-
-
 @kernel_part()
 def _keep_ends(
     tail: FloatArray, head: FloatArray, place: IntArray, line: FloatArray, length: int, full: bool, width: float
@@ -205,7 +70,7 @@ def _keep_ends(
     place[HEADED] = headed + more
     place[FILLED] = kept
     if not full:
-        place[FULL] = _are_full(tail[COUNT], kept, width)
+        place[FULL] = loops.are_full(tail[COUNT], kept, width)
 
 
 @kernel_part()
@@ -223,10 +88,7 @@ def _pair(
         start += -1 if place[NEXT] > place[FIRST] else 1
     pairs = max(0, (filled + given - start) // 2)
     for which in range(1 if full else 2):
-        below = line[which, start:]
-        above = parents[which]
-        for i in range(pairs):
-            above[i] = below[2 * i] + below[2 * i + 1]
+        loops.add_pairs(line[which, start:], parents[which], pairs)
     made = pairs
     all_parents = max(0, (filled + total - start) // 2)
     if total > given:
@@ -253,12 +115,12 @@ def _climb_a_level(state: PyramidState, lags: IntArray, scratch: FloatArray, lev
     for i in range(history):
         scratch[now, SUM, i] = tails[level, SUM, i]
     length = history + given
-    _prefix_sums(scratch[now, SUM, :length], scratch[2, SUM])
+    loops.prefix_sums(scratch[now, SUM, :length], scratch[2, SUM])
     row = min(level, 1)
     begin = 0
     if level == 0 and given >= _FEW and lags.shape[1] == _OCTAVES:
         p = scratch[2, SUM, history - 31 : length + 1]
-        _sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
+        loops.sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
         for j in range(_OCTAVES):
             windows[0, j] += given
         begin = _OCTAVES
@@ -273,7 +135,7 @@ def _climb_a_level(state: PyramidState, lags: IntArray, scratch: FloatArray, lev
                 total += difference * difference
         else:
             sums = scratch[2, SUM, history + 1 - 2 * lag : length + 1]
-            total = _sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
+            total = loops.sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
         squares[level, j] += total
         windows[level, j] += given
     for i in range(history):
@@ -281,7 +143,7 @@ def _climb_a_level(state: PyramidState, lags: IntArray, scratch: FloatArray, lev
     start = history - places[level, NEXT] % 2
     places[level, NEXT] += given
     parents: int = (length - start) // 2
-    _add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
+    loops.add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
     return parents
 
 
@@ -321,8 +183,8 @@ def _climb(
         for which in range(1 if all_full else 2):
             for i in range(filled):
                 line[which, i] = tails[level, which, i]
-            _prefix_sums(line[which, :length], prefix[which])
-        _accumulate(
+            loops.prefix_sums(line[which, :length], prefix[which])
+        loops.accumulate(
             squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, length, all_full, share, width
         )
         _keep_ends(tails[level], heads[level], place, line, length, all_full, width)
@@ -357,18 +219,11 @@ def push(
         else:
             given = total = min(_CHUNK, values.shape[0] - start)
             sums = scratch[0, SUM, history : history + given]
-            full = _subtract(values[start : start + given], reference, sums)
+            full = loops.subtract(values[start : start + given], reference, sums)
             if not full:
-                _mask(sums, scratch[0, COUNT, history : history + given])
+                loops.mask(sums, scratch[0, COUNT, history : history + given])
             start += given
         _climb(state, lags, share, scratch, given, total, full)
-
-
-@kernel_part()
-def _copy(source: FloatArray, start: int, number: int, line: FloatArray, at: int) -> None:
-    for which in range(2):
-        for i in range(number):
-            line[which, at + i] = source[which, start + i]
 
 
 @njit(cache=True, nogil=True)
@@ -397,17 +252,17 @@ def merge(
         filled, headed = place[FILLED], place[HEADED]
         is_across = seam & ((1 << level) - 1) != 0 and reaches_back and reaches_on
         own = filled
-        _copy(tail, 0, filled, line, 0)
+        loops.copy(tail, 0, filled, line, 0)
         if is_across:
             line[SUM, own], line[COUNT, own] = across[SUM], across[COUNT]
             own += 1
-        _copy(later_heads[level], 0, later[HEADED], line, own)
+        loops.copy(later_heads[level], 0, later[HEADED], line, own)
         length = own + later[HEADED]
         if length > filled and own > 0:
             for which in range(2):
-                _prefix_sums(line[which, :length], prefix[which])
+                loops.prefix_sums(line[which, :length], prefix[which])
             # windows within the earlier or the later part are counted already
-            _accumulate(
+            loops.accumulate(
                 squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, own, False, share, width
             )
         for j in range(lags.shape[1]):
@@ -428,15 +283,15 @@ def merge(
             else:
                 reaches_on = False
         more = min(history - headed, length - filled)
-        _copy(line, filled, more, head, headed)
+        loops.copy(line, filled, more, head, headed)
         place[HEADED] = headed + more
         if later[FILLED] < history:
             # the later head holds all its blocks
             kept = min(history, length)
-            _copy(line, length - kept, kept, tail, 0)
+            loops.copy(line, length - kept, kept, tail, 0)
         else:
             kept = history
-            _copy(later_tails[level], 0, kept, tail, 0)
+            loops.copy(later_tails[level], 0, kept, tail, 0)
         place[FILLED] = kept
         place[NEXT] = max(place[FIRST], stop >> level)
-        place[FULL] = _are_full(tail[COUNT], kept, width)
+        place[FULL] = loops.are_full(tail[COUNT], kept, width)

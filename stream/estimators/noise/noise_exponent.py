@@ -190,10 +190,7 @@ def _comparison(
 
 
 def _averaged(factor: int, alpha: int) -> float:
-    """Logarithm of AVAR, up to a constant, of noise averaged over the sample interval: tau**(-1 - alpha) sz(0).
-
-    Greenhall and Riley, equation (9), as in `confidence`.
-    """
+    """Logarithm of AVAR, up to a constant, of averaged noise: tau**(-1 - alpha) sz(0), equation (9) of `confidence`."""
     size = abs(float(sz(np.zeros(1), factor, alpha, 2)[0]))
     return math.log(size) - (1.0 + alpha) * math.log(factor)
 

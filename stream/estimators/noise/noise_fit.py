@@ -40,10 +40,7 @@ class NoiseCoefficient(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MarkovNoise(msgspec.Struct, frozen=True, kw_only=True):
-    """Exponentially correlated noise that the curve requires beside the five terms.
-
-    `amplitude` is q of IEEE 952; the standard deviation of the noise is q sqrt(correlation time/2).
-    """
+    """Correlated noise required beside the five terms: q of IEEE 952; its deviation is q sqrt(correlation time/2)."""
 
     amplitude: NoiseCoefficient
     correlation_s: float
@@ -116,23 +113,15 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
     """
     if not 0.0 < confidence < 1.0:
         raise EstimatorError(f"a confidence of {confidence}: it lies between 0 and 1, such as 0.95")
-    usable = sorted((point for point in points if _is_usable(point)), key=lambda point: point.tau_s)
+    numbers = np.array([(point.tau_s, point.value, point.edf) for point in points]).reshape(-1, 3)
+    is_usable = np.isfinite(numbers).all(axis=1) & (numbers > 0.0).all(axis=1) & (numbers[:, 2] >= 1.0)
+    taus_s, deviations, edf = numbers[is_usable][np.argsort(numbers[is_usable, 0], kind="stable")].T
     if points and not any(point.value > 0.0 for point in points):
         return NoEstimate("the Allan deviation is 0 at every averaging time: the output is constant; check the source")
-    if len({point.tau_s for point in usable}) < LEAST_POINTS:
-        return NoEstimate(
-            f"{LEAST_POINTS} averaging times with a deviation above zero needed, "
-            f"{len({point.tau_s for point in usable})} given"
-        )
-    return _fitted(
-        np.array([point.tau_s for point in usable]), np.array([point.value for point in usable]),
-        np.array([point.edf for point in usable]), confidence,
-    )  # fmt: skip
-
-
-def _is_usable(point: EstimatePoint) -> bool:
-    numbers = (point.tau_s, point.value, point.edf)
-    return all(math.isfinite(number) and number > 0.0 for number in numbers) and point.edf >= 1.0
+    given = len(np.unique(taus_s))
+    if given < LEAST_POINTS:
+        return NoEstimate(f"{LEAST_POINTS} averaging times with a deviation above zero needed, {given} given")
+    return _fitted(taus_s.copy(), deviations.copy(), edf.copy(), confidence)
 
 
 def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confidence: float) -> NoiseFit:

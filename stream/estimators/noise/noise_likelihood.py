@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from stream.batch import FloatArray
 from stream.estimators.noise.noise_kernel import descend, deviance, weighted_least_squares
@@ -62,10 +61,7 @@ class CurveLikelihood:
         return self._with((self.columns * self.sizes)[:, :-1])
 
     def widened(self, excess: FloatArray, alike: FloatArray) -> "CurveLikelihood":
-        """The same with a model error: relative variance 2/edf + excess, the errors correlated as `alike`.
-
-        Degrees of freedom are those of the sum, so that D keeps its form.
-        """
+        """The same with a model error of relative variance `excess`, correlated as `alike`; D keeps its form."""
         scatter = 2.0 / self.degrees
         total = scatter + excess
         covariance = self._correlation * np.sqrt(np.outer(scatter, scatter)) + alike * np.sqrt(np.outer(excess, excess))
@@ -94,7 +90,7 @@ class CurveLikelihood:
         terms = self.columns.shape[1]
         every, nothing = np.ones(terms, np.bool_), np.zeros(len(self.columns))
         start = weighted_least_squares(self.columns, self.degrees, np.ones(len(self.columns)), nothing, every)
-        return self._descend(start, every)
+        return descend(self.columns, self.degrees, start, every)
 
     def minimum_at(self, theta: FloatArray, which: int, at: float) -> float:
         """Least deviance with one coefficient fixed `at`, searched from theta; never more than that of theta there."""
@@ -103,11 +99,7 @@ class CurveLikelihood:
         if np.min(self.columns @ start / (self.columns @ theta)) < _NEGLIGIBLE:
             # no other term explains some tau: the others need a positive start value
             start[free] = np.maximum(start[free], _NEGLIGIBLE)
-        return self._descend(start, free)[1]
-
-    def _descend(self, theta: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
-        found, least = descend(self.columns, self.degrees, theta, free)
-        return found, float(least)
+        return descend(self.columns, self.degrees, start, free)[1]
 
     def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
         """Columns in units of the scatter of each variance expected by theta, m sqrt(2/edf)."""
@@ -146,10 +138,7 @@ class CurveLikelihood:
         return mean, mean**2 / square if square > 0.0 else 0.0
 
     def known_share(self) -> float:
-        """Share of a gain in `height` that counts, 1 where the variances are known.
-
-        If all is model error, the gain is n ln of the ratio of two sums of squares, of which only nu are free: nu/n.
-        """
+        """Share of a gain in `height` that counts: 1 if variances are known, nu/n where all is model error."""
         unknown = float(np.mean(self.excess * self.degrees / 2.0))
         return 1.0 - unknown * (1.0 - self.freedom(self.minimum()[0])[0] / len(self.degrees))
 

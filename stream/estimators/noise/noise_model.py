@@ -83,10 +83,7 @@ def markov_column(taus_s: FloatArray, correlation_s: float) -> FloatArray:
 
 @lru_cache(maxsize=4096)
 def _products(short: int, long: int) -> tuple[tuple[float, ...], ...]:
-    """Sums over lags of the products of two noises' covariances between second differences over `short` and `long`.
-
-    4 x 4 for Q, N, B, K; each covariance for an Allan variance of 1 at `short`, both taus in steps of the lattice.
-    """
+    """Sums over lags of products of unit covariances of Q, N, B, K, 4 x 4, between two taus in lattice steps."""
     reach = 2 * (short + long)
     lags = np.arange(-reach, reach + 1, dtype=np.float64)
     covariances = np.zeros((4, len(lags)))

@@ -57,10 +57,7 @@ class SpectralLine(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WelchAverage(msgspec.Struct, frozen=True, kw_only=True):
-    """An averaged one-sided spectrum: `density` of all bins 0 .. N/2, from `segments`, `pairs` of them neighbours.
-
-    Bins below `first_bin` and the last one are not used.
-    """
+    """An averaged spectrum of all bins 0 .. N/2; those below `first_bin` and the last one are not used."""
 
     density: FloatArray
     first_bin: int

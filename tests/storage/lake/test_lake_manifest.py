@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from storage.check.verify_lake import lake_problems, repair_lake
-from storage.lake.lake import Lake, LakeBusy, build_missing, builder_lock, parts
+from storage.lake.lake import Lake, LakeBusy, build_missing, builder_lock
 from storage.lake.part import build_part
 from storage.manifests.lake import MANIFEST, PART, LakeManifestDamaged, read_manifest, write_manifest
 from storage.sql.catalog import Catalog
@@ -26,7 +26,7 @@ def total(store: Store) -> int:
 
 def test_every_segment_once_and_every_file_described(days: Filler) -> None:
     days.build()
-    found = parts(days.store)
+    found = read_manifest(days.store).parts
     assert [part.segments for part in found] == [(f"{i:08d}",) for i in range(1, 13)]
     assert [part.samples for part in found] == [2525] * 12
     assert list(lake_problems(days.store)) == []
@@ -61,13 +61,13 @@ def test_any_damage_to_the_manifest_is_found_and_mended(days: Filler, seed: int)
 
 def test_a_lost_manifest_is_reported_and_made_anew_from_the_parts(days: Filler) -> None:
     days.build()
-    before = parts(days.store)
+    before = read_manifest(days.store).parts
     (days.store.lake / MANIFEST).unlink()
     with pytest.raises(LakeManifestDamaged, match="missing"):
         Catalog(days.store)
     with builder_lock(days.store):
         assert len(list(repair_lake(days.store))) == 1
-    assert parts(days.store) == before
+    assert read_manifest(days.store).parts == before
 
 
 def test_a_part_that_was_renamed_but_not_listed_is_taken_in(days: Filler) -> None:

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from storage.lake.channel_buffer import counts_columns
-from storage.lake.lake import builder_lock, parts
+from storage.lake.lake import builder_lock
 from storage.lake.rollups import joined, roll_up
+from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog
 from stream.batch import SampleBatch
 from tests.conftest import Outcome
@@ -42,7 +43,7 @@ def test_the_service_builds_what_is_sealed_while_it_runs(
         out, _ = process.communicate(timeout=30)
     assert json.loads(out.splitlines()[-1])["event"] == "ended"
     assert process.returncode == 0
-    assert [part.samples for part in parts(store)] == [100] * 3
+    assert [part.samples for part in read_manifest(store).parts] == [100] * 3
 
 
 def test_a_damaged_segment_is_reported_and_holds_up_no_other(filler: Filler, gyrofleet: Callable[..., Outcome]) -> None:
@@ -58,7 +59,7 @@ def test_a_damaged_segment_is_reported_and_holds_up_no_other(filler: Filler, gyr
     events = [json.loads(line) for line in done.out.splitlines()]
     assert [each["what"] for each in events if each.get("event") == "problem"] == ["00000002"]
     with builder_lock(filler.store):
-        held = {segment for part in parts(filler.store) for segment in part.segments}
+        held = {segment for part in read_manifest(filler.store).parts for segment in part.segments}
     assert held == {"00000001", "00000003"}
 
 
@@ -68,7 +69,7 @@ def test_noise_in_counts_takes_hardly_more_than_its_entropy(filler: Filler) -> N
         filler.counts("rate", START_NS + filler._next.get("rate", 0) * 10**6, 10_000, dt_ns=10**6)
     filler.seal()
     filler.build()
-    (part,) = parts(filler.store)
+    (part,) = read_manifest(filler.store).parts
     assert part.files["samples.parquet"].bytes < 1.05 * part.samples
     assert part.bytes < 1.2 * part.samples  # with rollups, and what does not grow with the samples
 

@@ -15,7 +15,7 @@ from storage.check.recover import recover
 from storage.check.verify import verify
 from storage.check.verify_lake import lake_problems
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, builder_lock, parts
+from storage.lake.lake import Lake, builder_lock
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
 from storage.log.store_documents import is_own, store_document
@@ -186,20 +186,20 @@ def test_without_a_document_in_the_log_nothing_is_dropped(days: Filler) -> None:
     days.build()  # the writer lock is held, and its holder takes no messages
     with builder_lock(days.store), pytest.raises(GyrofleetError, match="is being written by test"):
         apply_rule(Lake(days.store), AFTER_TWO_DAYS, now_ns=NOW_NS)
-    assert all(part.dropped is None for part in parts(days.store))
+    assert all(part.dropped is None for part in read_manifest(days.store).parts)
 
 
 def test_by_size_the_oldest_go_first(days: Filler) -> None:
     days.build()
     days.release()
     store = days.store
-    sizes = [part.files["samples.parquet"].bytes for part in parts(store)]
+    sizes = [part.files["samples.parquet"].bytes for part in read_manifest(store).parts]
     with builder_lock(store):
         dropped = would_drop(read_manifest(store), Rule(max_bytes=sum(sizes[5:])))
         assert dropped.bytes == sum(sizes[:5])
-        assert all(part.dropped is None for part in parts(store))
+        assert all(part.dropped is None for part in read_manifest(store).parts)
         apply_rule(Lake(store), Rule(max_bytes=sum(sizes[5:])))
-    assert [part.dropped is None for part in parts(store)] == [False] * 5 + [True] * 7
+    assert [part.dropped is None for part in read_manifest(store).parts] == [False] * 5 + [True] * 7
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90d", 90 * 86_400), ("1.5h", 5400), ("0s", 0)])
@@ -249,6 +249,6 @@ def test_retain_sends_its_document_to_a_recorder_that_runs(
         recorder.terminate()
         recorder.communicate(timeout=30)
     assert len(noted(store)) == 1
-    assert all(part.dropped is not None for part in parts(store) if part.samples)
+    assert all(part.dropped is not None for part in read_manifest(store).parts if part.samples)
     reported = gyrofleet("retain", "--store", store.folder)
     assert (reported.code, "--older-than AGE or --max-size SIZE" in reported.err) == (1, True)

@@ -84,7 +84,7 @@ def writer(tmp_path: Path) -> Iterator[Writer]:
     writer = Writer(tmp_path / "store")
     yield writer
     writer.log.abandon()
-    writer.lock.release()
+    writer.lock.close()
 
 
 def two_runs(writer: Writer, between: Callable[[], None]) -> None:

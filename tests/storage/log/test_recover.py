@@ -12,9 +12,10 @@ import pytest
 from storage.check.recover import recover
 from storage.check.verify import lake_findings, verify
 from storage.check.verify_log import verify_log
-from storage.lake.lake import Lake, builder_lock, parts
+from storage.lake.lake import Lake, builder_lock
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
+from storage.manifests.lake import read_manifest
 from storage.segments.disk import Disk
 from storage.segments.reader import SegmentScan
 from storage.segments.records import EVENTS
@@ -152,7 +153,7 @@ def test_a_part_whose_rows_are_being_dropped_is_no_damage(store: Store, monkeypa
     monkeypatch.setattr(Lake, "commit", first_only)
     with builder_lock(store), suppress(Killed):
         apply_rule(Lake(store), Rule(max_bytes=0))
-    assert sum(part.dropped is not None for part in parts(store)) == 1
+    assert sum(part.dropped is not None for part in read_manifest(store).parts) == 1
     assert lake_findings(store, verify_log(store))[:-1] == []  # the last: the document is not in the lake yet
 
 

@@ -70,7 +70,7 @@ class Bench:
         self._publisher.drain()
         self._publisher.close()
         self.recorder.close()
-        self._lock.release()
+        self._lock.close()
 
 
 @pytest.fixture

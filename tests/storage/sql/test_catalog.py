@@ -8,8 +8,8 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.lake.lake import parts
 from storage.log.event_log import EventLog
+from storage.manifests.lake import read_manifest
 from storage.recording.recorder import Recorder
 from storage.sql.catalog import VIEWS, Catalog
 from storage.sql.reading import find_signal, read_signal, stored_between
@@ -114,7 +114,7 @@ def test_a_statement_that_fails_on_its_way_is_reported(catalog: Catalog) -> None
 
 def test_a_damaged_lake_is_reported_and_made_anew_from_the_log(catalog: Catalog) -> None:
     store = catalog.store
-    part = store.lake / parts(store)[0].name
+    part = store.lake / read_manifest(store).parts[0].name
     (part / "samples.parquet").write_bytes((part / "samples.parquet").read_bytes()[:-50])
     with pytest.raises(StoreError, match=r"cannot be read .*`gyrofleet recover`"):
         Catalog(store)
@@ -141,4 +141,4 @@ def test_a_damaged_segment_is_reported_and_harms_no_other(catalog: Catalog) -> N
     recorder = Recorder(store, LocalBus(), EventLog(store))
     with pytest.raises(StoreError, match=r"segment .*00000001.mcap is damaged.*restore it from a copy"):
         recorder.close()
-    assert [part.name for part in parts(store)] == [segment.stem for segment in segments[1:]]
+    assert [part.name for part in read_manifest(store).parts] == [segment.stem for segment in segments[1:]]

@@ -58,7 +58,7 @@ def test_a_decision_stands_when_its_signal_goes_on_from_a_checkpoint() -> None:
         samples=50_000, missing=0, sample_interval_s=0.01, points=points,
     )  # fmt: skip
     (look,) = decisions.look(500.0, {stability.key: document})
-    assert look.decision.outcome.value == "FAIL"
+    assert look[1].outcome.value == "FAIL"
     again = EarlyDecisions.from_state("rate", msgspec.msgpack.decode(msgspec.msgpack.encode(decisions.export_state())))
     assert again.look(510.0, {}) == [look]
 
