@@ -91,9 +91,8 @@ def limits(*entries: str, revision: str = "A", head: str = "") -> str:
 BIAS = 'metric = "bias"\nlower = -1.0\nupper = 1.0\nunit_of_measure = "deg/h"'
 
 
-@pytest.mark.parametrize(
-    ("value", "lo", "hi", "verdict"),
-    [
+def test_a_value_is_judged_by_its_interval(judged: Judged) -> None:
+    cases = [
         (0.0, -0.5, 0.5, "PASS"),
         (0.9, 0.8, 1.0, "PASS"),  # at the limit is within it
         (0.9, 0.7, 1.1, "MARGINAL"),
@@ -105,22 +104,26 @@ BIAS = 'metric = "bias"\nlower = -1.0\nupper = 1.0\nunit_of_measure = "deg/h"'
         (0.9, None, None, "PASS"),
         (1.1, None, None, "FAIL"),
         (None, None, None, "NO_DATA"),
-    ],
-)
-def test_a_value_is_judged_by_its_interval(
-    judged: Judged, value: float | None, lo: float | None, hi: float | None, verdict: str
-) -> None:
+    ]
     judged.specify(limits(BIAS))
-    reason = "the record is too short" if value is None else None
-    catalog = judged.catalog([{"unit": "U1", "run": "r1"}], [{"value": value, "lo": lo, "hi": hi, "reason": reason}])
-    found = verdicts_of(catalog)
-    (row,) = found.verdicts
-    assert row["verdict"] == verdict
-    assert (row["specification"], row["revision"], row["product"]) == ("fog", "A", "X")
-    assert (row["reason"] is None) == (verdict in {"PASS", "FAIL"} and lo is not None)
-    if value is None:
-        assert row["reason"] == "the record is too short"
-    assert [unit["verdict"] for unit in found.units] == [verdict]
+    units = [f"U{number:02d}" for number in range(len(cases))]
+    values = [
+        {"unit": unit, "value": value, "lo": lo, "hi": hi, "reason": "too short" if value is None else None}
+        for unit, (value, lo, hi, _) in zip(units, cases, strict=True)
+    ]
+    found = verdicts_of(judged.catalog([{"unit": unit, "run": "r1"} for unit in units], values))
+    rows = {row["unit"]: row for row in found.verdicts}
+    assert len(rows) == len(found.verdicts) == len(cases)
+    for unit, (value, lo, _, verdict) in zip(units, cases, strict=True):
+        row = rows[unit]
+        assert row["verdict"] == verdict, row
+        assert (row["specification"], row["revision"], row["product"]) == ("fog", "A", "X")
+        assert (row["reason"] is None) == (verdict in {"PASS", "FAIL"} and lo is not None)
+        if value is None:
+            assert row["reason"] == "too short"
+    assert {unit["unit"]: unit["verdict"] for unit in found.units} == {
+        unit: verdict for unit, (_, _, _, verdict) in zip(units, cases, strict=True)
+    }
 
 
 @pytest.mark.parametrize(("upper", "unit", "verdict"), [(1.0 / 3600, "deg/s", "PASS"), (0.9 / 3600, "deg/s", "FAIL")])
