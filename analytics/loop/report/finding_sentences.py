@@ -26,6 +26,7 @@ _ZH_VERDICTS = {
     ModelVerdict.UNEXPLAINED: "未解释",
     ModelVerdict.NOT_ENOUGH_DATA: "数据不足",
 }
+_ABSENT = 0.05  # probability below which a unit is named as one without a common effect
 
 
 def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> Iterator[str]:
@@ -133,6 +134,15 @@ def _common(found: FoundEffect, fleet: FleetDiagnosis, words: Wording) -> str:
         text += words.of(", which differs from unit to unit", "（各产品不一致）")
     elif differing:
         text += words.of(f"; {differing} differs from the others", f"（{differing}与其他产品不同）")
+    without = words.listed([each.unit for each in rows if each.presence < _ABSENT])
+    if without:
+        text += words.of(f"; {without} probably has none of it", f"（{without}很可能没有该效应）")
+    if (over := fleet.over_units.get(found.name)) is not None:
+        bounds = f"{number(over.spread_lo)} … {number(over.spread_hi)}"
+        text += words.of(
+            f"; over units it varies by {number(over.spread)} (standard deviation, 95 %: {bounds})",
+            f"（产品间标准差{number(over.spread)}，95 %：{bounds}）",
+        )
     return text
 
 
@@ -142,9 +152,18 @@ def fleet_rows(name: str, rows: Sequence[UnitCoefficient], words: Wording) -> Te
     same = ("p that it equals that of the others", "与其他产品相同的p值")
     return TextTable(
         words.of(f"{words.name(name)} in each unit", f"各产品的{words.name(name)}"),
-        words.each(("unit", "产品"), ("coefficient", "系数"), ("±", "±"), same, ("differs", "不同")),
+        words.each(
+            ("unit", "产品"), ("coefficient", "系数"), ("±", "±"), same, ("differs", "不同"), ("has it", "有此效应")
+        ),
         tuple(
-            (each.unit, number(each.coefficient), number(each.se), number(each.p_value), yes if each.differs else "")
+            (
+                each.unit,
+                number(each.coefficient),
+                number(each.se),
+                number(each.p_value),
+                yes if each.differs else "",
+                f"{each.presence:.0%}",
+            )
             for each in rows
         ),
     )

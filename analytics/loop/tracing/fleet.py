@@ -16,6 +16,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
 from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.random_effect import RandomEffect, presence, random_effect
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import Holdout
 from analytics.loop.tracing.search.effect_search import Search, Selected, search
@@ -38,6 +39,7 @@ class UnitCoefficient(msgspec.Struct, frozen=True):
     se: float  # its standard error
     p_value: float  # of the test that it equals that of the other units
     differs: bool  # Benjamini and Hochberg over all units
+    presence: float = 0.5  # probability that this unit has it as the others do, not none; even odds beforehand
 
 
 class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,6 +51,7 @@ class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
     unreplicated: tuple[FoundEffect, ...] = ()
     holdout: Holdout | None = None
     by_unit: dict[str, tuple[UnitCoefficient, ...]] = {}  # each common effect in each unit, by its name
+    over_units: dict[str, RandomEffect] = {}  # mean and spread of each common effect over units, by its name
     units: dict[str, Diagnosis]  # the diagnosis of each unit alone
     own_findings: dict[str, tuple[str, ...]]  # of single units, at a false discovery rate of 5 %
     limits: tuple[Bilingual, ...] = ()  # caveats
@@ -61,6 +64,7 @@ class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
             "unreplicated": [each.document() for each in self.unreplicated],
             "holdout": None if self.holdout is None else msgspec.to_builtins(self.holdout),
             "by_unit": msgspec.to_builtins(self.by_unit),
+            "over_units": msgspec.to_builtins(self.over_units),
             "units": {unit: each.document() for unit, each in self.units.items()},
             "own_findings": {unit: list(names) for unit, names in self.own_findings.items()},
             "limits": [str(each) for each in self.limits],
@@ -116,16 +120,19 @@ def diagnose_fleet(
     kept = tuple(each for each in every if each.replicates and each.confirmed is not False)
     gone = tuple(each for each in every if not each.replicates or each.confirmed is False)
     verdict = verdict_of(kept, gone, is_excess=False, within_run=False)
+    by_unit = {
+        each.name: _by_unit(found, each)
+        for each in found.selected
+        if each.is_common or each.fitted.effect.kind is EffectKind.LINE
+    }
+    over_units = {name: random_effect(*_values(rows)) for name, rows in by_unit.items()}
     return FleetDiagnosis(
         verdict=denied(verdict, [each for unit in enough for each in alone[unit].left_out]),
         effects=kept,
         unreplicated=gone,
         holdout=answer,
-        by_unit={
-            each.name: _by_unit(found, each)
-            for each in found.selected
-            if each.is_common or each.fitted.effect.kind is EffectKind.LINE
-        },
+        by_unit=by_unit,
+        over_units={name: each for name, each in over_units.items() if each is not None},
         units=alone,
         own_findings=own_findings,
         limits=tuple(limits),
@@ -163,9 +170,16 @@ def _by_unit(found: Search, which: Selected) -> tuple[UnitCoefficient, ...]:
     chosen = benjamini_hochberg(p_values)
     values, errors = product[excited] / information[excited], information[excited] ** -0.5
     return tuple(
-        UnitCoefficient(records[number].unit, float(value), float(error), p_values[number], number in chosen)
-        for number, value, error in zip(excited, values, errors, strict=True)
-    )
+        UnitCoefficient(
+            records[number].unit, float(values[at]), float(errors[at]), p_values[number], number in chosen,
+            presence(at, values, errors),
+        )
+        for at, number in enumerate(excited)
+    )  # fmt: skip
+
+
+def _values(rows: Sequence[UnitCoefficient]) -> tuple[FloatArray, FloatArray]:
+    return np.array([each.coefficient for each in rows]), np.array([each.se for each in rows])
 
 
 def _unlike_others(number: int, information: FloatArray, product: FloatArray) -> float:

@@ -236,7 +236,7 @@ def test_the_model_found_predicts_the_held_out_runs(campaign: Campaign) -> None:
 
 @pytest.mark.long
 def test_a_fleet_finds_what_one_unit_cannot(campaign: Campaign) -> None:
-    """Six units with an effect of z = 3 each, one of them with none: found in common."""
+    """Six units with an effect of z = 3.5 each."""
     units = {}
     for number in range(6):
         of_unit = Campaign(seed=60 + number, unit=f"FOG-{number}", runs=10)
@@ -245,6 +245,10 @@ def test_a_fleet_finds_what_one_unit_cannot(campaign: Campaign) -> None:
     found = diagnose_fleet(units, MODEL, declared_noise=dict.fromkeys(units, DECLARED))
     assert "magnetic_i" in [each.name for each in found.effects]
     assert len(found.by_unit["magnetic_i"]) == 6
+    over = found.over_units["magnetic_i"]
+    (pooled,) = next(each for each in found.effects if each.name == "magnetic_i").coefficients
+    assert over.lo < pooled.value < over.hi
+    assert over.spread_lo <= over.spread <= over.spread_hi
     assert msgspec.json.decode(msgspec.json.encode(found.document()))["verdict"] == found.verdict.value
 
 
