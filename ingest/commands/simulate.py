@@ -54,12 +54,10 @@ def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, 
                 paths = {"station": str(folder / STATION), "units": str(folder / UNITS)}
                 print_json({"event": "ready", **paths, "speed": simulation.speed})
             else:
-                command = f"gyrofleet run static_bias --station {shlex.quote(str(folder / STATION))}"
-                results().print(
-                    f"station ready, {simulation.speed:g} times real time; test it: {command} "
-                    f"--units {shlex.quote(str(folder / UNITS))} --yes",
-                    soft_wrap=True, markup=False,
-                )  # fmt: skip
+                files = f"--station {shlex.quote(str(folder / STATION))} --units {shlex.quote(str(folder / UNITS))}"
+                command = f"gyrofleet run static_bias {files} --yes"
+                ready = f"station ready, {simulation.speed:g} times real time"
+                results().print(f"{ready}; test it: {command}", soft_wrap=True)
             _watch(processes, stop)
         finally:
             for process in reversed(processes):
@@ -116,8 +114,6 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 def _watch(processes: list[subprocess.Popen[str]], stop: Stop) -> None:
     while not stop.wait(_LOOK_S):
-        for process in processes:
-            if process.poll() is not None:
-                raise InstrumentError(
-                    f"a process of the simulated station has ended with exit code {process.returncode}"
-                )
+        if ended := [process for process in processes if process.poll() is not None]:
+            code = ended[0].returncode
+            raise InstrumentError(f"a process of the simulated station has ended with exit code {code}")

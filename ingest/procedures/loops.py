@@ -13,7 +13,6 @@ _MOST_ROUNDS = 100_000
 
 def check_form(item: Item, where: str) -> None:
     """Check that an item is either a step, a loop, or the use of a procedure."""
-    loops = item.over is not None or item.times is not None
     if item.over is not None and item.times is not None:
         raise BadInput(f"{where}: give `for` or `times`, not both")
     if (item.over is None) != (item.values is None and item.series is None):
@@ -27,7 +26,7 @@ def check_form(item: Item, where: str) -> None:
     if item.items or item.use is not None:
         if given := [name for name in _ONLY_OF_STEPS if getattr(item, name) is not None]:
             raise BadInput(f"{where}.{given[0]}: belongs to a step, not to a loop; put it into a step of its own")
-    elif loops:
+    elif item.over is not None or item.times is not None:
         raise BadInput(f"{where}: a loop without steps ([[step.step]])")
     elif item.name is None:
         raise BadInput(f"{where}: a step without a name")

@@ -35,18 +35,11 @@ class EmbeddedPipeline:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        role: str,
-        *,
-        estimate_every_s: float = 600.0,
-        listen: Sequence[str] = (),
-        rotate_bytes: int = EMBEDDED_ROTATE_BYTES,
-        on_document: Callable[[AnyDocument], None] | None = None,
-        on_warning: Callable[[str], None] | None = None,
-        spool: Spool | None = None,
+        self, folder: Path, role: str, *, estimate_every_s: float = 600.0, listen: Sequence[str] = (),
+        rotate_bytes: int = EMBEDDED_ROTATE_BYTES, on_document: Callable[[AnyDocument], None] | None = None,
+        on_warning: Callable[[str], None] | None = None, spool: Spool | None = None,
         estimated: EstimatedSignals = EstimatedSignals(),
-    ) -> None:
+    ) -> None:  # fmt: skip
         with ExitStack() as stack:
             self.store = Store.create(folder)
             stack.enter_context(WriterLock(self.store, role))
@@ -61,13 +54,14 @@ class EmbeddedPipeline:
                     publisher.fail(str(failure))
 
             # the worker listens first: what the recorder acknowledges, the worker has
+            log_tail = LogTail(self.store)  # a run that was begun before is estimated from its beginning
             self.worker = EstimationWorker(
                 bus,
                 self._estimates,
                 every_s=estimate_every_s,
                 on_document=on_document,
                 estimated=estimated,
-                log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
+                log=log_tail,
             )
             self.recorder = stack.enter_context(
                 Recorder(self.store, bus, log, on_warning=on_warning or _print, on_failure=give_up)
@@ -104,4 +98,4 @@ class EmbeddedPipeline:
 
 
 def _print(warning: str) -> None:
-    notes().print(f"warning: {warning}", soft_wrap=True, markup=False)
+    notes().print(f"warning: {warning}", soft_wrap=True)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Protocol
 
 from ingest.instruments.base import Instrument
-from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
 from ingest.station.run_log import RunLog
@@ -100,8 +100,7 @@ class StationRun:
 
     def make_safe(self) -> None:
         """Make every instrument safe; failures are reported and stop no other."""
-        troubles = self._bench.rest()
-        self._report_rest(troubles, self._clock.now_ns())
+        self._report_rest(self._bench.rest(), self._clock.now_ns())
 
     def _report_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
         self.unsafe = tuple(troubles)

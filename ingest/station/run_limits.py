@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.plan import PlannedStep
 from ingest.run_record import document_uid
 from ingest.station.units_file import UnitEntry
 from storage.specifications.live_limits import UnitLimits, chosen_periods, format_limit, unit_limits

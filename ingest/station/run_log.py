@@ -6,27 +6,17 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 from uuid import UUID, uuid4
 
-from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.plan import PlannedStep
 from ingest.run_record import Outcome, RunRecord, document_uid
 from ingest.station.run_limits import NO_LIMITS, RunLimits
 from ingest.station.run_state import STATE_FILE, StationRunState, check_same, read_station_run
 from ingest.station.station import Station
 from ingest.station.step_coverage import StepCoverage
 from ingest.station_clock import StationClock
+from stream import events
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
-from stream.events import (
-    AnyDocument,
-    NoteAdded,
-    PowerOff,
-    PowerOn,
-    RunEnded,
-    RunResumed,
-    RunStarted,
-    StepEnded,
-    StepStarted,
-)
 from stream.identity import sample_key
 from stream.wire.acknowledgement import StreamId
 
@@ -74,7 +64,7 @@ class RunLog(RunRecord[StationRunState]):
         self.coverage.see(batch)
 
     def begin(
-        self, sender: Sender, mounted: Iterable[AnyDocument], about: Mapping[str, str], *, operator: str | None,
+        self, sender: Sender, mounted: Iterable[events.AnyDocument], about: Mapping[str, str], *, operator: str | None,
         lot: str | None, at: int | None = None, warnings: Iterable[str] = (), limits: RunLimits = NO_LIMITS,
     ) -> None:  # fmt: skip
         """Send the documents with which the run starts or resumes, from the step `at` on.
@@ -86,7 +76,7 @@ class RunLog(RunRecord[StationRunState]):
         if self.state.phase == "starting":
             self._save()  # killed from here on, it is resumed as the same run
             self._send(
-                RunStarted(
+                events.RunStarted(
                     run=self.state.run, t_ns=self.state.t0_ns, uid=self._uid("started"),
                     simulated=self._station.table.simulated, source=f"station {self._station.table.name}",
                     units=self.state.units, procedure=self.state.procedure, details=dict(about), operator=operator,
@@ -108,20 +98,15 @@ class RunLog(RunRecord[StationRunState]):
         self.end_steps(outcome)
         self._save(phase="ending", outcome=outcome)
         run, now_ns, uid = self.state.run, self._clock.now_ns(), self._uid("ended")
-        self._send(RunEnded(run=run, t_ns=now_ns, uid=uid, outcome=outcome, totals=self._totals()))
-
-    def close(self) -> None:
-        """Record that a recorder has everything."""
-        self._save(phase="ended")
+        self._send(events.RunEnded(run=run, t_ns=now_ns, uid=uid, outcome=outcome, totals=self._totals()))
 
     def note(self, text: str, unit: str | None = None) -> None:
         """Add a note to the run, or to a unit in it; from any thread."""
         with self._counting:
             self._notes += 1
             number = self._notes
-        uid = self._uid("note", str(self.state.starts), str(number))
-        now_ns = self._clock.now_ns()
-        self._send(NoteAdded(run=self.state.run, t_ns=now_ns, uid=uid, text=text, author="station", unit=unit))
+        run, t_ns, uid = self.state.run, self._clock.now_ns(), self._uid("note", str(self.state.starts), str(number))
+        self._send(events.NoteAdded(run=run, t_ns=t_ns, uid=uid, text=text, author="station", unit=unit))
 
     def begin_step(self, step: PlannedStep) -> int:
         """Start a recorded step of all units now; the time, nanoseconds."""
@@ -133,7 +118,7 @@ class RunLog(RunRecord[StationRunState]):
         for document in self._limits.at_record(self.state.run, t_ns, settled_ns, step.record_s):
             self._send(document)
         for unit, uid in uids.items():
-            self._send(StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
+            self._send(events.StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
         return t_ns
 
     def end_steps(self, outcome: str, t_ns: int | None = None) -> None:
@@ -173,7 +158,8 @@ class RunLog(RunRecord[StationRunState]):
         """No unit has power, from now on or from another time; sent once."""
         t_ns = self._clock.now_ns() if t_ns is None else t_ns
         for unit, epoch in self.state.epochs.items():
-            self._send(PowerOff(run=self.state.run, t_ns=t_ns, uid=self._uid("off", epoch), unit=unit, epoch=epoch))
+            uid = self._uid("off", epoch)
+            self._send(events.PowerOff(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, epoch=epoch))
         self._save(is_powered=False, epochs={})
 
     def _save(self, **changes: Any) -> None:
@@ -187,28 +173,24 @@ class RunLog(RunRecord[StationRunState]):
         if self.state.is_powered:
             self._send_power_ons()
         self.end_steps("interrupted", self.state.seen_ns)
-        again = f"step {self.state.step + 1} is begun again"
-        cut = again if self.state.closed_as == "interrupted" else "no step was cut"
+        cut = (
+            f"step {self.state.step + 1} is begun again" if self.state.closed_as == "interrupted" else "no step was cut"
+        )
         back = f", from step {at + 1} on" if at < self.state.step else ""
         self._save(starts=self.state.starts + 1, step=at, steps_done=at)
-        reason = f"resumed at step {at + 1}; {cut}{back}"
-        uid = self._uid("resumed", str(self.state.starts))
-        self._send(RunResumed(run=self.state.run, t_ns=now_ns, uid=uid, gap_ns=gap_ns, reason=reason))
+        reason, uid = f"resumed at step {at + 1}; {cut}{back}", self._uid("resumed", str(self.state.starts))
+        self._send(events.RunResumed(run=self.state.run, t_ns=now_ns, uid=uid, gap_ns=gap_ns, reason=reason))
 
     def _send_step_ends(self) -> None:
-        state = self.state
-        for unit, uid in state.closed_steps.items():
-            self._send(
-                StepEnded(
-                    run=state.run, t_ns=state.closed_ns, uid=self._uid("step-ended", uid), unit=unit, step_uid=uid,
-                    outcome=state.closed_as,
-                )
-            )  # fmt: skip
+        run, t_ns, outcome = self.state.run, self.state.closed_ns, self.state.closed_as
+        for unit, step in self.state.closed_steps.items():
+            uid = self._uid("step-ended", step)
+            self._send(events.StepEnded(run=run, t_ns=t_ns, uid=uid, unit=unit, step_uid=step, outcome=outcome))
 
     def _send_power_ons(self) -> None:
         for unit, epoch in self.state.epochs.items():
             uid = self._uid("on", epoch)
-            self._send(PowerOn(run=self.state.run, t_ns=self.state.powered_ns, uid=uid, unit=unit, epoch=epoch))
+            self._send(events.PowerOn(run=self.state.run, t_ns=self.state.powered_ns, uid=uid, unit=unit, epoch=epoch))
 
     def _uid(self, *parts: str) -> str:
         return document_uid("/".join(["gyrofleet:station-run", self.state.run, str(self.state.t0_ns), *parts]))

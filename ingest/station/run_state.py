@@ -68,10 +68,8 @@ def unfinished_runs(spool: Path) -> list[StationRunState]:
 
 def left_run(spools: Path, procedure: str, units: tuple[str, ...]) -> str | None:
     """The run of this procedure and these units that is to be resumed; None where there is none."""
-    for state in unfinished_runs(spools):
-        if state.procedure == procedure and set(state.units) == set(units):
-            return state.run
-    return None
+    wanted = [each for each in unfinished_runs(spools) if each.procedure == procedure and set(each.units) == set(units)]
+    return wanted[0].run if wanted else None
 
 
 def other_unfinished(spools: Path, procedure: str, run: str) -> Iterator[str]:

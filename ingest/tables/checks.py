@@ -63,18 +63,21 @@ class RowFilter:
         units = self._names(block, "unit", self._columns.unit)
         runs = self._names(block, "run", self._columns.run)
         words = [_read_texts(block, column.title, column.read) for column in self._columns.words]
-        passed: list[tuple[Owner, IndexArray]] = []
+        found = []
         owned = list(self._owned(units, runs, len(block.numbers)))
         written_ns = self._written_times(block, owned)
         self._settle_clock(block, written_ns)
         times_ns = self.clock.place(written_ns)
         for owner, rows in owned:
             rows = self._in_order(block, owner, rows[~block.sieve.bad[rows]], times_ns)
-            if len(rows):
-                passed.append((owner, rows))
+            if len(rows) == len(block.numbers):
+                found.append(GoodRows(owner, times_ns, block.signals, self._stretches(rows, words), block.done))
+            elif len(rows):
+                signals = {name: cells.at(rows) for name, cells in block.signals.items()}
+                found.append(GoodRows(owner, times_ns[rows], signals, self._stretches(rows, words), block.done))
         self.rows += len(block.numbers)
         self.log.add(int(block.sieve.bad.sum()), block.sieve.reasons())
-        return [self._good_rows(block, owner, rows, times_ns, words) for owner, rows in passed]
+        return found
 
     def _names(self, block: CellBlock, kind: str, title: str | None) -> TextCells | None:
         if title is None:
@@ -165,15 +168,6 @@ class RowFilter:
         title = self._columns.time.title if self._columns.time is not None else ""
         return BadRow(block.place, int(block.numbers[row]), title, seconds_text(time_ns), expected)
 
-    def _good_rows(
-        self, block: CellBlock, owner: Owner, rows: IndexArray, times_ns: IntArray, words: list[TextCells]
-    ) -> GoodRows:
-        signals = block.signals
-        if len(rows) < len(block.numbers):
-            times_ns = times_ns[rows]
-            signals = {name: cells.at(rows) for name, cells in signals.items()}
-        return GoodRows(owner, times_ns, signals, self._stretches(rows, words), block.done)
-
     def _stretches(self, rows: IndexArray, words: list[TextCells]) -> list[tuple[int, int, StepWords | None]]:
         codes = [cells.codes[rows] for cells in words]
         changed = np.zeros(len(rows) - 1, np.bool_)
@@ -184,8 +178,8 @@ class RowFilter:
         for begin, end in pairwise(edges):
             coded = zip(words, codes, strict=True)
             values = [cells.values[code[begin]] if code[begin] >= 0 else None for cells, code in coded]
-            words_here = with_common_words(step_words(self._columns.words, values), self._common_words)
-            stretches.append((begin, end, words_here))
+            own = step_words(self._columns.words, values)
+            stretches.append((begin, end, with_common_words(own, self._common_words)))
         return stretches
 
 

@@ -79,14 +79,10 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
         if len(by_blanks) == len(rows[0].split()) and not any(mark in rows[0] for mark in "\t;"):
             delimiter, titles = " ", by_blanks
     return Dialect(
-        titles=titles,
-        delimiter=delimiter,
-        first_line=rows_at + 1,
-        first_byte=lines[rows_at - 1][1] if rows_at else 0,
-        comments=len(comments),
-        is_header_comment=is_header_comment,
+        titles, delimiter, first_line=rows_at + 1, first_byte=lines[rows_at - 1][1] if rows_at else 0,
+        comments=len(comments), is_header_comment=is_header_comment,
         sample=tuple(filter(None, (_cells(text, delimiter) for text in rows))),
-    )
+    )  # fmt: skip
 
 
 def without_blanks(block: bytes) -> bytes:

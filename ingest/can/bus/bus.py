@@ -168,6 +168,7 @@ class CanBus:
             if frames:
                 lost = self._backlog.put(intake, frames, intake.clock.now_s())
                 self._count(received=len(frames), overrun=lost)
+                self._count(received=len(frames), overrun=lost)
                 self._overruns.add(lost)
             if is_last and (failure or not frames or time.monotonic() > stop_s):
                 break
@@ -227,13 +228,9 @@ class CanBus:
         frames = len(columns.stamps_s)
         if not frames:
             return
-        block = FrameBlock(
-            intake.clock.times_ns(columns.stamps_s, taken.read_s),
-            np.full(frames, self.options.number, np.int16),
-            columns.arbitration_id,
-            columns.length,
-            columns.data,
-        )
+        times_ns, channel = intake.clock.times_ns(columns.stamps_s, taken.read_s), np.int16(self.options.number)
+        columns_of_data = columns.arbitration_id, columns.length, columns.data
+        block = FrameBlock(times_ns, np.full(frames, channel), *columns_of_data)
         batches = self._guarded("frames cannot be decoded", lambda: self._decoder.take(block))
         self._count(**{"undecoded" if batches is None else "decoded": frames})
         self._deliver_all(batches or [])
@@ -242,13 +239,11 @@ class CanBus:
         """Count everything beside data frames, and follow the state of the controller."""
         frames = len(columns.stamps_s)
         overruns = columns.overflows + columns.overruns
+        unknown = 0 if self._wanted is None else frames - int(np.isin(columns.arbitration_id, self._wanted).sum())
         self._count(
-            unknown=0 if self._wanted is None else frames - int(np.isin(columns.arbitration_id, self._wanted).sum()),
-            error_frames=columns.error_frames,
-            remote_frames=columns.remote_frames,
-            malformed=columns.malformed,
-            interface_overrun=overruns,
-        )
+            unknown=unknown, error_frames=columns.error_frames, remote_frames=columns.remote_frames,
+            malformed=columns.malformed, interface_overrun=overruns,
+        )  # fmt: skip
         if overruns:
             self._interface_overruns.add(overruns)
         if columns.malformed:

@@ -79,15 +79,13 @@ class TableEnvironment:
     def __init__(
         self, latitude_deg: float, axes_enu: str | Sequence[Sequence[float]], table_axis_enu: Sequence[float] = _UP, *,
         rate_deg_per_s: FunctionOfTime | None = None, angle_deg: FunctionOfTime | None = None,
-        temperature_deg_c: FunctionOfTime | None = None, supply_v: float = NOMINAL_SUPPLY_V,
-        magnetic_field_enu_gauss: Sequence[float] = (0.0, 0.0, 0.0),
+        temperature_deg_c: FunctionOfTime | None = None, magnetic_field_enu_gauss: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
         if not -90.0 <= latitude_deg <= 90.0:
             raise BadInput(f"mounting: a latitude of {latitude_deg} deg, -90 to 90 is needed")
         axes, table_axis = _axes(axes_enu), _direction(table_axis_enu)
         self._along = axes @ table_axis
         self._rate, self._angle, self._temperature = rate_deg_per_s, angle_deg, temperature_deg_c
-        self._supply_v = supply_v
         self._earth_rate = _coefficients(axes, table_axis, earth_rate_enu_deg_per_s(latitude_deg))
         self._gravity = _coefficients(axes, table_axis, np.array(_UP))
         self._field = _coefficients(axes, table_axis, np.asarray(magnetic_field_enu_gauss, np.float64))
@@ -118,7 +116,7 @@ class TableEnvironment:
 
     def supply_v(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""
-        return np.full(len(t_ns), self._supply_v)
+        return np.full(len(t_ns), NOMINAL_SUPPLY_V)
 
     def magnetic_field_gauss(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""

@@ -10,7 +10,8 @@ import pytest
 
 from ingest import run_record
 from ingest.instruments.base import Instrument, Options, Reading
-from ingest.procedures.procedure import PlannedStep, load_procedure
+from ingest.procedures.plan import PlannedStep
+from ingest.procedures.procedure import load_procedure
 from ingest.procedures.run_steps import resume_index
 from ingest.run_record import write_state
 from ingest.station import run as station_run
