@@ -149,7 +149,8 @@ class CanLog:
             raise
         except Exception as error:  # readers raise whatever bad bytes lead to
             stated = " ".join(str(error).split()) or type(error).__name__
-            raise _unreadable(self.path, f"{stated}") from error
+            what = f"{self.path.suffix} log of CAN frames"
+            raise BadInput(f"{self.path}: cannot be read as a {what}: {stated}") from error
 
 
 def _check_kind(path: Path) -> None:
@@ -166,13 +167,9 @@ def _check_kind(path: Path) -> None:
     except OSError as error:
         raise BadInput(f"{path}: cannot be opened ({error.strerror or error})") from error
     if suffix in MAGIC and (not begin.startswith(MAGIC[suffix]) or len(begin) < LEAST_BYTES[suffix]):
-        raise _unreadable(path, "it does not begin like one")
+        raise BadInput(f"{path}: cannot be read as a {suffix} log of CAN frames: it does not begin like one")
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         raise BadInput(f"{path}: reading MF4 needs asammdf, which is not installed: pip install 'gyrofleet[mf4]'")
-
-
-def _unreadable(path: Path, why: str) -> BadInput:
-    return BadInput(f"{path}: cannot be read as a {path.suffix} log of CAN frames: {why}")
 
 
 def _place(reader: Any) -> int:

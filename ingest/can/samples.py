@@ -35,8 +35,6 @@ class SignalPiece(NamedTuple):
 
 
 class _Frames(NamedTuple):
-    """The n frames of one key in a block, decoded."""
-
     t_ns: IntArray
     channel: npt.NDArray[np.int16]
     source: IdArray
@@ -45,8 +43,6 @@ class _Frames(NamedTuple):
 
 
 class _RouteState:
-    """One route, with counters and times from block to block."""
-
     def __init__(self, route: Route) -> None:
         message = route.message
         self.route, self.channel, self.source = route, route.channel, route.source

@@ -98,8 +98,6 @@ class CanDecoder:
 
 
 class _Stream:
-    """One signal of one unit: numbers its samples and finds their interval."""
-
     def __init__(self, first: SignalPiece, run: str, epoch: UUID) -> None:
         message = first.route.message
         self._head = first.head(run, epoch, message.interval_ns or 0)

@@ -217,7 +217,6 @@ def _can_mapping(
 
 
 def _pair(text: str, option: str, example: str) -> tuple[str, str]:
-    """Both sides of an option ``LEFT=RIGHT``."""
     left, mark, right = text.rpartition("=")
     if not mark or not left.strip() or not right.strip():
         raise BadInput(f"{option} {text!r}: write it like {example}")

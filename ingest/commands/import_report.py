@@ -9,7 +9,7 @@ from stream.console import DEFAULT_STORE, counted, notes, results
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from ingest.importing.result import FileImport
+    from ingest.importing.file_sending import FileImport
 
 LISTED_FILES = 10
 _LISTED_BAD_ROWS = 20

@@ -142,7 +142,6 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
 
 
 def _job(asked: ProcedureRun) -> _Job:
-    """Read the files and check that the station can do what the procedure asks."""
     procedure = load_procedure(asked.procedure)
     steps = procedure.steps(asked.parameters)
     station = load_station(asked.station)
@@ -159,7 +158,6 @@ def _job(asked: ProcedureRun) -> _Job:
 def _carried_out(
     log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator
 ) -> int:
-    """Carry out what is left of the run and end it; the exit code."""
     if log.state.phase != "running":
         log.end(log.state.outcome)  # it was killed while it waited for the recorder
         return 0
@@ -203,7 +201,6 @@ def _checked(
 
 
 def _limits(asked: ProcedureRun, job: _Job, sources: StationSources | None, folder: Path, t_ns: int) -> RunLimits:
-    """Limits on the units, where something is measured."""
     if sources is None:
         return NO_LIMITS
     rates = sources.rate_signals()
@@ -233,7 +230,6 @@ def _leave(why: str, path: RunPath, stop: Stop, report: Callable[[str, str], Non
 
 
 def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark: str, *, as_json: bool) -> None:
-    """Print how far a run is, for people or as JSON."""
     state = log.state
     if as_json:
         about = {"event": event, "run": state.run, "procedure": state.procedure, "units": list(state.units)}

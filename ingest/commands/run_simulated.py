@@ -43,7 +43,6 @@ def run_simulated(
 
 
 def _send(live: LiveRun, path: RunPath, stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:
-    """Send what is left of the run; returns the exit code."""
     if not (is_ended and live.state.phase == "running"):
         live.begin(path.sender)
     watch.report(live, "running", path.where)
@@ -100,7 +99,6 @@ class _Watch:
 
 
 def _report(live: LiveRun, event: str, remark: str, resent: int = 0, *, as_json: bool) -> None:
-    """Print how far a run is, for people or as JSON."""
     gap_s = live.gap_ns / 1e9
     if as_json:
         about = {"event": event, "run": live.state.run, "samples": live.samples, "starts": live.state.starts}

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
@@ -15,6 +16,7 @@ import click
 from stream.console import Stop, notes, print_json, reporting, results, until_stopped
 from stream.errors import BadInput, InstrumentError
 
+_defaulted = partial(click.option, show_default=True)
 _READY_S = 60.0
 _LOOK_S = 0.2
 _END_S = 5.0
@@ -23,16 +25,10 @@ _LEFT_S = 2.0  # for the processes of a killed station to end
 
 @click.command("simulate")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--units", type=click.IntRange(1, 1000), default=4, show_default=True, help="Gyros, in a new folder.")
-@click.option(
-    "--speed", type=click.FloatRange(min=0.01, max=1000.0), default=50.0, show_default=True,
-    help="Times real time, in a new folder.",
-)  # fmt: skip
-@click.option(
-    "--rate-hz", type=click.FloatRange(min=0.1, max=1000.0), default=10.0, show_default=True,
-    help="Samples a second, in a new folder.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed, in a new folder.")
+@_defaulted("--units", type=click.IntRange(1, 1000), default=4, help="Gyros, in a new folder.")
+@_defaulted("--speed", type=click.FloatRange(0.01, 1000.0), default=50.0, help="Times real time, in a new folder.")
+@_defaulted("--rate-hz", type=click.FloatRange(0.1, 1000.0), default=10.0, help="Samples a second, in a new folder.")
+@_defaulted("--seed", type=click.IntRange(min=0), default=1, help="Seed, in a new folder.")
 @reporting
 def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, *, as_json: bool) -> None:
     """Simulate a test station: chamber, rate table and supply that speak SCPI, and gyros on a CAN bus.

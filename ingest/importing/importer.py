@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
-from ingest.importing.file_sending import CheckedFile, FileSending, SendingGroup, counted
-from ingest.importing.result import FileImport
+from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, SendingGroup, counted
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
 from storage.recording.client import HeldClaim, RecorderClient
@@ -68,7 +67,6 @@ def _groups(sendings: Iterable[FileSending]) -> Iterator[list[FileSending]]:
 
 
 def _send(group: Sequence[FileSending], knowledge: Knowledge, sender: Sender, progress: FileProgress | None) -> None:
-    """Compare all files with the store, then send them."""
     for each in group:
         each.compare(knowledge)
     for each in group:
@@ -108,7 +106,6 @@ def _results(
 def _sent_to_recorder(
     group: Sequence[FileSending], folder: Path, connect: str, progress: FileProgress | None
 ) -> Iterator[FileImport]:
-    """Send files to a recorder in another process, compared with its own store."""
     began = time.monotonic()
     identity: str | None = None
     owners = {owner for each in group for owner in each.owners}

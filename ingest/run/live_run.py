@@ -194,7 +194,6 @@ class LiveRun(RunRecord[RunState]):
             yield StepStarted(run=self.state.run, t_ns=power_cycle.t0_ns, uid=uid, unit=unit, words=words)
 
     def _end_steps(self, until_ns: int) -> None:
-        """End the steps of the last power-on at their last sample."""
         for begun in self._steps_started():
             last_ns = max(until_ns - self._station.dt_ns, begun.t_ns)
             uid = self._uid("end of step", begun.uid)

@@ -130,7 +130,6 @@ class StationRun:
             source.start()
 
     def _work(self, step: PlannedStep, active: list[RunSource], restart: Callable[[], None]) -> None:
-        """One step, from its commands to its last sample."""
         if step.prompt is not None:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
             self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
@@ -166,7 +165,6 @@ class StationRun:
             self._log.pass_step()
 
     def _await_last(self, step: PlannedStep) -> None:
-        """Wait for the last samples of a step; report the units that lack some."""
         coverage = self._log.coverage
         until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
         is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731

@@ -125,7 +125,6 @@ def _periods(folder: Path, wanted: str | None, t_ns: int) -> tuple[list[Period],
 
 
 def _without_limits(entries: Sequence[UnitEntry], units: Mapping[str, UnitLimits], wanted: str | None) -> Iterator[str]:
-    """A sentence for each product without limits."""
     without: dict[str | None, list[str]] = {}
     for entry in entries:
         if entry.serial not in units:

@@ -70,11 +70,12 @@ class RowFilter:
         times_ns = self.clock.place(written_ns)
         for owner, rows in owned:
             rows = self._in_order(block, owner, rows[~block.sieve.bad[rows]], times_ns)
-            if len(rows) == len(block.numbers):
-                found.append(GoodRows(owner, times_ns, block.signals, self._stretches(rows, words), block.done))
-            elif len(rows):
-                signals = {name: cells.at(rows) for name, cells in block.signals.items()}
-                found.append(GoodRows(owner, times_ns[rows], signals, self._stretches(rows, words), block.done))
+            if not len(rows):
+                continue
+            mine_ns, signals = times_ns, block.signals
+            if len(rows) < len(block.numbers):
+                mine_ns, signals = times_ns[rows], {name: cells.at(rows) for name, cells in signals.items()}
+            found.append(GoodRows(owner, mine_ns, signals, self._stretches(rows, words), block.done))
         self.rows += len(block.numbers)
         self.log.add(int(block.sieve.bad.sum()), block.sieve.reasons())
         return found

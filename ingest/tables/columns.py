@@ -117,8 +117,6 @@ def _refuse_repeated(kind: str, names: Sequence[str]) -> None:
 
 
 class _HeaderReader:
-    """Reads titles one after the other."""
-
     def __init__(self, titles: Sequence[str], options: TableOptions, stamps: Collection[str]) -> None:
         self.columns = Columns()
         self._stamps = stamps

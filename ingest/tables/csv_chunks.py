@@ -84,7 +84,6 @@ class CsvTable:
                 line += _lines(block)
 
     def _find_dialect(self) -> Dialect:
-        """Read the lines up to the first rows."""
         lines: list[tuple[str, int]] = []
         rows = 0
         with self._path.open("rb") as file:

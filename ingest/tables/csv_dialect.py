@@ -91,7 +91,6 @@ def without_blanks(block: bytes) -> bytes:
 
 
 def _is_row(line: str) -> bool:
-    """Whether a line consists of numbers and time stamps."""
     cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
     cells = [part for cell in cells for part in ([cell] if STAMP.fullmatch(cell) else re.split("[, ]+", cell))]
     return bool(cells) and all(STAMP.fullmatch(cell) or NUMBER.fullmatch(cell) for cell in cells)

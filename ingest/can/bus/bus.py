@@ -168,7 +168,6 @@ class CanBus:
             if frames:
                 lost = self._backlog.put(intake, frames, intake.clock.now_s())
                 self._count(received=len(frames), overrun=lost)
-                self._count(received=len(frames), overrun=lost)
                 self._overruns.add(lost)
             if is_last and (failure or not frames or time.monotonic() > stop_s):
                 break
@@ -228,9 +227,9 @@ class CanBus:
         frames = len(columns.stamps_s)
         if not frames:
             return
-        times_ns, channel = intake.clock.times_ns(columns.stamps_s, taken.read_s), np.int16(self.options.number)
-        columns_of_data = columns.arbitration_id, columns.length, columns.data
-        block = FrameBlock(times_ns, np.full(frames, channel), *columns_of_data)
+        times_ns = intake.clock.times_ns(columns.stamps_s, taken.read_s)
+        channel = np.full(frames, self.options.number, np.int16)
+        block = FrameBlock(times_ns, channel, columns.arbitration_id, columns.length, columns.data)
         batches = self._guarded("frames cannot be decoded", lambda: self._decoder.take(block))
         self._count(**{"undecoded" if batches is None else "decoded": frames})
         self._deliver_all(batches or [])

@@ -10,9 +10,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.importing.file_sending import CheckedFile
+from ingest.importing.file_sending import CheckedFile, FileImport
 from ingest.importing.importer import import_files
-from ingest.importing.result import FileImport
 from ingest.run.run_path import Destination, path_to
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile
