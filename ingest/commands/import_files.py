@@ -128,7 +128,8 @@ def import_files(
             )
         )  # fmt: skip
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)
-    not_listed = [each for each in units if entries and each not in {entry.serial for entry in entries}]
+    known = {entry.serial for entry in entries}
+    not_listed = [each for each in units if entries and each not in known]
     if as_json:
         print_json({"store": str(folder), "files": imported, "units_not_listed": not_listed})
     else:

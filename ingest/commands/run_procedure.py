@@ -22,8 +22,7 @@ from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
-from ingest.station.run_log import RunLog
-from ingest.station.run_state import check_same, fresh_id, left_run, other_unfinished, read_station_run
+from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, load_units, mounted_documents

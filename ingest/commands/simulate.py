@@ -54,7 +54,10 @@ def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, 
                 command = f"gyrofleet run static_bias {files} --yes"
                 ready = f"station ready, {simulation.speed:g} times real time"
                 results().print(f"{ready}; test it: {command}", soft_wrap=True)
-            _watch(processes, stop)
+            while not stop.wait(_LOOK_S):
+                if ended := [process for process in processes if process.poll() is not None]:
+                    code = ended[0].returncode
+                    raise InstrumentError(f"a process of the simulated station has ended with exit code {code}")
         finally:
             for process in reversed(processes):
                 process.terminate()
@@ -106,10 +109,3 @@ def _end(process: subprocess.Popen[str]) -> None:
     except subprocess.TimeoutExpired:  # stopped, perhaps
         process.kill()
         process.wait()
-
-
-def _watch(processes: list[subprocess.Popen[str]], stop: Stop) -> None:
-    while not stop.wait(_LOOK_S):
-        if ended := [process for process in processes if process.poll() is not None]:
-            code = ended[0].returncode
-            raise InstrumentError(f"a process of the simulated station has ended with exit code {code}")

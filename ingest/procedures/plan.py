@@ -7,8 +7,7 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from ingest.procedures.file import Item, Names, near_name
-from ingest.procedures.loops import bound_value, check_form, rounds
-from ingest.procedures.values import Scalar, Variables, number_of, text_of
+from ingest.procedures.values import Scalar, Variables, bound_value, check_form, number_of, rounds, text_of
 from stream.errors import BadInput
 from stream.events import StepWords
 

@@ -54,15 +54,10 @@ class EmbeddedPipeline:
                     publisher.fail(str(failure))
 
             # the worker listens first: what the recorder acknowledges, the worker has
-            log_tail = LogTail(self.store)  # a run that was begun before is estimated from its beginning
             self.worker = EstimationWorker(
-                bus,
-                self._estimates,
-                every_s=estimate_every_s,
-                on_document=on_document,
-                estimated=estimated,
-                log=log_tail,
-            )
+                bus, self._estimates, every_s=estimate_every_s, on_document=on_document, estimated=estimated,
+                log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
+            )  # fmt: skip
             self.recorder = stack.enter_context(
                 Recorder(self.store, bus, log, on_warning=on_warning or _print, on_failure=give_up)
             )

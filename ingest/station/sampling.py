@@ -127,7 +127,6 @@ class Sampler:
 
     def _take(self, readings: list[Reading]) -> None:
         refused = 0
-        refused = 0
         for reading in readings:
             if reading.t_ns <= self._last_ns.get(reading.signal, reading.t_ns - 1) or not math.isfinite(reading.value):
                 refused += 1

@@ -10,8 +10,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
-from ingest.tables.csv_dialect import COMMENT, Dialect, find_dialect, without_blanks
-from ingest.tables.csv_lines import LineReader
+from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, without_blanks
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps
 from stream.batch import IntArray
