@@ -86,7 +86,7 @@ def import_files(
     from ingest.importing.file_sending import CheckedFile
     from ingest.importing.importer import import_files as import_checked
     from ingest.moment import moment_ns
-    from ingest.station.units_file import load_units
+    from ingest.station.units_file import read_units
     from ingest.tables.columns import TableOptions
     from stream.events import StepWords
     from stream.worker.estimated_signals import EstimatedSignals
@@ -102,7 +102,7 @@ def import_files(
     )  # fmt: skip
     _warn_of_words(procedure, position)
     plan = _can_mapping(files, unit, databases, mapping, variants)
-    entries = () if units_file is None else load_units(units_file)
+    entries = () if units_file is None else read_units(units_file).entries
     intervals: dict[tuple[str, str, str], int] = {}
     with progress_bar(hidden=as_json) as progress:
         checked = []

@@ -25,7 +25,7 @@ from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_lim
 from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
-from ingest.station.units_file import UnitEntry, load_units, mounted_documents
+from ingest.station.units_file import UnitEntry, mounted_documents, read_units
 from ingest.station_clock import StationClock
 from stream.console import Stop, notes, print_json, results, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
@@ -144,7 +144,7 @@ def _job(asked: ProcedureRun) -> _Job:
     procedure = load_procedure(asked.procedure)
     steps = procedure.steps(asked.parameters)
     station = load_station(asked.station)
-    entries = load_units(asked.units, station.slots or None)
+    entries = read_units(asked.units, station.slots or None).entries
     check_station(station, procedure, asked.parameters)
     clock = station.make_clock()
     instruments = station.make_instruments(clock)

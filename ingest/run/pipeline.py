@@ -58,9 +58,8 @@ class EmbeddedPipeline:
                 bus, self._estimates, every_s=estimate_every_s, on_document=on_document, estimated=estimated,
                 log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
             )  # fmt: skip
-            self.recorder = stack.enter_context(
-                Recorder(self.store, bus, log, on_warning=on_warning or _print, on_failure=give_up)
-            )
+            warn = on_warning or (lambda warning: notes().print(f"warning: {warning}", soft_wrap=True))
+            self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_warning=warn, on_failure=give_up))
             # the source comes last: with a spool it sends at once
             self.publisher = stack.enter_context(DurablePublisher(bus, spool=spool))
             publishers.append(self.publisher)
@@ -90,7 +89,3 @@ class EmbeddedPipeline:
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
-
-
-def _print(warning: str) -> None:
-    notes().print(f"warning: {warning}", soft_wrap=True)

@@ -48,11 +48,6 @@ class UnitsFile(msgspec.Struct, frozen=True, kw_only=True):
     empty_lines: int = 0
 
 
-def load_units(path: str | Path, slots: Iterable[str] | None = None) -> tuple[UnitEntry, ...]:
-    """The units of a file; see `read_units`."""
-    return read_units(path, slots).entries
-
-
 def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFile:
     """Read which units are tested from a file, or from standard input where the path is ``-``.
 

@@ -1,7 +1,9 @@
 """Bias of a gyro: its output at rest that is neither thermal nor noise, in deg/h."""
 
+import heapq
 import math
 from collections.abc import Iterator
+from itertools import takewhile
 
 import msgspec
 import numpy as np
@@ -114,7 +116,7 @@ class BiasEffect:
         if jumps is not None:
             generator = self._seeds.of_power_on("bias jumps")
             drawn = draws.random_jumps(jumps.rate_per_h, jumps.sd_deg_per_h, generator)
-        return draws.merged_jumps(planned, drawn, until_s)
+        return takewhile(lambda jump: jump.at_s < until_s, heapq.merge(sorted(planned), drawn))
 
     def add(self, first: int, conditions: Conditions, out: FloatArray) -> None:
         """Add the bias, deg/h, to samples `first`, `first` + 1, ..."""

@@ -6,7 +6,6 @@ make a right-handed frame.
 
 from collections.abc import Mapping, Sequence
 from functools import partialmethod
-from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -19,13 +18,13 @@ NOMINAL_SUPPLY_V = 5.0
 
 Channel = Literal["rates_deg_per_s", "specific_force_g", "magnetic_field_gauss", "temperature_deg_c", "supply_v"]
 
-
-_DEFAULTS: Mapping[Channel, tuple[float, ...]] = MappingProxyType(
-    {
-        **dict.fromkeys(("rates_deg_per_s", "specific_force_g", "magnetic_field_gauss"), (0.0, 0.0, 0.0)),
-        "temperature_deg_c": (NOMINAL_TEMPERATURE_DEG_C,), "supply_v": (NOMINAL_SUPPLY_V,),
-    }
-)  # fmt: skip
+_DEFAULTS: Mapping[Channel, tuple[float, ...]] = {
+    "rates_deg_per_s": (0.0, 0.0, 0.0),
+    "specific_force_g": (0.0, 0.0, 0.0),
+    "magnetic_field_gauss": (0.0, 0.0, 0.0),
+    "temperature_deg_c": (NOMINAL_TEMPERATURE_DEG_C,),
+    "supply_v": (NOMINAL_SUPPLY_V,),
+}
 
 
 class Environment(Protocol):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -23,16 +22,14 @@ _EAST, _NORTH, _UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _WEST, _SOUTH, _DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 
 # Directions of x (input axis), y and z in east, north, up; each right-handed.
-POSITIONS: Mapping[str, Axes] = MappingProxyType(
-    {
-        "input_up": (_UP, _EAST, _NORTH),
-        "input_down": (_DOWN, _EAST, _SOUTH),
-        "input_east": (_EAST, _NORTH, _UP),
-        "input_west": (_WEST, _SOUTH, _UP),
-        "input_north": (_NORTH, _WEST, _UP),
-        "input_south": (_SOUTH, _EAST, _UP),
-    }
-)
+POSITIONS: Mapping[str, Axes] = {
+    "input_up": (_UP, _EAST, _NORTH),
+    "input_down": (_DOWN, _EAST, _SOUTH),
+    "input_east": (_EAST, _NORTH, _UP),
+    "input_west": (_WEST, _SOUTH, _UP),
+    "input_north": (_NORTH, _WEST, _UP),
+    "input_south": (_SOUTH, _EAST, _UP),
+}
 
 
 def earth_rate_enu_deg_per_s(latitude_deg: float) -> FloatArray:
