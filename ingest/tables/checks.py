@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ingest.tables.columns import Columns, TableOptions
-from ingest.tables.rows import BadRow, BadRowLog, CellBlock, NumberCells, TextCells
+from ingest.tables.rows import BAD_ROWS_KEPT, BadRow, CellBlock, NumberCells, TextCells
 from ingest.tables.steps import cell_text, step_words, with_common_words
 from ingest.tables.times import RunClock, ns_from_index, seconds_text
 from stream.batch import IntArray
@@ -55,8 +55,8 @@ class RowFilter:
         self._last_ns: dict[Owner, int] = {}
         self._seen: dict[Owner, int] = {}
         self.clock = RunClock(options.start_ns)
-        self.log = BadRowLog()
-        self.rows = 0
+        self.rows = self.bad_rows = 0
+        self.bad: list[BadRow] = []  # the first of them
 
     def good(self, block: CellBlock) -> list[GoodRows]:
         """Good rows of the next block, by unit and run."""
@@ -77,7 +77,8 @@ class RowFilter:
                 mine_ns, signals = times_ns[rows], {name: cells.at(rows) for name, cells in signals.items()}
             found.append(GoodRows(owner, mine_ns, signals, self._stretches(rows, words), block.done))
         self.rows += len(block.numbers)
-        self.log.add(int(block.sieve.bad.sum()), block.sieve.reasons())
+        self.bad_rows += int(block.sieve.bad.sum())
+        self.bad += block.sieve.reasons()[: BAD_ROWS_KEPT - len(self.bad)]
         return found
 
     def _names(self, block: CellBlock, kind: str, title: str | None) -> TextCells | None:

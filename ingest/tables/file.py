@@ -78,17 +78,17 @@ class TableFile:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
                 steps += started is not None
-        if rows.log.count and not self._options.skip_bad:
-            raise BadRows(self._path, tuple(rows.log.kept), rows.log.count)
+        if rows.bad_rows and not self._options.skip_bad:
+            raise BadRows(self._path, tuple(rows.bad), rows.bad_rows)
         if not grids:
-            raise BadInput(f"{self._path}: {rows.rows} rows, {rows.log.count} of them bad, and not one sample")
+            raise BadInput(f"{self._path}: {rows.rows} rows, {rows.bad_rows} of them bad, and not one sample")
         units = {signal.name: signal.unit_of_measure for signal in self._columns.signals}
         signals = tuple(
             SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
             for (owner, name), grid in grids.items()
         )
         self._summary = TableSummary(
-            rows=rows.rows, bad_rows=rows.log.count, bad=tuple(rows.log.kept), date_known=rows.clock.date_known,
+            rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
             steps=steps, signals=signals, remarks=(*self._columns.remarks, *self._reader.remarks),
             words=self._options.words,
         )  # fmt: skip

@@ -1,7 +1,7 @@
 """Blocks of rows as arrays, as a table reader gives them, and the rows that do not keep the contract."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -73,22 +73,6 @@ class Sieve:
     def reasons(self) -> list[BadRow]:
         """Why rows are bad, in the order of the rows; of many only the first."""
         return [self._reasons[row] for row in sorted(self._reasons)]
-
-
-@dataclass
-class BadRowLog:
-    """Exact count of the bad rows of a file, with the first of them."""
-
-    count: int = 0
-    kept: list[BadRow] = field(default_factory=list)
-
-    def add(self, count: int, reasons: Iterable[BadRow]) -> None:
-        """Count `count` more rows and keep the first of their reasons."""
-        self.count += count
-        for reason in reasons:
-            if len(self.kept) >= BAD_ROWS_KEPT:
-                return
-            self.kept.append(reason)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 from numba import njit
 
-from ingest.simulator.physics import draws
-from ingest.simulator.physics.draws import Jump, NotNegative, Positive, Seeds
+from ingest.simulator.physics.draws import SECONDS_PER_HOUR, Jump, NotNegative, Positive, Seeds, Staircase, random_jumps
 from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, Conditions
 from stream.batch import FloatArray
 
@@ -96,7 +95,7 @@ def _add_sine(t_s: FloatArray, frequency_hz: float, amplitude: float, phase: flo
 @njit(cache=True, nogil=True)
 def _add_logarithm(t_s: FloatArray, age_h: float, onset_h: float, per_decade: float, out: FloatArray) -> None:
     for i in range(t_s.shape[0]):
-        out[i] += per_decade * math.log10(1.0 + (age_h + t_s[i] / draws.SECONDS_PER_HOUR) / onset_h)
+        out[i] += per_decade * math.log10(1.0 + (age_h + t_s[i] / SECONDS_PER_HOUR) / onset_h)
 
 
 class BiasEffect:
@@ -106,7 +105,7 @@ class BiasEffect:
         self._bias, self._seeds, self._age_h = bias, seeds, age_h
         self.turn_on_deg_per_h = bias.turn_on_deg_per_h * float(seeds.of_power_on("bias turn-on").standard_normal())
         self.day_deg_per_h = bias.day_deg_per_h * float(seeds.of_day("bias day").standard_normal())
-        self._steps = draws.Staircase(self.jumps_until(math.inf), interval_s) if bias.step or bias.jumps else None
+        self._steps = Staircase(self.jumps_until(math.inf), interval_s) if bias.step or bias.jumps else None
 
     def jumps_until(self, until_s: float) -> Iterator[Jump]:
         """All jumps before `until_s` seconds from power-on, planned and drawn, from the first on."""
@@ -115,7 +114,7 @@ class BiasEffect:
         drawn: Iterator[Jump] = iter(())
         if jumps is not None:
             generator = self._seeds.of_power_on("bias jumps")
-            drawn = draws.random_jumps(jumps.rate_per_h, jumps.sd_deg_per_h, generator)
+            drawn = random_jumps(jumps.rate_per_h, jumps.sd_deg_per_h, generator)
         return takewhile(lambda jump: jump.at_s < until_s, heapq.merge(sorted(planned), drawn))
 
     def add(self, first: int, conditions: Conditions, out: FloatArray) -> None:
