@@ -156,7 +156,6 @@ class CsvTable:
         if not _quotes_enclose_cells(block, self._dialect.delimiter):
             return None
         table = self._read_typed(block)
-        table = self._read_typed(block)
         numbers = None if table is None else _line_numbers(block, line, table.num_rows)
         if table is None or numbers is None or len(numbers) != table.num_rows:
             return None
