@@ -81,7 +81,7 @@ class EmbeddedPipeline:
         self.publisher.drain()
         self.worker.close()
         self._estimates.drain()
-        self.publisher.drain()
+        self.publisher.drain()  # what estimates led to, such as early decisions
         self.recorder.close()
 
     def __enter__(self) -> Self:
