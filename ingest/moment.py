@@ -1,6 +1,6 @@
 """A moment as people write it: with a date, a time and a time zone."""
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from stream.errors import BadInput
 
@@ -22,5 +22,4 @@ def moment_ns(text: str, option: str = "--start") -> int:
     if moment.tzinfo is None:
         whole = moment.replace(tzinfo=UTC).isoformat().removesuffix("+00:00")
         raise BadInput(f"{option} {text!r} has no time zone; add one, as in {whole}+08:00 or {whole}Z")
-    since = moment - _EPOCH
-    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000
+    return (moment - _EPOCH) // timedelta(microseconds=1) * 1000

@@ -68,6 +68,10 @@ class RunRecord(Generic[State]):
         """Samples of the run so far, whichever process has sent them."""
         return sum(total.samples for total in self._totals())
 
+    def close(self) -> None:
+        """Record that a recorder has everything."""
+        self._save(phase="ended")
+
     def _totals(self) -> tuple[StreamTotal, ...]:
         """Samples of every stream of the run."""
         totals = []

@@ -114,22 +114,17 @@ def bit_field(signal: "Signal") -> BitField:
 
 
 @dataclass(frozen=True)
-class Switch:
-    """A signal is present only in frames whose multiplexer `name` has one of these raw values."""
-
-    name: str
-    values: tuple[int, ...]
-
-
-@dataclass(frozen=True)
 class SignalLayout:
-    """One signal of a message as in the database: value = raw * scale + offset."""
+    """One signal of a message as in the database: value = raw * scale + offset.
+
+    With a `switch` it is present only in frames whose multiplexer of that name has one of the raw values.
+    """
 
     name: str
     field: BitField
     scale: float = 1.0
     offset: float = 0.0
-    switch: Switch | None = None
+    switch: tuple[str, tuple[int, ...]] | None = None
     unit_of_measure: str = ""
 
 
@@ -172,11 +167,20 @@ class MessageLayout:
     @classmethod
     def of(cls, message: "Message") -> "MessageLayout":
         """Layout of a message of cantools, without signals that cannot be decoded."""
-        unusable = {signal.name: why for signal in message.signals if (why := why_unusable(signal)) is not None}
-        signals = {signal.name: _signal_layout(signal) for signal in message.signals if signal.name not in unusable}
+        signals: dict[str, SignalLayout] = {}
+        unusable: dict[str, str] = {}
+        for signal in message.signals:
+            if (why := why_unusable(signal)) is not None:
+                unusable[signal.name] = why
+                continue
+            scale, offset = float(signal.conversion.scale), float(signal.conversion.offset)
+            selector = signal.multiplexer_signal
+            switch = None if selector is None else (selector, tuple(signal.multiplexer_ids or ()))
+            layout = SignalLayout(signal.name, bit_field(signal), scale, offset, switch, signal.unit or "")
+            signals[signal.name] = layout
         for name, layout in list(signals.items()):
-            if layout.switch is not None and layout.switch.name not in signals:
-                unusable[name] = f"its multiplexer {layout.switch.name} is not there"
+            if layout.switch is not None and layout.switch[0] not in signals:
+                unusable[name] = f"its multiplexer {layout.switch[0]} is not there"
                 del signals[name]
         found = cls(message.name, signals)
         found.unusable = unusable
@@ -194,8 +198,9 @@ class MessageLayout:
         needs = layout.field.needs_bytes
         rows = short = None
         if layout.switch is not None:
-            selector = self._decoded(layout.switch.name, frames, known)
-            rows = np.isin(selector.all_raw, np.array(layout.switch.values, selector.all_raw.dtype))
+            multiplexer, values = layout.switch
+            selector = self._decoded(multiplexer, frames, known)
+            rows = np.isin(selector.all_raw, np.array(values, selector.all_raw.dtype))
             if selector.rows is not None:
                 rows &= selector.rows
         if needs > frames.least:
@@ -223,17 +228,3 @@ def why_unusable(signal: "Signal") -> str | None:
     if bit_field(signal).needs_bytes > MOST_BYTES:
         return f"it ends beyond the {MOST_BYTES} bytes of a frame"
     return None
-
-
-def _signal_layout(signal: "Signal") -> SignalLayout:
-    switch = None
-    if signal.multiplexer_signal is not None:
-        switch = Switch(signal.multiplexer_signal, tuple(signal.multiplexer_ids or ()))
-    return SignalLayout(
-        signal.name,
-        bit_field(signal),
-        float(signal.conversion.scale),
-        float(signal.conversion.offset),
-        switch,
-        signal.unit or "",
-    )

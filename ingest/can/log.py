@@ -25,6 +25,13 @@ _MOST_CHANNEL = 2**15 - 1
 _MOST_DIGITS = 9
 _HELD_BYTES = 64 << 20
 Progress = Callable[[float], None]
+_READERS: dict[str, Callable[[Path], MessageReader]] = {
+    ".blf": can.BLFReader,
+    ".trc": can.TRCReader,
+    ".log": can.CanutilsLogReader,
+    ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
+    ".mf4": lambda path: can.MF4Reader(str(path)),
+}
 
 
 class CanLog:
@@ -59,8 +66,7 @@ class CanLog:
         self.counts = LogFrameCounts()
         self.damage, self.note = find_damage(self.path)
         held: list[FrameBlock] | None = []
-        held_bytes = 0
-        size = max(self.path.stat().st_size, 1)
+        held_bytes, size = 0, max(self.path.stat().st_size, 1)
         reader = self._open()
         try:
             for frames, place in self._frames(reader):
@@ -96,7 +102,10 @@ class CanLog:
                 frames = []
         if frames:
             yield frames, _place(reader)
-        self._check_complete(reader)
+        # a BLF that is cut reads short without an error; what it holds back is the only sign of it
+        if not self.damage and isinstance(reader, can.BLFReader) and reader._tail:  # noqa: SLF001
+            stated = reader.object_count or "an unknown number"
+            self.damage = f"cut short inside a frame, behind frame {self.counts.all} of {stated}"
 
     def _frame(self, message: can.Message) -> CanFrame | None:
         if message.is_error_frame:
@@ -130,19 +139,12 @@ class CanLog:
             self._channels[name] = int(digits) if 0 < len(digits) <= _MOST_DIGITS else len(self._channels)
         return self._channels[name]
 
-    def _check_complete(self, reader: MessageReader) -> None:
-        """Find the end of a BLF that is cut: it reads short without an error."""
-        stated = getattr(reader, "object_count", 0)
-        read = self.counts.all
-        if not self.damage and isinstance(reader, can.BLFReader) and reader._tail:  # noqa: SLF001  the only sign of it
-            self.damage = f"cut short inside a frame, behind frame {read} of {stated or 'an unknown number'}"
-
     def _open(self) -> MessageReader:
         try:
             with warnings.catch_warnings():
                 # asammdf warns of what it repairs in an unfinished file; `find_damage` reports it
                 warnings.simplefilter("ignore")
-                return _reader(self.path)
+                return _READERS[self.path.suffix.lower()](self.path)
         except BadInput:
             raise
         except Exception as error:  # readers raise whatever bad bytes lead to
@@ -168,17 +170,6 @@ def _check_kind(path: Path) -> None:
         raise BadInput(f"{path}: cannot be read as a {suffix} log of CAN frames: it does not begin like one")
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         raise BadInput(f"{path}: reading MF4 needs asammdf, which is not installed: pip install 'gyrofleet[mf4]'")
-
-
-def _reader(path: Path) -> MessageReader:
-    kinds: dict[str, Callable[[], MessageReader]] = {
-        ".blf": lambda: can.BLFReader(path),
-        ".trc": lambda: can.TRCReader(path),
-        ".log": lambda: can.CanutilsLogReader(path),
-        ".asc": lambda: can.ASCReader(path, relative_timestamp=False),
-        ".mf4": lambda: can.MF4Reader(str(path)),
-    }
-    return kinds[path.suffix.lower()]()
 
 
 def _place(reader: Any) -> int:

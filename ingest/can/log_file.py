@@ -1,19 +1,20 @@
 """A CAN log as a file of samples: a first pass finds the sampling of each signal, a second delivers batches."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from uuid import UUID
 
 import numpy as np
 
-from ingest.can.frames import FrameBlock, ids_text
+from ingest.can.frames import ids_text
 from ingest.can.log import CanLog
 from ingest.can.mapping import CanMapping
-from ingest.can.plan import CanPlan
+from ingest.can.plan import CanPlan, SignalPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.stream import nominal_interval_ns
-from ingest.can.summary import CanCounts, CanSummary, remarks
+from ingest.can.summary import CanSummary, remarks
 from ingest.tables.batches import Batcher, splits_at_gaps
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary
@@ -39,7 +40,7 @@ class CanLogFile:
     """
 
     def __init__(
-        self, path: Path, plan: CanPlan | CanMapping, *, run: str | None = None, start_ns: int | None = None,
+        self, path: Path, plan: CanPlan | CanMapping, run: str | None = None, start_ns: int | None = None,
         words: StepWords | None = None, intervals: dict[tuple[str, str, str], int] | None = None,
     ) -> None:  # fmt: skip
         self._path = path
@@ -55,35 +56,32 @@ class CanLogFile:
         """Read and decode the whole log; raises BadInput if it gives no sample."""
         samples, clock = CanSamples(self._plan), RunClock(self._start_ns)
         grids: dict[_Name, SamplingGrid] = {}
-        first: dict[_Name, SignalPiece] = {}
+        plans: dict[_Name, SignalPlan] = {}
         for piece in self._pieces(samples, clock, progress):
             name = (piece.route.unit, piece.plan.signal)
             if name not in grids:
-                first[name] = piece
+                plans[name] = piece.plan
                 grids[name] = SamplingGrid(partial(self._nominal_ns, piece))
             grids[name].add(piece.times_ns)
         counts = samples.counts
         if not grids:
-            raise BadInput(self._nothing(counts))
+            damage = f" ({self._log.damage})" if self._log.damage else ""
+            unknown = f"ids that are not in the database: {ids_text(counts.unknown)}; " if counts.unknown else ""
+            none = f"{counts.frames} frames{damage} and not one sample of what is mapped"
+            raise BadInput(f"{self._path}: {none}; {unknown}see `gyrofleet can scan`")
+        signals = []
+        for (unit, signal), grid in grids.items():
+            plan = plans[unit, signal]
+            found = SignalSummary(unit, self._run, signal, plan.unit_of_measure, plan.is_counts, grid.finish())
+            signals.append(found)
+            self._intervals.setdefault((unit, self._run, signal), found.sampling.dt_ns)
         self._summary = CanSummary(
-            rows=counts.frames,
-            bad_rows=0,
-            bad=(),
-            date_known=clock.date_known,
-            steps=0 if self._words is None else len({unit for unit, _ in grids}),
-            signals=tuple(
-                SignalSummary(unit, self._run, signal, plan.unit_of_measure, plan.is_counts, grid.finish())
-                for (unit, signal), grid in grids.items()
-                for plan in [first[unit, signal].plan]
-            ),
-            counted="frames",
-            damage=self._log.damage,
+            rows=counts.frames, bad_rows=0, bad=(), date_known=clock.date_known,
+            steps=0 if self._words is None else len({unit for unit, _ in grids}), signals=tuple(signals),
+            counted="frames", damage=self._log.damage,
             remarks=(*filter(None, [self._log.note]), *self._plan.remarks, *remarks(counts, self._log.counts)),
-            frames=counts,
-            words=self._words,
-        )
-        for each in self._summary.signals:
-            self._intervals.setdefault((each.unit, each.run, each.signal), each.sampling.dt_ns)
+            frames=counts, words=self._words,
+        )  # fmt: skip
         return self._summary
 
     def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
@@ -113,7 +111,10 @@ class CanLogFile:
             if not len(times_ns):
                 continue
             if name not in batchers:
-                batchers[name] = self._batcher(piece, found[name], epoch_of(piece.route.unit, self._run))
+                sampling = found[name].sampling
+                epoch = epoch_of(piece.route.unit, self._run)
+                head = piece.head(self._run, epoch, sampling.dt_ns, irregular=sampling.irregular)
+                batchers[name] = Batcher(head, _BATCH_SAMPLES, splits_at_gaps=splits_at_gaps(sampling))
             yield from batchers[name].push(times_ns, data)
         for batcher in batchers.values():
             yield from batcher.flush()
@@ -128,11 +129,6 @@ class CanLogFile:
             samplings = [each.sampling for each in summary.signals if each.unit == unit]
             yield unit, min(each.t_first_ns for each in samplings), max(each.t_last_ns for each in samplings)
 
-    def _batcher(self, piece: SignalPiece, found: SignalSummary, epoch: UUID) -> Batcher:
-        sampling = found.sampling
-        head = piece.head(self._run, epoch, sampling.dt_ns, irregular=sampling.irregular)
-        return Batcher(head, _BATCH_SAMPLES, splits_at_gaps=splits_at_gaps(sampling))
-
     def _nominal_ns(self, piece: SignalPiece, intervals_ns: IntArray, measured_ns: int) -> int:
         """One interval in all files of a run if they agree within 5 %, as estimators need it."""
         message = piece.route.message
@@ -146,23 +142,10 @@ class CanLogFile:
     def _pieces(self, samples: CanSamples, clock: RunClock, progress: Progress | None) -> Iterator[SignalPiece]:
         self._stamp.check()
         for block in self._log.blocks(progress):
-            yield from samples.take(_placed(block, clock))
+            if clock.is_utc is None and len(block):
+                clock.settle(int(block.t_ns[0]))
+            yield from samples.take(replace(block, t_ns=clock.place(block.t_ns)))
         self._stamp.check()
 
     def _occurring(self) -> set[int]:
         return {int(each) for block in self._log.blocks() for each in np.unique(block.arbitration_id)}
-
-    def _nothing(self, counts: CanCounts) -> str:
-        damage = f" ({self._log.damage})" if self._log.damage else ""
-        return (
-            f"{self._path}: {counts.frames} frames{damage} and not one sample of what is mapped; "
-            + (f"ids that are not in the database: {ids_text(counts.unknown)}; " if counts.unknown else "")
-            + "see `gyrofleet can scan`"
-        )
-
-
-def _placed(block: FrameBlock, clock: RunClock) -> FrameBlock:
-    if clock.is_utc is None and len(block):
-        clock.settle(int(block.t_ns[0]))
-    times_ns: IntArray = clock.place(block.t_ns)
-    return FrameBlock(times_ns, block.channel, block.arbitration_id, block.length, block.data)

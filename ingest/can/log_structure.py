@@ -78,7 +78,6 @@ def _has_whole_records(file: BinaryIO) -> bool:
 
 
 def _is_whole(file: BinaryIO, group: tuple[list[int], bytes], flags: int) -> bool:
-    """Whether the data of a group consist of whole records."""
     links, content = group
     id_bytes = content[0]
     sizes: dict[int, tuple[int, bool]] = {}
@@ -140,7 +139,11 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
         data = zlib.decompress(file.read(zipped))
         if len(data) != size or zip_type not in {0, 1} or (zip_type and not parameter):
             raise ValueError("a compressed block is damaged")
-        yield _untransposed(data, parameter) if zip_type else data
+        if zip_type:  # it was transposed before it was compressed
+            rows = len(data) // parameter
+            whole = rows * parameter
+            data = b"".join(data[i:whole:rows] for i in range(rows)) + data[whole:]
+        yield data
     elif kind == b"##DT":
         data = file.read() if is_last_open and length <= _BLOCK.size else file.read(length - _BLOCK.size)
         if not is_last_open and len(data) < length - _BLOCK.size:
@@ -148,9 +151,3 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
         yield data
     else:
         raise ValueError(f"unknown kind of data block {kind!r}")
-
-
-def _untransposed(data: bytes, columns: int) -> bytes:
-    whole = len(data) // columns * columns
-    rows = whole // columns
-    return b"".join(data[i:whole:rows] for i in range(rows)) + data[whole:]

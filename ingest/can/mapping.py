@@ -25,11 +25,6 @@ _NO_SOURCE = 0xFE  # databases write the null address where any source may send
 _NOTHING: Mapping[str, int] = {}
 
 
-def load_mapping(path: Path, dbc_paths: Sequence[Path], unit: str | None = None) -> CanPlan:
-    """The plan of a mapping file; `unit` is whose the messages are of which it does not say it."""
-    return CanMapping(dbc_paths, path, unit=unit).plan()
-
-
 class CanMapping:
     """Databases and the mapping of their signals; makes the plan of a bus, or of each log.
 
@@ -162,17 +157,15 @@ class CanMapping:
             interval_ns = round(entry.interval_s * 1e9)
         for name, why in layout.unusable.items():
             self._remarks.append(f"message {layout.name}, signal {name}: left out, {why} in the CAN database")
-        wanted = entry.signals or {
+        in_lower_case = {
             name: names.get((message.name, name), f"{message.name}.{name}".lower()) for name in layout.signals
         }
+        wanted = entry.signals or in_lower_case
         return MessagePlan(
-            layout,
-            tuple(self._signal(layout, name, as_, where) for name, as_ in wanted.items()),
-            _counter(layout, entry.counter, where),
-            _checksum(message, layout, entry.checksum, where),
-            interval_ns,
+            layout, tuple(self._signal(layout, name, as_, where) for name, as_ in wanted.items()),
+            _counter(layout, entry.counter, where), _checksum(message, layout, entry.checksum, where), interval_ns,
             round((message.cycle_time or 0) * 1e6),
-        )
+        )  # fmt: skip
 
     def _signal(self, layout: MessageLayout, name: str, as_: str | SignalEntry, where: str) -> SignalPlan:
         entry = SignalEntry(as_) if isinstance(as_, str) else as_
@@ -264,6 +257,5 @@ def _refuse_twins(place: str, routes: Sequence[Route]) -> None:
                 both = " and ".join(f"{r.message.layout.name} ({id_text(r.arbitration_id)})" for r in (other, route))
                 raise BadInput(f"{place}: unit {route.unit}, signal {signal.signal} comes from {both}; rename one")
         names = [signal.signal for signal in route.message.signals]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise BadInput(f"{place}: message {route.message.layout.name} makes signal {twice[0]} twice; rename one")

@@ -1,6 +1,6 @@
 """The plan of decoding a bus or log: which frames are whose, and which samples they give."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ingest.can.decode import MessageLayout, SignalLayout
 from ingest.can.frames import pgn_key
@@ -15,10 +15,11 @@ class SignalPlan:
     layout: SignalLayout
     signal: str
     unit_of_measure: str
-    is_counts: bool = field(init=False)  # whether it travels as 32-bit integers with scale and offset
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "is_counts", self.layout.field.fits_counts)
+    @property
+    def is_counts(self) -> bool:
+        """Whether it travels as 32-bit integers with scale and offset."""
+        return self.layout.field.fits_counts
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """From CAN frames to samples of each unit and signal, with an account of every frame."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any, NamedTuple
 from uuid import UUID
 
@@ -31,12 +31,10 @@ class SignalPiece(NamedTuple):
         plan, layout = self.plan, self.plan.layout
         scale, offset = (layout.scale, layout.offset) if plan.is_counts else (1.0, 0.0)
         unit, measure = self.route.unit, plan.unit_of_measure
-        return SignalHead(unit, plan.signal, run, epoch, dt_ns, measure, irregular, scale=scale, offset=offset)
+        return SignalHead(unit, plan.signal, run, epoch, dt_ns, measure, irregular, scale, offset)
 
 
 class _Frames(NamedTuple):
-    """The n frames of one key in a block, decoded."""
-
     t_ns: IntArray
     channel: npt.NDArray[np.int16]
     source: IdArray
@@ -44,48 +42,25 @@ class _Frames(NamedTuple):
     decoded: dict[str, Decoded]
 
 
-@dataclass
-class _Tally:
-    frames: int = 0
-    decoded: int = 0
-    checksum_failures: int = 0
-    short: int = 0
-    not_finite: int = 0
-    other_channel: int = 0
-    other_source: int = 0
-    off_grid_s: float = 0.0
-
-
-@dataclass
 class _RouteState:
-    """One route, with counters and times from block to block."""
-
-    route: Route
-    tally: _Tally = field(default_factory=_Tally)
-    times: ForwardTimes = field(default_factory=ForwardTimes)
-    counter: FrameCounter | None = None
-    anchor_ns: int | None = None
-
-    def __post_init__(self) -> None:
-        message = self.route.message
-        self.channel = self.route.channel
-        self.source = self.route.source
-        if message.counter is not None:
-            self.counter = FrameCounter(message.counter.modulus, message.interval_ns)
+    def __init__(self, route: Route) -> None:
+        message = route.message
+        self.route, self.channel, self.source = route, route.channel, route.source
+        self.tally = MessageCount(message.layout.name, route.unit, route.arbitration_id)
+        self.times = ForwardTimes()
+        self.counter = None if message.counter is None else FrameCounter(message.counter.modulus, message.interval_ns)
+        self.anchor_ns: int | None = None
 
     def count(self) -> MessageCount:
-        route = self.route
         numbers: dict[str, Any] = {name: getattr(self.counter, name, 0) for name in ("lost", "repeated", "restarts")}
-        numbers |= {"late": self.times.late, "retimed": self.times.retimed, **vars(self.tally)}
-        return MessageCount(route.message.layout.name, route.unit, route.arbitration_id, **numbers)
+        return replace(self.tally, **numbers, late=self.times.late, retimed=self.times.retimed)
 
     def take(self, frames: _Frames) -> list[SignalPiece]:
         """Samples of those frames that are of the route."""
         keep = self._mine(frames)
         self.tally.frames += int(np.count_nonzero(keep))
         self._select_line(frames, keep)
-        if self.route.message.checksum is not None:
-            self._select_intact(frames, keep)
+        self._select_intact(frames, keep)
         if not keep.any():
             return []
         times_ns = self._place(frames, keep)
@@ -117,8 +92,8 @@ class _RouteState:
             self.tally.other_source += _drop(keep, frames.source != self.source)
 
     def _select_intact(self, frames: _Frames, keep: BoolArray) -> None:
-        plan = self.route.message.checksum
-        assert plan is not None
+        if (plan := self.route.message.checksum) is None:
+            return
         found, octets = frames.decoded[plan.signal], frames.octets
         prefix = np.tile(np.array(plan.prefix, np.uint8), (len(keep), 1))
         covered = octets.data[:, [octet for octet in plan.octets if octet < octets.width]]
@@ -197,7 +172,7 @@ class CanSamples:
     @property
     def counts(self) -> CanCounts:
         """Account of the frames so far."""
-        met = tuple(count for count in (each.count() for each in self._states) if count.frames)
+        met = tuple(each.count() for each in self._states if each.tally.frames)
         return CanCounts(self._frames, met, dict(sorted(self._unknown.items())), dict(self._unrouted))
 
     def take(self, block: FrameBlock) -> list[SignalPiece]:

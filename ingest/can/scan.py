@@ -1,5 +1,6 @@
 """Survey of a CAN log: its messages, their rates, signals that vary, and a first mapping."""
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -117,15 +118,11 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
         _add_block(block, messages, layouts, seen)
     times_ns = [int(each.times_ns[i][j]) for each in seen.values() for i, j in ((0, 0), (-1, -1))]
     return LogScan(
-        file=str(path),
-        frames=log.counts.data,
-        error_frames=log.counts.errors,
-        remote_frames=log.counts.remote,
+        file=str(path), frames=log.counts.data, error_frames=log.counts.errors, remote_frames=log.counts.remote,
         seconds=(max(times_ns) - min(times_ns)) / 1e9 if times_ns else 0.0,
-        date_known=bool(times_ns) and min(times_ns) >= 10**17,
-        damage=log.damage,
+        date_known=bool(times_ns) and min(times_ns) >= 10**17, damage=log.damage,
         ids=tuple(_id_scan(key, each, messages.find(key[0])) for key, each in sorted(seen.items())),
-    )
+    )  # fmt: skip
 
 
 def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> str:
@@ -163,11 +160,9 @@ def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> 
 
 
 def _add_block(
-    block: FrameBlock,
-    messages: MessageIndex,
-    layouts: dict[int, MessageLayout | None],
+    block: FrameBlock, messages: MessageIndex, layouts: dict[int, MessageLayout | None],
     seen: dict[tuple[int, int], _IdFrames],
-) -> None:
+) -> None:  # fmt: skip
     keys = block.arbitration_id.astype(np.int64) << 16 | (block.channel.astype(np.int64) & 0xFFFF)
     distinct, inverse = np.unique(keys, return_inverse=True)
     for number, key in enumerate(distinct.tolist()):
@@ -211,4 +206,4 @@ def _id_scan(key: tuple[int, int], seen: _IdFrames, message: "Message | None") -
 
 
 def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return json.dumps(text, ensure_ascii=False)  # JSON's escapes are TOML's

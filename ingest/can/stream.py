@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from uuid import UUID
 
 import numpy as np
@@ -11,6 +12,7 @@ from ingest.can.frames import FrameBlock
 from ingest.can.plan import CanPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.summary import CanCounts
+from ingest.tables.batches import SAMPLES_PER_GAP
 from ingest.tables.grid import SamplingGrid, is_gap, off_grid_intervals
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
@@ -22,8 +24,6 @@ _LEAST_SAMPLES = 3
 _ROUND = (1.0, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)
 _ROUND_WITHIN = 5e-3
 _CYCLE_WITHIN = 0.05
-# A batch is cut at a gap if that leaves at least this many samples to a part on average.
-_SAMPLES_PER_GAP = 50
 
 
 def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int = 0) -> int:
@@ -82,10 +82,9 @@ class CanDecoder:
         batches: list[SampleBatch] = []
         for piece in self._samples.take(block):
             name = (piece.route.unit, piece.plan.signal)
-            stream = self._streams.get(name)
-            if stream is None:
-                stream = self._streams[name] = _Stream(piece, self._run, self._epoch_of(piece.route.unit))
-            batches += stream.take(piece.times_ns, piece.data)
+            if name not in self._streams:
+                self._streams[name] = _Stream(piece, self._run, self._epoch_of(piece.route.unit))
+            batches += self._streams[name].take(piece.times_ns, piece.data)
         return batches
 
     def finish(self) -> list[SampleBatch]:
@@ -99,8 +98,6 @@ class CanDecoder:
 
 
 class _Stream:
-    """One signal of one unit: numbers its samples and finds their interval."""
-
     def __init__(self, first: SignalPiece, run: str, epoch: UUID) -> None:
         message = first.route.message
         self._head = first.head(run, epoch, message.interval_ns or 0)
@@ -136,24 +133,14 @@ class _Stream:
         intervals_ns = np.diff(times_ns, prepend=np.int64(last_ns))
         uneven = intervals_ns != dt_ns
         self._last_ns = int(times_ns[-1])
-        if not uneven.any():
-            return [self._batch(times_ns, data, is_even=True, irregular=False)]
-        gaps = np.flatnonzero(is_gap(intervals_ns[1:], dt_ns)) + 1
+        gaps = np.flatnonzero(is_gap(intervals_ns[1:], dt_ns)) + 1 if uneven.any() else np.empty(0, np.int64)
         # on a grid every part is exact, and needs no array of times
-        cuts = gaps.tolist() if self._is_on_grid or len(gaps) * _SAMPLES_PER_GAP <= len(times_ns) else []
-        return [
-            self._batch(
-                times_ns[begin:end],
-                data[begin:end],
-                is_even=not uneven[begin + 1 : end].any(),
-                irregular=off_grid_intervals(intervals_ns[begin:end], dt_ns)[0] > 0,
-            )
-            for begin, end in zip([0, *cuts], [*cuts, len(times_ns)], strict=True)
-        ]
-
-    def _batch(
-        self, times_ns: IntArray, data: CountArray | FloatArray, *, is_even: bool, irregular: bool
-    ) -> SampleBatch:
-        batch = self._head.batch(self._seq, times_ns, data, is_even=is_even, irregular=irregular)
+        cuts = gaps.tolist() if self._is_on_grid or len(gaps) * SAMPLES_PER_GAP <= len(times_ns) else []
+        batches = []
+        for begin, end in pairwise([0, *cuts, len(times_ns)]):
+            is_even = not uneven[begin + 1 : end].any()
+            irregular = bool(uneven[begin:end].any()) and off_grid_intervals(intervals_ns[begin:end], dt_ns)[0] > 0
+            part = self._seq + begin, times_ns[begin:end], data[begin:end]
+            batches.append(self._head.batch(*part, is_even=is_even, irregular=irregular))
         self._seq += len(data)
-        return batch
+        return batches

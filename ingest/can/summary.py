@@ -7,6 +7,18 @@ from ingest.can.frames import id_text, ids_text
 from ingest.tables.sample_file import TableSummary
 
 LOG_SUFFIXES = frozenset({".blf", ".asc", ".trc", ".log", ".mf4"})
+_COUNTED = {
+    "lost": "lost",
+    "repeated": "repeated",
+    "restarts": "restarts of its counter",
+    "checksum_failures": "with a wrong checksum left out",
+    "short": "too short for all of its signals",
+    "not_finite": "values that are no finite number left out",
+    "other_channel": "on another channel left out (say which with --mapping)",
+    "other_source": "from another source address left out (say which with --mapping)",
+    "late": "before one that came earlier left out",
+    "retimed": "at the time of the one before, put a nanosecond after it",
+}
 
 
 @dataclass
@@ -24,31 +36,26 @@ class LogFrameCounts:
         return self.data + self.errors + self.remote + self.unusable
 
 
-@dataclass(frozen=True)
+@dataclass
 class MessageCount:
     """Account of the frames of one message of one unit; `lost`, `repeated`, `restarts` are by its counter."""
 
     message: str
     unit: str
     arbitration_id: int  # bit 31 is set if it is of 29 bits
-    frames: int  # received
-    decoded: int  # those whose signals were used
-    lost: int
-    repeated: int  # came again
-    restarts: int  # silences after which the counter had restarted
-    checksum_failures: int  # frames left out for a wrong checksum
-    short: int  # frames that lack bytes of a signal; that signal was left out
-    not_finite: int  # values left out as they are not finite
-    other_channel: int  # left out, of another channel than the first frame's, if the mapping names none
-    late: int  # left out as their time lies before that of an earlier one
-    retimed: int  # a little late, put after the one before
-    off_grid_s: float  # largest distance of a reception from its place on the grid (counter with interval), seconds
+    frames: int = 0  # received
+    decoded: int = 0  # those whose signals were used
+    lost: int = 0
+    repeated: int = 0  # came again
+    restarts: int = 0  # silences after which the counter had restarted
+    checksum_failures: int = 0  # frames left out for a wrong checksum
+    short: int = 0  # frames that lack bytes of a signal; that signal was left out
+    not_finite: int = 0  # values left out as they are not finite
+    other_channel: int = 0  # left out, of another channel than the first frame's, if the mapping names none
+    late: int = 0  # left out as their time lies before that of an earlier one
+    retimed: int = 0  # a little late, put after the one before
+    off_grid_s: float = 0.0  # largest distance of a reception from its place on the grid (counter with interval), s
     other_source: int = 0  # left out, of another J1939 source than the first frame's, if the mapping names none
-
-    @property
-    def left_out(self) -> int:
-        """Frames that were not used."""
-        return self.frames - self.decoded
 
 
 @dataclass(frozen=True)
@@ -82,23 +89,6 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
     for identifier, frames in counts.unrouted.items():
         yield f"{frames} frames of {id_text(identifier)} on a channel or of a source or multiplexer that is no unit's"
     for count in counts.messages:
-        text = ", ".join(_format_count(count))
+        text = ", ".join(f"{number} {what}" for name, what in _COUNTED.items() if (number := getattr(count, name)))
         if text:
             yield f"message {count.message} of unit {count.unit}: {text}"
-
-
-def _format_count(count: MessageCount) -> Iterator[str]:
-    for number, text in (
-        (count.lost, "lost"),
-        (count.repeated, "repeated"),
-        (count.restarts, "restarts of its counter"),
-        (count.checksum_failures, "with a wrong checksum left out"),
-        (count.short, "too short for all of its signals"),
-        (count.not_finite, "values that are no finite number left out"),
-        (count.other_channel, "on another channel left out (say which with --mapping)"),
-        (count.other_source, "from another source address left out (say which with --mapping)"),
-        (count.late, "before one that came earlier left out"),
-        (count.retimed, "at the time of the one before, put a nanosecond after it"),
-    ):
-        if number:
-            yield f"{number} {text}"

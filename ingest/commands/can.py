@@ -52,18 +52,16 @@ def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str 
     else:
         _report(found)
         if target is not None:
+            command = " ".join([f"gyrofleet import {log}", *(f"--dbc {path}" for path in databases)])
             own = "" if unit else " --unit UNIT"
-            dbc = " ".join(f"--dbc {path}" for path in databases)
-            text = f"Wrote {target}. Check it, then: gyrofleet import {log} {dbc}{own} --mapping {target}"
-            notes().print(text, soft_wrap=True, markup=False)
+            notes().print(f"Wrote {target}. Check it, then: {command}{own} --mapping {target}", soft_wrap=True)
     if found.damage:
         sys.exit(1)
 
 
 def _report(found: "LogScan") -> None:
     clock = "UTC" if found.date_known else "from the log's start, date unknown"
-    title = f"{found.file}: {found.frames:,} frames in {found.seconds:.1f} s (times: {clock})"
-    table = ResultTable(title=title)
+    table = ResultTable(title=f"{found.file}: {found.frames:,} frames in {found.seconds:.1f} s (times: {clock})")
     for name in ("id", "channel", "frames", "rate", "bytes", "message", "varies", "counter", "constant"):
         table.add_column(name, justify="right" if name in {"channel", "frames", "rate"} else "left")
     for each in found.ids:
@@ -71,13 +69,11 @@ def _report(found: "LogScan") -> None:
     results().print(table)
     if found.unknown:
         results().print(f"{len(found.unknown)} of {len(found.ids)} ids are not in the database.")
-    console = notes()
     for number, kind in ((found.error_frames, "error"), (found.remote_frames, "remote")):
         if number:
-            console.print(f"{number:,} {kind} frames")
+            notes().print(f"{number:,} {kind} frames")
     if found.damage:
-        text = f"error: {found.file}: {found.damage}; the good part of it is shown"
-        console.print(text, style="red", markup=False, soft_wrap=True)
+        notes().print(f"error: {found.file}: {found.damage}; the good part of it is shown", style="red", soft_wrap=True)
 
 
 def _cells(each: "IdScan") -> list[str]:
@@ -85,13 +81,9 @@ def _cells(each: "IdScan") -> list[str]:
     counters = [signal.name for signal in each.signals if signal.looks_like_counter]
     constant = sum(not signal.varies for signal in each.signals)
     return [
-        f"0x{each.arbitration_id:08X}" if each.is_extended else f"0x{each.arbitration_id:03X}",
-        str(each.channel),
+        f"0x{each.arbitration_id:08X}" if each.is_extended else f"0x{each.arbitration_id:03X}", str(each.channel),
         f"{each.frames:,}",
-        "" if each.rate_hz is None else f"{each.rate_hz:.4g} Hz",
-        " ".join(map(str, each.lengths)),
-        each.message or "not in the database",
-        " ".join(varying),
-        " ".join(counters),
+        "" if each.rate_hz is None else f"{each.rate_hz:.4g} Hz", " ".join(map(str, each.lengths)),
+        each.message or "not in the database", " ".join(varying), " ".join(counters),
         f"{constant} signals" if constant else "",
-    ]
+    ]  # fmt: skip

@@ -55,14 +55,12 @@ def check(folder: Path, verdict: str | None, moment: str | None, *, as_json: boo
         entered = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
         print_json({**entered, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
         return
-    sentence = f"{document.verdict}: {document.item} of unit {document.unit}, entered by {document.by}"
-    results().print(sentence, markup=False)
+    results().print(f"{document.verdict}: {document.item} of unit {document.unit}, entered by {document.by}")
     if unknown is not None:
-        notes().print(f"warning: {unknown}", markup=False, soft_wrap=True)
+        notes().print(f"warning: {unknown}", soft_wrap=True)
     if not is_seen:
-        notes().print(
-            "The recorder that writes the store has it on disk; SQL sees it with the recorder's next segment."
-        )
+        sees = "SQL sees it with the recorder's next segment."
+        notes().print(f"The recorder that writes the store has it on disk; {sees}")
 
 
 def _unknown_unit(folder: Path, unit: str) -> str | None:

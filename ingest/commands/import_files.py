@@ -3,7 +3,7 @@
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from stream.identity import Place
 
 _LOCATION_OPTIONS = {"latitude_deg": "--latitude", "time_zone": "--time-zone", "altitude_m": "--altitude"}
+_PATH = click.Path(path_type=Path)
 
 
 @click.command("import")
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=_PATH)
 @store_option
 @click.option("--unit", help="Unit (serial number) of the samples, if the file has no column 'unit'.")
 @click.option("--run", help="Run of the samples, if the file has no column 'run'.  [default: the file's name]")
@@ -32,21 +33,17 @@ _LOCATION_OPTIONS = {"latitude_deg": "--latitude", "time_zone": "--time-zone", "
     "--rename", "renames", metavar="TITLE=SIGNAL", multiple=True,
     help="Name of the signal of a column, as 'Gyro X=gyro_x'; with a unit of measure as 'Status=status[1]'.",
 )  # fmt: skip
-@click.option("--dbc", "databases", multiple=True, type=click.Path(path_type=Path), help="CAN database of a CAN log.")
-@click.option(
-    "--mapping", type=click.Path(path_type=Path), help="Names and units of the signals of the database (TOML file)."
-)
+@click.option("--dbc", "databases", multiple=True, type=_PATH, help="CAN database of a CAN log.")
+@click.option("--mapping", type=_PATH, help="Names and units of the signals of the database (TOML file).")
 @click.option(
     "--message", "variants", metavar="NAME=ID", multiple=True,
     help="Which one to take of several messages of one name in the CAN databases, as IMU=0x101.",
 )  # fmt: skip
 @click.option("--skip-bad", is_flag=True, help="Leave bad rows out and list them instead of refusing the file.")
 @click.option(
-    "--units",
-    "units_file",
-    metavar="FILE",
+    "--units", "units_file", metavar="FILE",
     help="Product, lot, fixture of the units: columns serial, product, lot, fixture, ... (- for standard input).",
-)
+)  # fmt: skip
 @click.option(
     "--procedure", help="Procedure of the record, as static_bias; all rows are one step. See `procedure list`."
 )
@@ -67,9 +64,8 @@ def import_files(
     files: tuple[Path, ...], folder: Path, unit: str | None, run: str | None, start: str | None,
     sample_rate_hz: float | None, renames: tuple[str, ...], databases: tuple[Path, ...], mapping: Path | None,
     variants: tuple[str, ...], units_file: str | None, procedure: str | None, position: str | None, site: str | None,
-    station: str | None, latitude_deg: float | None, time_zone: str | None, altitude_m: float | None,
-    connect: str | None, listen: str | None, estimated: tuple[str, ...], *, skip_bad: bool, restates: bool,
-    as_json: bool,
+    station: str | None, connect: str | None, listen: str | None, estimated: tuple[str, ...], *, skip_bad: bool,
+    restates: bool, as_json: bool, **location: Any,
 ) -> None:  # fmt: skip
     """Import CSV and Parquet files (columns `signal[unit]` and `time[s]`) and CAN logs (with their --dbc).
 
@@ -90,14 +86,14 @@ def import_files(
     from ingest.importing.file_sending import CheckedFile
     from ingest.importing.importer import import_files as import_checked
     from ingest.moment import moment_ns
-    from ingest.station.units_file import load_units
+    from ingest.station.units_file import read_units
     from ingest.tables.columns import TableOptions
     from stream.events import StepWords
     from stream.worker.estimated_signals import EstimatedSignals
 
     if connect and listen:
         raise BadInput("give --connect or --listen, not both: with --connect it is the recorder that listens")
-    place, about = _stated_place(site, station, latitude_deg, time_zone, altitude_m)
+    place, about = _stated_place(site, station, location)
     words = StepWords(procedure=procedure or None, position=position or None)
     options = TableOptions(
         unit=unit, run=run, start_ns=None if start is None else moment_ns(start), sample_rate_hz=sample_rate_hz,
@@ -106,7 +102,7 @@ def import_files(
     )  # fmt: skip
     _warn_of_words(procedure, position)
     plan = _can_mapping(files, unit, databases, mapping, variants)
-    entries = () if units_file is None else load_units(units_file)
+    entries = () if units_file is None else read_units(units_file).entries
     intervals: dict[tuple[str, str, str], int] = {}
     with progress_bar(hidden=as_json) as progress:
         checked = []
@@ -125,13 +121,14 @@ def import_files(
         def show(path: Path, done: float) -> None:
             progress.update(tasks[path], completed=done, visible=done < 1.0 or len(files) <= LISTED_FILES)
 
-        results = import_checked(
-            checked, folder, place, connect=connect, listen=[listen] if listen else (), units=entries, about=about,
-            restates=restates, estimated=EstimatedSignals.named(estimated), progress=show,
+        imported = list(
+            import_checked(
+                checked, folder, place, connect=connect, listen=[listen] if listen else (), units=entries, about=about,
+                restates=restates, estimated=EstimatedSignals.named(estimated), progress=show,
+            )
         )  # fmt: skip
-        imported = list(results)
-    known = {entry.serial for entry in entries}
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)
+    known = {entry.serial for entry in entries}
     not_listed = [each for each in units if entries and each not in known]
     if as_json:
         print_json({"store": str(folder), "files": imported, "units_not_listed": not_listed})
@@ -139,9 +136,8 @@ def import_files(
         if len(units) > len(not_listed) and entries:
             notes().print(f"product, lot and the rest of {len(units) - len(not_listed)} units as in {units_file}")
         if not_listed:
-            missing = ", ".join(not_listed[:10])
-            text = f"{units_file} says nothing of {len(not_listed)} of the {len(units)} units: {missing}"
-            notes().print(text, markup=False, soft_wrap=True)
+            said_of = f"{units_file} says nothing of {len(not_listed)} of the {len(units)} units"
+            notes().print(f"{said_of}: {', '.join(not_listed[:10])}", soft_wrap=True)
         report_files(imported, folder)
     if any(each.damage for each in imported):
         sys.exit(1)
@@ -169,31 +165,24 @@ def _warn_of_words(procedure: str | None, position: str | None) -> None:
             )
 
 
-def _stated_place(
-    site: str | None, station: str | None, latitude_deg: float | None, time_zone: str | None, altitude_m: float | None
-) -> "tuple[Place, dict[str, str]]":
+def _stated_place(site: str | None, station: str | None, location: dict[str, Any]) -> "tuple[Place, dict[str, str]]":
     """Site and station, and the location that the runs record: of the station's file, overridden by options."""
-    from ingest.station.location import StationLocation
-    from ingest.station.station import load_station
+    from msgspec.structs import replace
+
+    from ingest.station.station import StationLocation, load_station
     from stream.identity import Place, check_name
 
-    given = StationLocation(latitude_deg=latitude_deg, time_zone=time_zone, altitude_m=altitude_m)
+    given = StationLocation(**location)
     given.check(_LOCATION_OPTIONS.__getitem__)
     if station is None or Path(station).suffix.lower() != ".toml":
         return Place(check_name("site", site or "local"), check_name("station", station or "files")), given.details
     found = load_station(Path(station))
     if site is not None and site != found.place.site:
         raise BadInput(f"--site is {site!r}, but {station} says {found.place.site!r}; leave out --site")
-    of_file = found.table.location
-    # measured gravity does not hold at another latitude or altitude
-    measured = None if latitude_deg is not None or altitude_m is not None else of_file.gravity_m_per_s2
-    location = StationLocation(
-        latitude_deg=of_file.latitude_deg if latitude_deg is None else latitude_deg,
-        time_zone=time_zone or of_file.time_zone,
-        altitude_m=of_file.altitude_m if altitude_m is None else altitude_m,
-        gravity_m_per_s2=measured,
-    )
-    return found.place, location.details
+    stated = {name: value for name, value in location.items() if value is not None}
+    if stated.keys() & {"latitude_deg", "altitude_m"}:
+        stated["gravity_m_per_s2"] = None  # measured gravity does not hold at another latitude or altitude
+    return found.place, replace(found.table, **stated).details
 
 
 def _is_can_log(path: Path) -> bool:
@@ -229,7 +218,6 @@ def _can_mapping(
 
 
 def _pair(text: str, option: str, example: str) -> tuple[str, str]:
-    """Both sides of an option ``LEFT=RIGHT``."""
     left, mark, right = text.rpartition("=")
     if not mark or not left.strip() or not right.strip():
         raise BadInput(f"{option} {text!r}: write it like {example}")
@@ -244,9 +232,7 @@ def _file(
         from ingest.can.log_file import CanLogFile
 
         assert plan is not None
-        return CanLogFile(
-            path, plan, run=options.run, start_ns=options.start_ns, words=options.words, intervals=intervals
-        )
+        return CanLogFile(path, plan, options.run, options.start_ns, options.words, intervals)
     from ingest.tables.file import TableFile
 
     return TableFile(path, options)

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stream.console import DEFAULT_STORE, notes, results
+from stream.console import DEFAULT_STORE, counted, notes, results
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from ingest.importing.result import FileImport
+    from ingest.importing.file_sending import FileImport
 
 LISTED_FILES = 10
 _LISTED_BAD_ROWS = 20
@@ -24,19 +24,18 @@ def report_files(imported: "Sequence[FileImport]", folder: Path) -> None:
         else:
             _report_briefly(each)
     if len(imported) > LISTED_FILES:
-        results().print(_total(imported, folder), soft_wrap=True, markup=False)
+        results().print(_total(imported, folder), soft_wrap=True)
     _report_next(imported[-1], folder)
 
 
 def _report(imported: "FileImport", folder: Path) -> None:
-    console = notes()
     for segment in imported.recovered:
-        console.print(f"recovered {segment}, left open by an interrupted process")
+        notes().print(f"recovered {segment}, left open by an interrupted process")
     _report_bad_rows(imported)
     for remark in imported.remarks[:_LISTED_REMARKS]:
-        console.print(f"{imported.file}: {remark}", markup=False, soft_wrap=True)
+        notes().print(f"{imported.file}: {remark}", soft_wrap=True)
     if len(imported.remarks) > _LISTED_REMARKS:
-        console.print(f"  ... and {len(imported.remarks) - _LISTED_REMARKS:,} more (--json lists all)")
+        notes().print(f"  ... and {len(imported.remarks) - _LISTED_REMARKS:,} more (--json lists all)")
     table = ResultTable(title=f"{imported.file}: {imported.rows:,} {imported.counted}")
     for title in ("unit", "run", "signal", "in", "interval", "in file", "added", "already stored", "in lake"):
         table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")
@@ -55,29 +54,27 @@ def _report(imported: "FileImport", folder: Path) -> None:
 def _report_briefly(imported: "FileImport") -> None:
     """Report one of many files in a line; its defects in full."""
     _report_bad_rows(imported)
-    signals = len(imported.signals)
-    stored = sum(signal.already_stored for signal in imported.signals)
+    signals, stored = len(imported.signals), sum(signal.already_stored for signal in imported.signals)
     line = f"{imported.file}: {imported.rows:,} {imported.counted}, {signals} signals, {imported.added:,} samples added"
     line += f", {stored:,} already stored" if stored else ""
     warnings = [remark for remark in imported.remarks if remark.startswith("warning: ")]
     others = len(imported.remarks) - len(warnings)
-    line += f"; {others} remarks, --json lists them" if others else ""
-    results().print(line, soft_wrap=True, markup=False)
+    results().print(line + (f"; {others} remarks, --json lists them" if others else ""), soft_wrap=True)
     for warning in warnings:
-        notes().print(f"{imported.file}: {warning}", markup=False, soft_wrap=True)
+        notes().print(f"{imported.file}: {warning}", soft_wrap=True)
     _report_damage(imported)
 
 
 def _report_damage(imported: "FileImport") -> None:
     if imported.damage:
         text = f"error: {imported.file}: {imported.damage}; what is good of it is imported"
-        notes().print(text, style="red", markup=False, soft_wrap=True)
+        notes().print(text, style="red", soft_wrap=True)
 
 
 def _total(imported: "Sequence[FileImport]", folder: Path) -> str:
     added, seconds = sum(each.added for each in imported), sum(each.seconds for each in imported)
-    counted = all(signal.in_lake is not None for each in imported for signal in each.signals)
-    where = f"in the lake of {folder}, each once" if counted else "sent and acknowledged as recorded"
+    is_counted = all(signal.in_lake is not None for each in imported for signal in each.signals)
+    where = f"in the lake of {folder}, each once" if is_counted else "sent and acknowledged as recorded"
     undated = sum(not each.date_known for each in imported)
     date = f" The date of {undated} files is unknown, as no --start was given." if undated else ""
     return f"{len(imported)} files: {added:,} samples {where} ({seconds:.1f} s).{date}"
@@ -101,7 +98,7 @@ def _report_next(imported: "FileImport", folder: Path) -> None:
     how = " --fit" if is_angular_rate(signal.unit_of_measure) else ""
     if signal.irregular:
         how = f" --resample {10 * signal.sample_interval_s:.3g}"  # Allan's deviation needs a grid
-    notes().print(f"Ask it: gyrofleet allan {which}{how}{store}", soft_wrap=True, markup=False)
+    notes().print(f"Ask it: gyrofleet allan {which}{how}{store}", soft_wrap=True)
 
 
 def _has_steps(imported: "FileImport", folder: Path) -> bool:
@@ -118,7 +115,7 @@ def _has_steps(imported: "FileImport", folder: Path) -> bool:
 
 def _conclusion(imported: "FileImport", folder: Path) -> str:
     in_file = sum(signal.in_file for signal in imported.signals)
-    steps_text = f"{imported.steps:,} step{'' if imported.steps == 1 else 's'}"
+    steps_text = counted(imported.steps, "step")
     if imported.added == 0:
         verb = "says" if imported.steps == 1 else "say"
         says = f"; {steps_text} in the store {verb} what was measured" if imported.steps else ""
@@ -129,16 +126,14 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
     date = "" if imported.date_known else " Their date is unknown, as no --start was given."
     if any(signal.in_lake is None for signal in imported.signals):
         return f"{imported.added:,} samples{steps} sent and acknowledged as recorded ({speed}).{date}"
-    counted = f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once"
-    return f"{counted}{steps} ({speed}).{date}"
+    added = f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once"
+    return f"{added}{steps} ({speed}).{date}"
 
 
 def _report_bad_rows(imported: "FileImport") -> None:
-    if not imported.bad_row_count:
-        return
-    console = notes()
-    console.print(f"{imported.bad_row_count:,} of {imported.rows:,} rows of {imported.file} left out as bad:")
+    if imported.bad_row_count:
+        notes().print(f"{imported.bad_row_count:,} of {imported.rows:,} rows of {imported.file} left out as bad:")
     for row in imported.bad_rows[:_LISTED_BAD_ROWS]:
-        console.print(f"  {row}", markup=False)
+        notes().print(f"  {row}")
     if imported.bad_row_count > _LISTED_BAD_ROWS:
-        console.print(f"  ... and {imported.bad_row_count - _LISTED_BAD_ROWS:,} more (--json lists up to 1000)")
+        notes().print(f"  ... and {imported.bad_row_count - _LISTED_BAD_ROWS:,} more (--json lists up to 1000)")

@@ -13,7 +13,8 @@ from stream.errors import BadInput
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from ingest.procedures.procedure import PlannedStep, Procedure, Spent
+    from ingest.procedures.plan import PlannedStep
+    from ingest.procedures.procedure import Procedure
 
 _set_option = click.option(
     "--set", "choices", multiple=True, metavar="NAME=VALUE", help="Value of a parameter; may be given several times."
@@ -41,7 +42,8 @@ def procedure() -> None:
 @reporting
 def list_procedures(*, as_json: bool) -> None:
     """List the procedures that come with gyrofleet."""
-    from ingest.procedures.procedure import load_procedure, ready_names
+    from ingest.procedures.file import ready_names
+    from ingest.procedures.procedure import load_procedure
 
     ready = [load_procedure(name) for name in ready_names()]
     if as_json:
@@ -60,25 +62,27 @@ def list_procedures(*, as_json: bool) -> None:
 def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
     """Show a procedure's parameters and its steps one after the other."""
     from ingest.procedures.procedure import load_procedure
+    from ingest.procedures.values import shown
 
     found = load_procedure(name)
     given = _given(choices)
     steps, chosen = found.steps(given), found.chosen(given)
     if as_json:
         parameters = {key: {"value": chosen[key], "description": each} for key, each in found.parameters.items()}
-        print_json(
-            {**_head(found), "parameters": parameters, "requirements": found.requirements(given), "steps": steps}
-        )
+        about = {**_head(found), "parameters": parameters, "requirements": found.requirements(given)}
+        print_json({**about, "steps": steps})
         return
-    console = results()
-    console.print(f"{found.name}: {found.names.en} / {found.names.zh}", markup=False, style="bold")
-    console.print("; ".join(found.source), markup=False)
+    results().print(f"{found.name}: {found.names.en} / {found.names.zh}", style="bold")
+    results().print("; ".join(found.source))
     if found.parameters:
-        console.print(_parameter_table(found, chosen))
-    console.print(_step_table(steps))
+        table = _table("parameter", "value", "unit", "what / 含义", "source")
+        for key, each in found.parameters.items():
+            table.add_row(key, shown(chosen[key]), each.unit, f"{each.en} / {each.zh}", each.source)
+        results().print(table)
+    results().print(_step_table(steps))
     for step in steps:
         if step.prompt is not None:
-            console.print(f"{step.number}: {step.prompt.en}\n   {step.prompt.zh}", markup=False)
+            results().print(f"{step.number}: {step.prompt.en}\n   {step.prompt.zh}")
 
 
 @procedure.command("check")
@@ -92,7 +96,8 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 def check(name: str, settings: str | None, station: Path | None, choices: tuple[str, ...], *, as_json: bool) -> None:
     """Check a procedure, and whether a station can do it."""
     from ingest.procedures.file import near_name
-    from ingest.procedures.procedure import SETTINGS, load_procedure
+    from ingest.procedures.plan import SETTINGS
+    from ingest.procedures.procedure import load_procedure
     from ingest.station.station import load_station
 
     found = load_procedure(name)
@@ -115,9 +120,9 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
         print_json({**about, "station_checked": settings is not None or station is not None})
         return
     needs = "; ".join(f"{each.setting} {each.least:g} to {each.most:g} {each.unit}" for each in needed) or "nothing"
-    results().print(f"{found.name}: {len(steps)} steps, in order. It sets: {needs}.", markup=False)
+    results().print(f"{found.name}: {len(steps)} steps, in order. It sets: {needs}.")
     if settings is None and station is None:
-        notes().print("Whether a station can do it was not checked; give --station or --settings.", markup=False)
+        notes().print("Whether a station can do it was not checked; give --station or --settings.")
 
 
 @procedure.command("estimate-time")
@@ -131,7 +136,8 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
 @reporting
 def estimate_time(name: str, choices: tuple[str, ...], *, as_json: bool, **given: float) -> None:
     """Estimate how long a procedure takes, in all and by its parts."""
-    from ingest.procedures.procedure import Spent, StationRates, load_procedure
+    from ingest.procedures.procedure import load_procedure
+    from ingest.procedures.run_steps import Spent, StationRates
 
     rates = StationRates(**given)
     found = load_procedure(name)
@@ -144,8 +150,9 @@ def estimate_time(name: str, choices: tuple[str, ...], *, as_json: bool, **given
         return
     table = _table("part", "steps", "record", "settle", "warm-up", "off", "ramps", "prompts", "in all", left=("part",))
     for part, each in (*parts.items(), ("in all", total)):
-        table.add_row(part, str(each.steps), *(duration(value) for value in _seconds(each)))
-    results().print(f"{found.name}: {duration(total.total_s)} in all ({total.total_s:,.0f} s)", markup=False)
+        uses = (each.record_s, each.settle_s, each.warm_up_s, each.off_s, each.ramp_s, each.prompt_s, each.total_s)
+        table.add_row(part, str(each.steps), *map(duration, uses))
+    results().print(f"{found.name}: {duration(total.total_s)} in all ({total.total_s:,.0f} s)")
     results().print(table)
 
 
@@ -160,11 +167,6 @@ def duration(seconds: float) -> str:
     minutes = round(seconds / 60.0)
     parts = ((minutes // 1440, "d"), (minutes // 60 % 24, "h"), (minutes % 60, "min"))
     return " ".join(f"{count} {unit}" for count, unit in parts if count)
-
-
-def _seconds(spent: "Spent") -> tuple[float, ...]:
-    parts = (spent.record_s, spent.settle_s, spent.warm_up_s, spent.off_s, spent.ramp_s, spent.prompt_s)
-    return *parts, spent.total_s
 
 
 def _given(choices: tuple[str, ...]) -> dict[str, str]:
@@ -187,15 +189,6 @@ def _table(*titles: str, left: tuple[str, ...] | None = None) -> ResultTable:
     table = ResultTable()
     for title in titles:
         table.add_column(title, justify="left" if left is None or title in left else "right")
-    return table
-
-
-def _parameter_table(found: "Procedure", chosen: dict[str, Any]) -> ResultTable:
-    from ingest.procedures.values import shown
-
-    table = _table("parameter", "value", "unit", "what / 含义", "source")
-    for key, each in found.parameters.items():
-        table.add_row(key, shown(chosen[key]), each.unit, f"{each.en} / {each.zh}", each.source)
     return table
 
 

@@ -28,11 +28,9 @@ _TOLD = 10
 @click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Record it in this store as well.")
 @click.option("--connect", help="Send it to the `gyrofleet record` that listens there.")
 @click.option(
-    "--every",
-    "every_s",
-    type=click.FloatRange(min=0.001),
+    "--every", "every_s", type=click.FloatRange(min=0.001),
     help="Seconds of a signal's time between estimates; by default as the stored ones came.",
-)
+)  # fmt: skip
 @reporting
 def replay(
     run: str, folder: Path, speed: float, into: Path | None, connect: str | None, every_s: float | None, *,
@@ -85,11 +83,8 @@ def _print_result(
     if comparison is None:
         return
     results().print(f"{comparison.equal:,} of {comparison.stored:,} estimates equal bit for bit")
-    for what, names in (
-        ("different", comparison.different),
-        ("stored, but not made", comparison.missing),
-        ("made, but not stored", comparison.extra),
-    ):
+    kinds = {"different": comparison.different, "stored, but not made": comparison.missing}
+    for what, names in {**kinds, "made, but not stored": comparison.extra}.items():
         if names:
             more = " and more" if len(names) > _TOLD else ""
-            results().print(f"{what}: {', '.join(names[:_TOLD])}{more}", markup=False, soft_wrap=True)
+            results().print(f"{what}: {', '.join(names[:_TOLD])}{more}", soft_wrap=True)

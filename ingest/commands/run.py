@@ -105,18 +105,18 @@ def run(
 @click.command("run-simulated")
 @click.option("--run", "run_id", required=True, help="Id of the run; given again, the run resumes.")
 @click.option("--simulate", type=click.IntRange(1, 100_000), metavar="N", required=True, help="How many units.")
-@click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
+@_defaulted("--hours", type=click.FloatRange(min=1e-4), default=1.0, help="Length of the run.")
 @_defaulted("--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, help="Rate samples.")
 @_defaulted("--batch", type=click.IntRange(1, 100_000), default=100, help="Rate samples in a message.")
 @_defaulted("--speed", type=click.FloatRange(min=0.0), default=1.0, help="Times real time; 0: unpaced.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
+@_defaulted("--seed", type=click.IntRange(min=0), default=1, help="Seed of the simulation.")
 @click.option("--start", help="First sample, as 2026-11-21T18:00:00+08:00; by default the run ends now.")
 @click.option("--procedure", help="What is done, as static_bias: the whole run is a step of it.")
 @click.option("--position", help="Attitude of the input axis, as IRA_east_west.")
 @click.option("--operator", help="Who is responsible.")
 @click.option("--lot", help="Production lot.")
-@click.option("--site", default="local", show_default=True, help="Site of the samples.")
-@click.option("--station", default="simulated", show_default=True, help="Name of the station in the data.")
+@_defaulted("--site", default="local", help="Site of the samples.")
+@_defaulted("--station", default="simulated", help="Name of the station in the data.")
 @destination_options
 @reporting
 def run_simulated(

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import msgspec
 
 from ingest.instruments.base import Instrument
-from ingest.procedures.procedure import PlannedStep, Procedure, load_procedure
+from ingest.procedures.plan import PlannedStep
+from ingest.procedures.procedure import Procedure, load_procedure
 from ingest.procedures.run_steps import resume_index
 from ingest.run import run_path
 from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
@@ -21,11 +22,10 @@ from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
-from ingest.station.run_log import RunLog
-from ingest.station.run_state import check_same, fresh_id, left_run, other_unfinished, read_station_run
+from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
-from ingest.station.units_file import UnitEntry, load_units, mounted_documents
+from ingest.station.units_file import UnitEntry, mounted_documents, read_units
 from ingest.station_clock import StationClock
 from stream.console import Stop, notes, print_json, results, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
@@ -60,12 +60,9 @@ class _Job(NamedTuple):
     plan: str
     station: Station
     entries: tuple[UnitEntry, ...]
+    serials: tuple[str, ...]
     clock: StationClock
     instruments: Mapping[str, Instrument]
-
-    @property
-    def serials(self) -> tuple[str, ...]:
-        return tuple(entry.serial for entry in self.entries)
 
 
 def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: bool) -> int:
@@ -83,8 +80,9 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         phase = "starting" if known is None else known.phase
         is_over = phase not in {"starting", "running"} or (phase == "running" and asked.is_ended)
         sources = None if is_over else StationSources(job.station, job.instruments, job.clock, job.serials)
-        found = _checked(stack, job, sources, destination, job.procedure.duration_s(None, asked.parameters))
-        limits = _limits(asked, job, sources, destination.folder, None if known is None else known.t0_ns)
+        found = _checked(stack, job, sources, destination, job.procedure.duration_s(asked.parameters))
+        t0_ns = job.clock.now_ns() if known is None else known.t0_ns
+        limits = _limits(asked, job, sources, destination.folder, t0_ns)
         if asked.is_check:
             _report_check(found, limits, job, as_json=as_json)
             return 0
@@ -93,36 +91,32 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             compile_kernels(quiet=as_json)
         stop = stack.enter_context(until_stopped())
         says_yes, listens = asked.says_yes, not asked.says_yes or sys.stdin.isatty()
-        operator = ConsoleOperator(notes(), stop, says_yes=says_yes, quiet=as_json, listens=listens)
-        stack.enter_context(operator)
+        operator = stack.enter_context(
+            ConsoleOperator(notes(), stop, says_yes=says_yes, quiet=as_json, listens=listens)
+        )
         # nothing is made on disk before everybody is reached
-        elsewhere = stack.enter_context(run_path.recorder_at(None if phase == "ended" else destination.connect))
-        is_remote, folder = destination.connect is not None, destination.spools / run
-        opened = run_path.opened_spool(destination.folder, folder, destination.spool_bytes, is_remote=is_remote)
-        spool = stack.enter_context(opened)
+        bus = stack.enter_context(run_path.recorder_at(None if phase == "ended" else destination.connect))
+        spool = stack.enter_context(run_path.opened_spool(destination, destination.spools / run))
         log = RunLog(run, job.procedure.name, job.plan, job.serials, job.station, spool, job.clock)
         decisions = LimitReport(operator.report)
         report = partial(_report, log, len(job.steps), decisions, as_json=as_json)
         if log.state.phase == "ended":
             report("ended", "nothing to do, all of it is recorded")
             return 0
-        estimates = asked.every_s, asked.estimated
-        to = run_path.path_to(destination.folder, run, elsewhere, spool, *estimates, job.serials, decisions.see)
-        path = stack.enter_context(to)
+        path = stack.enter_context(
+            run_path.path_to(destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see)
+        )
         trouble = TroubleWatch(path.publisher, operator.report)
         operator.watch(trouble.look)
         for remark in limits.remarks:
             operator.report(remark)
         log.begin(
-            path.sender,
-            mounted_documents(job.entries, run, log.state.t0_ns),
+            path.sender, mounted_documents(job.entries, run, log.state.t0_ns),
             {f"instrument.{name}": each for name, each in found.instruments.items()} | _about(job, asked.parameters),
             operator=asked.operator or _common(job.entries, "operator"),
-            lot=asked.lot or _common(job.entries, "lot"),
-            at=resume_index(job.steps, log.state.step),
-            warnings=found.warnings,
-            limits=limits,
-        )
+            lot=asked.lot or _common(job.entries, "lot"), at=resume_index(job.steps, log.state.step),
+            warnings=found.warnings, limits=limits,
+        )  # fmt: skip
         for warning in other_unfinished(destination.spools, job.procedure.name, run):
             operator.report(warning)
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
@@ -138,28 +132,31 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         log.close()
         short = log.state.short_records
         lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
-        report("ended", lacking + _next(path))
+        where = "every sample is recorded"
+        if path.folder is not None:
+            query = "select run, unit, step, rate_command, started, ended from steps"
+            where += f'; ask for it: gyrofleet sql --store {shlex.quote(str(path.folder))} "{query}"'
+        report("ended", lacking + where)
         return code
 
 
 def _job(asked: ProcedureRun) -> _Job:
-    """Read the files and check that the station can do what the procedure asks."""
     procedure = load_procedure(asked.procedure)
     steps = procedure.steps(asked.parameters)
     station = load_station(asked.station)
-    entries = load_units(asked.units, station.slots or None)
+    entries = read_units(asked.units, station.slots or None).entries
     check_station(station, procedure, asked.parameters)
     clock = station.make_clock()
     instruments = station.make_instruments(clock)
     check_limits(station, instruments, procedure, asked.parameters)
     plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
-    return _Job(procedure, steps, plan, station, entries, clock, instruments)
+    serials = tuple(entry.serial for entry in entries)
+    return _Job(procedure, steps, plan, station, entries, serials, clock, instruments)
 
 
 def _carried_out(
     log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator
 ) -> int:
-    """Carry out what is left of the run and end it; the exit code."""
     if log.state.phase != "running":
         log.end(log.state.outcome)  # it was killed while it waited for the recorder
         return 0
@@ -167,7 +164,12 @@ def _carried_out(
         log, job.steps, job.station, job.instruments, operator, job.clock, settle_timeout_s=asked.settle_timeout_s
     )
     if sources is None:
-        _make_safe(live, job.instruments)
+        with ExitStack() as stack:  # the station was left as it was, perhaps by a run that was killed
+            for instrument in job.instruments.values():
+                with suppress(InstrumentError):  # reported where it cannot be made safe
+                    instrument.open()
+                    stack.callback(instrument.close)
+            live.make_safe()
         log.end("stopped")
         return 0
     try:
@@ -193,35 +195,20 @@ def _checked(
         stack, job.station, job.instruments, sources, folders=folders, now_ns=job.clock.now_ns(), duration_s=duration_s
     )
     for warning in found.warnings:
-        notes().print(warning, soft_wrap=True, markup=False)
+        notes().print(warning, soft_wrap=True)
     return found
 
 
-def _limits(
-    asked: ProcedureRun, job: _Job, sources: StationSources | None, folder: Path, t0_ns: int | None
-) -> RunLimits:
-    """Limits on the units, where something is measured."""
+def _limits(asked: ProcedureRun, job: _Job, sources: StationSources | None, folder: Path, t_ns: int) -> RunLimits:
     if sources is None:
         return NO_LIMITS
-    t_ns = job.clock.now_ns() if t0_ns is None else t0_ns
-    return run_limits(
-        folder, asked.specification, job.entries, sources.rate_signals(), job.steps, job.procedure.name, t_ns
-    )
-
-
-def _make_safe(live: StationRun, instruments: Mapping[str, Instrument]) -> None:
-    """Make a station safe at which a run was left, perhaps by being killed; a failure does not stop the end."""
-    with ExitStack() as stack:
-        for instrument in instruments.values():
-            with suppress(InstrumentError):  # reported where it cannot be made safe
-                instrument.open()
-                stack.callback(instrument.close)
-        live.make_safe()
+    rates = sources.rate_signals()
+    return run_limits(folder, asked.specification, job.entries, rates, job.steps, job.procedure.name, t_ns)
 
 
 def _about(job: _Job, parameters: Mapping[str, str]) -> dict[str, str]:
     chosen = {f"parameter.{name}": str(value) for name, value in job.procedure.chosen(parameters).items()}
-    where = job.station.table.location.details
+    where = job.station.table.details
     calibrated = {
         f"calibration_due.{name}": options.calibration_due
         for name, (_, options) in job.station.instruments.items()
@@ -237,46 +224,22 @@ def _common(entries: tuple[UnitEntry, ...], what: str) -> str | None:
 
 def _leave(why: str, path: RunPath, stop: Stop, report: Callable[[str, str], None]) -> int:
     """Leave a run that can be resumed; the exit code."""
-    report("interrupted", f"{why}; {run_path.left_behind(path, 'the spool', 'to resume')}")
+    report("interrupted", f"{why}; {run_path.left_behind(path, 'the spool')}")
     return INTERRUPTED if stop.asked_at is not None else 1
 
 
-def _next(path: RunPath) -> str:
-    if path.folder is None:
-        return "every sample is recorded"
-    store = f" --store {shlex.quote(str(path.folder))}"
-    query = "select run, unit, step, rate_command, started, ended from steps"
-    return f'every sample is recorded; ask for it: gyrofleet sql{store} "{query}"'
-
-
 def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark: str, *, as_json: bool) -> None:
-    """Print how far a run is, for people or as JSON."""
     state = log.state
     if as_json:
-        print_json(
-            {
-                "event": event,
-                "run": state.run,
-                "procedure": state.procedure,
-                "units": list(state.units),
-                "steps": steps,
-                "steps_done": state.steps_done,
-                "samples": log.samples,
-                "short_records": state.short_records,
-                "resumed": log.is_resumed,
-                "gap_s": log.gap_s,
-                "outcome": state.outcome if event == "ended" else None,
-                "verdicts": decisions.verdicts,
-                "remark": remark,
-            }
-        )
+        about = {"event": event, "run": state.run, "procedure": state.procedure, "units": list(state.units)}
+        done = {"steps": steps, "steps_done": state.steps_done, "samples": log.samples}
+        short = {"short_records": state.short_records, "resumed": log.is_resumed, "gap_s": log.gap_s}
+        outcome = state.outcome if event == "ended" else None
+        print_json({**about, **done, **short, "outcome": outcome, "verdicts": decisions.verdicts, "remark": remark})
         return
-    console = results() if event == "ended" else notes()
-    done = f"{state.steps_done} of {steps} steps"
-    outcome = f" ({state.outcome})" if event == "ended" else ""
-    console.print(
-        f"run {state.run} {event}{outcome}: {done}, {log.samples:,} samples; {remark}", soft_wrap=True, markup=False
-    )
+    ended, console = (f" ({state.outcome})", results()) if event == "ended" else ("", notes())
+    progress = f"{state.steps_done} of {steps} steps, {log.samples:,} samples"
+    console.print(f"run {state.run} {event}{ended}: {progress}; {remark}", soft_wrap=True)
 
 
 def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bool) -> None:
@@ -285,6 +248,5 @@ def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bo
         print_json({"event": "checked", **about, "warnings": list(found.warnings), "limits": list(limits.remarks)})
         return
     for line in (*(f"{name}: {identity}" for name, identity in found.instruments.items()), *limits.remarks):
-        results().print(line, soft_wrap=True, markup=False)
-    could = f"{job.procedure.name} could begin: {len(job.steps)} steps; nothing was written"
-    results().print(could, soft_wrap=True)
+        results().print(line, soft_wrap=True)
+    results().print(f"{job.procedure.name} could begin: {len(job.steps)} steps; nothing was written", soft_wrap=True)

@@ -25,26 +25,24 @@ def run_simulated(
     if parameters.start is not None:
         moment_ns(parameters.start)  # what cannot be read is reported before anything is made
     spool_folder = destination.spools if destination.is_given else destination.spools / run
-    is_remote = destination.connect is not None
     known = read_run(spool_folder, run, parameters)
     is_over = known is not None and known.phase == "ended"
-    if not is_remote:
+    if destination.connect is None:
         compile_kernels(quiet=as_json)
     with (
         until_stopped() as stop,
-        run_path.recorder_at(None if is_over else destination.connect) as elsewhere,
-        run_path.opened_spool(destination.folder, spool_folder, destination.spool_bytes, is_remote=is_remote) as spool,
+        run_path.recorder_at(None if is_over else destination.connect) as bus,
+        run_path.opened_spool(destination, spool_folder) as spool,
     ):
         live = LiveRun(run, parameters, spool)
-        if live.is_over:
+        if live.state.phase == "ended":
             _report(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        with run_path.path_to(destination.folder, run, elsewhere, spool, units=live.units) as path:
+        with run_path.path_to(destination, run, bus, spool, units=live.units) as path:
             return _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
 
 
 def _send(live: LiveRun, path: RunPath, stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:
-    """Send what is left of the run; returns the exit code."""
     if not (is_ended and live.state.phase == "running"):
         live.begin(path.sender)
     watch.report(live, "running", path.where)
@@ -57,20 +55,18 @@ def _send(live: LiveRun, path: RunPath, stop: Stop, watch: "_Watch", *, is_ended
     if stop.asked_at is None:
         live.end(path.sender, "stopped" if is_ended else "completed")
         path.publisher.drain(lambda: watch.look(live) or stop.asked_at is not None)
-    if stop.asked_at is None:
-        path.finish()
-        live.close()
-        watch.report(live, "ended", _next(live, path))
-        return 0
-    watch.report(live, "interrupted", run_path.left_behind(path, str(live.folder), "to resume"))
-    return INTERRUPTED
-
-
-def _next(live: LiveRun, path: RunPath) -> str:
-    if path.folder is None:
-        return "every sample is recorded"
-    store = "" if str(path.folder) == DEFAULT_STORE else f" --store {shlex.quote(str(path.folder))}"
-    return f"ask it: gyrofleet allan --unit SIM-0001 --signal rate --run {shlex.quote(live.state.run)} --fit{store}"
+    if stop.asked_at is not None:
+        watch.report(live, "interrupted", run_path.left_behind(path, str(live.folder)))
+        return INTERRUPTED
+    path.finish()
+    live.close()
+    remark = "every sample is recorded"
+    if path.folder is not None:
+        run, folder = shlex.quote(live.state.run), str(path.folder)
+        store = "" if folder == DEFAULT_STORE else f" --store {shlex.quote(folder)}"
+        remark = f"ask it: gyrofleet allan --unit SIM-0001 --signal rate --run {run} --fit{store}"
+    watch.report(live, "ended", remark)
+    return 0
 
 
 class _Watch:
@@ -79,7 +75,7 @@ class _Watch:
     def __init__(self, publisher: DurablePublisher, *, as_json: bool) -> None:
         self._publisher, self._as_json = publisher, as_json
         self._looked_at = self._reported_at = time.monotonic()
-        self._trouble = TroubleWatch(publisher, lambda text: notes().print(text, soft_wrap=True, markup=False))
+        self._trouble = TroubleWatch(publisher, lambda text: notes().print(text, soft_wrap=True))
         self._sent = 0
 
     def look(self, live: LiveRun) -> bool:
@@ -103,25 +99,13 @@ class _Watch:
 
 
 def _report(live: LiveRun, event: str, remark: str, resent: int = 0, *, as_json: bool) -> None:
-    """Print how far a run is, for people or as JSON."""
     gap_s = live.gap_ns / 1e9
     if as_json:
-        print_json(
-            {
-                "event": event,
-                "run": live.state.run,
-                "samples": live.samples,
-                "starts": live.state.starts,
-                "resumed": live.is_resumed,
-                "gap_s": gap_s,
-                "resent": resent,
-                "outcome": live.state.outcome if event == "ended" else None,
-                "remark": remark,
-            }
-        )
+        about = {"event": event, "run": live.state.run, "samples": live.samples, "starts": live.state.starts}
+        outcome = live.state.outcome if event == "ended" else None
+        gap = {"resumed": live.is_resumed, "gap_s": gap_s, "resent": resent}
+        print_json({**about, **gap, "outcome": outcome, "remark": remark})
         return
     resumed = f", resumed after a gap of {gap_s:,.1f} s" if live.is_resumed and event == "running" else ""
     console = notes() if event == "running" else results()
-    console.print(
-        f"run {live.state.run} {event}{resumed}, {live.samples:,} samples: {remark}", soft_wrap=True, markup=False
-    )
+    console.print(f"run {live.state.run} {event}{resumed}, {live.samples:,} samples: {remark}", soft_wrap=True)

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
@@ -15,6 +16,7 @@ import click
 from stream.console import Stop, notes, print_json, reporting, results, until_stopped
 from stream.errors import BadInput, InstrumentError
 
+_defaulted = partial(click.option, show_default=True)
 _READY_S = 60.0
 _LOOK_S = 0.2
 _END_S = 5.0
@@ -23,16 +25,10 @@ _LEFT_S = 2.0  # for the processes of a killed station to end
 
 @click.command("simulate")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--units", type=click.IntRange(1, 1000), default=4, show_default=True, help="Gyros, in a new folder.")
-@click.option(
-    "--speed", type=click.FloatRange(min=0.01, max=1000.0), default=50.0, show_default=True,
-    help="Times real time, in a new folder.",
-)  # fmt: skip
-@click.option(
-    "--rate-hz", type=click.FloatRange(min=0.1, max=1000.0), default=10.0, show_default=True,
-    help="Samples a second, in a new folder.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed, in a new folder.")
+@_defaulted("--units", type=click.IntRange(1, 1000), default=4, help="Gyros, in a new folder.")
+@_defaulted("--speed", type=click.FloatRange(0.01, 1000.0), default=50.0, help="Times real time, in a new folder.")
+@_defaulted("--rate-hz", type=click.FloatRange(0.1, 1000.0), default=10.0, help="Samples a second, in a new folder.")
+@_defaulted("--seed", type=click.IntRange(min=0), default=1, help="Seed, in a new folder.")
 @reporting
 def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, *, as_json: bool) -> None:
     """Simulate a test station: chamber, rate table and supply that speak SCPI, and gyros on a CAN bus.
@@ -54,13 +50,14 @@ def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, 
                 paths = {"station": str(folder / STATION), "units": str(folder / UNITS)}
                 print_json({"event": "ready", **paths, "speed": simulation.speed})
             else:
-                command = f"gyrofleet run static_bias --station {shlex.quote(str(folder / STATION))}"
-                results().print(
-                    f"station ready, {simulation.speed:g} times real time; test it: {command} "
-                    f"--units {shlex.quote(str(folder / UNITS))} --yes",
-                    soft_wrap=True, markup=False,
-                )  # fmt: skip
-            _watch(processes, stop)
+                files = f"--station {shlex.quote(str(folder / STATION))} --units {shlex.quote(str(folder / UNITS))}"
+                command = f"gyrofleet run static_bias {files} --yes"
+                ready = f"station ready, {simulation.speed:g} times real time"
+                results().print(f"{ready}; test it: {command}", soft_wrap=True)
+            while not stop.wait(_LOOK_S):
+                if ended := [process for process in processes if process.poll() is not None]:
+                    code = ended[0].returncode
+                    raise InstrumentError(f"a process of the simulated station has ended with exit code {code}")
         finally:
             for process in reversed(processes):
                 process.terminate()
@@ -112,12 +109,3 @@ def _end(process: subprocess.Popen[str]) -> None:
     except subprocess.TimeoutExpired:  # stopped, perhaps
         process.kill()
         process.wait()
-
-
-def _watch(processes: list[subprocess.Popen[str]], stop: Stop) -> None:
-    while not stop.wait(_LOOK_S):
-        for process in processes:
-            if process.poll() is not None:
-                raise InstrumentError(
-                    f"a process of the simulated station has ended with exit code {process.returncode}"
-                )

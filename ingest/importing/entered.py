@@ -12,7 +12,6 @@ from stream.events import AnyDocument, CheckEntered, Verdict
 from stream.identity import Place, check_name
 from stream.quantities import check_unit
 
-ENTERED = Place("local", "entered")
 _MOST_TEXT = 1000
 
 
@@ -31,7 +30,7 @@ class Entry(NamedTuple):
     run: str = ""  # the run that it belongs to; empty for none
 
 
-def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: Place = ENTERED) -> bool:
+def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str) -> bool:
     """Write documents into a store, created if there is none, and on disk when this returns; whether SQL sees them now.
 
     It does not if a recorder writes the store, which brings them to the lake with its next segment. `role` is the name
@@ -40,7 +39,7 @@ def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: P
     """
     store = Store.create(folder)
     is_recorded = writer_endpoint(folder) is not None
-    record_documents(store, documents, role=role, place=place, builds_lake=True)
+    record_documents(store, documents, role=role, place=Place("local", "entered"), builds_lake=True)
     return not is_recorded
 
 
@@ -55,19 +54,18 @@ def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
     for option, text in (("--item", entry.item), ("--by", entry.by), ("--note", entry.note)):
         if len(text) > _MOST_TEXT:
             raise BadInput(f"check of unit {entry.unit}: {option} has {len(text)} characters, {_MOST_TEXT} may be")
-    _check_numbers(entry)
+    where = f"check {entry.item} of unit {entry.unit}"
+    _check_numbers(entry, where)
     return CheckEntered(
-        run=entry.run, t_ns=t_ns, unit=entry.unit, item=entry.item.strip(), verdict=_verdict(entry),
+        run=entry.run, t_ns=t_ns, unit=entry.unit, item=entry.item.strip(), verdict=_verdict(entry, where),
         by=entry.by.strip(), value=entry.value,
         unit_of_measure="" if entry.value is None else check_unit(entry.unit_of_measure), lower=entry.lower,
         upper=entry.upper, note=entry.note.strip(),
     )  # fmt: skip
 
 
-def _check_numbers(entry: Entry) -> None:
-    where = f"check {entry.item} of unit {entry.unit}"
-    given = {"--value": entry.value, "--lower": entry.lower, "--upper": entry.upper}
-    for option, number in given.items():
+def _check_numbers(entry: Entry, where: str) -> None:
+    for option, number in (("--value", entry.value), ("--lower", entry.lower), ("--upper", entry.upper)):
         if number is not None and not math.isfinite(number):
             raise BadInput(f"{where}: {option} {number} is no finite number")
     if entry.value is None and (entry.unit_of_measure or entry.lower is not None or entry.upper is not None):
@@ -76,8 +74,7 @@ def _check_numbers(entry: Entry) -> None:
         raise BadInput(f"{where}: --lower {entry.lower:g} lies above --upper {entry.upper:g}")
 
 
-def _verdict(entry: Entry) -> Verdict:
-    where = f"check {entry.item} of unit {entry.unit}"
+def _verdict(entry: Entry, where: str) -> Verdict:
     found: Verdict | None = None
     if entry.value is not None and (entry.lower is not None or entry.upper is not None):
         is_high = entry.lower is None or entry.value >= entry.lower

@@ -10,15 +10,14 @@ from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import msgspec
-import numpy as np
 
-from ingest.can.summary import CanSummary
-from ingest.importing.result import FileImport, SignalImport
+from ingest.can.summary import CanCounts, CanSummary
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.station.units_file import UnitEntry, mounted_documents
+from ingest.tables.rows import BadRow
 from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge
-from stream.batch import BoolArray, IntArray, SampleBatch
+from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
 from stream.errors import BadInput, StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted, StationStated, StreamTotal, UnitMounted
@@ -36,6 +35,46 @@ class CheckedFile(NamedTuple):
     file: SampleFile
     summary: TableSummary
     checking_s: float
+
+
+@dataclass(frozen=True)
+class SignalImport:
+    """Result for one signal of a file; `in_lake` is None if the lake cannot be seen from here."""
+
+    unit: str
+    run: str
+    signal: str
+    unit_of_measure: str
+    in_file: int
+    added: int
+    already_stored: int
+    in_lake: int | None
+    sample_interval_s: float
+    irregular: bool
+
+
+@dataclass(frozen=True)
+class FileImport:
+    """Result for one file."""
+
+    file: str
+    rows: int
+    bad_row_count: int
+    bad_rows: tuple[BadRow, ...]
+    steps: int
+    date_known: bool
+    seconds: float
+    signals: tuple[SignalImport, ...]
+    recovered: tuple[str, ...] = ()
+    counted: str = "rows"
+    damage: str = ""
+    remarks: tuple[str, ...] = ()
+    frames: CanCounts | None = None
+
+    @property
+    def added(self) -> int:
+        """Samples that the store did not have."""
+        return sum(signal.added for signal in self.signals)
 
 
 @dataclass
@@ -62,19 +101,8 @@ class FileSending:
         self._of: dict[str, list[SignalSummary]] = {}  # signals by run
         for signal in self._summary.signals:
             self._of.setdefault(signal.run, []).append(signal)
-        self._stated: dict[str, dict[str, str]] = {}
-        self._stored: StoredSamples | None = None
-        self._common: Counter[_Name] = Counter()
-        self._held: Counter[_Name] = Counter()
-        self._known_uids: frozenset[str] = frozenset()
-        self._last_mounted: dict[tuple[str, str], UnitMounted] = {}
+        self.runs = sorted(self._of)  # that it has samples of
         self._sent: Counter[_Name] = Counter()
-        self._group = SendingGroup()
-
-    @property
-    def runs(self) -> list[str]:
-        """Runs that the file has samples of."""
-        return sorted(self._of)
 
     def join(self, group: SendingGroup) -> None:
         """Join files of the same command; raises BadInput if only one of them has a date for the same run."""
@@ -114,8 +142,7 @@ class FileSending:
 
     def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of their runs."""
-        runs = list(self._of)
-        open_runs = set() if self._stored is None else self._stored.open_runs & set(runs)
+        open_runs = self._stored.open_runs & self._of.keys()
         is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
         if is_all_there and not self._summary.steps and not open_runs and not self._entries and not self._about:
             return
@@ -123,8 +150,8 @@ class FileSending:
             content = hashlib.file_digest(file, "sha256").hexdigest()
         epochs = {owner: self._epoch(content, *owner) for owner in self.owners}
         send = partial(sender.send_event, event_key(self._place))
-        for run in runs:
-            if run not in self._group.begun and (self._stored is None or run not in self._stored.runs):
+        for run in self._of:
+            if run not in self._group.begun and run not in self._stored.runs:
                 self._group.begun.add(run)
                 send(self._started(run, content))
             elif run in self._stated and self._about.items() - self._stated[run].items():
@@ -135,7 +162,7 @@ class FileSending:
             for mounted in self._mounted(run):
                 send(mounted)
         news = self._send_file(sender, epochs, progress)
-        for run in runs:
+        for run in self._of:
             is_ours = self._started(run, content).uid in self._known_uids  # killed before it could end the run
             if is_ours if run in open_runs else news:
                 send(self._note(run, content))
@@ -144,7 +171,7 @@ class FileSending:
     def _send_file(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
         """Send samples and steps that the store does not have; returns how many messages that were."""
         news = 0
-        for item in self._file.batches(lambda unit, run: epochs[unit, run], self._keep, progress):
+        for item in self._file.batches(lambda unit, run: epochs[unit, run], self._stored.new, progress):
             if isinstance(item, SampleBatch):
                 sender.send_batch(sample_key(self._place, item.unit, item.signal), item)
                 self._sent[item.unit, item.run, item.signal] += len(item)
@@ -183,40 +210,24 @@ class FileSending:
     def _signal_result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:
         name = (signal.unit, signal.run, signal.signal)
         return SignalImport(
-            *name,
-            unit_of_measure=signal.unit_of_measure,
-            in_file=signal.sampling.samples,
-            added=signal.sampling.samples - self._common[name],
-            already_stored=self._common[name],
-            in_lake=None if in_lake is None else in_lake[name],
-            sample_interval_s=signal.sampling.dt_ns / 1e9,
+            *name, unit_of_measure=signal.unit_of_measure, in_file=signal.sampling.samples,
+            added=signal.sampling.samples - self._common[name], already_stored=self._common[name],
+            in_lake=None if in_lake is None else in_lake[name], sample_interval_s=signal.sampling.dt_ns / 1e9,
             irregular=signal.sampling.irregular,
-        )
-
-    def _keep(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
-        if self._stored is None:
-            return np.ones(len(times_ns), np.bool_)
-        return self._stored.new(unit, run, signal, times_ns)
+        )  # fmt: skip
 
     def _epoch(self, content: str, unit: str, run: str) -> UUID:
         """The same samples at the same times have the same epoch, so that a recorder recognises them."""
-        sampled = [
-            f"{s.signal} {s.sampling.samples} {s.sampling.t_first_ns} {s.sampling.t_last_ns}"
-            for s in self._of[run]
-            if s.unit == unit
-        ]
+        mine = [(s.signal, s.sampling) for s in self._of[run] if s.unit == unit]
+        sampled = [f"{signal} {each.samples} {each.t_first_ns} {each.t_last_ns}" for signal, each in mine]
         return uuid5(_NAMESPACE, "\0".join([content, unit, run, str(self._common.total()), *sampled]))
 
     def _started(self, run: str, content: str) -> RunStarted:
         return RunStarted(
-            run=run,
-            t_ns=self._first_ns(run),
-            uid=_uid("started", run, content),
-            date_known=self._summary.date_known,
-            source=f"file {self.path.name}",
-            units=tuple(dict.fromkeys(signal.unit for signal in self._of[run])),
+            run=run, t_ns=self._first_ns(run), uid=_uid("started", run, content), date_known=self._summary.date_known,
+            source=f"file {self.path.name}", units=tuple(dict.fromkeys(signal.unit for signal in self._of[run])),
             details=self._about,
-        )
+        )  # fmt: skip
 
     def _mounted(self, run: str) -> list[UnitMounted]:
         """Documents on the units of the run, if the last stored ones differ."""

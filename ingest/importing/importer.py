@@ -3,12 +3,12 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
-from ingest.importing.file_sending import CheckedFile, FileSending, SendingGroup, counted
-from ingest.importing.result import FileImport
+from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, SendingGroup, counted
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
 from storage.recording.client import HeldClaim, RecorderClient
@@ -28,18 +28,10 @@ _ESTIMATE_EVERY_S = 3600.0
 
 
 def import_files(
-    checked: Sequence[CheckedFile],
-    folder: Path,
-    place: Place,
-    *,
-    connect: str | None = None,
-    listen: Sequence[str] = (),
-    units: Sequence[UnitEntry] = (),
-    about: Mapping[str, str] = MappingProxyType({}),
-    restates: bool = False,
-    estimated: EstimatedSignals = EstimatedSignals(),
-    progress: FileProgress | None = None,
-) -> Iterator[FileImport]:
+    checked: Sequence[CheckedFile], folder: Path, place: Place, *, connect: str | None = None,
+    listen: Sequence[str] = (), units: Sequence[UnitEntry] = (), about: Mapping[str, str] = MappingProxyType({}),
+    restates: bool = False, estimated: EstimatedSignals = EstimatedSignals(), progress: FileProgress | None = None,
+) -> Iterator[FileImport]:  # fmt: skip
     """Import checked files into a store; yields their results in the same order.
 
     Files of different units or runs go through one recorder in this process, so that hundreds of small files cost
@@ -75,7 +67,6 @@ def _groups(sendings: Iterable[FileSending]) -> Iterator[list[FileSending]]:
 
 
 def _send(group: Sequence[FileSending], knowledge: Knowledge, sender: Sender, progress: FileProgress | None) -> None:
-    """Compare all files with the store, then send them."""
     for each in group:
         each.compare(knowledge)
     for each in group:
@@ -115,12 +106,14 @@ def _results(
 def _sent_to_recorder(
     group: Sequence[FileSending], folder: Path, connect: str, progress: FileProgress | None
 ) -> Iterator[FileImport]:
-    """Send files to a recorder in another process, compared with its own store."""
     began = time.monotonic()
+    identity: str | None = None
     owners = {owner for each in group for owner in each.owners}
     names = ", ".join(each.path.name for each in group[:3])
+    with suppress(StoreError):  # there is no store here
+        identity = Store.open(folder).identity
     with ZenohBus(connect=[connect]) as bus:
-        client = RecorderClient(bus, wanted=_identity(folder))
+        client = RecorderClient(bus, wanted=identity)
         with (
             HeldClaim(client, owners, f"import of {names}") as claim,
             DurablePublisher(bus, only_store=client.store) as publisher,
@@ -132,11 +125,3 @@ def _sent_to_recorder(
             client.settle()
             in_lake = counted(client, group, f"the log of the recorder at {connect}")
     yield from _results(group, in_lake, began)
-
-
-def _identity(folder: Path) -> str | None:
-    """Identity of the store in a folder; None if there is none."""
-    try:
-        return Store.open(folder).identity
-    except StoreError:
-        return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge, KnownStep
-from stream.batch import BoolArray, FloatArray, IntArray
+from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
 
 _Name = tuple[str, str, str]
@@ -92,17 +92,16 @@ class StoredSamples:
             nearest_ns = np.minimum(np.abs(stored_ns[after] - times_ns), np.abs(times_ns - stored_ns[before]))
             differs |= ~same_time & (2 * nearest_ns <= sampling.dt_ns)
         if differs.any():
-            self._refuse(chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after])
+            at = int(np.flatnonzero(differs)[0])
+            value, moment_ns = stored[after][at], int(stored_ns[after][at])
+            moment = "" if moment_ns == times_ns[at] else f" at {self._moment(moment_ns)}"
+            raise BadInput(
+                f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} "
+                f"with other values: at {self._moment(times_ns[at])} the file has {chunk.data[at]:.9g}, the store "
+                f"{value:.9g}{moment} ({int(differs.sum())} such samples in this stretch); nothing was imported. If it "
+                f"is another recording, give --run"
+            )
         return int(same_time.sum())
-
-    def _refuse(self, chunk: SignalChunk, at: int, count: int, stored_ns: IntArray, stored: FloatArray) -> None:
-        moment = "" if stored_ns[at] == chunk.times_ns[at] else f" at {self._moment(stored_ns[at])}"
-        has = f"{stored[at]:.9g}{moment}"
-        raise BadInput(
-            f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} with "
-            f"other values: at {self._moment(chunk.times_ns[at])} the file has {chunk.data[at]:.9g}, the store {has} "
-            f"({count} such samples in this stretch); nothing was imported. If it is another recording, give --run"
-        )
 
     def _moment(self, t_ns: int) -> str:
         if self._summary.date_known:

@@ -126,10 +126,6 @@ class ScpiInstrument(Instrument):
         if text := self._text(name, value):
             self.connection.command(text)
 
-    def has(self, name: str) -> bool:
-        """Whether the instrument has the command of this name."""
-        return bool(self._commands[name])
-
     def _read(self, query: str) -> Reading:
         text = self._text(query)
         if not text:

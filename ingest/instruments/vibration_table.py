@@ -73,9 +73,9 @@ class VibrationTable(ScpiInstrument):
     def sample(self) -> list[Reading]:
         """The trace since the last time; one value at rest, or where there is no trace."""
         # a trace at rest would fill the store with thousands of zeros per second
-        if not (self.has("trace") and self._is_vibrating):
+        if not (self._is_vibrating and (query := self._text("trace"))):
             return super().sample()
-        answer = self.connection.ask(self._text("trace"))
+        answer = self.connection.ask(query)
         try:
             t0, dt, *rates = answer.text.split(",")
             t0_ns, dt_ns = int(t0), int(dt)

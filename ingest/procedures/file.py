@@ -19,7 +19,6 @@ Least1 = msgspec.Meta(min_length=1)
 Text = Annotated[str, Least1]
 Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
 
-_READY = "procedures"
 _MOST_BYTES = 1_000_000
 
 
@@ -115,8 +114,8 @@ _KINDS: dict[str, type[msgspec.Struct]] = {
 
 def ready_names() -> tuple[str, ...]:
     """Names of the procedures that come with gyrofleet."""
-    folder = files("ingest").joinpath(_READY)
-    return tuple(sorted(each.name.removesuffix(".toml") for each in folder.iterdir() if each.name.endswith(".toml")))
+    found = [each.name for each in files("ingest").joinpath("procedures").iterdir()]
+    return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
 
 
 def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[ProcedureFile, str, Path | None]:
@@ -132,7 +131,7 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
                 f"no procedure {text!r}{near_name(text, ready)}; `gyrofleet procedure list` shows the ready ones, "
                 f"a file of your own is given by its path, as ./{text}.toml"
             )
-        found = files("ingest").joinpath(_READY, f"{text}.toml")
+        found = files("ingest").joinpath("procedures", f"{text}.toml")
         return parse_procedure(found.read_bytes(), f"procedure {text}"), f"procedure {text}", None
     path = Path(name) if beside is None else beside / name
     try:
@@ -190,8 +189,8 @@ def check_value(parameter: Parameter, value: float | str, where: str) -> None:
     """Check one value of a parameter against its bounds and choices."""
     if isinstance(value, str):
         if parameter.choices and value not in parameter.choices:
-            choices = parameter.choices
-            raise BadInput(f"{where}: {value!r} is none of {', '.join(choices)}{near_name(value, choices)}")
+            near = near_name(value, parameter.choices)
+            raise BadInput(f"{where}: {value!r} is none of {', '.join(parameter.choices)}{near}")
         return
     if not -1e300 < value < 1e300:
         raise BadInput(f"{where}: {value} is no finite number")

@@ -7,8 +7,7 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from ingest.procedures.file import Item, Names, near_name
-from ingest.procedures.loops import bound_value, check_form, rounds
-from ingest.procedures.values import Scalar, Variables, number_of, text_of
+from ingest.procedures.values import Scalar, Variables, bound_value, check_form, number_of, rounds, text_of
 from stream.errors import BadInput
 from stream.events import StepWords
 
@@ -17,12 +16,9 @@ SETTINGS: Mapping[str, str] = MappingProxyType(
     {"rate": "deg/s", "temperature": "degC", "frequency": "Hz", "amplitude": "deg/s", "angle": "deg"}
 )
 _FIELDS = {
-    "rate_deg_per_s": "rate",
-    "temperature_deg_c": "temperature",
-    "frequency_hz": "frequency",
-    "amplitude_deg_per_s": "amplitude",
-    "angle_deg": "angle",
-}
+    "rate_deg_per_s": "rate", "temperature_deg_c": "temperature", "frequency_hz": "frequency",
+    "amplitude_deg_per_s": "amplitude", "angle_deg": "angle",
+}  # fmt: skip
 # Defaults that a loop gives to the steps in it.
 _INHERITED = (*_FIELDS, "position", "axis", "phase", "settle_s", "record_s", "warm_up_s", "room", "wait_settled")
 _POWER = ("off", "on", "cycle", "none")
@@ -86,7 +82,8 @@ class Planner:
     def plan(self, used: Used, variables: Variables) -> tuple[PlannedStep, ...]:
         """All steps."""
         for i, item in enumerate(used.items):
-            self._item(item, used, f"$.step[{i}]", dict(variables), {}, _part_name(item))
+            part = item.name or item.use or (f"for {item.over}" if item.over is not None else "repeats")
+            self._item(item, used, f"$.step[{i}]", dict(variables), {}, part)
         return tuple(self._steps)
 
     def _item(
@@ -133,12 +130,16 @@ class Planner:
             raise BadInput(f"{where}: records {record_s:g} s while the units have no power; switch them on before")
         if len(self._steps) >= _MOST_STEPS:
             raise BadInput(f"{where}: more than {_MOST_STEPS:,} steps; look at the loops around it")
+        prompt = None
+        if (asked := item.prompt) is not None:
+            where_asked = f"{where}.prompt"
+            en, zh = (text_of(getattr(asked, name), variables, f"{where_asked}.{name}") for name in ("en", "zh"))
+            prompt = Names(en=en, zh=zh)
+        words = self._words(item, said, times["settle_s"], variables, where)
         self._steps.append(
             PlannedStep(
-                number=len(self._steps) + 1, words=self._words(item, said, times["settle_s"], variables, where),
-                settings=settings, settle_s=times["settle_s"], record_s=times["record_s"], wait_settled=wait,
-                power=power, off_s=off_s, warm_up_s=times["warm_up_s"], prompt=_prompt(item, variables, where),
-                part=part, key=key,
+                number=len(self._steps) + 1, words=words, settings=settings, wait_settled=wait, power=power,
+                off_s=off_s, prompt=prompt, part=part, key=key, **times,
             )
         )  # fmt: skip
 
@@ -228,14 +229,3 @@ def _filled(item: Item, variables: Variables, where: str) -> dict[str, object]:
         else:
             found[name] = number_of(value, variables, f"{where}.{name}")
     return found
-
-
-def _prompt(item: Item, variables: Variables, where: str) -> Names | None:
-    if item.prompt is None:
-        return None
-    en, zh = (text_of(getattr(item.prompt, name), variables, f"{where}.prompt.{name}") for name in ("en", "zh"))
-    return Names(en=en, zh=zh)
-
-
-def _part_name(item: Item) -> str:
-    return item.name or item.use or (f"for {item.over}" if item.over is not None else "repeats")

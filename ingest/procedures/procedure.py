@@ -10,25 +10,11 @@ from pathlib import Path
 
 import msgspec
 
-from ingest.procedures.file import Names, Parameter, ProcedureFile, check_value, near_name, read_procedure, ready_names
-from ingest.procedures.loops import items_of
+from ingest.procedures.file import Parameter, ProcedureFile, check_value, near_name, read_procedure
 from ingest.procedures.plan import SETTINGS, PlannedStep, Planner, Used
 from ingest.procedures.run_steps import Spent, StationRates, spent_by_part
-from ingest.procedures.values import Scalar
+from ingest.procedures.values import Scalar, items_of
 from stream.errors import BadInput
-
-__all__ = [
-    "SETTINGS",
-    "Names",
-    "Parameter",
-    "PlannedStep",
-    "Procedure",
-    "Requirement",
-    "Spent",
-    "StationRates",
-    "load_procedure",
-    "ready_names",
-]
 
 _MOST_NESTED = 8
 
@@ -94,13 +80,13 @@ class Procedure:
             if each.setting not in able
         )
 
-    def spent(self, rates: StationRates | None = None, parameters: Given = None) -> dict[str, Spent]:
+    def spent(self, rates: StationRates, parameters: Given = None) -> dict[str, Spent]:
         """Time of each part at a station, see `spent_by_part`."""
-        return spent_by_part(self.steps(parameters), rates or StationRates())
+        return spent_by_part(self.steps(parameters), rates)
 
-    def duration_s(self, rates: StationRates | None = None, parameters: Given = None) -> float:
-        """Total time, seconds: power-off, ramps, warm-up, settling, recording and prompts."""
-        return sum((each.total_s for each in self.spent(rates, parameters).values()), 0.0)
+    def duration_s(self, parameters: Given = None) -> float:
+        """Total time at a usual station, seconds: power-off, ramps, warm-up, settling, recording and prompts."""
+        return sum((each.total_s for each in self.spent(StationRates(), parameters).values()), 0.0)
 
 
 def load_procedure(name: str | Path) -> Procedure:

@@ -129,7 +129,11 @@ def series(kind: Kind, numbers: dict[str, float], given: str = "series") -> list
         raise BadInput(f"{given}: kind {kind} needs {' and '.join(missing)}")
     if extra := [name for name in numbers if name not in needed and name not in taken]:
         raise BadInput(f"{given}: kind {kind} takes no {' and no '.join(extra)}, only {', '.join((*needed, *taken))}")
-    count = _count(numbers["count"], given) if "count" in numbers else None
+    count = None
+    if (number := numbers.get("count")) is not None:
+        if not number.is_integer() or not 1 <= number <= _MOST_VALUES:
+            raise BadInput(f"{given}: count {number:g} is no whole number from 1 to {_MOST_VALUES}")
+        count = int(number)
     if kind == "temperatures":
         return temperature_points(numbers["min"], numbers["max"], numbers["room"], numbers.get("apart", 10.0), given)
     if kind in {"log", "linear"}:
@@ -137,9 +141,3 @@ def series(kind: Kind, numbers: dict[str, float], given: str = "series") -> list
         make: Callable[..., list[float]] = log_series if kind == "log" else linear_series
         return make(numbers["min"], numbers["max"], count, given)
     return preferred_series(kind, numbers["max"], count=count, least=numbers.get("min"), given=given)
-
-
-def _count(number: float, given: str) -> int:
-    if not number.is_integer() or not 1 <= number <= _MOST_VALUES:
-        raise BadInput(f"{given}: count {number:g} is no whole number from 1 to {_MOST_VALUES}")
-    return int(number)

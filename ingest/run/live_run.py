@@ -18,10 +18,7 @@ from stream.events import NoteAdded, PowerOn, RunEnded, RunResumed, RunStarted, 
 from stream.identity import Place, sample_key
 from stream.wire.acknowledgement import StreamId
 
-Clock = Callable[[], int]
-
 RUN_FILE = "run.json"
-_FORMAT = 1
 
 
 class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,7 +42,7 @@ class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A run as it stands."""
 
-    format: int = _FORMAT
+    format: int = 1
     run: str  # its id
     parameters: RunParameters  # what it was started with
     began_ns: int  # the station's clock when it was started
@@ -93,7 +90,9 @@ class LiveRun(RunRecord[RunState]):
     its state cannot be read or written.
     """
 
-    def __init__(self, run: str, parameters: RunParameters, spool: Spool, clock_ns: Clock = time.time_ns) -> None:
+    def __init__(
+        self, run: str, parameters: RunParameters, spool: Spool, clock_ns: Callable[[], int] = time.time_ns
+    ) -> None:
         found, file = read_run(spool.folder, run, parameters), spool.folder / RUN_FILE
         state = found or write_state(file, begin_run(run, parameters, clock_ns()))
         super().__init__(state, file, spool, Place(parameters.site, parameters.station))
@@ -104,11 +103,6 @@ class LiveRun(RunRecord[RunState]):
         self._station = SimulatedStation(fleet, self._name, batch=parameters.batch)
         self.units = list(fleet.units)
         self._end_ns = state.t0_ns + round(parameters.hours * 3600e9)
-
-    @property
-    def is_over(self) -> bool:
-        """Whether a recorder has all of it."""
-        return self.state.phase == "ended"
 
     def begin(self, sender: Sender) -> None:
         """Send the documents with which the run starts or resumes."""
@@ -129,8 +123,11 @@ class LiveRun(RunRecord[RunState]):
         if self.is_resumed and self.state.parameters.speed == 0 and self.state.phase == "running":
             return  # the units were never off
         if self.state.power_cycles[-1].t0_ns < self._end_ns:
+            power_cycle = self.state.power_cycles[-1]
             for unit in self.units:
-                self._send(self._power_on(unit))
+                epoch = str(self._station.epoch(power_cycle, unit))
+                run, t_ns, uid = self.state.run, power_cycle.t0_ns, self._uid("power-on", epoch)
+                self._send(PowerOn(run=run, t_ns=t_ns, uid=uid, unit=unit, epoch=epoch))
             for started in self._steps_started():
                 self._send(started)
         self._save(phase="running")
@@ -170,10 +167,6 @@ class LiveRun(RunRecord[RunState]):
         run, outcome, uid = self.state.run, self.state.outcome, self._uid("ended")
         self._send(RunEnded(run=run, t_ns=t_ns, uid=uid, outcome=outcome, totals=self._totals()))
 
-    def close(self) -> None:
-        """Record that a recorder has everything."""
-        self._save(phase="ended")
-
     def _resume(self) -> None:
         state, measured_until = self.state, self._measured_until()
         power_cycles, now_ns = state.power_cycles, measured_until
@@ -190,12 +183,6 @@ class LiveRun(RunRecord[RunState]):
             uid = self._uid("damage", damage)
             self._send(NoteAdded(run=state.run, t_ns=now_ns, uid=uid, text=f"spool: {damage}", author="run"))
 
-    def _power_on(self, unit: str) -> PowerOn:
-        power_cycle = self.state.power_cycles[-1]
-        epoch = str(self._station.epoch(power_cycle, unit))
-        uid = self._uid("power-on", epoch)
-        return PowerOn(run=self.state.run, t_ns=power_cycle.t0_ns, uid=uid, unit=unit, epoch=epoch)
-
     def _steps_started(self) -> Iterator[StepStarted]:
         """The step of each unit from its power-on; none without procedure and position."""
         parameters, power_cycle = self.state.parameters, self.state.power_cycles[-1]
@@ -207,7 +194,6 @@ class LiveRun(RunRecord[RunState]):
             yield StepStarted(run=self.state.run, t_ns=power_cycle.t0_ns, uid=uid, unit=unit, words=words)
 
     def _end_steps(self, until_ns: int) -> None:
-        """End the steps of the last power-on at their last sample."""
         for begun in self._steps_started():
             last_ns = max(until_ns - self._station.dt_ns, begun.t_ns)
             uid = self._uid("end of step", begun.uid)

@@ -35,18 +35,11 @@ class EmbeddedPipeline:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        role: str,
-        *,
-        estimate_every_s: float = 600.0,
-        listen: Sequence[str] = (),
-        rotate_bytes: int = EMBEDDED_ROTATE_BYTES,
-        on_document: Callable[[AnyDocument], None] | None = None,
-        on_warning: Callable[[str], None] | None = None,
-        spool: Spool | None = None,
+        self, folder: Path, role: str, *, estimate_every_s: float = 600.0, listen: Sequence[str] = (),
+        rotate_bytes: int = EMBEDDED_ROTATE_BYTES, on_document: Callable[[AnyDocument], None] | None = None,
+        on_warning: Callable[[str], None] | None = None, spool: Spool | None = None,
         estimated: EstimatedSignals = EstimatedSignals(),
-    ) -> None:
+    ) -> None:  # fmt: skip
         with ExitStack() as stack:
             self.store = Store.create(folder)
             stack.enter_context(WriterLock(self.store, role))
@@ -62,16 +55,11 @@ class EmbeddedPipeline:
 
             # the worker listens first: what the recorder acknowledges, the worker has
             self.worker = EstimationWorker(
-                bus,
-                self._estimates,
-                every_s=estimate_every_s,
-                on_document=on_document,
-                estimated=estimated,
+                bus, self._estimates, every_s=estimate_every_s, on_document=on_document, estimated=estimated,
                 log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
-            )
-            self.recorder = stack.enter_context(
-                Recorder(self.store, bus, log, on_warning=on_warning or _print, on_failure=give_up)
-            )
+            )  # fmt: skip
+            warn = on_warning or (lambda warning: notes().print(f"warning: {warning}", soft_wrap=True))
+            self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_warning=warn, on_failure=give_up))
             # the source comes last: with a spool it sends at once
             self.publisher = stack.enter_context(DurablePublisher(bus, spool=spool))
             publishers.append(self.publisher)
@@ -93,7 +81,7 @@ class EmbeddedPipeline:
         self.publisher.drain()
         self.worker.close()
         self._estimates.drain()
-        self.publisher.drain()
+        self.publisher.drain()  # what estimates led to, such as early decisions
         self.recorder.close()
 
     def __enter__(self) -> Self:
@@ -101,7 +89,3 @@ class EmbeddedPipeline:
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
-
-
-def _print(warning: str) -> None:
-    notes().print(f"warning: {warning}", soft_wrap=True, markup=False)

@@ -10,6 +10,7 @@ from stream.batch import BoolArray, IntArray
 _WINDOW_S = 10.0
 _MOST_STEERING = 1e-3
 _NS = 1e9
+_RESYNC_NS = 0.25 * _NS  # largest delay of the line
 
 
 class Placed(NamedTuple):
@@ -25,10 +26,9 @@ class FrameTimes:
     The first frame is anchored at its arrival. From then on counters give the number of intervals passed, so that the
     jitter of the line does not matter. The device's clock is not the station's: every 10 s the grid is steered towards
     the earliest arrival of those 10 s, by half its error and at most 0.1 % of the interval. If neither counter nor
-    interval explain an arrival within `resync_s` (the device has restarted), the grid is anchored again.
+    interval explain an arrival within 0.25 s (the device has restarted), the grid is anchored again.
 
     `modulus`: where the counter wraps; None without a counter, so that only time tells lost frames.
-    `resync_s`: largest delay of the line, seconds.
 
     `steering`: relative stretch of the interval now; it converges to the device's own error.
 
@@ -39,18 +39,15 @@ class FrameTimes:
     (Placed(is_new=array([ True, False]), times_ns=array([1050000000])), 2, 1)
     """
 
-    def __init__(self, interval_s: float, modulus: int | None, resync_s: float = 0.25) -> None:
+    def __init__(self, interval_s: float, modulus: int | None) -> None:
         self._interval_ns = interval_s * _NS
         self._modulus = modulus
-        self._resync_ns = resync_s * _NS
         self._counter: int | None = None
         self._number = 0  # of the last frame
         self._base = (0, 0, self._interval_ns)  # number, its time, interval from there on
         self._earliest_ns = math.inf
         self.steering = 0.0
-        self.lost = 0
-        self.repeated = 0
-        self.restarts = 0
+        self.lost = self.repeated = self.restarts = 0
 
     def place(self, counters: IntArray | None, n: int, t_ns: int) -> Placed:
         """Place `n` frames, the last of which arrived at `t_ns`; `counters` has shape (n,), or is None."""
@@ -60,13 +57,9 @@ class FrameTimes:
             return Placed(is_new, np.empty(0, np.int64))
         if is_first:
             self._base = (0, t_ns - round(float(steps.sum()) * self._interval_ns), self._interval_ns)
-        else:
-            restart = self._explain(steps, t_ns)
-            if restart is not None:
-                return Placed(is_new, self._restart(steps, restart, t_ns))
-            self.lost += int(steps.sum()) - len(steps)
-        if is_first:
-            self.lost += int(steps.sum()) - len(steps) + 1
+        elif (restart := self._explain(steps, t_ns)) is not None:
+            return Placed(is_new, self._restart(steps, restart, t_ns))
+        self.lost += int(steps.sum()) - len(steps) + is_first
         numbers = self._number + np.cumsum(steps)
         times_ns = self._at(numbers)
         self._number = int(numbers[-1])
@@ -95,10 +88,10 @@ class FrameTimes:
         turn = self._modulus or 1
         jumps = np.flatnonzero(steps != 1)
         late_ns = self._late_ns(steps, t_ns)
-        if late_ns > max(self._resync_ns, turn * self._interval_ns / 2):
+        if late_ns > max(_RESYNC_NS, turn * self._interval_ns / 2):
             steps[jumps[0] if len(jumps) else 0] += turn * round(late_ns / (turn * self._interval_ns))
             late_ns = self._late_ns(steps, t_ns)
-        if abs(late_ns) <= self._resync_ns or not len(jumps):
+        if abs(late_ns) <= _RESYNC_NS or not len(jumps):
             return None
         return int(np.argmax(steps))
 

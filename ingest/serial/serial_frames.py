@@ -1,17 +1,15 @@
 """Frames of a gyro on a serial line (RS-422): found in the bytes, checked, decoded and placed in time."""
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
 from uuid import UUID
 
 import numpy as np
 
 from ingest.checksums import SERIAL_CHECKSUM_BYTES, ByteArray, checksums
-from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, decode_layout, floats, integers, load_layout
+from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, floats, integers
 from ingest.serial.frame_times import FrameTimes
 from stream.batch import BoolArray, IntArray, SampleBatch
-
-__all__ = ["FrameLayout", "SerialCounts", "SerialFrames", "decode_layout", "load_layout"]
 
 _REGULAR = 0.05  # of an interval: largest distance of times from an exact grid to be stored as one
 _FIT_INT32 = {"u8", "i8", "u16", "i16", "u24", "i24", "i32"}
@@ -30,21 +28,6 @@ class SerialCounts:
     restarts: int = 0
 
 
-@dataclass
-class _Found:
-    starts: list[int] = field(default_factory=list)
-    end: int = 0  # of the last frame
-    consumed: int = 0
-
-
-class _Candidates(NamedTuple):
-    starts: IntArray
-    lengths: IntArray  # -1 where it is not known yet
-    is_legal: BoolArray
-    is_whole: BoolArray
-    is_right: BoolArray
-
-
 class SerialFrames:
     """Decodes the bytes of one gyro.
 
@@ -53,6 +36,7 @@ class SerialFrames:
     look like a frame themselves (sync, length and checksum) and reach into it; garbage without sync bytes cannot. The
     result does not depend on how the bytes are cut into pieces.
 
+    >>> from ingest.serial.frame_layout import decode_layout
     >>> layout = decode_layout(b'''
     ... sync = "AA 55"
     ... length = 5
@@ -66,7 +50,7 @@ class SerialFrames:
     ([1.0, -0.01], [1000000000, 1010000000], 1)
     """
 
-    def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID, *, resync_s: float = 0.25) -> None:
+    def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID) -> None:
         layout.check(f"unit {unit}: layout of its frames")
         self.layout = layout
         self.counts = SerialCounts()
@@ -76,7 +60,7 @@ class SerialFrames:
         self._longest = layout.longest if layout.length is None else layout.length
         counter = layout.counter
         modulus = None if counter is None else counter.modulus or 256 ** SIZES[counter.type]
-        self.times = FrameTimes(layout.interval_s, modulus, resync_s)
+        self.times = FrameTimes(layout.interval_s, modulus)
         self._dt_ns = max(1, round(layout.interval_s * 1e9))
         self._kept = b""
         self._seq = 0
@@ -91,11 +75,11 @@ class SerialFrames:
 
     def _decode(self, data: bytes, t_ns: int, *, is_last: bool) -> list[SampleBatch]:
         array = np.frombuffer(data, np.uint8)
-        found = self._find(array, is_last=is_last)
-        self._kept = data[found.consumed :]
-        if not found.starts:
+        starts, consumed = self._find(array, is_last=is_last)
+        self._kept = data[consumed:]
+        if not starts:
             return []
-        head = array[np.array(found.starts)[:, None] + np.arange(self._shortest)]
+        head = array[np.array(starts)[:, None] + np.arange(self._shortest)]
         counter = self.layout.counter
         numbers = None
         if counter is not None:
@@ -129,30 +113,30 @@ class SerialFrames:
             counts=counts, values=values, times_ns=None if is_regular else times_ns, scale=scale, offset=offset,
         )  # fmt: skip
 
-    def _find(self, data: ByteArray, *, is_last: bool) -> _Found:
-        """Check the candidates from left to right."""
-        candidates = self._candidates(data)
-        found = _Found()
+    def _find(self, data: ByteArray, *, is_last: bool) -> tuple[list[int], int]:
+        """Check the candidates from left to right: where frames begin, and how many bytes are done with."""
+        starts: list[int] = []
+        end = 0  # of the last frame
         counts = self.counts
-        for start, length, is_legal, is_whole, is_right in zip(*(each.tolist() for each in candidates), strict=True):
-            if start < found.end:
+        for start, length, is_legal, is_whole, is_right in self._candidates(data):
+            if start < end:
                 continue
             if not is_legal:
                 counts.bad_lengths += 1
             elif not is_whole and not is_last:
-                found.consumed = start
+                consumed = start
                 break
             elif is_whole and is_right:
-                found.starts.append(start)
+                starts.append(start)
                 counts.frames += 1
                 counts.dropped_bytes -= length
-                found.end = start + length
+                end = start + length
             elif is_whole:
                 counts.bad_checksums += 1
         else:
-            found.consumed = len(data) if is_last else self._rest(data, found.end)
-        counts.dropped_bytes += found.consumed
-        return found
+            consumed = len(data) if is_last else self._rest(data, end)
+        counts.dropped_bytes += consumed
+        return starts, consumed
 
     def _rest(self, data: ByteArray, end: int) -> int:
         """Place where sync bytes may have begun at the end; the number of bytes if nowhere."""
@@ -163,7 +147,8 @@ class SerialFrames:
                 return len(data) - n
         return len(data)
 
-    def _candidates(self, data: ByteArray) -> _Candidates:
+    def _candidates(self, data: ByteArray) -> Iterator[tuple[int, int, bool, bool, bool]]:
+        """Start and length (-1 where it is not known yet), and whether a frame there is legal, whole and right."""
         places = max(0, len(data) - len(self._sync) + 1)
         begins = np.ones(places, np.bool_)
         for i, byte in enumerate(self._sync):
@@ -177,7 +162,7 @@ class SerialFrames:
             for length in np.unique(lengths[is_whole]):
                 these = np.flatnonzero(is_whole & (lengths == length))
                 is_right[these] = self._is_right(data[starts[these][:, None] + np.arange(length)])
-        return _Candidates(starts, lengths, is_legal, is_whole, is_right)
+        return zip(*(each.tolist() for each in (starts, lengths, is_legal, is_whole, is_right)), strict=True)
 
     def _lengths(self, data: ByteArray, starts: IntArray) -> IntArray:
         number = self.layout.length_field

@@ -7,7 +7,8 @@ from contextlib import suppress
 from typing import Any
 from uuid import UUID
 
-from ingest.serial.serial_frames import FrameLayout, SerialFrames
+from ingest.serial.frame_layout import FrameLayout
+from ingest.serial.serial_frames import SerialFrames
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
@@ -145,6 +146,5 @@ def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
             address, baud, bytesize=layout.data_bits, parity=layout.parity, stopbits=layout.stop_bits, timeout=_LOOK_S
         )
     except (OSError, ValueError) as error:  # serial's own errors are OSErrors
-        raise InstrumentError(
-            f"{who}: the port cannot be opened: {error}; see that it is plugged in and free"
-        ) from error
+        todo = "see that it is plugged in and free"
+        raise InstrumentError(f"{who}: the port cannot be opened: {error}; {todo}") from error

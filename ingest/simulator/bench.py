@@ -43,12 +43,10 @@ class SimulatedBench(NamedTuple):
     def environment(self, latitude_deg: float, position: str) -> TableEnvironment:
         """Environment of the gyros: both tables turn about the same axis, inside the chamber."""
         return TableEnvironment(
-            latitude_deg,
-            position,
+            latitude_deg, position, temperature_deg_c=self.chamber.temperature_deg_c,
             rate_deg_per_s=lambda t_ns: self.table.rate_deg_per_s(t_ns) + self.vibration.rate_deg_per_s(t_ns),
             angle_deg=lambda t_ns: self.table.angle_deg(t_ns) + self.vibration.angle_deg(t_ns),
-            temperature_deg_c=self.chamber.temperature_deg_c,
-        )
+        )  # fmt: skip
 
 
 class CourseDevice(SimulatedDevice):

@@ -123,14 +123,11 @@ def _environment(kind: str, number: int, origin_ns: int) -> PiecewiseEnvironment
 def cycle_batches(fleet: Plan, run: CycleRun, name: str) -> Iterator[SampleBatch]:
     """Batches of one short run in order of time; only `ODD_UNIT` responds to the temperature rate, none warms up."""
     short = replace(fleet, parameters={unit: _in_short_runs(unit, each) for unit, each in fleet.parameters.items()})
+    chamber = ChamberParameters(thermometer_noise_deg_c=_THERMOMETER_DEG_C)
     station = SimulatedStation(
-        short,
-        name,
-        batch=60 * _SECOND_NS // _SHORT_SAMPLE_NS,
-        temperature_batch=60,
-        chamber=ChamberParameters(thermometer_noise_deg_c=_THERMOMETER_DEG_C),
+        short, name, batch=60 * _SECOND_NS // _SHORT_SAMPLE_NS, temperature_batch=60, chamber=chamber,
         environment=run.environment,
-    )
+    )  # fmt: skip
     end_ns = run.t0_ns + round(RUN_S) * _SECOND_NS
     units = station.batches(name, PowerCycle(run.number - 1, run.t0_ns), end_ns)
     return heapq.merge(units, _table(run, name, fleet.seed), key=lambda batch: batch.last_ns)
@@ -139,12 +136,10 @@ def cycle_batches(fleet: Plan, run: CycleRun, name: str) -> Iterator[SampleBatch
 def _in_short_runs(unit: str, parameters: GyroParameters) -> GyroParameters:
     rate = TemperatureRate(deg_per_h_per_deg_c_per_min=_SHUPE_DEG_PER_H_PER_DEG_C_PER_MIN) if unit == ODD_UNIT else None
     return replace(
-        parameters,
-        sample_interval_ns=_SHORT_SAMPLE_NS,
-        hold_s=0.0,
+        parameters, sample_interval_ns=_SHORT_SAMPLE_NS, hold_s=0.0,
         bias=replace(parameters.bias or Bias(), warm_up=()),
         thermal=replace(parameters.thermal or Thermal(), rate=rate),
-    )
+    )  # fmt: skip
 
 
 def _table(run: CycleRun, name: str, seed: int) -> Iterator[SampleBatch]:
@@ -153,6 +148,5 @@ def _table(run: CycleRun, name: str, seed: int) -> Iterator[SampleBatch]:
     for second in range(0, round(RUN_S), 60):
         t_ns = run.t0_ns + (second + np.arange(60, dtype=np.int64)) * _SECOND_NS
         rates = run.environment.rates_deg_per_s(t_ns)[0] + _RATE_NOISE_DEG_PER_S * noise.standard_normal(60)
-        yield SampleBatch(
-            TABLE, "table_rate", name, epoch, second, int(t_ns[0]), _SECOND_NS, "deg/s", values=rates
-        )  # fmt: skip
+        t0_ns = int(t_ns[0])
+        yield SampleBatch(TABLE, "table_rate", name, epoch, second, t0_ns, _SECOND_NS, "deg/s", values=rates)

@@ -4,6 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,7 +135,7 @@ def play_instruments(folder: Path) -> None:
     courses = CourseDevice(bench.supply.clock, bench.named)
     with ScpiServer({**bench.named, "world": courses}, ports=simulation.ports), until_stopped() as stop:
         print("ready", flush=True)
-        while not (stop.wait(_LOOK_S) or _is_orphan()):
+        while not (stop.wait(_LOOK_S) or os.getppid() != _PARENT):
             pass
 
 
@@ -164,7 +165,7 @@ def play_gyros(folder: Path) -> None:
         gyros = GyroBus(load_plan(folder / PLAN), environment, bench.supply, send, write, power_ons)
         print("ready", flush=True)
         try:
-            while stop.asked_at is None and not _is_orphan():
+            while stop.asked_at is None and os.getppid() == _PARENT:
                 gyros.advance(courses.update())
                 time.sleep(_TICK_S)
         finally:
@@ -184,21 +185,11 @@ class _PowerOn(msgspec.Struct):
 def power_ons_so_far(path: Path) -> dict[str, int]:
     """Number of power-ons of each unit in a truth file; a line that a crash has cut off is skipped."""
     found: dict[str, int] = {}
-    try:
-        lines = path.read_bytes().splitlines()
-    except FileNotFoundError:
-        return found
-    for line in lines:
-        try:
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        with suppress(msgspec.DecodeError):
             each = msgspec.json.decode(line, type=_PowerOn)
-        except msgspec.DecodeError:
-            continue
-        found[each.unit] = max(found.get(each.unit, 0), each.power_on)
+            found[each.unit] = max(found.get(each.unit, 0), each.power_on)
     return found
-
-
-def _is_orphan() -> bool:
-    return os.getppid() != _PARENT
 
 
 def main() -> None:

@@ -34,13 +34,9 @@ class PoweredUnit:
     """One power-on of a unit: rate and temperature in counts, drawn in any order and in blocks of whatever size."""
 
     def __init__(
-        self,
-        fleet: Plan,
-        unit: str,
-        power_cycle: PowerCycle = PowerCycle(0, 0),
-        chamber: ChamberParameters | None = None,
-        environment: Environment | None = None,
-    ) -> None:
+        self, fleet: Plan, unit: str, power_cycle: PowerCycle = PowerCycle(0, 0),
+        chamber: ChamberParameters | None = None, environment: Environment | None = None,
+    ) -> None:  # fmt: skip
         chamber = chamber or ChamberParameters()
         power_on, self._t0_ns = power_cycle.number + 1, power_cycle.t0_ns
         seeds = Seeds(fleet.seed, unit, power_on, power_on)
@@ -113,38 +109,31 @@ class SimulatedStation:
         self, run: str, power_cycle: PowerCycle, end_ns: int, first: Mapping[tuple[str, str], int] | None = None
     ) -> Iterator[SampleBatch]:
         """Batches before `end_ns` in order of their last samples, from the batch on that begins at `first`."""
-        first = first or {}
-        units = [
-            PoweredUnit(self._fleet, unit, power_cycle, self._chamber, self._environment) for unit in self._fleet.units
-        ]
-        epochs = [self.epoch(power_cycle, unit) for unit in self._fleet.units]
+        first, names = first or {}, self._fleet.units
+        units = [PoweredUnit(self._fleet, unit, power_cycle, self._chamber, self._environment) for unit in names]
+        epochs = [self.epoch(power_cycle, unit) for unit in names]
 
         def groups(signal: _Signal) -> Iterator[list[SampleBatch]]:
             """The batches of all units that are full at the same time."""
             is_rate = signal.name == RATE_SIGNAL
-            wanted = [first.get((unit, signal.name), 0) for unit in self._fleet.units]
+            wanted = [first.get((unit, signal.name), 0) for unit in names]
             total = -((power_cycle.t0_ns - end_ns) // signal.dt_ns)
             block = signal.batch * max(1, _SAMPLES_AT_ONCE // (signal.batch * len(units)))
             for start in range(0, total, block):
                 n = min(block, total - start)
                 counts = [unit.rate_counts(n) if is_rate else unit.temperature_counts(n) for unit in units]
                 for seq in range(start, start + n, signal.batch):
-                    stop = min(seq + signal.batch, total)
+                    t0_ns, stop = power_cycle.t0_ns + seq * signal.dt_ns, min(seq + signal.batch, total)
                     group = [
-                        self._batch(i, run, epochs[i], signal, power_cycle, seq, drawn[seq - start : stop - start])
-                        for i, drawn in enumerate(counts)
-                        if seq >= wanted[i]
-                    ]
+                        SampleBatch(
+                            unit, signal.name, run, epoch, seq, t0_ns, signal.dt_ns, signal.unit_of_measure,
+                            counts=drawn[seq - start : stop - start], scale=signal.scale,
+                        )
+                        for unit, epoch, least, drawn in zip(names, epochs, wanted, counts, strict=True)
+                        if seq >= least
+                    ]  # fmt: skip
                     if group:
                         yield group
 
         for group in heapq.merge(groups(self._rate), groups(self._temperature), key=lambda group: group[0].last_ns):
             yield from group
-
-    def _batch(
-        self, i: int, run: str, epoch: UUID, signal: _Signal, power_cycle: PowerCycle, seq: int, counts: CountArray
-    ) -> SampleBatch:
-        return SampleBatch(
-            self._fleet.units[i], signal.name, run, epoch, seq, power_cycle.t0_ns + seq * signal.dt_ns, signal.dt_ns,
-            signal.unit_of_measure, counts=counts, scale=signal.scale,
-        )  # fmt: skip

@@ -33,9 +33,8 @@ class StationBench:
     def is_dead(self) -> bool:
         """Whether a supply of the units measures no voltage."""
         for name in self.supplies():
-            instrument = self._instruments[name]
-            with instrument.lock:
-                readings = instrument.sample()
+            with self._instruments[name].lock:
+                readings = self._instruments[name].sample()
             if any(each.signal == "supply_voltage" and abs(each.value) < _UNPOWERED_V for each in readings):
                 return True
         return False
@@ -84,8 +83,7 @@ def check_limits(
     """Raise BadInput where a procedure exceeds an instrument's range, or switches power without a supply."""
     for each in procedure.requirements(parameters):
         name = station.settings[each.setting]
-        instrument = instruments[name]
-        if not isinstance(instrument, ScpiInstrument):
+        if not isinstance(instrument := instruments[name], ScpiInstrument):
             continue
         low, high = instrument.limits(each.setting)
         if not low <= each.least <= each.most <= high:

@@ -5,12 +5,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.plan import PlannedStep
 from ingest.station.run import RunStopped
 from stream.console import Stop
 
@@ -63,7 +64,7 @@ class ConsoleOperator:
         if self._asked != prompt:
             self._asked = prompt
             self._done = 0
-            self._console.print(f"{prompt}: then press Enter", soft_wrap=True, markup=False)
+            self.report(f"{prompt}: then press Enter")
         self._read()
         if self._done:
             self._asked = None
@@ -89,38 +90,29 @@ class ConsoleOperator:
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
         """Show the step, what is done, and the time left at the station."""
         self._total_s = max(self._total_s, left_s)
-        text = f"step {step.number} {step.words.step or ''}: {doing}, {_hours(left_s)} left"
+        minutes = round(left_s / 60.0)
+        left = f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
+        text = f"step {step.number} {step.words.step or ''}: {doing}, {left} left"
         self._progress.update(self._task, description=text, completed=1.0 - left_s / max(self._total_s, 1e-9))
         now = time.monotonic()
         if not self._quiet and not self._console.is_terminal and now - self._reported_at >= _REPORT_EVERY_S:
             self._reported_at = now
-            self._console.print(text, soft_wrap=True, markup=False)
+            self.report(text)
 
     def _listen(self) -> None:
-        try:
+        with suppress(OSError, ValueError):  # in the background, or what is typed is no text
             for line in sys.stdin:
                 self._words.put(line.strip().lower())
-        except (OSError, ValueError):  # in the background, or what is typed is no text
-            pass
-        finally:
-            self._listens = False
+        self._listens = False
 
     def _read(self) -> None:
-        while True:
-            try:
+        with suppress(Empty):
+            while True:
                 word = self._words.get_nowait()
-            except Empty:
-                return
-            if word == "":
-                self._done += 1
-            elif word not in _WORDS:
-                self._console.print(_HELP, markup=False)
-            else:
-                request = _WORDS[word]
-                self._aborted = self._aborted or request == "abort"
-                self._paused = request == "pause"
-
-
-def _hours(seconds: float) -> str:
-    minutes = round(seconds / 60.0)
-    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
+                if word == "":
+                    self._done += 1
+                elif word not in _WORDS:
+                    self._console.print(_HELP, markup=False)
+                else:
+                    self._aborted = self._aborted or _WORDS[word] == "abort"
+                    self._paused = _WORDS[word] == "pause"

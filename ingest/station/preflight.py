@@ -42,35 +42,29 @@ def preflight(
     found: dict[str, str] = {}
     for name, instrument in instruments.items():
         try:
-            found[name] = _opened(stack, instrument, station)
+            found[name] = instrument.open()
         except InstrumentError as error:
-            stops.append(str(error))
+            folder = shlex.quote(str(station.path.parent))
+            plays = f"; this station is simulated: `gyrofleet simulate {folder}` plays it"
+            stops.append(f"{error}{plays if station.table.simulated else ''}")
+        else:
+            stack.callback(instrument.close)
     stops += sources.cannot_be_opened()
-    disks = [_disk_trouble(folder, disk) for folder in folders]
-    stops += [trouble for trouble in disks if trouble is not None]
+    stops += filter(None, [_disk_trouble(folder, disk) for folder in folders])
     warnings = list(station.overdue(station.day(now_ns), station.day(now_ns + round(duration_s * 1e9))))
     if not station.table.simulated:
         stops += filter(None, [_clock_trouble(now_ns, folders)])
-        warnings += filter(None, [_drifting_clock()])
+        if _clock_state() == _TIME_ERROR:
+            warnings.append(
+                "nothing keeps the computer's clock right (no NTP or PTP): times of two computers cannot be compared; "
+                "`timedatectl set-ntp true` mends it"
+            )
     if len(stops) == 1:
         raise InstrumentError(stops[0])
     if stops:
         listed = "".join(f"\n- {stop}" for stop in stops)
         raise InstrumentError(f"{len(stops)} things stand in the way of the run; nothing was written:{listed}")
     return Preflight(found, tuple(f"warning: {warning}" for warning in warnings))
-
-
-def _opened(stack: ExitStack, instrument: Instrument, station: Station) -> str:
-    """Connect to an instrument until the stack is left; its identity."""
-    try:
-        identity = instrument.open()
-    except InstrumentError as error:
-        if not station.table.simulated:
-            raise
-        folder = shlex.quote(str(station.path.parent))
-        raise InstrumentError(f"{error}; this station is simulated: `gyrofleet simulate {folder}` plays it") from error
-    stack.callback(instrument.close)
-    return identity
 
 
 def _disk_trouble(folder: Path, disk: Disk) -> str | None:
@@ -113,21 +107,10 @@ def _newest_ns(store: Path) -> int | None:
     )
     try:
         with Catalog(Store.open(store)) as catalog:
-            (row,) = [row for batch in catalog.batches(query) for row in batch.to_pylist()]
+            newest: int | None = catalog.rows(query)[0][0]
     except GyrofleetError:
         return None  # opening the store to write reports what is wrong with it
-    newest: int | None = row["newest"]
     return newest
-
-
-def _drifting_clock() -> str | None:
-    """A warning where nothing synchronises the computer's clock."""
-    if _clock_state() != _TIME_ERROR:
-        return None
-    return (
-        "nothing keeps the computer's clock right (no NTP or PTP): times of two computers cannot be compared; "
-        "`timedatectl set-ntp true` mends it"
-    )
 
 
 def _clock_state() -> int | None:

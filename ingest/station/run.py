@@ -6,7 +6,7 @@ from functools import partial
 from typing import Protocol
 
 from ingest.instruments.base import Instrument
-from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
 from ingest.station.run_log import RunLog
@@ -100,8 +100,7 @@ class StationRun:
 
     def make_safe(self) -> None:
         """Make every instrument safe; failures are reported and stop no other."""
-        troubles = self._bench.rest()
-        self._report_rest(troubles, self._clock.now_ns())
+        self._report_rest(self._bench.rest(), self._clock.now_ns())
 
     def _report_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
         self.unsafe = tuple(troubles)
@@ -131,7 +130,6 @@ class StationRun:
             source.start()
 
     def _work(self, step: PlannedStep, active: list[RunSource], restart: Callable[[], None]) -> None:
-        """One step, from its commands to its last sample."""
         if step.prompt is not None:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
             self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
@@ -167,7 +165,6 @@ class StationRun:
             self._log.pass_step()
 
     def _await_last(self, step: PlannedStep) -> None:
-        """Wait for the last samples of a step; report the units that lack some."""
         coverage = self._log.coverage
         until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
         is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731

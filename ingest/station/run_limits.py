@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.plan import PlannedStep
 from ingest.run_record import document_uid
 from ingest.station.units_file import UnitEntry
 from storage.specifications.live_limits import UnitLimits, chosen_periods, format_limit, unit_limits
@@ -125,7 +125,6 @@ def _periods(folder: Path, wanted: str | None, t_ns: int) -> tuple[list[Period],
 
 
 def _without_limits(entries: Sequence[UnitEntry], units: Mapping[str, UnitLimits], wanted: str | None) -> Iterator[str]:
-    """A sentence for each product without limits."""
     without: dict[str | None, list[str]] = {}
     for entry in entries:
         if entry.serial not in units:

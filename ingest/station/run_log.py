@@ -1,34 +1,111 @@
 """The documents and samples of a procedure's run, and how far it is."""
 
 import dataclasses
+import datetime as dt
+import string
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
-from ingest.procedures.procedure import PlannedStep
-from ingest.run_record import Outcome, RunRecord, document_uid
+import msgspec
+
+from ingest.procedures.plan import PlannedStep
+from ingest.run_record import Outcome, Phase, RunRecord, document_uid, read_state
 from ingest.station.run_limits import NO_LIMITS, RunLimits
-from ingest.station.run_state import STATE_FILE, StationRunState, check_same, read_station_run
 from ingest.station.station import Station
 from ingest.station.step_coverage import StepCoverage
 from ingest.station_clock import StationClock
+from stream import events
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
-from stream.events import (
-    AnyDocument,
-    NoteAdded,
-    PowerOff,
-    PowerOn,
-    RunEnded,
-    RunResumed,
-    RunStarted,
-    StepEnded,
-    StepStarted,
-)
+from stream.errors import BadInput
 from stream.identity import sample_key
 from stream.wire.acknowledgement import StreamId
+
+STATE_FILE = "procedure.json"
+
+
+class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A procedure's run as it stands."""
+
+    format: int = 1
+    run: str  # its id
+    procedure: str
+    plan: str  # SHA-256 of its steps as they were planned
+    units: tuple[str, ...]  # serial numbers
+    t0_ns: int  # the station's clock when it started
+    seen_ns: int  # the station's clock when it was last seen going on
+    starts: int = 1  # how many processes have worked on it
+    phase: Phase = "starting"
+    outcome: Outcome = "completed"
+    step: int = 0  # index of the step that is worked on
+    open_steps: dict[str, str] = {}  # identity of the document of the step that is being recorded, by unit
+    epochs: dict[str, str] = {}  # epoch of every unit's power-on by unit; none for one that is off
+    steps_done: int = 0
+    is_powered: bool = False  # whether the units have power
+    powered_ns: int = 0  # since when
+    closed_steps: dict[str, str] = {}  # identity of the document of the last step, by unit; sent again after a crash
+    closed_as: str = ""  # how it ended
+    closed_ns: int = 0  # when it ended
+    short_records: int = 0  # records of a unit in a step that lack samples
+
+
+def read_station_run(folder: Path) -> StationRunState | None:
+    """The run that is kept in a folder; None where there is none. Raises StoreError if it cannot be read."""
+    return read_state(folder / STATE_FILE, StationRunState)
+
+
+def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[str, ...]) -> None:
+    """Raise BadInput where a run that is to be resumed was started as another one."""
+    if state.procedure != procedure:
+        raise BadInput(f"run {state.run} is one of procedure {state.procedure}, not {procedure}: give another --run")
+    if set(state.units) != set(units):
+        added, gone = sorted(set(units) - set(state.units)), sorted(set(state.units) - set(units))
+        raise BadInput(
+            f"run {state.run} was started with other units (new now: {', '.join(added) or 'none'}; gone: "
+            f"{', '.join(gone) or 'none'}): give the same --units, or another --run"
+        )
+    if state.plan != plan:
+        raise BadInput(
+            f"run {state.run} was started with other steps of {procedure}: give the same --set and the same file, or "
+            f"another --run"
+        )
+
+
+def unfinished_runs(spool: Path) -> list[StationRunState]:
+    """Runs of procedures in a store's spool that have not ended, in the order of their start."""
+    found = [read_station_run(path.parent) for path in sorted(spool.glob(f"*/{STATE_FILE}"))]
+    return sorted((each for each in found if each is not None and each.phase != "ended"), key=lambda each: each.t0_ns)
+
+
+def left_run(spools: Path, procedure: str, units: tuple[str, ...]) -> str | None:
+    """The run of this procedure and these units that is to be resumed; None where there is none."""
+    wanted = [each for each in unfinished_runs(spools) if each.procedure == procedure and set(each.units) == set(units)]
+    return wanted[0].run if wanted else None
+
+
+def other_unfinished(spools: Path, procedure: str, run: str) -> Iterator[str]:
+    """A warning for each run of this procedure that was left unfinished with other units."""
+    for state in unfinished_runs(spools):
+        if state.procedure == procedure and state.run != run:
+            units = f"{', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''}"
+            yield (
+                f"warning: run {state.run} of {units} was left unfinished at step {state.step + 1}; give its --units "
+                "to resume it, with --end to end it"
+            )
+
+
+def fresh_id(spools: Path, procedure: str, day: dt.date) -> str:
+    """A run's id: the day, the procedure and a letter."""
+    letters = string.ascii_uppercase
+    for n in range(26 * 26):
+        name = f"{day}-{procedure}-{letters[n // 26 - 1] if n >= 26 else ''}{letters[n % 26]}"
+        if not any((spools / name).glob("*.json")):  # a run was begun there
+            return name
+    raise BadInput(f"there are {26 * 26} runs of {procedure} on {day}: give this one a name with --run")
 
 
 class RunLog(RunRecord[StationRunState]):
@@ -74,7 +151,7 @@ class RunLog(RunRecord[StationRunState]):
         self.coverage.see(batch)
 
     def begin(
-        self, sender: Sender, mounted: Iterable[AnyDocument], about: Mapping[str, str], *, operator: str | None,
+        self, sender: Sender, mounted: Iterable[events.AnyDocument], about: Mapping[str, str], *, operator: str | None,
         lot: str | None, at: int | None = None, warnings: Iterable[str] = (), limits: RunLimits = NO_LIMITS,
     ) -> None:  # fmt: skip
         """Send the documents with which the run starts or resumes, from the step `at` on.
@@ -86,7 +163,7 @@ class RunLog(RunRecord[StationRunState]):
         if self.state.phase == "starting":
             self._save()  # killed from here on, it is resumed as the same run
             self._send(
-                RunStarted(
+                events.RunStarted(
                     run=self.state.run, t_ns=self.state.t0_ns, uid=self._uid("started"),
                     simulated=self._station.table.simulated, source=f"station {self._station.table.name}",
                     units=self.state.units, procedure=self.state.procedure, details=dict(about), operator=operator,
@@ -108,20 +185,15 @@ class RunLog(RunRecord[StationRunState]):
         self.end_steps(outcome)
         self._save(phase="ending", outcome=outcome)
         run, now_ns, uid = self.state.run, self._clock.now_ns(), self._uid("ended")
-        self._send(RunEnded(run=run, t_ns=now_ns, uid=uid, outcome=outcome, totals=self._totals()))
-
-    def close(self) -> None:
-        """Record that a recorder has everything."""
-        self._save(phase="ended")
+        self._send(events.RunEnded(run=run, t_ns=now_ns, uid=uid, outcome=outcome, totals=self._totals()))
 
     def note(self, text: str, unit: str | None = None) -> None:
         """Add a note to the run, or to a unit in it; from any thread."""
         with self._counting:
             self._notes += 1
             number = self._notes
-        uid = self._uid("note", str(self.state.starts), str(number))
-        now_ns = self._clock.now_ns()
-        self._send(NoteAdded(run=self.state.run, t_ns=now_ns, uid=uid, text=text, author="station", unit=unit))
+        run, t_ns, uid = self.state.run, self._clock.now_ns(), self._uid("note", str(self.state.starts), str(number))
+        self._send(events.NoteAdded(run=run, t_ns=t_ns, uid=uid, text=text, author="station", unit=unit))
 
     def begin_step(self, step: PlannedStep) -> int:
         """Start a recorded step of all units now; the time, nanoseconds."""
@@ -133,7 +205,7 @@ class RunLog(RunRecord[StationRunState]):
         for document in self._limits.at_record(self.state.run, t_ns, settled_ns, step.record_s):
             self._send(document)
         for unit, uid in uids.items():
-            self._send(StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
+            self._send(events.StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
         return t_ns
 
     def end_steps(self, outcome: str, t_ns: int | None = None) -> None:
@@ -173,7 +245,8 @@ class RunLog(RunRecord[StationRunState]):
         """No unit has power, from now on or from another time; sent once."""
         t_ns = self._clock.now_ns() if t_ns is None else t_ns
         for unit, epoch in self.state.epochs.items():
-            self._send(PowerOff(run=self.state.run, t_ns=t_ns, uid=self._uid("off", epoch), unit=unit, epoch=epoch))
+            uid = self._uid("off", epoch)
+            self._send(events.PowerOff(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, epoch=epoch))
         self._save(is_powered=False, epochs={})
 
     def _save(self, **changes: Any) -> None:
@@ -191,24 +264,19 @@ class RunLog(RunRecord[StationRunState]):
         cut = again if self.state.closed_as == "interrupted" else "no step was cut"
         back = f", from step {at + 1} on" if at < self.state.step else ""
         self._save(starts=self.state.starts + 1, step=at, steps_done=at)
-        reason = f"resumed at step {at + 1}; {cut}{back}"
-        uid = self._uid("resumed", str(self.state.starts))
-        self._send(RunResumed(run=self.state.run, t_ns=now_ns, uid=uid, gap_ns=gap_ns, reason=reason))
+        reason, uid = f"resumed at step {at + 1}; {cut}{back}", self._uid("resumed", str(self.state.starts))
+        self._send(events.RunResumed(run=self.state.run, t_ns=now_ns, uid=uid, gap_ns=gap_ns, reason=reason))
 
     def _send_step_ends(self) -> None:
-        state = self.state
-        for unit, uid in state.closed_steps.items():
-            self._send(
-                StepEnded(
-                    run=state.run, t_ns=state.closed_ns, uid=self._uid("step-ended", uid), unit=unit, step_uid=uid,
-                    outcome=state.closed_as,
-                )
-            )  # fmt: skip
+        run, t_ns, outcome = self.state.run, self.state.closed_ns, self.state.closed_as
+        for unit, step in self.state.closed_steps.items():
+            uid = self._uid("step-ended", step)
+            self._send(events.StepEnded(run=run, t_ns=t_ns, uid=uid, unit=unit, step_uid=step, outcome=outcome))
 
     def _send_power_ons(self) -> None:
         for unit, epoch in self.state.epochs.items():
             uid = self._uid("on", epoch)
-            self._send(PowerOn(run=self.state.run, t_ns=self.state.powered_ns, uid=uid, unit=unit, epoch=epoch))
+            self._send(events.PowerOn(run=self.state.run, t_ns=self.state.powered_ns, uid=uid, unit=unit, epoch=epoch))
 
     def _uid(self, *parts: str) -> str:
         return document_uid("/".join(["gyrofleet:station-run", self.state.run, str(self.state.t0_ns), *parts]))

@@ -26,7 +26,7 @@ class Sampler:
     A failure is reported once; the instrument is reopened after 0.5 s, 1 s, 2 s and so on to 30 s, until it answers,
     which is reported too. The time between is a gap; `missed` readings were due and not made. The name of the opened
     instrument is the unit of its samples, which wait `batch_s` of the computer at most. `deliver` takes each batch in
-    this sampler's thread; if it raises, sampling ends and that is reported. `first_seq` numbers are by default 0.
+    this sampler's thread; if it raises, sampling ends and that is reported.
 
     >>> from ingest.instruments.base import Options
     >>> from ingest.station_clock import StationClock
@@ -45,7 +45,6 @@ class Sampler:
     def __init__(
         self, instrument: Instrument, run: str, epoch: UUID, deliver: Callable[[SampleBatch], None],
         report: Callable[[str], None], *, lock: AbstractContextManager[object] | None = None, batch_s: float = 1.0,
-        first_seq: dict[str, int] | None = None,
     ) -> None:  # fmt: skip
         self._instrument = instrument
         kind = f"the {instrument.names['en']} " if hasattr(instrument, "names") else ""
@@ -55,7 +54,7 @@ class Sampler:
         self._lock = instrument.lock if lock is None else lock
         self._interval_s = float(instrument.options.sample_interval_s)
         self._waiting: dict[str, list[Reading]] = {}
-        self._next = dict(first_seq or {})
+        self._next: dict[str, int] = {}
         self._last_ns: dict[str, int] = {}
         self._dt_ns: dict[str, int] = {}  # of traces
         self._stop = threading.Event()
@@ -91,7 +90,9 @@ class Sampler:
         flushed_s = time.monotonic()
         while not self._stop.is_set():
             try:
-                self._take(self._read())
+                with self._lock:
+                    readings = self._instrument.sample()
+                self._take(readings)
             except InstrumentError as error:
                 self._flush()
                 self._wait_for_it(error)
@@ -103,10 +104,6 @@ class Sampler:
             turn = max(passed, turn) + 1
             due_s = turn * interval_s - (clock.now_ns() - start_ns) / _NS
             self._stop.wait(max(0.0, clock.computer_s(due_s)))
-
-    def _read(self) -> list[Reading]:
-        with self._lock:
-            return self._instrument.sample()
 
     def _wait_for_it(self, error: InstrumentError) -> None:
         self._report(f"{error}; it is tried again until it answers")
@@ -131,8 +128,7 @@ class Sampler:
     def _take(self, readings: list[Reading]) -> None:
         refused = 0
         for reading in readings:
-            last_ns = self._last_ns.get(reading.signal)
-            if (last_ns is not None and reading.t_ns <= last_ns) or not math.isfinite(reading.value):
+            if reading.t_ns <= self._last_ns.get(reading.signal, reading.t_ns - 1) or not math.isfinite(reading.value):
                 refused += 1
                 continue
             self._last_ns[reading.signal] = reading.t_ns

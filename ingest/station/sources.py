@@ -6,7 +6,7 @@ from uuid import uuid4
 from ingest.can.bus.bus import CanBus
 from ingest.can.bus.columns import ReceiveClock
 from ingest.can.bus.interface import open_intake
-from ingest.can.mapping import load_mapping
+from ingest.can.mapping import CanMapping
 from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
 from ingest.instruments.base import Instrument
@@ -30,10 +30,11 @@ class StationSources:
         self._station, self._instruments, self._clock = station, instruments, clock
         self._units, self._epoch = frozenset(units), uuid4()
         self._lines = {name: line for name, line in station.lines.items() if line.unit in self._units}
-        self._plans = {
-            name: _of_units(load_mapping(station.beside(bus.mapping), list(map(station.beside, bus.dbc))), self._units)
-            for name, bus in station.buses.items()
-        }
+        self._plans: dict[str, CanPlan] = {}
+        for name, bus in station.buses.items():
+            plan = CanMapping(list(map(station.beside, bus.dbc)), station.beside(bus.mapping)).plan()
+            mine = tuple(route for route in plan.routes if route.unit in self._units)
+            self._plans[name] = CanPlan(mine, plan.remarks)
         self._layouts = {name: load_layout(station.beside(line.layout)) for name, line in station.lines.items()}
         self._check_twice()
         known = {unit for plan in self._plans.values() for unit in plan.units}
@@ -65,9 +66,8 @@ class StationSources:
         for way, unit, signal in found:
             if (other := ways.setdefault((unit, signal), way)) != way:
                 what = f"signal {signal} of unit {unit}" if signal else f"unit {unit}"
-                raise BadInput(
-                    f"{self._station.path}: {what} comes from {other} and from {way} as well: take it out of one"
-                )
+                twice = f"{what} comes from {other} and from {way} as well"
+                raise BadInput(f"{self._station.path}: {twice}: take it out of one")
 
     def cannot_be_opened(self) -> list[str]:
         """A sentence for each bus and line that cannot be opened now."""
@@ -104,7 +104,3 @@ class StationSources:
             for instrument in self._instruments.values()
             if instrument.signals
         ]
-
-
-def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
-    return CanPlan(tuple(route for route in plan.routes if route.unit in units), plan.remarks)

@@ -2,7 +2,8 @@
 
 import datetime as dt
 import fcntl
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,64 @@ from ingest.can.bus.interface import CanBusOptions
 from ingest.instruments.base import Instrument, Options, instrument_kinds
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import resource_trouble
-from ingest.station.location import StationLocation
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
 from stream.identity import Place, check_name
 from stream.toml_text import decode_toml
+
+# JJF and GJB stand on Earth: what lies outside is a slip of the unit
+_RANGES = {
+    "latitude_deg": (-90.0, 90.0, ""),
+    "altitude_m": (-5_000.0, 10_000.0, " m"),
+    "gravity_m_per_s2": (9.7, 9.9, " m/s^2"),
+}
+
+
+class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
+    """Location of a station; what is not known is None."""
+
+    latitude_deg: float | None = None  # geodetic latitude, positive north
+    time_zone: str | None = None  # IANA name, such as ``Asia/Shanghai``; it defines "the same day"
+    altitude_m: float | None = None  # above the ellipsoid or the sea
+    gravity_m_per_s2: float | None = None  # measured value; else it follows from latitude and altitude
+
+    def check(self, named: Callable[[str], str]) -> None:
+        """Raise BadInput, with fields as `named` names them, if it is no place on Earth."""
+        for name, (least, most, unit) in _RANGES.items():
+            if (value := getattr(self, name)) is not None and not least <= value <= most:
+                raise BadInput(f"{named(name)} is {value:g}; it lies between {least:g} and {most:g}{unit}")
+        try:
+            ZoneInfo("UTC" if self.time_zone is None else self.time_zone)
+        except (ValueError, KeyError, OSError) as error:
+            what = f"{named('time_zone')} is {self.time_zone!r}, which is not known"
+            raise BadInput(f"{what}; write it as Asia/Shanghai, or UTC") from error
+
+    @property
+    def details(self) -> dict[str, str]:
+        """Details in the first document of a run."""
+        gravity = self.gravity_m_per_s2
+        if gravity is None and self.latitude_deg is not None and self.altitude_m is not None:
+            gravity = normal_gravity_m_per_s2(self.latitude_deg, self.altitude_m)
+        details = {
+            "latitude_deg": None if self.latitude_deg is None else f"{self.latitude_deg:.10g}",
+            "time_zone": self.time_zone,
+            "altitude_m": None if self.altitude_m is None else f"{self.altitude_m:.10g}",
+            "gravity_m_per_s2": None if gravity is None else f"{gravity:.6g}",
+        }
+        return {name: text for name, text in details.items() if text is not None}
+
+
+def normal_gravity_m_per_s2(latitude_deg: float, altitude_m: float) -> float:
+    """Gravity of the WGS 84 ellipsoid at a height above it (Somigliana's formula, second order in the height).
+
+    >>> [round(normal_gravity_m_per_s2(latitude_deg, 0.0), 6) for latitude_deg in (0.0, 45.0, 90.0)]
+    [9.780325, 9.806198, 9.832185]
+    """
+    square = math.sin(math.radians(latitude_deg)) ** 2
+    at_ellipsoid = 9.7803253359 * (1 + 0.00193185265241 * square) / math.sqrt(1 - 0.00669437999013 * square)
+    axis_m, flattening, ratio = 6_378_137.0, 1 / 298.257223563, 0.00344978650684
+    height = altitude_m / axis_m
+    return at_ellipsoid * (1 - 2 * (1 + flattening + ratio - 2 * flattening * square) * height + 3 * height**2)
 
 
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -53,21 +107,13 @@ class SlotTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     power: str | None = None
 
 
-class StationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[station]`: names, place on Earth (see `StationLocation`), and time zone (what is "the same day")."""
+class StationTable(StationLocation, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[station]`: names, place on Earth, and time zone (what is "the same day")."""
 
     site: str
     name: str
-    latitude_deg: float | None = None
-    altitude_m: float | None = None
-    gravity_m_per_s2: float | None = None
     time_zone: str = "UTC"
     simulated: bool = False
-
-    @property
-    def location(self) -> StationLocation:
-        """Where it stands."""
-        return StationLocation(**{name: getattr(self, name) for name in StationLocation.__struct_fields__})
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -137,8 +183,7 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
             due = dt.date.fromisoformat(options.calibration_due)
             if due < last:
                 serial = f", serial {options.serial}" if options.serial else ""
-                word = "was" if due < first else "is"
-                during = "" if due < first else ", before the run ends"
+                word, during = ("was", "") if due < first else ("is", ", before the run ends")
                 found.append(f"the {kind} {name}{serial} {word} due for calibration on {due}{during}")
         return found
 
@@ -155,14 +200,14 @@ def load_station(path: Path) -> Station:
         raise BadInput(f"{path}: {error}") from error
     for what, name in (("site", file.station.site), ("station", file.station.name)):
         check_name(what, name)
-    file.station.location.check(lambda field: f"{path}: station.{field}")
+    file.station.check(lambda field: f"{path}: station.{field}")
     _check_clock(path, file.clock)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
-    slots = {name: _slot(path, name, slot, instruments) for name, slot in file.slots.items()}
-    settings = _settings(path, file.settings, instruments)
+    for name, slot in file.slots.items():
+        _check_power(f"{path}: slots.{name}.power is {slot.power!r}", slot.power, instruments)
     return Station(
         path=path, table=file.station, clock=file.clock, instruments=instruments, buses=file.buses, lines=file.lines,
-        slots=slots, settings=settings,
+        slots=file.slots, settings=_settings(path, file.settings, instruments),
     )  # fmt: skip
 
 
@@ -202,15 +247,11 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     return kind, options
 
 
-def _slot(path: Path, name: str, slot: SlotTable, instruments: Mapping[str, tuple[str, Options]]) -> SlotTable:
-    if slot.power is None:
-        return slot
-    if slot.power not in instruments:
-        raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, which is no instrument of this station")
-    kind, _ = instruments[slot.power]
-    if "output" not in instrument_kinds()[kind].settings:
-        raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, a {kind}, which has no output to switch")
-    return slot
+def _check_power(found: str, power: str | None, instruments: Mapping[str, tuple[str, Options]]) -> None:
+    if power is not None and power not in instruments:
+        raise BadInput(f"{found}, which is no instrument of this station")
+    if power is not None and "output" not in instrument_kinds()[instruments[power][0]].settings:
+        raise BadInput(f"{found}, a {instruments[power][0]}, which has no output to switch")
 
 
 def _settings(path: Path, given: Mapping[str, str], instruments: Mapping[str, tuple[str, Options]]) -> dict[str, str]:
@@ -220,12 +261,7 @@ def _settings(path: Path, given: Mapping[str, str], instruments: Mapping[str, tu
     for name, (kind, _) in instruments.items():
         for what in kinds[kind].settings:
             able.setdefault(what, []).append(name)
-    found: dict[str, str] = {}
     for what, name in given.items():
         if name not in able.get(what, []):
             raise BadInput(f"{path}: settings.{what} is {name!r}; those that can be set to it: {able.get(what, [])}")
-        found[what] = name
-    for what, names in able.items():
-        if what not in found and len(names) == 1:
-            found[what] = names[0]
-    return found
+    return {what: names[0] for what, names in able.items() if len(names) == 1} | dict(given)

@@ -42,17 +42,10 @@ class UnitEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class UnitsFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A file of units: the entries in its order, and how it was read."""
+    """The entries of a file of units, in its order, and how many lines of it are empty."""
 
-    source: str
     entries: tuple[UnitEntry, ...]
-    encoding: str
     empty_lines: int = 0
-
-
-def load_units(path: str | Path, slots: Iterable[str] | None = None) -> tuple[UnitEntry, ...]:
-    """The units of a file; see `read_units`."""
-    return read_units(path, slots).entries
 
 
 def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFile:
@@ -86,8 +79,7 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
     >>> [each.serial for each in parse_units(b"FOG-1\r\nFOG-2\r\n", "scan").entries]
     ['FOG-1', 'FOG-2']
     """
-    text, encoding = _decoded(content, source)
-    rows, empty = _rows(text, source)
+    rows, empty = _rows(_decoded(content, source), source)
     if not rows:
         raise BadInput(f"units {source}: it is empty; one serial a line is expected, or a table with a column serial")
     problems: list[str] = []
@@ -108,7 +100,7 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
         raise BadInput(f"units {source}: {listed}{more}. Nothing of it is taken; correct these lines")
     if not entries:
         raise BadInput(f"units {source}: titles, but no unit below them")
-    return UnitsFile(source=source, entries=tuple(entries), encoding=encoding, empty_lines=empty)
+    return UnitsFile(entries=tuple(entries), empty_lines=empty)
 
 
 def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEntry, ...]:
@@ -138,7 +130,7 @@ def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tupl
     )  # fmt: skip
 
 
-def _decoded(content: bytes, source: str) -> tuple[str, str]:
+def _decoded(content: bytes, source: str) -> str:
     for encoding in ("utf-16",) if content.startswith(_UTF16_MARKS) else _ENCODINGS:
         try:
             text = content.decode(encoding)
@@ -146,7 +138,7 @@ def _decoded(content: bytes, source: str) -> tuple[str, str]:
             continue
         if "\x00" in text:
             break
-        return text, encoding.removesuffix("-sig")
+        return text
     raise BadInput(f"units {source}: neither UTF-8 nor GB 18030 text; save it as CSV in UTF-8")
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -10,7 +11,7 @@ from ingest.tables.grid import Sampling, is_gap
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
 # Batches are split at gaps if that leaves at least this many samples per batch on average.
-_SAMPLES_PER_GAP = 50
+SAMPLES_PER_GAP = 50
 
 
 @dataclass(frozen=True)
@@ -31,27 +32,17 @@ class SignalHead:
         self, seq: int, times_ns: IntArray, data: FloatArray | CountArray, *, is_even: bool, irregular: bool
     ) -> SampleBatch:
         """A batch; times are left out of it if they are `is_even`."""
+        samples: dict[str, Any] = {"counts" if data.dtype == np.int32 else "values": data}
         return SampleBatch(
-            unit=self.unit,
-            signal=self.signal,
-            run=self.run,
-            epoch=self.epoch,
-            seq=seq,
-            t0_ns=int(times_ns[0]),
-            dt_ns=self.dt_ns,
-            unit_of_measure=self.unit_of_measure,
-            counts=data if data.dtype == np.int32 else None,  # type: ignore[arg-type]
-            values=data if data.dtype == np.float64 else None,  # type: ignore[arg-type]
-            times_ns=None if is_even else times_ns,
-            irregular=irregular,
-            scale=self.scale,
+            self.unit, self.signal, self.run, self.epoch, seq, int(times_ns[0]), self.dt_ns, self.unit_of_measure,
+            **samples, times_ns=None if is_even else times_ns, irregular=irregular, scale=self.scale,
             offset=self.offset,
-        )
+        )  # fmt: skip
 
 
 def splits_at_gaps(sampling: Sampling) -> bool:
     """Whether a signal has few enough gaps to end a batch at each."""
-    return sampling.gaps * _SAMPLES_PER_GAP <= sampling.samples
+    return sampling.gaps * SAMPLES_PER_GAP <= sampling.samples
 
 
 class Batcher:

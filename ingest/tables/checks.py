@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ingest.tables.columns import Columns, TableOptions
-from ingest.tables.rows import BadRow, BadRowLog, CellBlock, NumberCells, TextCells
+from ingest.tables.rows import BAD_ROWS_KEPT, BadRow, CellBlock, NumberCells, TextCells
 from ingest.tables.steps import cell_text, step_words, with_common_words
 from ingest.tables.times import RunClock, ns_from_index, seconds_text
 from stream.batch import IntArray
@@ -55,26 +55,31 @@ class RowFilter:
         self._last_ns: dict[Owner, int] = {}
         self._seen: dict[Owner, int] = {}
         self.clock = RunClock(options.start_ns)
-        self.log = BadRowLog()
-        self.rows = 0
+        self.rows = self.bad_rows = 0
+        self.bad: list[BadRow] = []  # the first of them
 
     def good(self, block: CellBlock) -> list[GoodRows]:
         """Good rows of the next block, by unit and run."""
         units = self._names(block, "unit", self._columns.unit)
         runs = self._names(block, "run", self._columns.run)
         words = [_read_texts(block, column.title, column.read) for column in self._columns.words]
-        passed: list[tuple[Owner, IndexArray]] = []
+        found = []
         owned = list(self._owned(units, runs, len(block.numbers)))
         written_ns = self._written_times(block, owned)
         self._settle_clock(block, written_ns)
         times_ns = self.clock.place(written_ns)
         for owner, rows in owned:
             rows = self._in_order(block, owner, rows[~block.sieve.bad[rows]], times_ns)
-            if len(rows):
-                passed.append((owner, rows))
+            if not len(rows):
+                continue
+            mine_ns, signals = times_ns, block.signals
+            if len(rows) < len(block.numbers):
+                mine_ns, signals = times_ns[rows], {name: cells.at(rows) for name, cells in signals.items()}
+            found.append(GoodRows(owner, mine_ns, signals, self._stretches(rows, words), block.done))
         self.rows += len(block.numbers)
-        self.log.add(int(block.sieve.bad.sum()), block.sieve.reasons())
-        return [self._good_rows(block, owner, rows, times_ns, words) for owner, rows in passed]
+        self.bad_rows += int(block.sieve.bad.sum())
+        self.bad += block.sieve.reasons()[: BAD_ROWS_KEPT - len(self.bad)]
+        return found
 
     def _names(self, block: CellBlock, kind: str, title: str | None) -> TextCells | None:
         if title is None:
@@ -165,15 +170,6 @@ class RowFilter:
         title = self._columns.time.title if self._columns.time is not None else ""
         return BadRow(block.place, int(block.numbers[row]), title, seconds_text(time_ns), expected)
 
-    def _good_rows(
-        self, block: CellBlock, owner: Owner, rows: IndexArray, times_ns: IntArray, words: list[TextCells]
-    ) -> GoodRows:
-        signals = block.signals
-        if len(rows) < len(block.numbers):
-            times_ns = times_ns[rows]
-            signals = {name: cells.at(rows) for name, cells in signals.items()}
-        return GoodRows(owner, times_ns, signals, self._stretches(rows, words), block.done)
-
     def _stretches(self, rows: IndexArray, words: list[TextCells]) -> list[tuple[int, int, StepWords | None]]:
         codes = [cells.codes[rows] for cells in words]
         changed = np.zeros(len(rows) - 1, np.bool_)
@@ -184,8 +180,8 @@ class RowFilter:
         for begin, end in pairwise(edges):
             coded = zip(words, codes, strict=True)
             values = [cells.values[code[begin]] if code[begin] >= 0 else None for cells, code in coded]
-            words_here = with_common_words(step_words(self._columns.words, values), self._common_words)
-            stretches.append((begin, end, words_here))
+            own = step_words(self._columns.words, values)
+            stretches.append((begin, end, with_common_words(own, self._common_words)))
         return stretches
 
 

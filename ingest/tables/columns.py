@@ -88,6 +88,12 @@ class Columns:
         """Titles of the columns that are read as text: unit, run and step words."""
         return [title for title in (self.unit, self.run) if title is not None] + [word.title for word in self.words]
 
+    @property
+    def numeric_titles(self) -> list[str]:
+        """Titles of the columns that are read as numbers: signals, and times that are no time stamps."""
+        times = [self.time.title] if self.time is not None and not self.time.is_stamp else []
+        return [signal.title for signal in self.signals] + times
+
 
 def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps: Collection[str] = ()) -> Columns:
     """Find the meaning of columns, `stamps` those of ISO 8601; raises BadInput if titles break the contract."""
@@ -106,14 +112,11 @@ def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps
 
 
 def _refuse_repeated(kind: str, names: Sequence[str]) -> None:
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise BadInput(f"{kind} {repeated[0]!r} stands in the header more than once; remove or rename one")
 
 
 class _HeaderReader:
-    """Reads titles one after the other."""
-
     def __init__(self, titles: Sequence[str], options: TableOptions, stamps: Collection[str]) -> None:
         self.columns = Columns()
         self._stamps = stamps

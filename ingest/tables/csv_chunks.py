@@ -10,8 +10,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
-from ingest.tables.csv_dialect import COMMENT, Dialect, find_dialect, without_blanks
-from ingest.tables.csv_lines import LineReader
+from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, without_blanks
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps
 from stream.batch import IntArray
@@ -60,10 +59,7 @@ class CsvTable:
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
         """Set the meaning of the columns."""
         self._columns, self._time_zone = columns, time_zone
-        numeric = [signal.title for signal in columns.signals]
-        if columns.time is not None and not columns.time.is_stamp:
-            numeric.append(columns.time.title)
-        self._decimal_mark = self._dialect.decimal_mark(numeric)
+        self._decimal_mark = self._dialect.decimal_mark(columns.numeric_titles)
         columns.words = [replace(word, decimal_mark=self._decimal_mark) for word in columns.words]
         self._lines = LineReader(self.titles, columns, self._dialect.delimiter, self._decimal_mark, time_zone)
         self._places = None if columns.time is None else decimal_places(columns.time.ns_per_unit)
@@ -87,7 +83,6 @@ class CsvTable:
                 line += _lines(block)
 
     def _find_dialect(self) -> Dialect:
-        """Read the lines up to the first rows."""
         lines: list[tuple[str, int]] = []
         rows = 0
         with self._path.open("rb") as file:
@@ -161,10 +156,8 @@ class CsvTable:
         if not _quotes_enclose_cells(block, self._dialect.delimiter):
             return None
         table = self._read_typed(block)
-        if table is None:
-            return None
-        numbers = _line_numbers(block, line, table.num_rows)
-        if len(numbers) != table.num_rows:
+        numbers = None if table is None else _line_numbers(block, line, table.num_rows)
+        if table is None or numbers is None or len(numbers) != table.num_rows:
             return None
         times_ns = None
         if self._columns.time is not None:

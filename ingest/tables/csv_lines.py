@@ -1,19 +1,118 @@
-"""Lines of a delimited text file, one by one: slow, and exact about which cell of which line is wrong."""
+"""Lines of a text table: their dialect (comments, header, delimiter, decimal mark, time stamps), and one by one.
+
+Reading them one by one is slow, and exact about which cell of which line is wrong.
+"""
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import NUMBER, STAMP, ns_from_stamp, ns_from_text
-from stream.batch import IntArray
+from stream.batch import FloatArray
 from stream.errors import BadInput
 
+COMMENT = re.compile(rb"(?m)^#[^\n]*")
+
+_DELIMITERS = "\t;,"
+_BLANKS = re.compile(rb"[ \t]+")
+_MARGINS = re.compile(rb"(?m)^ | (?=\r?$)")
+_BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 _BLANK = " \t"
 _RANGE = "a time within 146 years of 1970 (or of the run's start)"
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a table is written."""
+
+    titles: tuple[str, ...]
+    delimiter: str
+    first_line: int  # of the rows, counted from 1
+    first_byte: int
+    comments: int  # comment lines before that place, a header among them excepted
+    is_header_comment: bool
+    sample: tuple[tuple[str, ...], ...]  # cells of the first rows
+
+    @property
+    def stamp_titles(self) -> frozenset[str]:
+        """Titles of the columns whose first cell is an ISO 8601 time stamp."""
+        first = self.sample[0] if self.sample else ()
+        return frozenset(title for title, cell in zip(self.titles, first, strict=False) if STAMP.fullmatch(cell))
+
+    def lacks_zone(self, title: str) -> bool:
+        """Whether a time stamp of the column names no zone."""
+        column = self.titles.index(title)
+        matches = [STAMP.fullmatch(cells[column]) for cells in self.sample if len(cells) > column]
+        return any(match is not None and match["zone"] is None for match in matches)
+
+    def decimal_mark(self, titles: Sequence[str]) -> str:
+        """Decimal mark of the columns: that of the first number among them that has one."""
+        if self.delimiter == ",":
+            return "."
+        columns = [self.titles.index(title) for title in titles]
+        for cells in self.sample:
+            for column in columns:
+                mark = re.search("[.,]", cells[column]) if len(cells) > column else None
+                if mark and NUMBER.fullmatch(cells[column].replace(",", ".")):
+                    return mark[0]
+        return "."
+
+
+def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
+    """Find the dialect from the first lines of a file, each with the place in the file behind it.
+
+    A header in a comment, as NumPy writes it, is taken if the first line that is none consists of numbers.
+
+    >>> found = find_dialect([("# bench 3", 10), ("Time (s);Rate (deg/s)", 32), ("0,5;1", 38)])
+    >>> found.titles, found.delimiter, found.comments, found.first_line, found.decimal_mark(["Time (s)"])
+    (('Time (s)', 'Rate (deg/s)'), ';', 1, 3, ',')
+    """
+    header_at = next(i for i, (text, _) in enumerate(lines) if text.strip() and not text.startswith("#"))
+    header = lines[header_at][0]
+    comments = [i for i in range(header_at) if lines[i][0].startswith("#")]
+    rows_at, is_header_comment = header_at + 1, False
+    if comments and _is_row(header):
+        title_line = lines[comments[-1]][0].lstrip("# \t")
+        if title_line and not _is_row(title_line):
+            header, rows_at, is_header_comment = title_line, header_at, True
+            comments.pop()
+    rows = [text for text, _ in lines[rows_at:] if text.strip() and not text.startswith("#")]
+    delimiter = max(_DELIMITERS, key=header.count)
+    titles = tuple(title.strip() for title in split_line(header, delimiter))
+    if not any(mark in header for mark in _DELIMITERS) and rows and len(rows[0].split()) > 1:
+        by_blanks = tuple(title.strip() for title in _BLANK_TITLE.findall(header))
+        if len(by_blanks) == len(rows[0].split()) and not any(mark in rows[0] for mark in "\t;"):
+            delimiter, titles = " ", by_blanks
+    return Dialect(
+        titles, delimiter, first_line=rows_at + 1, first_byte=lines[rows_at - 1][1] if rows_at else 0,
+        comments=len(comments), is_header_comment=is_header_comment,
+        sample=tuple(filter(None, (_cells(text, delimiter) for text in rows))),
+    )  # fmt: skip
+
+
+def without_blanks(block: bytes) -> bytes:
+    """Lines whose cells are separated by one blank each, and have none at their ends."""
+    return _MARGINS.sub(b"", _BLANKS.sub(b" ", block))
+
+
+def _is_row(line: str) -> bool:
+    cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
+    cells = [part for cell in cells for part in ([cell] if STAMP.fullmatch(cell) else re.split("[, ]+", cell))]
+    return bool(cells) and all(STAMP.fullmatch(cell) or NUMBER.fullmatch(cell) for cell in cells)
+
+
+def _cells(line: str, delimiter: str) -> tuple[str, ...]:
+    try:
+        cells = line.split() if delimiter == " " else split_line(line, delimiter)
+    except BadInput:
+        return ()
+    return tuple(cell.strip(" \t") for cell in cells)
 
 
 class LineReader:
@@ -29,48 +128,52 @@ class LineReader:
 
     def read(self, block: bytes, first_line: int, done: float) -> CellBlock:
         """Read the lines of `block`, which ends with a line feed; blank ones are left out."""
+        texts = [raw.decode().removesuffix("\r") for raw in block.split(b"\n")[:-1]]
         lines = [
             (number, text)
-            for number, raw in enumerate(block.split(b"\n")[:-1], first_line)
-            if not self._is_blank(text := raw.decode().removesuffix("\r"))
+            for number, text in enumerate(texts, first_line)
+            if text.strip(_BLANK) or self._delimiter in text
         ]
-        rows = _Rows(len(lines), self._signals.values(), self._texts)
+        n = len(lines)
+        sieve, times_ns = Sieve(n), np.zeros(n, np.int64)
+        values = {title: np.full(n, np.nan) for title in self._signals}
+        words = {title: [""] * n for title in self._texts}
         for row, (number, text) in enumerate(lines):
+            cells: dict[str, str] = {}
             try:
-                self._read_cells(rows, row, split_line(text, self._delimiter))
+                cells = dict(zip(self._titles, self._cells(text), strict=True))
             except _BadCell as bad:
-                reason = BadRow("line", number, bad.column, bad.found, bad.expected)
-                rows.sieve.refuse_one(row, reason)
+                sieve.refuse_one(row, bad.in_line(number))
+            for title, cell in cells.items():
+                try:
+                    if title in words:
+                        words[title][row] = cell
+                    elif title not in values:
+                        times_ns[row] = self._time_ns(title, cell.strip(_BLANK))
+                    elif cell.strip(_BLANK):
+                        values[title][row] = self._finite(title, cell.strip(_BLANK))
+                except _BadCell as bad:
+                    sieve.refuse_one(row, bad.in_line(number))
         numbers = np.array([number for number, _ in lines], np.int64)
-        return rows.block(numbers, self._columns.time is not None, done)
+        written_ns = None if self._columns.time is None else times_ns
+        signals = {self._signals[title]: _number_cells(column) for title, column in values.items()}
+        return CellBlock(
+            "line",
+            numbers,
+            written_ns,
+            signals,
+            {title: _text_cells(each) for title, each in words.items()},
+            sieve,
+            done,
+        )
 
-    def _is_blank(self, line: str) -> bool:
-        return not line.strip(_BLANK) and self._delimiter not in line
-
-    def _read_cells(self, rows: "_Rows", row: int, cells: list[str]) -> None:
+    def _cells(self, text: str) -> list[str]:
+        cells = split_line(text, self._delimiter)
         if len(cells) != len(self._titles):
             hint = " (a decimal comma? write a point)" if self._delimiter == "," and len(cells) > 1 else ""
             noun = "cell" if len(cells) == 1 else "cells"
             raise _BadCell("", f"{len(cells)} {noun}", f"{len(self._titles)} as in the header{hint}")
-        wrong: _BadCell | None = None
-        for title, cell in zip(self._titles, cells, strict=True):
-            try:
-                self._read_cell(rows, row, title, cell)
-            except _BadCell as bad:
-                wrong = wrong or bad
-        if wrong is not None:
-            raise wrong
-
-    def _read_cell(self, rows: "_Rows", row: int, title: str, cell: str) -> None:
-        if title in self._texts:
-            rows.put_text(title, row, cell)
-            return
-        text = cell.strip(_BLANK)
-        if title in self._signals:
-            if text:
-                rows.put_number(self._signals[title], row, self._finite(title, text))
-            return
-        rows.times_ns[row] = self._time_ns(title, text)
+        return cells
 
     def _time_ns(self, title: str, text: str) -> int:
         time = self._columns.time
@@ -123,33 +226,18 @@ def split_line(line: str, delimiter: str) -> list[str]:
 class _BadCell(BadInput):
     def __init__(self, column: str, found: str, expected: str) -> None:
         super().__init__(f"found {found!r}, expected {expected}")
-        self.column, self.found, self.expected = column, found, expected
+        self._cell = column, found, expected
+
+    def in_line(self, number: int) -> BadRow:
+        return BadRow("line", number, *self._cell)
 
 
-class _Rows:
-    """Cells of some lines, column by column, while they are filled in."""
+def _number_cells(values: FloatArray) -> NumberCells:
+    valid = ~np.isnan(values)
+    return NumberCells(values, None) if valid.all() else NumberCells(np.where(valid, values, 0.0), valid)
 
-    def __init__(self, n: int, signals: Iterable[str], texts: frozenset[str]) -> None:
-        self.sieve = Sieve(n)
-        self.times_ns = np.zeros(n, np.int64)
-        self._values = {name: np.zeros(n) for name in signals}
-        self._valid = {name: np.zeros(n, np.bool_) for name in self._values}
-        self._codes = {title: np.full(n, -1, np.int32) for title in texts}
-        self._known: dict[str, dict[str, int]] = {title: {} for title in texts}
 
-    def put_number(self, name: str, row: int, value: float) -> None:
-        self._values[name][row] = value
-        self._valid[name][row] = True
-
-    def put_text(self, title: str, row: int, cell: str) -> None:
-        if cell:
-            known = self._known[title]
-            self._codes[title][row] = known.setdefault(cell, len(known))
-
-    def block(self, numbers: IntArray, has_times: bool, done: float) -> CellBlock:
-        signals = {
-            name: NumberCells(values, None if self._valid[name].all() else self._valid[name])
-            for name, values in self._values.items()
-        }
-        texts = {title: TextCells(codes, list(self._known[title])) for title, codes in self._codes.items()}
-        return CellBlock("line", numbers, self.times_ns if has_times else None, signals, texts, self.sieve, done)
+def _text_cells(cells: list[str]) -> TextCells:
+    known: dict[str, int] = {}
+    codes = [known.setdefault(cell, len(known)) if cell else -1 for cell in cells]
+    return TextCells(np.array(codes, np.int32), list(known))

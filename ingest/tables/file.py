@@ -12,11 +12,11 @@ import numpy as np
 
 from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
 from ingest.tables.checks import GoodRows, Owner, RowFilter
-from ingest.tables.columns import SignalColumn, TableOptions, read_header
+from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.parquet_chunks import ParquetTable
-from ingest.tables.rows import BadRows, NumberCells, TableReader
+from ingest.tables.rows import BadRows, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
 from stream.batch import FloatArray, IntArray, SampleBatch
@@ -62,7 +62,10 @@ class TableFile:
         """
         rows = self._new_filter()
         grids: dict[tuple[Owner, str], SamplingGrid] = {}
-        may_be_counts = {signal.name: self._may_be_counts(signal) for signal in self._columns.signals}
+        may_be_counts = {
+            signal.name: signal.unit_of_measure in COUNT_UNITS or signal.title in self._reader.integer_titles
+            for signal in self._columns.signals
+        }
         tracker = StepTracker()
         steps = 0
         for good in self._good_rows(rows, progress):
@@ -75,24 +78,20 @@ class TableFile:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
                 steps += started is not None
-        if rows.log.count and not self._options.skip_bad:
-            raise BadRows(self._path, tuple(rows.log.kept), rows.log.count)
+        if rows.bad_rows and not self._options.skip_bad:
+            raise BadRows(self._path, tuple(rows.bad), rows.bad_rows)
         if not grids:
-            raise BadInput(f"{self._path}: {rows.rows} rows, {rows.log.count} of them bad, and not one sample")
+            raise BadInput(f"{self._path}: {rows.rows} rows, {rows.bad_rows} of them bad, and not one sample")
         units = {signal.name: signal.unit_of_measure for signal in self._columns.signals}
-        self._summary = TableSummary(
-            rows=rows.rows,
-            bad_rows=rows.log.count,
-            bad=tuple(rows.log.kept),
-            date_known=rows.clock.date_known,
-            steps=steps,
-            signals=tuple(
-                SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
-                for (owner, name), grid in grids.items()
-            ),
-            remarks=(*self._columns.remarks, *self._reader.remarks),
-            words=self._options.words,
+        signals = tuple(
+            SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
+            for (owner, name), grid in grids.items()
         )
+        self._summary = TableSummary(
+            rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
+            steps=steps, signals=signals, remarks=(*self._columns.remarks, *self._reader.remarks),
+            words=self._options.words,
+        )  # fmt: skip
         return self._summary
 
     def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
@@ -163,11 +162,8 @@ class TableFile:
             batchers.setdefault(Owner(found.unit, found.run), {})[found.signal] = batcher
         return batchers
 
-    def _may_be_counts(self, signal: SignalColumn) -> bool:
-        return signal.unit_of_measure in COUNT_UNITS or signal.title in self._reader.integer_titles
 
-
-def _open(path: Path) -> TableReader:
+def _open(path: Path) -> CsvTable | ParquetTable:
     suffix = path.suffix.lower()
     try:
         size = path.stat().st_size

@@ -50,14 +50,10 @@ class ParquetTable:
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
         """Set the meaning of the columns."""
         self._columns, self._time_zone = columns, time_zone
-        numeric = [signal.title for signal in columns.signals]
-        if columns.time is not None and not columns.time.is_stamp:
-            numeric.append(columns.time.title)
-        for title in numeric:
-            if not (_is_numeric(self._types[title]) or pa.types.is_null(self._types[title])):
-                raise BadInput(
-                    f"{self._path}: column {title!r} holds {self._types[title]}, expected numbers; convert it"
-                )
+        for title in columns.numeric_titles:
+            kind = self._types[title]
+            if not (_is_numeric(kind) or pa.types.is_null(kind)):
+                raise BadInput(f"{self._path}: column {title!r} holds {kind}, expected numbers; convert it")
         for title in columns.text_titles:
             if not _is_word(self._types[title]):
                 raise BadInput(f"{self._path}: column {title!r} holds {self._types[title]}, expected text; convert it")
@@ -127,11 +123,11 @@ class ParquetTable:
             self._refuse(sieve, first, title, empty, array, "a time")
         if pa.types.is_null(kind):
             return np.zeros(len(array), np.int64)
+        zero = Decimal(0) if pa.types.is_decimal(kind) else 0
+        filled = _decoded(array).fill_null(pa.scalar(zero, kind))
         if pa.types.is_timestamp(kind):
-            times_ns, wrong = ns_from_timestamps(_decoded(array).fill_null(pa.scalar(0, kind)), self._time_zone)
-            return self._placed(times_ns, wrong, array, first, sieve)
-        filled = _decoded(array).fill_null(pa.scalar(Decimal(0) if pa.types.is_decimal(kind) else 0, kind))
-        if pa.types.is_decimal(kind) and (places := decimal_places(ns_per_unit)) is not None:
+            times_ns, wrong = ns_from_timestamps(filled, self._time_zone)
+        elif pa.types.is_decimal(kind) and (places := decimal_places(ns_per_unit)) is not None:
             times_ns, wrong = ns_from_decimals(filled, places)
         elif pa.types.is_uint64(kind):
             unsigned = filled.to_numpy()
@@ -140,13 +136,8 @@ class ParquetTable:
             times_ns, wrong = ns_from_integers(filled.cast(pa.int64()).to_numpy(), ns_per_unit)
         else:
             times_ns, wrong = ns_from_floats(_float64(filled).to_numpy(), ns_per_unit)
-        return self._placed(times_ns, wrong, array, first, sieve)
-
-    def _placed(self, times_ns: IntArray, wrong: BoolArray, array: pa.Array, first: int, sieve: Sieve) -> IntArray:
         if wrong.any():
-            assert self._columns.time is not None
-            expected = "a finite time within 146 years of 1970"
-            self._refuse(sieve, first, self._columns.time.title, wrong, array, expected)
+            self._refuse(sieve, first, title, wrong, array, "a finite time within 146 years of 1970")
         return times_ns
 
     def _refuse(self, sieve: Sieve, first: int, title: str, wrong: BoolArray, array: pa.Array, expected: str) -> None:

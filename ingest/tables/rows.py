@@ -1,9 +1,8 @@
 """Blocks of rows as arrays, as a table reader gives them, and the rows that do not keep the contract."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +10,6 @@ import pyarrow as pa
 
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
-
-if TYPE_CHECKING:
-    from ingest.tables.columns import Columns
-
 
 BAD_ROWS_KEPT = 1000
 BAD_ROWS_SHOWN = 20
@@ -80,22 +75,6 @@ class Sieve:
         return [self._reasons[row] for row in sorted(self._reasons)]
 
 
-@dataclass
-class BadRowLog:
-    """Exact count of the bad rows of a file, with the first of them."""
-
-    count: int = 0
-    kept: list[BadRow] = field(default_factory=list)
-
-    def add(self, count: int, reasons: Iterable[BadRow]) -> None:
-        """Count `count` more rows and keep the first of their reasons."""
-        self.count += count
-        for reason in reasons:
-            if len(self.kept) >= BAD_ROWS_KEPT:
-                return
-            self.kept.append(reason)
-
-
 @dataclass(frozen=True)
 class TextCells:
     """Cells of one text column: its distinct `values`, and the code of each row (-1: empty)."""
@@ -134,21 +113,3 @@ class CellBlock:
     texts: dict[str, TextCells]  # by title of the column: unit, run and the step words
     sieve: Sieve  # rows that are bad already; their cells have no meaning
     done: float  # fraction of the file that is read, 0 to 1
-
-
-class TableReader(Protocol):
-    """A table of any format as blocks of rows."""
-
-    titles: tuple[str, ...]  # of the columns, as in the file
-    integer_titles: frozenset[str]  # of the columns that hold integers by their type
-    stamp_titles: frozenset[str]  # of the columns that hold ISO 8601 time stamps
-
-    @property
-    def remarks(self) -> list[str]:
-        """Sentences for the user, once the rows are read."""
-
-    def bind(self, columns: "Columns", time_zone: str = "UTC") -> None:
-        """Set the meaning of the columns, and the zone of stamps that name none; raise BadInput if a type is wrong."""
-
-    def blocks(self) -> Iterator[CellBlock]:
-        """Read the rows from the beginning, some at a time."""

@@ -144,7 +144,7 @@ def virtual(how: str, offer_per_s: float, seconds: float) -> tuple[int, float]:
 def source(how: str, endpoint: str, folder: str, offer_per_s: float, seconds: float) -> None:
     """Receive, decode and send on; prints what was counted."""
     from ingest.can.bus.bus import CanBus, CanBusOptions
-    from ingest.can.mapping import load_mapping
+    from ingest.can.mapping import CanMapping
     from ingest.can.stream import CanDecoder
     from ingest.station_clock import StationClock
     from stream.batch import SampleBatch
@@ -153,7 +153,7 @@ def source(how: str, endpoint: str, folder: str, offer_per_s: float, seconds: fl
     from stream.transport.zenoh_bus import ZenohBus
 
     database, path = mapping(Path(folder))
-    plan = load_mapping(path, [database])
+    plan = CanMapping([database], path).plan()
     epochs: dict[str, UUID] = {}
     decoder = CanDecoder(plan, run="r1", epoch_of=lambda unit: epochs.setdefault(unit, uuid4()))
     place, samples, slowest_s = Place("plant", "bench"), [0, 0], [0.0]
@@ -198,7 +198,7 @@ def source(how: str, endpoint: str, folder: str, offer_per_s: float, seconds: fl
             "slowest_s": slowest_s[0],
             "lost_by_counter": sum(each.lost for each in counts.messages),
             "repeated_by_counter": sum(each.repeated for each in counts.messages),
-            "left_out": sum(each.left_out for each in counts.messages),
+            "left_out": sum(each.frames - each.decoded for each in counts.messages),
             "late": sum(each.late for each in counts.messages),
             "retimed": sum(each.retimed for each in counts.messages),
             "frames_decoded": counts.frames,

@@ -227,13 +227,9 @@ class CanBus:
         frames = len(columns.stamps_s)
         if not frames:
             return
-        block = FrameBlock(
-            intake.clock.times_ns(columns.stamps_s, taken.read_s),
-            np.full(frames, self.options.number, np.int16),
-            columns.arbitration_id,
-            columns.length,
-            columns.data,
-        )
+        times_ns = intake.clock.times_ns(columns.stamps_s, taken.read_s)
+        channel = np.full(frames, self.options.number, np.int16)
+        block = FrameBlock(times_ns, channel, columns.arbitration_id, columns.length, columns.data)
         batches = self._guarded("frames cannot be decoded", lambda: self._decoder.take(block))
         self._count(**{"undecoded" if batches is None else "decoded": frames})
         self._deliver_all(batches or [])
@@ -242,13 +238,11 @@ class CanBus:
         """Count everything beside data frames, and follow the state of the controller."""
         frames = len(columns.stamps_s)
         overruns = columns.overflows + columns.overruns
+        unknown = 0 if self._wanted is None else frames - int(np.isin(columns.arbitration_id, self._wanted).sum())
         self._count(
-            unknown=0 if self._wanted is None else frames - int(np.isin(columns.arbitration_id, self._wanted).sum()),
-            error_frames=columns.error_frames,
-            remote_frames=columns.remote_frames,
-            malformed=columns.malformed,
-            interface_overrun=overruns,
-        )
+            unknown=unknown, error_frames=columns.error_frames, remote_frames=columns.remote_frames,
+            malformed=columns.malformed, interface_overrun=overruns,
+        )  # fmt: skip
         if overruns:
             self._interface_overruns.add(overruns)
         if columns.malformed:

@@ -17,7 +17,6 @@ from stream.batch import BoolArray, FloatArray, IntArray
 _SAME_CLOCK_S = 60.0  # an older stamp is of another clock than the computer's
 _AHEAD_S = 1.0  # no frame is received before it was sent
 _CLASSIC_BYTES = 8
-_FIELDS = ("arbitration_id", "is_extended_id", "is_error_frame", "is_remote_frame")
 
 # linux/can.h: struct can_frame (16 bytes) and canfd_frame (72 bytes)
 _CAN_MTU, _CANFD_MTU = 16, 72
@@ -66,7 +65,7 @@ def message_columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArr
 
 def kernel_columns(frames: Sequence[bytes], stamps_s: FloatArray, most_bytes: int) -> FrameColumns:
     """Put frames of Linux (`struct can_frame` or `canfd_frame`) into columns, error frames read as well."""
-    is_whole = np.fromiter((len(frame) in {_CAN_MTU, _CANFD_MTU} for frame in frames), np.bool_, len(frames))
+    is_whole = np.array([len(frame) in {_CAN_MTU, _CANFD_MTU} for frame in frames], np.bool_)
     padded = b"".join(frame.ljust(_CANFD_MTU, b"\0") for frame in frames if len(frame) in {_CAN_MTU, _CANFD_MTU})
     table = np.frombuffer(padded, _KERNEL_FRAME)
     identifier, lengths, data = table["id"], table["length"], table["data"]
@@ -78,15 +77,12 @@ def kernel_columns(frames: Sequence[bytes], stamps_s: FloatArray, most_bytes: in
     kept[kept] = is_sound
     found = data[kept]
     found[np.arange(MOST_BYTES) >= lengths[kept][:, None]] = 0  # the kernel leaves old bytes there
+    is_classic = not len(found) or lengths[kept].max() <= _CLASSIC_BYTES
     columns = FrameColumns(
-        stamps_s[is_whole][kept],
-        ids[kept],
-        lengths[kept],
-        found[:, :_CLASSIC_BYTES] if not len(found) or lengths[kept].max() <= _CLASSIC_BYTES else found,
-        error_frames=int(is_error.sum()),
-        remote_frames=int((is_remote & ~is_error).sum()),
+        stamps_s[is_whole][kept], ids[kept], lengths[kept], found[:, :_CLASSIC_BYTES] if is_classic else found,
+        error_frames=int(is_error.sum()), remote_frames=int((is_remote & ~is_error).sum()),
         malformed=len(frames) - len(table) + int((~is_sound).sum()),
-    )
+    )  # fmt: skip
     return _with_errors(columns, [(int(ids[i]), bytes(data[i, :8])) for i in np.flatnonzero(is_error)])
 
 
@@ -108,9 +104,8 @@ def _stamps(messages: Sequence[Any]) -> FloatArray:
 def _columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray) -> FrameColumns:
     n = len(messages)
     ids = np.fromiter(map(attrgetter("arbitration_id"), messages), np.int64, n)
-    is_extended, is_error, is_remote = (
-        np.fromiter(map(attrgetter(name), messages), np.bool_, n) for name in _FIELDS[1:]
-    )
+    flags = ("is_extended_id", "is_error_frame", "is_remote_frame")
+    is_extended, is_error, is_remote = (np.fromiter(map(attrgetter(name), messages), np.bool_, n) for name in flags)
     payloads = list(map(attrgetter("data"), messages))
     lengths = np.fromiter(map(len, payloads), np.int64, n)
     is_data = ~(is_error | is_remote)
@@ -119,14 +114,10 @@ def _columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray) -> 
     if not kept.all():
         payloads = [payloads[i] for i in np.flatnonzero(kept)]
     return FrameColumns(
-        stamps_s[kept],
-        (ids[kept] | np.where(is_extended[kept], EXTENDED, 0)).astype(np.uint32),
-        lengths[kept].astype(np.uint8),
-        _bytes(payloads, lengths[kept]),
-        error_frames=int(is_error.sum()),
-        remote_frames=int((is_remote & ~is_error).sum()),
-        malformed=int((is_data & ~is_sound).sum()),
-    )
+        stamps_s[kept], (ids[kept] | np.where(is_extended[kept], EXTENDED, 0)).astype(np.uint32),
+        lengths[kept].astype(np.uint8), _bytes(payloads, lengths[kept]), error_frames=int(is_error.sum()),
+        remote_frames=int((is_remote & ~is_error).sum()), malformed=int((is_data & ~is_sound).sum()),
+    )  # fmt: skip
 
 
 def _bytes(payloads: Sequence[bytes], lengths: npt.NDArray[np.int64]) -> npt.NDArray[np.uint8]:
@@ -155,17 +146,12 @@ def _can_be_read(message: Any) -> bool:
 
 def _with_errors(columns: FrameColumns, errors: Sequence[tuple[int, bytes]]) -> FrameColumns:
     """Add what error frames of Linux report about the controller."""
-    is_off: bool | None = None
-    is_passive: bool | None = None
-    overflows = 0
-    for kind, data in errors:
-        if kind & _BUS_OFF:
-            is_off = True
-        if kind & _CONTROLLER:
-            overflows += bool(data[1] & _RX_OVERFLOW)
-            if data[1] & (_PASSIVE | _ACTIVE):
-                is_passive = bool(data[1] & _PASSIVE)
-    return replace(columns, overflows=overflows, is_off=is_off, is_passive=is_passive)
+    states = [data[1] for kind, data in errors if kind & _CONTROLLER]
+    passive = [bool(state & _PASSIVE) for state in states if state & (_PASSIVE | _ACTIVE)]
+    return replace(
+        columns, overflows=sum(bool(state & _RX_OVERFLOW) for state in states),
+        is_off=any(kind & _BUS_OFF for kind, _ in errors) or None, is_passive=passive[-1] if passive else None,
+    )  # fmt: skip
 
 
 class ReceiveClock:

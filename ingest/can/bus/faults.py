@@ -5,10 +5,11 @@ import time
 from collections.abc import Callable
 
 _SETTLED_S = 2.0  # after that long without a failure an interface is back, even if nobody sends
+_REPORT_EVERY_S = 10.0
 
 
 class Losses:
-    """One kind of loss, reported at once and then at most every `every_s` seconds; used by any thread.
+    """One kind of loss, reported at once and then at most every 10 s; used by any thread.
 
     >>> losses = Losses(print, "were lost")
     >>> for count in (0, 3, 4, 0):
@@ -18,8 +19,8 @@ class Losses:
     4 frames were lost, 7 in all
     """
 
-    def __init__(self, report: Callable[[str], None], what: str, every_s: float = 10.0) -> None:
-        self._report, self._what, self._every_s = report, what, every_s
+    def __init__(self, report: Callable[[str], None], what: str) -> None:
+        self._report, self._what = report, what
         self._reported_s = float("-inf")
         self._unreported = self._total = 0
         self._lock = threading.Lock()
@@ -29,7 +30,7 @@ class Losses:
         with self._lock:
             self._unreported += frames
             self._total += frames
-            is_due = time.monotonic() - self._reported_s > self._every_s
+            is_due = time.monotonic() - self._reported_s > _REPORT_EVERY_S
         if is_due:
             self.flush()
 

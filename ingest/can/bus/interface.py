@@ -191,8 +191,6 @@ class SocketIntake(CanIntake):
 
 
 class _Packed(msgspec.Struct):
-    """A frame as python-can sends it by multicast."""
-
     arbitration_id: int
     data: bytes
     is_extended_id: bool = True

@@ -1,22 +1,15 @@
 """Bias of a gyro: its output at rest that is neither thermal nor noise, in deg/h."""
 
+import heapq
 import math
 from collections.abc import Iterator
+from itertools import takewhile
 
 import msgspec
 import numpy as np
 from numba import njit
 
-from ingest.simulator.physics.draws import (
-    SECONDS_PER_HOUR,
-    Jump,
-    NotNegative,
-    Positive,
-    Seeds,
-    Staircase,
-    merged_jumps,
-    random_jumps,
-)
+from ingest.simulator.physics.draws import SECONDS_PER_HOUR, Jump, NotNegative, Positive, Seeds, Staircase, random_jumps
 from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, Conditions
 from stream.batch import FloatArray
 
@@ -120,8 +113,9 @@ class BiasEffect:
         jumps = self._bias.jumps
         drawn: Iterator[Jump] = iter(())
         if jumps is not None:
-            drawn = random_jumps(jumps.rate_per_h, jumps.sd_deg_per_h, self._seeds.of_power_on("bias jumps"))
-        return merged_jumps(planned, drawn, until_s)
+            generator = self._seeds.of_power_on("bias jumps")
+            drawn = random_jumps(jumps.rate_per_h, jumps.sd_deg_per_h, generator)
+        return takewhile(lambda jump: jump.at_s < until_s, heapq.merge(sorted(planned), drawn))
 
     def add(self, first: int, conditions: Conditions, out: FloatArray) -> None:
         """Add the bias, deg/h, to samples `first`, `first` + 1, ..."""

@@ -1,9 +1,7 @@
 """Random draws of the effects: bounds of their parameters, seeds by name, and events at random times."""
 
-import heapq
 import math
-from collections.abc import Iterator, Sequence
-from itertools import takewhile
+from collections.abc import Iterator
 from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
@@ -83,11 +81,6 @@ def random_jumps(rate_per_h: float, sd_deg_per_h: float, generator: np.random.Ge
     while rate_per_h > 0.0:
         at_s += generator.exponential(SECONDS_PER_HOUR / rate_per_h)
         yield Jump(at_s, sd_deg_per_h * generator.standard_normal())
-
-
-def merged_jumps(planned: Sequence[Jump], drawn: Iterator[Jump], until_s: float = math.inf) -> Iterator[Jump]:
-    """All jumps in order of time, up to but not including `until_s`."""
-    return takewhile(lambda jump: jump.at_s < until_s, heapq.merge(sorted(planned), drawn))
 
 
 class Staircase:

@@ -5,7 +5,7 @@ make a right-handed frame.
 """
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from functools import partialmethod
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -18,16 +18,13 @@ NOMINAL_SUPPLY_V = 5.0
 
 Channel = Literal["rates_deg_per_s", "specific_force_g", "magnetic_field_gauss", "temperature_deg_c", "supply_v"]
 
-_NO_VECTOR = (0.0, 0.0, 0.0)
-_DEFAULTS: Mapping[Channel, tuple[float, ...]] = MappingProxyType(
-    {
-        "rates_deg_per_s": _NO_VECTOR,
-        "specific_force_g": _NO_VECTOR,
-        "magnetic_field_gauss": _NO_VECTOR,
-        "temperature_deg_c": (NOMINAL_TEMPERATURE_DEG_C,),
-        "supply_v": (NOMINAL_SUPPLY_V,),
-    }
-)
+_DEFAULTS: Mapping[Channel, tuple[float, ...]] = {
+    "rates_deg_per_s": (0.0, 0.0, 0.0),
+    "specific_force_g": (0.0, 0.0, 0.0),
+    "magnetic_field_gauss": (0.0, 0.0, 0.0),
+    "temperature_deg_c": (NOMINAL_TEMPERATURE_DEG_C,),
+    "supply_v": (NOMINAL_SUPPLY_V,),
+}
 
 
 class Environment(Protocol):
@@ -93,29 +90,17 @@ class PiecewiseEnvironment:
     def _at(self, name: Channel, t_ns: IntArray) -> FloatArray:
         rows = self._knots[name]
         if (rows == rows[:, :1]).all():
-            return np.repeat(rows[:, :1], len(t_ns), axis=1)
-        t_s = (t_ns - self._origin_ns) * 1e-9
-        return np.stack([np.interp(t_s, self._times_s, row) for row in rows])
+            values = np.repeat(rows[:, :1], len(t_ns), axis=1)
+        else:
+            t_s = (t_ns - self._origin_ns) * 1e-9
+            values = np.stack([np.interp(t_s, self._times_s, row) for row in rows])
+        return values if len(rows) > 1 else values.reshape(-1)
 
-    def rates_deg_per_s(self, t_ns: IntArray) -> FloatArray:
-        """See `Environment`."""
-        return self._at("rates_deg_per_s", t_ns)
-
-    def specific_force_g(self, t_ns: IntArray) -> FloatArray:
-        """See `Environment`."""
-        return self._at("specific_force_g", t_ns)
-
-    def temperature_deg_c(self, t_ns: IntArray) -> FloatArray:
-        """See `Environment`."""
-        return self._at("temperature_deg_c", t_ns).reshape(-1)
-
-    def supply_v(self, t_ns: IntArray) -> FloatArray:
-        """See `Environment`."""
-        return self._at("supply_v", t_ns).reshape(-1)
-
-    def magnetic_field_gauss(self, t_ns: IntArray) -> FloatArray:
-        """See `Environment`."""
-        return self._at("magnetic_field_gauss", t_ns)
+    rates_deg_per_s = partialmethod(_at, "rates_deg_per_s")
+    specific_force_g = partialmethod(_at, "specific_force_g")
+    magnetic_field_gauss = partialmethod(_at, "magnetic_field_gauss")
+    temperature_deg_c = partialmethod(_at, "temperature_deg_c")
+    supply_v = partialmethod(_at, "supply_v")
 
 
 class StaticEnvironment(PiecewiseEnvironment):

@@ -156,7 +156,6 @@ class SimulatedGyro:
         return rate if self._dead_zone is None else outside_dead_zone(self._dead_zone, rate)
 
     def _output_referred(self, first: int, conditions: Conditions, inside: FloatArray | None) -> FloatArray:
-        """Bias, thermal bias and slow noise, deg/h."""
         out = np.zeros(len(conditions.elapsed_s))
         if self.bias_effect is not None:
             self.bias_effect.add(first, conditions, out)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -23,16 +22,14 @@ _EAST, _NORTH, _UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _WEST, _SOUTH, _DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 
 # Directions of x (input axis), y and z in east, north, up; each right-handed.
-POSITIONS: Mapping[str, Axes] = MappingProxyType(
-    {
-        "input_up": (_UP, _EAST, _NORTH),
-        "input_down": (_DOWN, _EAST, _SOUTH),
-        "input_east": (_EAST, _NORTH, _UP),
-        "input_west": (_WEST, _SOUTH, _UP),
-        "input_north": (_NORTH, _WEST, _UP),
-        "input_south": (_SOUTH, _EAST, _UP),
-    }
-)
+POSITIONS: Mapping[str, Axes] = {
+    "input_up": (_UP, _EAST, _NORTH),
+    "input_down": (_DOWN, _EAST, _SOUTH),
+    "input_east": (_EAST, _NORTH, _UP),
+    "input_west": (_WEST, _SOUTH, _UP),
+    "input_north": (_NORTH, _WEST, _UP),
+    "input_south": (_SOUTH, _EAST, _UP),
+}
 
 
 def earth_rate_enu_deg_per_s(latitude_deg: float) -> FloatArray:
@@ -79,15 +76,13 @@ class TableEnvironment:
     def __init__(
         self, latitude_deg: float, axes_enu: str | Sequence[Sequence[float]], table_axis_enu: Sequence[float] = _UP, *,
         rate_deg_per_s: FunctionOfTime | None = None, angle_deg: FunctionOfTime | None = None,
-        temperature_deg_c: FunctionOfTime | None = None, supply_v: float = NOMINAL_SUPPLY_V,
-        magnetic_field_enu_gauss: Sequence[float] = (0.0, 0.0, 0.0),
+        temperature_deg_c: FunctionOfTime | None = None, magnetic_field_enu_gauss: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
         if not -90.0 <= latitude_deg <= 90.0:
             raise BadInput(f"mounting: a latitude of {latitude_deg} deg, -90 to 90 is needed")
         axes, table_axis = _axes(axes_enu), _direction(table_axis_enu)
         self._along = axes @ table_axis
         self._rate, self._angle, self._temperature = rate_deg_per_s, angle_deg, temperature_deg_c
-        self._supply_v = supply_v
         self._earth_rate = _coefficients(axes, table_axis, earth_rate_enu_deg_per_s(latitude_deg))
         self._gravity = _coefficients(axes, table_axis, np.array(_UP))
         self._field = _coefficients(axes, table_axis, np.asarray(magnetic_field_enu_gauss, np.float64))
@@ -118,7 +113,7 @@ class TableEnvironment:
 
     def supply_v(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""
-        return np.full(len(t_ns), self._supply_v)
+        return np.full(len(t_ns), NOMINAL_SUPPLY_V)
 
     def magnetic_field_gauss(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""

@@ -151,13 +151,9 @@ def ornstein_uhlenbeck(
     # u - 2 tanh(u/2) loses all its digits where u is small
     bend = np.where(u < _SERIES_BELOW, u**3 / 12 * (1 - u**2 / 10), u - 2 * tanh)
     return GaussMarkovSum(
-        decay=np.exp(-u),
-        kick=sd * np.sqrt(-np.expm1(-2 * u)),
-        weight=tanh / u,
-        scatter=math.sqrt(float(np.sum(2 * sd**2 * bend / u**2))),
-        start_sd=sd,
-        generator=generator,
-    )
+        decay=np.exp(-u), kick=sd * np.sqrt(-np.expm1(-2 * u)), weight=tanh / u,
+        scatter=math.sqrt(float(np.sum(2 * sd**2 * bend / u**2))), start_sd=sd, generator=generator,
+    )  # fmt: skip
 
 
 def flicker_noise(
@@ -187,13 +183,9 @@ def rate_random_walk(
     """
     kick = rate_random_walk_deg_per_h_per_sqrt_h * math.sqrt(interval_s / SECONDS_PER_HOUR)
     return GaussMarkovSum(
-        decay=np.ones(1),
-        kick=np.array([kick]),
-        weight=np.array([0.5]),
-        scatter=kick / math.sqrt(12),
-        start_sd=np.zeros(1),
-        generator=generator,
-    )
+        decay=np.ones(1), kick=np.array([kick]), weight=np.array([0.5]), scatter=kick / math.sqrt(12),
+        start_sd=np.zeros(1), generator=generator,
+    )  # fmt: skip
 
 
 def white_sd_deg_per_h(angle_random_walk_deg_per_sqrt_h: float, sample_interval_s: float) -> float:

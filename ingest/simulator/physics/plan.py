@@ -127,7 +127,6 @@ def parse_plan(text: str, source: str) -> Plan:
 
 
 def _unit_parameters(unit: str, shared: dict[str, Any], own: Any, seed: int, what: str) -> GyroParameters:
-    """Planted effects of one unit, drawn."""
     place = f"$.unit.{unit}"
     try:
         check_name("unit", unit)
@@ -198,7 +197,6 @@ def _merged(common: Any, own: Any) -> Any:
 
 
 def _without(tree: dict[str, Any], path: list[str], missing: str) -> dict[str, Any]:
-    """The tree without the entry at `path`."""
     head, *rest = path
     if head not in tree or (rest and not isinstance(tree[head], dict)):
         raise BadInput(missing)

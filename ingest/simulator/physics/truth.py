@@ -29,24 +29,17 @@ def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:
     """
     samples = -(-round(duration_s * 1e9) // gyro.parameters.sample_interval_ns)
     bias, readout = gyro.bias_effect, gyro.readout_effect
+    drawn = {
+        "bias_turn_on_deg_per_h": bias.turn_on_deg_per_h if bias else 0.0,
+        "bias_day_deg_per_h": bias.day_deg_per_h if bias else 0.0,
+        "scale_turn_on_ppm": gyro.scale_effect.turn_on_ppm, "scale_day_ppm": gyro.scale_effect.day_ppm,
+    }  # fmt: skip
     return {
-        "unit": gyro.unit,
-        "power_on": gyro.power_on,
-        "day": gyro.day,
-        "age_h": gyro.age_h,
-        "seed": gyro.seed,
-        "duration_s": duration_s,
-        "parameters": msgspec.to_builtins(gyro.parameters),
-        "drawn": {
-            "bias_turn_on_deg_per_h": bias.turn_on_deg_per_h if bias else 0.0,
-            "bias_day_deg_per_h": bias.day_deg_per_h if bias else 0.0,
-            "scale_turn_on_ppm": gyro.scale_effect.turn_on_ppm,
-            "scale_day_ppm": gyro.scale_effect.day_ppm,
-        },
+        "unit": gyro.unit, "power_on": gyro.power_on, "day": gyro.day, "age_h": gyro.age_h, "seed": gyro.seed,
+        "duration_s": duration_s, "parameters": msgspec.to_builtins(gyro.parameters), "drawn": drawn,
         "jumps": [tuple(jump) for jump in bias.jumps_until(duration_s)] if bias else [],
-        "dropouts": _within(readout.dropouts(), samples),
-        "stuck": _within(readout.stuck(), samples),
-    }
+        "dropouts": _within(readout.dropouts(), samples), "stuck": _within(readout.stuck(), samples),
+    }  # fmt: skip
 
 
 def write_truth(path: Path, plan: Plan, *, power_ons: int, duration_s: float) -> None:

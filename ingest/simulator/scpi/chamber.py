@@ -33,19 +33,15 @@ class SimulatedChamber(SimulatedDevice):
     def __init__(
         self, clock: StationClock, *, start_deg_c: float = 25.0, ramp_deg_c_per_min: float = 3.0, lag_s: float = 60.0
     ) -> None:
-        super().__init__(
-            "GYROFLEET,SIMULATED CHAMBER,0,1",
-            clock,
-            {"TEMPerature:SETPoint": self._set},
-            {
-                "TEMPerature:SETPoint?": lambda: f"{self.setpoint_deg_c:.2f}",
-                "TEMPerature:ACTual?": lambda: self.now(self.temperature_deg_c, 3),
-            },
-        )
         self.setpoint_deg_c = start_deg_c
         self._slope = ramp_deg_c_per_min / 60.0
         self._lag_s = lag_s
         self.course = self._line = Timeline(clock, _Air(start_deg_c, start_deg_c, 0.0, lag_s), _air)
+        queries = {
+            "TEMPerature:SETPoint?": lambda: f"{self.setpoint_deg_c:.2f}",
+            "TEMPerature:ACTual?": lambda: self.now(self.temperature_deg_c, 3),
+        }
+        super().__init__("GYROFLEET,SIMULATED CHAMBER,0,1", clock, {"TEMPerature:SETPoint": self._set}, queries)
 
     def temperature_deg_c(self, t_ns: IntArray | int) -> FloatArray:
         """Temperature of the air at these times of the past, degC."""

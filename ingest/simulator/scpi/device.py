@@ -42,6 +42,8 @@ class SimulatedDevice:
     '0,"No error"'
     """
 
+    course: Timeline[Any] | None = None
+
     def __init__(
         self, identity: str, clock: StationClock, settings: Mapping[str, Callable[[float], None]],
         queries: Mapping[str, Callable[[], str]],
@@ -49,7 +51,6 @@ class SimulatedDevice:
         self.clock, self.identity = clock, identity
         self.fault = DeviceFault.NONE
         self.lines: deque[str] = deque(maxlen=1000)
-        self.course: Timeline[Any] | None = None
         self._errors: deque[str] = deque(maxlen=20)
         self._lock = threading.Lock()
         self._settings = [(_header(name), handler) for name, handler in settings.items()]
@@ -69,9 +70,8 @@ class SimulatedDevice:
         """Execute a line; returns the answer, if there is one."""
         with self._lock:
             self.lines.append(line)
-            answers = [
-                answer for part in line.split(";") if (answer := self._part(part.strip().lstrip(":"))) is not None
-            ]
+            parts = [self._part(part.strip().lstrip(":")) for part in line.split(";")]
+        answers = [answer for answer in parts if answer is not None]
         if not answers or self.fault is DeviceFault.SILENT:
             return None
         return "\x07?garbage\xb0" if self.fault is DeviceFault.GARBAGE else ";".join(answers)
@@ -97,16 +97,17 @@ class SimulatedDevice:
             self.fault = DeviceFault(parameter.upper())
             return
         for pattern, setting in self._settings:
-            if pattern.fullmatch(header):
-                try:
-                    value = float({"ON": "1", "OFF": "0"}.get(parameter.upper(), parameter))
-                except ValueError:
-                    raise Refused('-104,"Data type error"') from None
-                if self.fault is DeviceFault.REFUSE:
-                    raise Refused('-221,"Settings conflict;door open"')
-                if self.fault is not DeviceFault.UNSETTLED:
-                    setting(value)
-                return
+            if not pattern.fullmatch(header):
+                continue
+            try:
+                value = float({"ON": "1", "OFF": "0"}.get(parameter.upper(), parameter))
+            except ValueError:
+                raise Refused('-104,"Data type error"') from None
+            if self.fault is DeviceFault.REFUSE:
+                raise Refused('-221,"Settings conflict;door open"')
+            if self.fault is not DeviceFault.UNSETTLED:
+                setting(value)
+            return
         raise Refused('-113,"Undefined header"')
 
 

@@ -11,6 +11,7 @@ from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 
 _MAX_VOLTAGE_V, _MAX_CURRENT_A = 36.0, 10.0
+_LOAD_OHM = 10.0
 _RISE_S = 0.02  # time constant of the voltage
 _OVERLOAD = "+9.90000000E+37"
 _MAINS_HZ = 50.0
@@ -28,25 +29,21 @@ class _Output(NamedTuple):
 class SimulatedSupply(SimulatedDevice):
     """Power supply of a resistor: ``VOLT``, ``CURR``, ``OUTP``, their queries, ``MEAS:VOLT?``, ``MEAS:CURR?``."""
 
-    def __init__(self, clock: StationClock, *, load_ohm: float = 10.0) -> None:
-        super().__init__(
-            "GYROFLEET,SIMULATED SUPPLY,0,1",
-            clock,
-            {
-                "[SOURce:]VOLTage": lambda value: self._set(set_v=within(value, 0.0, _MAX_VOLTAGE_V)),
-                "[SOURce:]CURRent": lambda value: self._set(limit_a=within(value, 0.0, _MAX_CURRENT_A)),
-                "OUTPut[:STATe]": lambda value: self._set(on=float(within(value, 0.0, 1.0) != 0.0)),
-            },
-            {
-                "[SOURce:]VOLTage?": lambda: f"{self._line.now.set_v:.4f}",
-                "[SOURce:]CURRent?": lambda: f"{self._line.now.limit_a:.4f}",
-                "OUTPut[:STATe]?": lambda: f"{self._line.now.on:.0f}",
-                "MEASure:VOLTage?": lambda: self.now(self.voltage_v, 4),
-                "MEASure:CURRent?": lambda: self.now(self.current_a, 4),
-            },
-        )
-        self._load_ohm = load_ohm
+    def __init__(self, clock: StationClock) -> None:
         self.course = self._line = Timeline(clock, _Output(0.0, _MAX_CURRENT_A, 0.0, 0.0), self._voltage)
+        settings = {
+            "[SOURce:]VOLTage": lambda value: self._set(set_v=within(value, 0.0, _MAX_VOLTAGE_V)),
+            "[SOURce:]CURRent": lambda value: self._set(limit_a=within(value, 0.0, _MAX_CURRENT_A)),
+            "OUTPut[:STATe]": lambda value: self._set(on=float(within(value, 0.0, 1.0) != 0.0)),
+        }
+        queries = {
+            "[SOURce:]VOLTage?": lambda: f"{self._line.now.set_v:.4f}",
+            "[SOURce:]CURRent?": lambda: f"{self._line.now.limit_a:.4f}",
+            "OUTPut[:STATe]?": lambda: f"{self._line.now.on:.0f}",
+            "MEASure:VOLTage?": lambda: self.now(self.voltage_v, 4),
+            "MEASure:CURRent?": lambda: self.now(self.current_a, 4),
+        }
+        super().__init__("GYROFLEET,SIMULATED SUPPLY,0,1", clock, settings, queries)
 
     def voltage_v(self, t_ns: IntArray | int) -> FloatArray:
         """Voltage at the load at these times of the past, V."""
@@ -54,7 +51,7 @@ class SimulatedSupply(SimulatedDevice):
 
     def current_a(self, t_ns: IntArray | int) -> FloatArray:
         """Current through the load at these times of the past, A."""
-        return np.asarray(self.voltage_v(t_ns) / self._load_ohm, np.float64)
+        return np.asarray(self.voltage_v(t_ns) / _LOAD_OHM, np.float64)
 
     def is_on(self, t_ns: IntArray | int) -> FloatArray:
         """1 where the output was on at these times of the past, else 0."""
@@ -68,7 +65,7 @@ class SimulatedSupply(SimulatedDevice):
         self._line.change(plan)
 
     def _voltage(self, state: _Output, dt_s: FloatArray) -> FloatArray:
-        target = min(state.set_v, state.limit_a * self._load_ohm) if state.on else 0.0
+        target = min(state.set_v, state.limit_a * _LOAD_OHM) if state.on else 0.0
         return np.asarray(target + (state.at_start_v - target) * np.exp(-dt_s / _RISE_S), np.float64)
 
 
@@ -81,22 +78,18 @@ class SimulatedVoltmeter(SimulatedDevice):
 
     def __init__(
         self, clock: StationClock, *, source_v: Callable[[IntArray], FloatArray] = lambda t_ns: np.ones(len(t_ns)),
-        noise_v: float = 1e-6, seed: int = 1,
+        noise_v: float = 1e-6,
     ) -> None:  # fmt: skip
-        super().__init__(
-            "GYROFLEET,SIMULATED VOLTMETER,0,1",
-            clock,
-            {"CONFigure[:VOLTage][:DC]": self._configure, "[SENSe:]VOLTage[:DC]:NPLCycles": self._average},
-            {
-                "READ?": self._measure,
-                "[SENSe:]VOLTage[:DC]:NPLCycles?": lambda: f"{self.nplc:g}",
-                "[SENSe:]VOLTage[:DC]:RANGe?": lambda: f"{self.range_v:g}",
-            },
-        )
-        self.range_v = 10.0
-        self.nplc = 1.0
+        self.range_v, self.nplc = 10.0, 1.0
+        settings = {"CONFigure[:VOLTage][:DC]": self._configure, "[SENSe:]VOLTage[:DC]:NPLCycles": self._average}
+        queries = {
+            "READ?": self._measure,
+            "[SENSe:]VOLTage[:DC]:NPLCycles?": lambda: f"{self.nplc:g}",
+            "[SENSe:]VOLTage[:DC]:RANGe?": lambda: f"{self.range_v:g}",
+        }
+        super().__init__("GYROFLEET,SIMULATED VOLTMETER,0,1", clock, settings, queries)
         self.source_v, self._noise_v = source_v, noise_v
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(1)
 
     def _configure(self, value: float) -> None:
         self.range_v = within(value, 1e-3, 1000.0)

@@ -24,16 +24,14 @@ class ScpiServer:
     b'GYROFLEET,SIMULATED CHAMBER,0,1\n'
     """
 
-    def __init__(
-        self, devices: Mapping[str, SimulatedDevice], host: str = "127.0.0.1", ports: Mapping[str, int] | None = None
-    ) -> None:
-        self.host = host
+    host = "127.0.0.1"
+
+    def __init__(self, devices: Mapping[str, SimulatedDevice], ports: Mapping[str, int] | None = None) -> None:
         self.devices = dict(devices)
-        self._ports: dict[str, int] = {}
+        self._ports = {name: (ports or {}).get(name, 0) for name in devices}
         self._outlets: dict[str, _Outlet] = {}
         try:
             for name in self.devices:
-                self._ports[name] = (ports or {}).get(name, 0)
                 self.plug(name)
         except BaseException:
             self.close()
@@ -54,10 +52,8 @@ class ScpiServer:
         try:
             outlet = _Outlet(self.devices[name], self.host, self._ports[name])
         except OSError as error:
-            raise BadInput(
-                f"simulated instrument {name} cannot listen at {self.host}:{self._ports[name]}: {error}; "
-                f"choose another port"
-            ) from error
+            what = f"simulated instrument {name} cannot listen at {self.host}:{self._ports[name]}"
+            raise BadInput(f"{what}: {error}; choose another port") from error
         self._ports[name] = outlet.port
         self._outlets[name] = outlet
 

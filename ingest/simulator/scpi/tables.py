@@ -37,15 +37,12 @@ class SimulatedRateTable(SimulatedDevice):
     """
 
     def __init__(self, clock: StationClock, *, ripple_deg_per_s: float = 2e-4) -> None:
-        super().__init__(
-            "GYROFLEET,SIMULATED RATE TABLE,0,1",
-            clock,
-            {"RATE:SETPoint": self._set_rate, "ANGLe:SETPoint": self._set_angle},
-            {
-                "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
-                "ANGLe:ACTual?": lambda: self.now(self.angle_deg, 6),
-            },
-        )
+        queries = {
+            "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
+            "ANGLe:ACTual?": lambda: self.now(self.angle_deg, 6),
+        }
+        settings = {"RATE:SETPoint": self._set_rate, "ANGLe:SETPoint": self._set_angle}
+        super().__init__("GYROFLEET,SIMULATED RATE TABLE,0,1", clock, settings, queries)
         self._ripple_deg_per_s = ripple_deg_per_s
         self.course = self._line = Timeline(clock, _Motion(0.0, 0.0, 0.0, 0.0), _rate)
 
@@ -115,9 +112,8 @@ def _angle(motion: _Motion, dt_s: FloatArray) -> FloatArray:
 def _after(motion: _Motion, dt_s: float) -> _Motion:
     """Motion `dt_s` after the start of a segment; the ripple's part of the rate ends with the segment."""
     angle = single(_angle(motion, np.array([dt_s])))
-    return motion._replace(
-        angle_deg=angle, rate_deg_per_s=motion.rate_deg_per_s + motion.acceleration_deg_per_s2 * dt_s
-    )
+    rate = motion.rate_deg_per_s + motion.acceleration_deg_per_s2 * dt_s
+    return motion._replace(angle_deg=angle, rate_deg_per_s=rate)
 
 
 class _Sine(NamedTuple):
@@ -136,25 +132,24 @@ class SimulatedVibrationTable(SimulatedDevice):
     """
 
     def __init__(self, clock: StationClock) -> None:
-        super().__init__(
-            "GYROFLEET,SIMULATED VIBRATION TABLE,0,1",
-            clock,
-            {
-                "FREQuency:SETPoint": lambda value: self._set(frequency_hz=within(value, 1e-3, _MAX_FREQUENCY_HZ)),
-                "AMPLitude:SETPoint": lambda value: self._set(
-                    amplitude_deg_per_s=within(value, 0.0, _MAX_AMPLITUDE_DEG_PER_S)
-                ),
-            },
-            {
-                "FREQuency:ACTual?": lambda: f"{self.frequency_hz:.6f}",
-                "AMPLitude:ACTual?": lambda: self.now(self.amplitude_deg_per_s, 6),
-                "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
-                "RATE:TRACe?": self._trace,
-            },
-        )
         self.frequency_hz = 1.0
         self.course = self._line = Timeline(clock, _Sine(0.0, 0.0, 1.0, 0.0, 0.0), _sine_rate)
         self._traced_ns = clock.now_ns()
+
+        def set_amplitude(value: float) -> None:
+            self._set(amplitude_deg_per_s=within(value, 0.0, _MAX_AMPLITUDE_DEG_PER_S))
+
+        settings = {
+            "FREQuency:SETPoint": lambda value: self._set(frequency_hz=within(value, 1e-3, _MAX_FREQUENCY_HZ)),
+            "AMPLitude:SETPoint": set_amplitude,
+        }
+        queries = {
+            "FREQuency:ACTual?": lambda: f"{self.frequency_hz:.6f}",
+            "AMPLitude:ACTual?": lambda: self.now(self.amplitude_deg_per_s, 6),
+            "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
+            "RATE:TRACe?": self._trace,
+        }
+        super().__init__("GYROFLEET,SIMULATED VIBRATION TABLE,0,1", clock, settings, queries)
 
     def rate_deg_per_s(self, t_ns: IntArray | int) -> FloatArray:
         """Rate at these times of the past, deg/s."""

@@ -60,11 +60,8 @@ class Timeline(Generic[State]):
     def since(self, t_ns: int) -> tuple[int, list[Segment[State]]]:
         """Now, and the segments from the one at `t_ns` on; the course before now will not change any more."""
         with self._lock:
-            first = 0
-            for i, segment in enumerate(self._segments):
-                if segment.start_ns <= t_ns:
-                    first = i
-            return self._clock.now_ns(), self._segments[first:]
+            begun = [i for i, segment in enumerate(self._segments) if segment.start_ns <= t_ns]
+            return self._clock.now_ns(), self._segments[begun[-1] if begun else 0 :]
 
     def follow(self, segments: Sequence[Segment[State]]) -> None:
         """Take over segments of another process; earlier ones are kept."""

@@ -10,7 +10,8 @@ import pytest
 
 from analytics.metrics import allan_deviation
 from analytics.specifications.verdicts import verdicts_of
-from ingest.procedures.procedure import load_procedure, ready_names
+from ingest.procedures.file import ready_names
+from ingest.procedures.procedure import load_procedure
 from ingest.station import run_limits
 from ingest.station.run_limits import has_one_record_at_rest
 from storage.sql.reading import read_signal

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ingest.can.frames import CanFrame, frame_block
-from ingest.can.mapping import CanMapping, load_mapping
+from ingest.can.mapping import CanMapping
 from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
 from ingest.checksums import checksums
@@ -28,7 +28,7 @@ def imu(t_ns: int, i: int, *, identifier: int = 0x101, channel: int = 0, index: 
 def mapped(tmp_path: Path, text: str, unit: str | None = None) -> CanPlan:
     path = tmp_path / "mapping.toml"
     path.write_text(text)
-    return load_mapping(path, [DBC], unit)
+    return CanMapping([DBC], path, unit=unit).plan()
 
 
 def decoded(plan: CanPlan, frames: list[CanFrame], size: int = 10_000) -> tuple[list[SampleBatch], CanDecoder]:

@@ -10,10 +10,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.importing.file_sending import CheckedFile
+from ingest.importing.file_sending import CheckedFile, FileImport
 from ingest.importing.importer import import_files
-from ingest.importing.result import FileImport
-from ingest.run.run_path import Elsewhere, path_to
+from ingest.run.run_path import Destination, path_to
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile
 from storage.log.event_log import EventLog
@@ -153,17 +152,17 @@ def test_a_far_recorder_knows_what_its_lake_knows(tmp_path: Path, monkeypatch: p
 
 def test_two_runs_of_one_unit_at_once_are_not_one(tmp_path: Path, endpoint: str) -> None:
     with recording(tmp_path / "store", endpoint), ZenohBus(connect=[endpoint]) as bus, ExitStack() as stack:
-        elsewhere = Elsewhere(bus, endpoint)
+        a, b = (Destination(tmp_path / name, endpoint, tmp_path) for name in "ab")
         first, second = (stack.enter_context(Spool(tmp_path / name)) for name in ("first", "second"))
-        with path_to(tmp_path / "a", "night", elsewhere, first, units=["U1"]):
+        with path_to(a, "night", bus, first, units=["U1"]):
             with (
                 pytest.raises(StoreError, match=r"unit U1, run night is being sent .*gyrofleet run night on"),
-                path_to(tmp_path / "b", "night", elsewhere, second, units=["U1", "U2"]),
+                path_to(b, "night", bus, second, units=["U1", "U2"]),
             ):
                 pass
-            with path_to(tmp_path / "b", "night", elsewhere, second, units=["U2"]):
+            with path_to(b, "night", bus, second, units=["U2"]):
                 pass
-        with path_to(tmp_path / "b", "night", elsewhere, second, units=["U1"]):
+        with path_to(b, "night", bus, second, units=["U1"]):
             pass
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.importing.file_sending import CheckedFile
+from ingest.importing.file_sending import CheckedFile, FileImport
 from ingest.importing.importer import import_files
-from ingest.importing.result import FileImport
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile

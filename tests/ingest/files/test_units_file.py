@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.station.units_file import UnitEntry, assigned, load_units, mounted_documents, parse_units, read_units
+from ingest.station.units_file import UnitEntry, assigned, mounted_documents, parse_units, read_units
 from stream.errors import BadInput
 from stream.events import decode_event, encode_event
 
@@ -23,7 +23,7 @@ TABLE = (
 def test_a_table_is_the_same_in_every_encoding(tmp_path: Path, encoding: str, delimiter: str, end: str) -> None:
     path = tmp_path / "units.csv"
     path.write_bytes(TABLE.replace(",", delimiter).replace("\n", end).encode(encoding))
-    assert load_units(path) == (
+    assert read_units(path).entries == (
         UnitEntry(
             serial="FOG-1", slot="A1", lot="L7", operator="李工", fixture="F-3", firmware="1.2.0", product="FOG-70",
             details={"备注": "红色"}, line=2,
@@ -97,7 +97,7 @@ def test_what_is_no_list_of_units_is_refused(content: bytes, reported: str) -> N
 
 def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"none\.csv cannot be read: No such file"):
-        load_units(tmp_path / "none.csv")
+        read_units(tmp_path / "none.csv")
 
 
 def test_slots_are_given_in_the_order_of_scanning() -> None:

@@ -6,8 +6,9 @@ from importlib.resources import files
 import msgspec
 import pytest
 
-from ingest.procedures.file import read_procedure
-from ingest.procedures.procedure import SETTINGS, PlannedStep, load_procedure, ready_names
+from ingest.procedures.file import read_procedure, ready_names
+from ingest.procedures.plan import SETTINGS, PlannedStep
+from ingest.procedures.procedure import load_procedure
 from stream.errors import BadInput
 from stream.events import StepStarted, decode_event, encode_event
 from stream.identity import check_name

@@ -7,7 +7,8 @@ import pytest
 from click.testing import CliRunner
 
 from ingest.commands.procedure import procedure
-from ingest.procedures.procedure import load_procedure, ready_names
+from ingest.procedures.file import ready_names
+from ingest.procedures.procedure import load_procedure
 
 
 def run(*arguments: object, code: int = 0) -> str:

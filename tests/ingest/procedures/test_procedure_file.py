@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ingest.procedures.procedure import StationRates, load_procedure
+from ingest.procedures.procedure import load_procedure
+from ingest.procedures.run_steps import StationRates
 from stream.errors import BadInput
 
 HEAD = 'name = "own"\nnames = {en = "Own", zh = "自定义"}\n'

@@ -122,13 +122,13 @@ def test_a_run_without_a_pace_goes_on_with_the_next_sample(tmp_path: Path) -> No
             broken.take_up(breaks_after)
         broken.now_ns += 1000 * SECOND
     live = broken.take_up()
-    assert live.is_over
+    assert live.state.phase == "ended"
     assert broken.batches == undisturbed.batches
     assert [len(broken.of(kind)) for kind in (RunStarted, PowerOn, RunEnded)] == [1, 2, 1]
     assert {document.gap_ns for document in broken.of(RunResumed) if isinstance(document, RunResumed)} == {0}
     assert broken.of(RunEnded) == undisturbed.of(RunEnded)
     sent = len(broken.batches)
-    assert broken.take_up().is_over
+    assert broken.take_up().state.phase == "ended"
     assert len(broken.batches) == sent
 
 
@@ -184,7 +184,7 @@ def test_a_paced_run_whose_time_is_over_is_only_ended(tmp_path: Path) -> None:
         station.take_up(breaks_after=10)
     sent = len(station.batches)
     station.now_ns += 3600 * SECOND
-    assert station.take_up().is_over
+    assert station.take_up().state.phase == "ended"
     assert len(station.batches) == sent
     assert len(station.of(RunEnded)) == 1
     assert len(station.of(PowerOn)) == 2

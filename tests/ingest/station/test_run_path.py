@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ingest.run.run_path import TroubleWatch, check_spool_name
+from ingest.run.run_path import Destination, TroubleWatch
 from ingest.station.operator_console import ConsoleOperator
 from stream.batch import SampleBatch
 from stream.console import Stop
@@ -70,7 +70,7 @@ def test_a_recorder_that_pauses_and_a_spool_that_cannot_be_written_are_told_to_t
     assert "No space left on device" in fourth
 
 
-def test_a_folder_that_could_not_be_made_is_refused() -> None:
-    check_spool_name("陀" * 66)
+def test_a_folder_that_could_not_be_made_is_refused(tmp_path: Path) -> None:
+    Destination.chosen("陀" * 66, tmp_path, None, None, 1)
     with pytest.raises(BadInput, match="has 201 bytes in UTF-8"):
-        check_spool_name("陀" * 67)
+        Destination.chosen("陀" * 67, tmp_path, None, None, 1)

@@ -10,13 +10,13 @@ import pytest
 
 from ingest import run_record
 from ingest.instruments.base import Instrument, Options, Reading
-from ingest.procedures.procedure import PlannedStep, load_procedure
+from ingest.procedures.plan import PlannedStep
+from ingest.procedures.procedure import load_procedure
 from ingest.procedures.run_steps import resume_index
 from ingest.run_record import write_state
 from ingest.station import run as station_run
 from ingest.station.run import RunStopped, StationRun
-from ingest.station.run_log import RunLog
-from ingest.station.run_state import StationRunState
+from ingest.station.run_log import RunLog, StationRunState
 from ingest.station.station import ClockTable, SlotTable, Station, StationTable
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
