@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ import pyarrow.compute as pc
 
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
-from analytics.metrics.scale_factor import keep_scale_fits
 from analytics.specifications.sql_tables import put_specifications
 from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, read_kept, step_means, write_kept
@@ -25,8 +25,6 @@ from stream.quantities import conversion, is_angular_rate
 
 FILE = "unit_metrics.parquet"
 _NO_JSON = "NaN|Infinity"
-# evaluated first: the others use the tables that it puts
-_FIRST = "scale_factor"
 _TOO_LITTLE = "the steps hold too little to compute it"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
@@ -45,6 +43,9 @@ where kind = 'CheckEntered' group by unit
 _PRODUCTS = """
 select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit
 """
+# The lines of the scale factors, the scale factors that metrics may use, and with these the steps in deg/h.
+_LINES = "create or replace table internal.scale_fits as from scale_lines('internal.scale_sides')"
+_USABLE = "from measured_scale_factors('internal.scale_fits')"
 _STILL = "create or replace table internal.still_steps as from internal.standing_steps"
 # A total order, so that kept and recomputed rows make the same table.
 _SORTED = """
@@ -104,8 +105,7 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
         if not catalog.frozen:
             write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(marks)}))
     if is_partial and needed == every:  # else the evaluation has put those of all units
-        keep_scale_fits(catalog)
-        catalog.define(_STILL)
+        keep_scale_factors(catalog)
     catalog.put("unit_metrics", table)
     return table
 
@@ -129,16 +129,15 @@ def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -
 
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue; `COLUMNS`."""
-    wanted = {metric.header.id: metric for metric in chosen}
-    tables = [COLUMNS.empty_table()]
-    for each in dict.fromkeys([*([_FIRST] if _FIRST in metrics() else []), *wanted]):
-        if each in wanted:
-            tables.append(_values(catalog, metrics()[each]))
-        else:
-            keep_scale_fits(catalog)
-        if each == _FIRST:
-            catalog.define(_STILL)
-    return pa.concat_tables(tables)
+    keep_scale_factors(catalog)
+    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric) for metric in chosen)])
+
+
+def keep_scale_factors(catalog: Catalog) -> None:
+    """Put the tables that many metrics use: ``scale_fits``, ``scale_factors`` and ``still_steps``."""
+    catalog.define(_LINES)
+    catalog.put("scale_factors", catalog.reader(_USABLE).read_all())
+    catalog.define(_STILL)
 
 
 def _values(catalog: Catalog, metric: Metric) -> pa.Table:
@@ -161,11 +160,10 @@ def _values(catalog: Catalog, metric: Metric) -> pa.Table:
 
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric's statement or function, before the columns that all metrics share are filled in."""
-    if metric.sql is not None:
+    if not metric.header.python:
         body = f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})"  # noqa: S608
         return catalog.reader(body).read_all()
-    assert metric.compute is not None
-    rows = metric.compute(catalog)
+    rows = resolve_name(metric.header.python)(catalog, metric.sql)
     if isinstance(rows, pa.Table):
         return rows
     found = [{"runs": [row["run"]], **row, "parameters": parameters_text(row["parameters"])} for row in rows]
