@@ -20,6 +20,7 @@ FILE = "steps.parquet"
 _VERSION = "7"
 _PRINT = "fingerprint"
 _SQL = files("analytics.step_records").joinpath("step_means.sql").read_text()
+_INPUTS = files("analytics.step_records").joinpath("run_inputs.sql").read_text()
 _MARK = b"gyrofleet.written"
 
 Progress = Callable[[int, int], None]
@@ -54,23 +55,9 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
 
 def run_fingerprints(catalog: Catalog) -> dict[str, str]:
     """Hash of what the records of each run with a completed step depend on: its samples and its documents."""
-    found = catalog.rows(
-        """
-        with sampled as (
-          select run, string_agg(
-              concat_ws('|', channel, samples, kept_raw, t_first_ns, t_last_ns), ';' order by channel) as samples
-          from internal.lake_channels group by run
-        ), documented as (
-          select run, bit_xor(hash(uid)) as documents, count(*) as n,
-            count(*) filter (kind = 'StepEnded') as steps
-          from internal.lake_documents where kind not in ('EstimatePublished', 'EarlyDecision') group by run
-        )
-        select run, samples, documents::varchar, n from documented join sampled using (run) where steps > 0 order by run
-        """
-    )
     return {
         run: hashlib.sha256(f"{_VERSION}/{samples}/{documents}/{n}".encode()).hexdigest()[:32]
-        for run, samples, documents, n in found
+        for run, samples, documents, n in catalog.rows(_INPUTS)
     }
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import gammaln
-from scipy.stats import norm
 
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray
@@ -124,20 +123,3 @@ def ewma_chart(
     grown = 1 - (1 - weight) ** (2 * np.arange(1, values.size + 1))
     half = width * sigma * np.sqrt(weight / (2 - weight) * grown)
     return EwmaChart(averages, centre - half, centre + half, weight, width)
-
-
-def average_run_length(weight: float, width: float, shift: float = 0.0, states: int = 201) -> float:
-    """Points until the average leaves steady limits, by the Markov chain of Brook and Evans (Lucas, Saccucci 1990).
-
-    `shift`: by how many sigma the process has moved.
-
-    >>> round(average_run_length(0.2, 2.86))
-    371
-    """
-    half = width * np.sqrt(weight / (2 - weight))
-    edges = np.linspace(-half, half, states + 1)
-    middles = (edges[1:] + edges[:-1]) / 2
-    reached = norm.cdf((edges[None, :] - (1 - weight) * middles[:, None]) / weight - shift)
-    moves = np.diff(reached, axis=1)
-    lengths = np.linalg.solve(np.eye(states) - moves, np.ones(states))
-    return float(lengths[states // 2])

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from analytics.metric_registry.registry import metrics
 from analytics.trends.between_stations import Difference, GroupComparison, Pairs
 from analytics.trends.capability import Capability
 from analytics.trends.change_points import Changes, Drift
@@ -17,8 +16,7 @@ from analytics.trends.words import NotComputed
 
 def document(trend: Trend) -> dict[str, Any]:
     """All results of a trend; one that was not computed has a `reason`."""
-    series = trend.series
-    header = metrics()[series.metric].header if series.metric in metrics() else None
+    series, header = trend.series, trend.series.header
     limits, charts = trend.specification, zip(trend.charts, trend.capabilities, strict=True)
     return {
         "metric": series.metric,

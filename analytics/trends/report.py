@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from analytics.metric_registry.registry import metrics
 from analytics.trends.between_stations import GROUP_NAMES_ZH
 from analytics.trends.change_points import Changes, Drift
 from analytics.trends.control_chart import IndividualsChart
@@ -56,8 +55,7 @@ def moment(series: MetricSeries, index: int) -> str:
 
 
 def _head(trend: Trend) -> Words:
-    series = trend.series
-    header = metrics()[series.metric].header if series.metric in metrics() else None
+    series, header = trend.series, trend.series.header
     units, charts = len(set(series.unit)), len(trend.charts)
     if trend.by is None:
         charted = Words("one chart, of the first value of each unit", "控制图取每个样品的首个值")

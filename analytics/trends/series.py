@@ -4,13 +4,14 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from analytics.evaluation.selection import evaluated
-from analytics.metric_registry.registry import check_metrics, metrics
+from analytics.metric_registry.registry import MetricHeader, check_metrics, metrics
 from analytics.specifications.verdicts import rows_of
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
@@ -29,37 +30,7 @@ _RESULTS = frozenset(
 _TEMPERATURE = "temperature"
 _TEMPERATURE_GAP_DEG_C = 5.0
 _FEW = 12
-_SQL = """
-with chosen as (
-  select row_number() over () as number, *
-  from unit_metrics where metric = $metric
-), placed as (
-  select c.number,
-    max(s.t_to_ns) as t_ns,
-    arg_max(s.station, s.t_to_ns) as station,
-    arg_max(s.lot, s.t_to_ns) as lot,
-    arg_max(s.fixture, s.t_to_ns) as fixture,
-    arg_max(s.product, s.t_to_ns) as product,
-    bool_and(s.date_known) as date_known
-  from (select *, unnest(case when len(runs) > 0 then runs else [run] end) as in_run from chosen) c
-  join step_means s on s.run = c.in_run and s.unit = c.unit
-    and (len(c.runs) > 1 or coalesce(len(c.steps), 0) = 0 or list_contains(c.steps, s."index"))
-  group by c.number
-)
-select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.standard_uncertainty, c.unit_of_measure,
-  c.standard, c.parameters, c.reason,
-  p.t_ns, coalesce(p.date_known, r.date_known, false) as date_known,
-  coalesce(p.station, u.station, r.station) as station,
-  coalesce(p.lot, u.lot, r.lot) as lot,
-  coalesce(p.fixture, u.fixture) as fixture,
-  coalesce(p.product, u.product) as product,
-  epoch_ns(coalesce(r.started, r.recorded)) as recorded_ns,
-  c.steps
-from chosen c
-left join placed p using (number)
-left join units u on u.run = coalesce(c.run, c.runs[-1]) and u.unit = c.unit
-left join runs r on r.run = coalesce(c.run, c.runs[-1])
-"""
+_SQL = files("analytics.trends").joinpath("metric_values.sql").read_text()
 
 
 class Variant(NamedTuple):
@@ -90,10 +61,14 @@ class MetricSeries:
     dated: bool  # whether the dates of all runs are known
 
     @property
+    def header(self) -> MetricHeader | None:
+        """The header of the metric; None where there is no such metric now."""
+        return metrics()[self.metric].header if self.metric in metrics() else None
+
+    @property
     def is_magnitude(self) -> bool:
         """Whether the values cannot be negative, as deviations and sizes of effects."""
-        known = metrics().get(self.metric)
-        return known is not None and known.header.better == "lower" and bool((self.value >= 0).all())
+        return self.header is not None and self.header.better == "lower" and bool((self.value >= 0).all())
 
     def where(self, chosen: Iterable[int]) -> "MetricSeries":
         """Some of the values, by their indices."""
