@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
     from stream.estimators.base import NoEstimate
 
-_SECONDS_PER_HOUR = 3600.0
 _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 
 
@@ -174,8 +173,8 @@ def _rolling(
     with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
         unit, signal, run = which
         surface = rolling_allan(
-            catalog, unit, signal, chosen_run(catalog, unit, signal, run), window_s=window_h * _SECONDS_PER_HOUR,
-            step_s=(window_h / 8 if step_h is None else step_h) * _SECONDS_PER_HOUR,
+            catalog, unit, signal, chosen_run(catalog, unit, signal, run), window_s=window_h * 3600,
+            step_s=(window_h / 8 if step_h is None else step_h) * 3600,
             points_per_octave=points_per_octave,
         )  # fmt: skip
     if plot_path is not None:

@@ -18,7 +18,7 @@ class MetricsLayer:
     The code that computes them is imported only then: every command that opens a catalogue makes a layer.
     """
 
-    tables = (
+    tables: tuple[str, ...] = (
         "step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve", "unit_runs",
         "metric_names", "specification_limits", "specification_history", "unit_warnings", "unused_steps",
     )  # fmt: skip
@@ -36,7 +36,9 @@ class MetricsLayer:
     @property
     def columns(self) -> "ColumnTexts":
         """Descriptions of the columns of its tables."""
-        return _column_texts()
+        from storage.sql.tables import read_texts
+
+        return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))
 
     def fill(self, catalog: "Catalog") -> None:
         """Bring the metrics up to date, and define the tables."""
@@ -52,11 +54,10 @@ class MetricsLayer:
         return kept_findings(store)
 
 
-class VerdictsLayer:
+class VerdictsLayer(MetricsLayer):
     """Verdicts on the metrics; apart from them, since their views take longer to define than all others."""
 
     tables = ("verdicts", "unit_verdicts", "yield_by", "failure_pareto")
-    folder = FOLDER
     examples: ClassVar[dict[str, str]] = {
         "Which units are not good, and why?": "select unit, metric, verdict, value, lower, upper, reason "
         "from verdicts where verdict <> 'PASS' order by unit, metric",
@@ -64,11 +65,6 @@ class VerdictsLayer:
         "where kind = 'lot'",
         "What do units fail by?": "select metric, subject, failed, judged, cumulative_share from failure_pareto",
     }
-
-    @property
-    def columns(self) -> "ColumnTexts":
-        """Descriptions of the columns of its tables."""
-        return _column_texts()
 
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables, after the metrics."""
@@ -82,24 +78,10 @@ class VerdictsLayer:
         return []
 
 
-def define_tables(catalog: "Catalog") -> None:
-    """Define the tables that use the step records and metrics of a catalogue, and the specifications of its store."""
-    from analytics.evaluation.evaluation import define_scripts
-
-    define_metric_tables(catalog)
-    define_scripts(catalog, "verdict_tables")
-
-
 def define_metric_tables(catalog: "Catalog") -> None:
-    """Define those without verdicts."""
+    """Define the tables that use the step records and metrics of a catalogue, and the specifications of its store."""
     from analytics.evaluation.evaluation import define_scripts
     from analytics.specifications.sql_tables import put_names
 
     put_names(catalog)
     define_scripts(catalog, "tables")
-
-
-def _column_texts() -> "ColumnTexts":
-    from storage.sql.tables import read_texts
-
-    return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))

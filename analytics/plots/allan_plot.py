@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from analytics.curves.allan_curve import AllanCurve
@@ -23,7 +22,7 @@ from analytics.plots.allan_marks import (
     limit_marks,
     write_names,
 )
-from analytics.plots.figure_file import check_suffix, logarithmic_grid, widened, write_figure
+from analytics.plots.figure_file import LEFT, check_suffix, logarithmic_grid, page, widened, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
 from stream.events import Limit
@@ -60,8 +59,7 @@ _WORDS = {
         "fit": "拟合模型(各项之和)",
     },
 }
-SECONDS_PER_HOUR = 3600.0
-_LEFT, _WIDTH = 0.095, 0.745
+_WIDTH = 0.745
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16
 
@@ -81,8 +79,7 @@ def plot_allan(
     Holds no global state of matplotlib: calls may run in several threads.
     """
     check_suffix(path)
-    figure = _figure(_checked(curves, chosen), list(limits), title, chosen, language, found)
-    write_figure(figure, path)
+    write_figure(_figure(_checked(curves, chosen), list(limits), title, chosen, language, found), path)
 
 
 def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurve]:
@@ -108,9 +105,9 @@ def _figure(
 ) -> Figure:  # fmt: skip
     wanted = [part for part in language.split("+") if part == "en" or chinese_font() is not None] or ["en"]
     words = _WORDS[wanted[0]]
-    figure = Figure(figsize=(8.2, 5.4), facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((_LEFT, 0.135, _WIDTH, 0.725))
+    names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
+    what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
+    figure, axes = page(title or _title(curves, chosen), what, _WIDTH)
     marks = limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
     _scales(axes, curves, marks)
     if found is None:
@@ -133,12 +130,8 @@ def _figure(
     axes.set_xlabel(words["tau"], color=INK, fontsize=10)
     bare = curves[0].bare_names[_LANGUAGES.index(wanted[0])]
     axes.set_ylabel(words["deviation"].format(name=bare, unit=curves[0].unit_of_measure), color=INK, fontsize=10)
-    figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)
-    names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
-    what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
-    figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
     shown = [curve for curve in curves if chosen in (None, curve.unit)]
-    figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
+    figure.text(LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
     set_fonts(figure)
     return figure
 
@@ -202,7 +195,7 @@ def _title(curves: list[AllanCurve], chosen: str | None) -> str:
 
 def _record(curves: list[AllanCurve], words: dict[str, str]) -> str:
     """Lengths of the records and missing samples."""
-    hours = sorted(curve.samples * curve.sample_interval_s / SECONDS_PER_HOUR for curve in curves)
+    hours = sorted(curve.samples * curve.sample_interval_s / 3600 for curve in curves)
     least, most = f"{hours[0]:.3g}", f"{hours[-1]:.3g}"
     return words["record"].format(
         hours=least if least == most else f"{least} \N{EN DASH} {most}",
