@@ -1,6 +1,8 @@
 """The 24 rows of JJF 2014-2022 annex A (inner page of the certificate) for one unit."""
 
+import tomllib
 from collections import defaultdict
+from importlib.resources import files
 from typing import NamedTuple
 
 from analytics.evaluation.selection import Row, Selection, selected
@@ -18,34 +20,8 @@ class Characteristic(NamedTuple):
     metric: str
 
 
-_ROWS = """\
-scale_factor: 标度因数: Scale factor
-scale_factor_nonlinearity: 标度因数非线性度: Scale factor nonlinearity
-range: 量程: Range
-scale_factor_asymmetry: 标度因数不对称度: Scale factor asymmetry
-scale_factor_repeatability: 标度因数重复性: Scale factor repeatability
-scale_factor_temperature_sensitivity: 标度因数温度灵敏度: Scale factor temperature sensitivity
-scale_factor_acceleration_sensitivity: 标度因数轴向加速度敏感度: Scale factor sensitivity to axial acceleration
-scale_factor_shock_change: 标度因数冲击前后变化量: Change of the scale factor by shock
-scale_factor_vibration_change: 标度因数振动前后变化量: Change of the scale factor by vibration
-threshold: 阈值: Threshold
-resolution: 分辨率: Resolution
-misalignment: 输入轴失准角: Input axis misalignment
-misalignment_repeatability: 输入轴失准角重复性: Input axis misalignment repeatability
-bias: 零偏: Bias
-bias_stability_averaged: 零偏稳定性: Bias stability
-bias_repeatability: 零偏重复性: Bias repeatability
-bias_temperature_sensitivity: 零偏温度灵敏度: Bias temperature sensitivity
-bias_acceleration_sensitivity: 零偏加速度灵敏度: Bias acceleration sensitivity
-bias_shock_change: 零偏冲击前后变化量: Change of the bias by shock
-bias_vibration_change: 零偏振动前后变化量: Change of the bias by vibration
-angle_random_walk: 角度随机游走系数: Angle random walk
-bandwidth: 带宽: Bandwidth
-output_delay: 输出延迟时间: Output delay
-startup_time: 启动时间: Start-up time
-"""
-_NAMES = (line.split(": ") for line in _ROWS.splitlines())
-CHARACTERISTICS = tuple(Characteristic(zh, en, metric) for metric, zh, en in _NAMES)
+_ROWS = tomllib.loads(files("analytics.evaluation").joinpath("annex_a.toml").read_text(encoding="utf-8"))
+_CHARACTERISTICS = tuple(Characteristic(zh, en, metric) for metric, (zh, en) in _ROWS.items())
 
 
 class AnnexRow(NamedTuple):
@@ -75,7 +51,7 @@ def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
     of_metric: defaultdict[str, list[Row]] = defaultdict(list)
     for row in rows:
         of_metric[row["metric"]].append(row)
-    return [_row(number, each, of_metric[each.metric], began) for number, each in enumerate(CHARACTERISTICS, 1)]
+    return [_row(number, each, of_metric[each.metric], began) for number, each in enumerate(_CHARACTERISTICS, 1)]
 
 
 def _row(number: int, characteristic: Characteristic, rows: list[Row], began: dict[str, int]) -> AnnexRow:

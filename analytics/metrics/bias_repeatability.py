@@ -73,8 +73,7 @@ def _standards(
     parameters |= {"power_ons": len(row["biases"]), "power_ons_recorded": row["counted_by"].count("power-on")}
     parameters |= {"days": len(set(row["days"])) if row["is_dated"] else None, "remark": _remark(row)}
     parameters |= made_of
-    common = {name: row[name] for name in ("unit", "signal", "run", "runs", "steps")}
-    common |= {"n": n, "parameters": parameters}
+    common = {**row, "n": n, "parameters": parameters}
     if "component" in kind or n >= LEAST_GJB or "reason" in value:
         yield common | value
         return

@@ -39,8 +39,8 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
 
 
 def _row(step: Mapping[str, Any], readings: _Readings) -> dict[str, Any]:
-    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "n": 0, "steps": [step["index"]]}
-    row |= {"parameters": {"supply": step["supply"], "step": step["step"]}}
+    row = {**step, "signal": "supply_power", "n": 0, "steps": [step["index"]]}
+    row["parameters"] = {"supply": step["supply"], "step": step["step"]}
     if (reason := _lack(step, readings)) is not None:
         return row | {"reason": reason}
     power, t_ns = watts(*readings["supply_voltage"], *readings["supply_current"])

@@ -24,8 +24,7 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
         found = scatter([each / mean * 1e6 for each in scales] if mean else [], days if mean else [])
         parameters = {"scale_factors": len(scales), "mean": mean if scales else None}
         parameters["days"] = len(set(days)) if row["is_dated"] else None
-        common = {name: row[name] for name in ("unit", "signal", "run", "standard", "runs", "steps")}
-        common |= {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
+        common = row | {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
         for kind in KINDS:
             yield common | {"parameters": {"kind": kind} | parameters} | _value(row, found, kind)
 

@@ -1,6 +1,8 @@
 """A plot of Allan deviations, for a data sheet or a report: PNG or SVG."""
 
+import tomllib
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +14,6 @@ from analytics.curves.noise_coefficients import NoiseCoefficients
 from analytics.plots.allan_marks import (
     FLEET,
     INK,
-    MINUS_HALF,
     SOFT,
     EndName,
     LimitMark,
@@ -33,32 +34,7 @@ _LANGUAGES = ("en", "zh")
 # Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
-_WORDS = {
-    "en": {
-        "tau": "Averaging time τ (s)",
-        "deviation": "{name} ({unit})",
-        "what": "{overlapping}; bands: 95 % confidence",
-        "limit": "limit",
-        "+1/2": "rate random walk",
-        "0": "bias instability",
-        MINUS_HALF: "angle random walk",
-        "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
-        "others": "{n} other units",
-        "fit": "fitted model, all terms",
-    },
-    "zh": {
-        "tau": "平均时间 τ (s)",
-        "deviation": "{name} ({unit})",
-        "what": "{overlapping}；色带：95 % 置信区间",
-        "limit": "限值",
-        "+1/2": "角速率随机游走",
-        "0": "零偏不稳定性",
-        MINUS_HALF: "角度随机游走",
-        "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
-        "others": "其余 {n} 只",
-        "fit": "拟合模型(各项之和)",
-    },
-}
+_WORDS = tomllib.loads(files("analytics.plots").joinpath("allan_words.toml").read_text(encoding="utf-8"))
 _WIDTH = 0.745
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16

@@ -64,10 +64,7 @@ def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes |
     """
     n = values.size
     if n < LEAST_POINTS or n > _MOST_POINTS:
-        return not_computed(
-            f"{n} points; changes are searched in {LEAST_POINTS} to {_MOST_POINTS} points",
-            f"共 {n} 点；变点检测需要 {LEAST_POINTS} 至 {_MOST_POINTS} 点",
-        )
+        return not_computed("changes_short", points=n, least=LEAST_POINTS, most=_MOST_POINTS)
     tame = clipped(values)
     squares, starts = _divisions(tame)
     if squares[0] <= 1e-24 * n * float(values.mean()) ** 2:
@@ -184,10 +181,7 @@ def drift(time: FloatArray, values: FloatArray) -> Drift | NotComputed:
     """
     n = values.size
     if n < LEAST_DRIFT_POINTS or not np.ptp(time) > 0:
-        return not_computed(
-            f"{n} points; a drift needs {LEAST_DRIFT_POINTS} at different times",
-            f"共 {n} 点；漂移估计需要不同时刻的 {LEAST_DRIFT_POINTS} 点",
-        )
+        return not_computed("drift_short", points=n, least=LEAST_DRIFT_POINTS)
     middle, spread = float(time.mean()), float(np.ptp(time))
     columns = np.column_stack([np.ones(n), (time - middle) / spread])
     level = values - values.mean()

@@ -81,14 +81,10 @@ def individuals_chart(
     """
     first = values if baseline is None else values[:baseline]
     if first.size < LEAST_POINTS:
-        return not_computed(
-            f"{first.size} points, a chart's limits need {LEAST_POINTS}: measure on",
-            f"仅有 {first.size} 点，确定控制限至少需要 {LEAST_POINTS} 点：请继续测量",
-        )
+        return not_computed("chart_short", points=first.size, least=LEAST_POINTS)
     centre, sigma = (float(each) for each in centre_and_sigma(first, spread))
     if not sigma > 1e-12 * abs(centre):
-        en = "the values do not vary from point to point: a chart has no limits then"
-        return not_computed(en, "各点数值无变化：无法确定控制限")
+        return not_computed("chart_constant")
     lower, upper = centre - WIDTH * sigma, centre + WIDTH * sigma
     return IndividualsChart(centre, sigma, lower, upper, D2 * sigma, (D2 + WIDTH * D3) * sigma, int(first.size), spread)
 

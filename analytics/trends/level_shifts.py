@@ -86,15 +86,11 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
     station_of_value = layout.station[layout.session]
     repeated = int((np.bincount(layout.unit) > 1).sum())
     if series.value.size < LEAST_VALUES or repeated < LEAST_UNITS:
-        return not_computed(
-            f"{series.value.size} values, {repeated} units measured more than once; changes of stations need "
-            f"{LEAST_VALUES} values with {LEAST_UNITS} such units",
-            f"共 {series.value.size} 个数值、{repeated} 个重复测量的样品；测试站变点检测至少需要 "
-            f"{LEAST_VALUES} 个数值与 {LEAST_UNITS} 个重复测量的样品",
-        )
+        counts = {"values": series.value.size, "repeated": repeated}
+        return not_computed("shifts_short", **counts, least=LEAST_VALUES, units=LEAST_UNITS)
     middle, scale = float(np.median(series.value)), float(series.value.std())
     if not scale > 1e-12 * abs(middle):
-        return not_computed("the values do not vary", "数值无变化")
+        return not_computed("shifts_constant")
     y = (series.value - middle) / scale
     ratio = min(unit_ratio(y, layout.unit, station_of_value), _MOST_RATIO)
     model = SessionModel(layout.session, layout.unit, layout.station, ratio)
