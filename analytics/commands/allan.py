@@ -33,13 +33,9 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 )  # fmt: skip
 @click.option("--tau", "taus", metavar="SECONDS,...", help="These averaging times, as 10,100,1000.")
 @click.option(
-    "--deviation",
-    "kind",
-    type=click.Choice(_DEVIATIONS),
-    default="oadev",
-    show_default=True,
+    "--deviation", "kind", type=click.Choice(_DEVIATIONS), default="oadev", show_default=True,
     help="Allan, overlapping Allan, modified Allan, Hadamard or overlapping Hadamard (blind to a steady drift).",
-)
+)  # fmt: skip
 @click.option(
     "--overlap",
     type=click.Choice(["full", "strided"]),
@@ -139,12 +135,9 @@ def _working(*, as_json: bool) -> AbstractContextManager[object]:
 
 
 def _show(
-    curve: "AllanCurve",
-    found: "NoiseCoefficients | NoEstimate | None",
-    outliers: "IsolatedOutliers | None",
-    *,
+    curve: "AllanCurve", found: "NoiseCoefficients | NoEstimate | None", outliers: "IsolatedOutliers | None", *,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     from analytics.curves.noise_coefficients import curve_document, noise_table
     from stream.estimators.base import NoEstimate
 

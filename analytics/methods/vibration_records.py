@@ -203,11 +203,7 @@ def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> 
     omega = 2 * math.pi * given.frequency_hz if reference.is_angle else 1.0
     gain = own.amplitude / (given.amplitude * omega)
     relative = math.hypot(own.amplitude_uncertainty / own.amplitude, given.amplitude_uncertainty / given.amplitude)
-    return SineRatio(
-        frequency_hz=step["frequency"],
-        gain=gain,
-        gain_uncertainty=gain * relative,
-        # erratum: the rate leads the angle by pi/2, GJB 2426A-2004 (33) prints -pi/2
-        phase_rad=own.phase_rad - given.phase_rad - (math.pi / 2 if reference.is_angle else 0.0),
-        phase_uncertainty_rad=math.hypot(own.phase_uncertainty_rad, given.phase_uncertainty_rad),
-    )
+    # erratum: the rate leads the angle by pi/2, GJB 2426A-2004 (33) prints -pi/2
+    phase_rad = own.phase_rad - given.phase_rad - (math.pi / 2 if reference.is_angle else 0.0)
+    phase_u = math.hypot(own.phase_uncertainty_rad, given.phase_uncertainty_rad)
+    return SineRatio(step["frequency"], gain, gain * relative, phase_rad, phase_u)

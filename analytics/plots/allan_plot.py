@@ -11,18 +11,8 @@ from matplotlib.figure import Figure
 
 from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.noise_coefficients import NoiseCoefficients
-from analytics.plots.allan_marks import (
-    FLEET,
-    INK,
-    SOFT,
-    EndName,
-    LimitMark,
-    draw_fit,
-    draw_limit,
-    draw_slopes,
-    limit_marks,
-    write_names,
-)
+from analytics.plots import allan_marks
+from analytics.plots.allan_marks import FLEET, INK, SOFT, EndName, LimitMark
 from analytics.plots.figure_file import LEFT, check_suffix, logarithmic_grid, page, widened, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
@@ -84,10 +74,10 @@ def _figure(
     names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
     what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
     figure, axes = page(title or _title(curves, chosen), what, _WIDTH)
-    marks = limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
+    marks = allan_marks.limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
     _scales(axes, curves, marks)
     if found is None:
-        draw_slopes(axes, _crowd(curves, marks), words)
+        allan_marks.draw_slopes(axes, _crowd(curves, marks), words)
     names: list[EndName] = []
     for i, curve in enumerate(curves):
         _curve(axes, curve, i, len(curves), chosen)
@@ -98,11 +88,11 @@ def _figure(
         middle = sorted(others, key=lambda curve: curve.adev[-1])[len(others) // 2]
         names.append(EndName(words["others"].format(n=len({c.unit for c in others})), SOFT, *middle.end))
     if len(names) <= _NAMED_AT_MOST:
-        write_names(axes, names)
+        allan_marks.write_names(axes, names)
     for mark in marks:
-        draw_limit(axes, mark, words["limit"])
+        allan_marks.draw_limit(axes, mark, words["limit"])
     if found is not None:
-        draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
+        allan_marks.draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
     axes.set_xlabel(words["tau"], color=INK, fontsize=10)
     bare = curves[0].bare_names[_LANGUAGES.index(wanted[0])]
     axes.set_ylabel(words["deviation"].format(name=bare, unit=curves[0].unit_of_measure), color=INK, fontsize=10)

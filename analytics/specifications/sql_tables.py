@@ -73,11 +73,11 @@ def put_names(catalog: Catalog) -> None:
 
 def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> dict[str, object]:
     period, specification = edition.period, edition.period.specification
-    names = ("metric", "subject", "product", "signal", "standard", "lower", "upper", "unit_of_measure")
-    return {name: getattr(limit, name) for name in names} | {
-        "limit_id": limit_id, "specification": specification.name, "revision": specification.revision,
-        "from_ns": period.from_ns, "until_ns": period.until_ns, "known_from_ns": edition.known_from_ns,
-        "known_until_ns": edition.known_until_ns, "valid": period.text, "revisions": edition.revisions,
+    return msgspec.structs.asdict(limit) | {
+        "limit_id": limit_id, "subject": limit.subject, "specification": specification.name,
+        "revision": specification.revision, "from_ns": period.from_ns, "until_ns": period.until_ns,
+        "known_from_ns": edition.known_from_ns, "known_until_ns": edition.known_until_ns, "valid": period.text,
+        "revisions": edition.revisions,
         "parameters": json.dumps(limit.parameters, sort_keys=True, ensure_ascii=False),
         "parameter_count": len(limit.parameters),
     }  # fmt: skip
@@ -92,9 +92,8 @@ def _product_rows(edition: Edition) -> list[dict[str, object]]:
 
 
 def _history(chain: Chain) -> list[dict[str, object]]:
-    names = ("t_ns", "reason", "rejudges", "content", "previous")
     return [
-        {name: getattr(link.document, name) for name in names}
+        msgspec.structs.asdict(link.document)
         | {"action": link.document.action.value, "specification": link.document.name, "sha256": link.hash}
         | {"revision": link.document.revision, "entered_by": link.document.by}
         for link in chain.links

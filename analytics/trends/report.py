@@ -3,14 +3,15 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
+from analytics.trends.between_stations import Difference, GroupComparison
+from analytics.trends.capability import Capability
 from analytics.trends.change_points import Changes, Drift
 from analytics.trends.control_chart import IndividualsChart
-from analytics.trends.group_report import about, of_capability, of_components, of_groups
 from analytics.trends.level_shifts import LevelShift, LevelShifts
 from analytics.trends.nelson_rules import RULES, wild_point_chance
 from analytics.trends.series import MetricSeries
 from analytics.trends.sessions import LEAST_UNITS
-from analytics.trends.trend import NS_PER_DAY, Chart, Trend
+from analytics.trends.trend import FALSE_ALARM, NS_PER_DAY, Chart, Trend
 from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
 
 _BRIEF_DAYS = 10
@@ -23,7 +24,7 @@ def sentences(trend: Trend) -> list[Words]:
     stations, outliers, changes of charts, drifts, signals of rules, and groups; adjusted for all charts and groups).
     """
     found = _significant(trend) or [_nothing(trend)]
-    return [_head(trend), *found, *of_components(trend), *of_capability(trend), *_left_out(trend)]
+    return [_head(trend), *found, *_of_components(trend), *_of_capability(trend), *_left_out(trend)]
 
 
 def stands_out(trend: Trend) -> bool:
@@ -32,8 +33,8 @@ def stands_out(trend: Trend) -> bool:
 
 
 def _significant(trend: Trend) -> list[Words]:
-    of_charts = (about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
-    return [*_of_shifts(trend), *of_charts, *of_groups(trend)]
+    of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
+    return [*_of_shifts(trend), *of_charts, *_of_groups(trend)]
 
 
 def moment(series: MetricSeries, index: int) -> str:
@@ -150,6 +151,109 @@ def _nothing(trend: Trend) -> Words:
         return words("too_little")
     groups = words("nothing_between", names=joined(map(group_name, compared), ", ", "、")) if compared else NOTHING
     return words("nothing", groups=groups)
+
+
+def _about(trend: Trend, names: list[str], text: Words) -> Words:
+    """A sentence on these charts; without their names where all units share one."""
+    whose = NOTHING
+    if trend.by is not None:
+        whose = words("about", group=group_name(trend.by), names=listed(names))
+    return Words(_capitalised(f"{whose.en}{text.en}"), f"{whose.zh}{text.zh}")
+
+
+def _capitalised(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
+def _of_groups(trend: Trend) -> Iterator[Words]:
+    """Significant differences between the levels of groups."""
+    if isinstance(trend.comparison, NotComputed):
+        return
+    reported: set[str] = set()
+    for each in trend.comparison.differences:
+        if each.adjusted > FALSE_ALARM or reported & set(each.confounded):
+            continue
+        if each.confounded:
+            reported.add(each.group)
+        yield _difference(each, trend.comparison, trend.series.unit_of_measure)
+
+
+def _difference(found: Difference, comparison: GroupComparison, unit: str) -> Words:
+    effect = found.effect
+    higher = effect.value > 0
+    lo, hi = (effect.lo, effect.hi) if higher else (-effect.hi, -effect.lo)
+    group = group_name(found.group)
+    against = words("against_level" if found.against else "against_others", group=group, level=found.against)
+    return words(
+        "difference", group=Words(_capitalised(group.en), group.zh), level=found.level,
+        size=interval(abs(effect.value), lo, hi, unit), way=words("higher" if higher else "lower"), against=against,
+        why=_attribution(found, comparison, unit),
+    )  # fmt: skip
+
+
+def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> Words:
+    """The cause of a difference, as far as it can be known."""
+    group = group_name(found.group)
+    if found.confounded:
+        return words("confounded", names=joined(map(group_name, found.confounded), " and ", "、"), group=group)
+    if found.group == "lot":
+        return NOTHING
+    of_group = [each for each in comparison.pairs if each.group == found.group]
+    levels = {found.level, found.against}
+    pair = next((each for each in of_group if {each.level, each.against} == levels), None)
+    elsewhere = [each.units for each in of_group if not found.against and found.level in {each.level, each.against}]
+    if pair is None:
+        return words("units_elsewhere", n=max(elsewhere)) if elsewhere else words("units_on_one")
+    sign = 1 if pair.level == found.level else -1
+    lo, hi = sorted((sign * pair.effect.lo, sign * pair.effect.hi))
+    proof = words("proof" if lo > 0 or hi < 0 else "proof_none", group=group)
+    size = interval(sign * pair.effect.value, lo, hi, unit)
+    return words("units_on_both", units=pair.units, size=size, proof=proof)
+
+
+def _of_components(trend: Trend) -> Iterator[Words]:
+    """Components of variance, where repeated measurements or groups separate them."""
+    found = trend.components
+    if "unit" not in found and len(found) < 2:
+        return
+    names = {"unit": "between_units", "residual": "between_measurements"}
+    if "unit" not in found:
+        names["residual"] = "between_units_measured"
+    parts = []
+    for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
+        # the upper bound of few levels may be far away: two digits of each suffice
+        value, lo, hi = (f"{each:.2g}" for each in found[name])
+        whose, unit = words(names.get(name, "between_levels"), group=group_name(name)), trend.series.unit_of_measure
+        parts.append(words("component", name=whose, unit=unit, value=value, lo=lo, hi=hi))
+    yield words("components", parts=joined(parts))
+
+
+def _of_capability(trend: Trend) -> Iterator[Words]:
+    """Capability of each chart, or why there is none."""
+    refused: dict[Words, list[str]] = {}
+    for chart, found in zip(trend.charts, trend.capabilities, strict=True):
+        if isinstance(found, NotComputed):
+            refused.setdefault(found.why, []).append(chart.name)
+        else:
+            yield _about(trend, [chart.name], _capable(trend, found))
+    if trend.by == "unit" and len(trend.charts) > 1:
+        return
+    for why, names in refused.items():
+        yield _about(trend, names, words("no_capability", why=why))
+
+
+def _capable(trend: Trend, found: Capability) -> Words:
+    indices = {name: index for name, index in (("Cp", found.cp), ("Cpk", found.cpk)) if index is not None}
+    noise = NOTHING
+    if found.measurement_share is not None:
+        noise = words("share", share=f"{found.measurement_share * 100:.2g} %")
+    limits = trend.specification
+    sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
+    return words(
+        "capability", n=found.n, noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
+        indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
+        sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
+    )  # fmt: skip
 
 
 def _left_out(trend: Trend) -> Iterator[Words]:

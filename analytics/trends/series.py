@@ -21,12 +21,10 @@ GROUPS = ("station", "fixture", "lot")
 UNGIVEN = "(not given)"
 
 # Results beside the value, no settings: values that differ in these are of one kind.
-_RESULTS = frozenset(
-    (
-        "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days",
-        "power_ons", "n", "remark",
-    )
-)  # fmt: skip
+_RESULTS = {
+    "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days", "power_ons",
+    "n", "remark",
+}  # fmt: skip
 _TEMPERATURE = "temperature"
 _TEMPERATURE_GAP_DEG_C = 5.0
 _FEW = 12
@@ -229,16 +227,11 @@ def _series(
     rows.sort(key=lambda row: (_moment(row) or 0, row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1
     return MetricSeries(
-        metric=metric,
-        unit_of_measure=unit_of_measure,
-        value=np.array([row["value"] for row in rows], np.float64),
+        metric=metric, unit_of_measure=unit_of_measure, value=np.array([row["value"] for row in rows], np.float64),
         uncertainty=np.array([row["standard_uncertainty"] for row in rows], np.float64),
         t_ns=np.array([_moment(row) or 0 for row in rows], np.int64),
         unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],
         run=[row["run"] or "" for row in rows],
         groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")},
-        variant=variant,
-        others=others,
-        without_value=without_value,
-        dated=all(row["date_known"] for row in rows),
-    )
+        variant=variant, others=others, without_value=without_value, dated=all(row["date_known"] for row in rows),
+    )  # fmt: skip

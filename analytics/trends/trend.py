@@ -85,13 +85,9 @@ class Trend:
 
 
 def trend_of(
-    series: MetricSeries,
-    *,
-    by: str | None = None,
-    baseline: int | None = None,
-    spread: Spread = Spread.MEDIAN_MOVING_RANGE,
-    specification: SpecifiedLimits = SpecifiedLimits(),
-) -> Trend:
+    series: MetricSeries, *, by: str | None = None, baseline: int | None = None,
+    spread: Spread = Spread.MEDIAN_MOVING_RANGE, specification: SpecifiedLimits = SpecifiedLimits(),
+) -> Trend:  # fmt: skip
     """Make the control charts of a series and compare its groups.
 
     One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
@@ -146,15 +142,11 @@ def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray
     """Level shifts as changes of the chart with these values of the series."""
     changes = tuple(
         ChangePoint(
-            int(np.searchsorted(at, each.at)),
-            int(np.searchsorted(at, each.first, side="right")),
-            min(int(np.searchsorted(at, each.last)), at.size - 1),
-            each.size,
-            each.lo,
-            each.hi,
+            int(np.searchsorted(at, each.at)), int(np.searchsorted(at, each.first, side="right")),
+            min(int(np.searchsorted(at, each.last)), at.size - 1), each.size, each.lo, each.hi,
         )
         for each in shifts
-    )
+    )  # fmt: skip
     edges = sorted({0, *(each.at for each in changes), at.size})
     stretches = [points[first:last] for first, last in pairwise(edges)]
     squares = sum(float(((each - each.mean()) ** 2).sum()) for each in stretches)
