@@ -63,9 +63,6 @@ class DemoState:
     found: UnitsDiagnosis | None = None
 
 
-_Watcher = Callable[[DemoState], object]
-
-
 def demo_limits() -> UnitLimits:
     """Limits of the demonstration's specification, which ships with the package."""
     content = files("analytics.demo").joinpath("demo_limits.toml").read_bytes()
@@ -74,7 +71,9 @@ def demo_limits() -> UnitLimits:
     return found
 
 
-def run_demo(folder: Path, *, hours: float, seed: int, on_progress: _Watcher = lambda _: None) -> DemoState:
+def run_demo(
+    folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], object] = lambda _: None
+) -> DemoState:
     """Simulate the fleet for so many hours, send it through bus, log, lake and estimators, and judge it.
 
     `on_progress` is called several times a second, in the caller's thread. Raises GyrofleetError if any part of the

@@ -12,36 +12,25 @@ from storage.sql.catalog import Catalog
 STANDARD = "JJF2014"
 
 
-class Characteristic(NamedTuple):
-    """A row of the annex: its name as it is printed there, and the metric that fills it."""
-
-    zh: str
-    en: str
-    metric: str
-
-
+# by the metric that fills a row, its name in Chinese and English
 _ROWS = tomllib.loads(files("analytics.evaluation").joinpath("annex_a.toml").read_text(encoding="utf-8"))
-_CHARACTERISTICS = tuple(Characteristic(zh, en, metric) for metric, (zh, en) in _ROWS.items())
 
 
 class AnnexRow(NamedTuple):
     """One characteristic of a unit: the values of the last run with any, or the reason why there is none."""
 
     number: int
-    characteristic: Characteristic
+    zh: str  # the name as it is printed there
+    en: str
+    metric: str  # the metric that fills the row
     results: tuple[Row, ...]
     reason: str | None
 
     @property
     def clause(self) -> str:
         """Clause of the standard."""
-        sources = metrics()[self.characteristic.metric].header.sources
+        sources = metrics()[self.metric].header.sources
         return "; ".join(each.clause for each in sources if each.standard == STANDARD)
-
-    def document(self) -> dict[str, object]:
-        """The row as JSON."""
-        names = self.characteristic._asdict()
-        return {"number": self.number, **names, "results": self.results, "reason": self.reason}
 
 
 def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
@@ -51,13 +40,15 @@ def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
     of_metric: defaultdict[str, list[Row]] = defaultdict(list)
     for row in rows:
         of_metric[row["metric"]].append(row)
-    return [_row(number, each, of_metric[each.metric], began) for number, each in enumerate(_CHARACTERISTICS, 1)]
+    found = []
+    for number, (metric, (zh, en)) in enumerate(_ROWS.items(), 1):
+        found.append(AnnexRow(number, zh, en, metric, *_results(metric, of_metric[metric], began)))
+    return found
 
 
-def _row(number: int, characteristic: Characteristic, rows: list[Row], began: dict[str, int]) -> AnnexRow:
+def _results(metric: str, rows: list[Row], began: dict[str, int]) -> tuple[tuple[Row, ...], str | None]:
     if not rows:
-        needs = metrics()[characteristic.metric].header.needs
-        return AnnexRow(number, characteristic, (), f"no completed step gives it: it needs {needs}")
+        return (), f"no completed step gives it: it needs {metrics()[metric].header.needs}"
 
     def when(row: Row) -> int:
         return max((began.get(run, 0) for run in row["runs"] or [row["run"]]), default=0)
@@ -69,6 +60,4 @@ def _row(number: int, characteristic: Characteristic, rows: list[Row], began: di
         valued = [row for row in valued if row["parameters"].get("room") is not False] or valued
         last = max((when(row) for row in valued), default=0)
         results += [row for row in valued if when(row) == last]
-    if results:
-        return AnnexRow(number, characteristic, tuple(results), None)
-    return AnnexRow(number, characteristic, (), max(rows, key=when)["reason"])
+    return tuple(results), None if results else max(rows, key=when)["reason"]

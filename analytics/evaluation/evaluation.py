@@ -24,7 +24,6 @@ from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 FILE = "unit_metrics.parquet"
-_NO_JSON = "NaN|Infinity"
 _TOO_LITTLE = "the steps hold too little to compute it"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
@@ -44,18 +43,17 @@ _PRODUCTS = """
 select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit
 """
 # The lines of the scale factors, the scale factors that metrics may use, and with these the steps in deg/h.
-_LINES = "create or replace table internal.scale_fits as from scale_lines('internal.scale_sides')"
-_USABLE = "from measured_scale_factors('internal.scale_fits')"
-_STILL = "create or replace table internal.still_steps as from internal.standing_steps"
+_SHARED = """
+create or replace table internal.scale_fits as from scale_lines('internal.scale_sides');
+create or replace table internal.scale_factors as from measured_scale_factors('internal.scale_fits');
+create or replace table internal.still_steps as from internal.standing_steps;
+"""
 # A total order, so that kept and recomputed rows make the same table.
 _SORTED = """
 select * from unit_metrics
 order by metric, unit, signal nulls first, run nulls first, parameters nulls first, standard, clause, steps, runs,
   reason
 """
-_NO_SCALES = pa.schema({
-    "unit": _TEXT, "signal": _TEXT, "run": _TEXT, "output_unit": _TEXT, "value": _REAL, "t_to_ns": pa.int64()
-}).empty_table()  # fmt: skip
 # In the metadata of the kept file: the fingerprint of each unit; for a unit with some metrics only, with their ids.
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
@@ -72,7 +70,7 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
     """
     steps = step_means(catalog, progress)
     define_views(catalog, steps)
-    of_documents = (_marks(catalog, sql) for sql in (_ENTERED, _PRODUCTS))
+    of_documents = (dict(catalog.rows(sql)) for sql in (_ENTERED, _PRODUCTS))
     prints = _unit_fingerprints(steps, *of_documents, _averaging_times(catalog, steps))
     table, marks = kept_metrics(catalog.kept)
     every = frozenset(metrics())
@@ -115,7 +113,6 @@ def define_views(catalog: Catalog, steps: pa.Table) -> None:
     catalog.put("step_means", steps)
     put_specifications(catalog)
     catalog.put("rate_units", _rate_units(steps))
-    catalog.put("scale_factors", _NO_SCALES)
     define_scripts(catalog, "views")
 
 
@@ -135,9 +132,7 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
 
 def keep_scale_factors(catalog: Catalog) -> None:
     """Put the tables that many metrics use: ``scale_fits``, ``scale_factors`` and ``still_steps``."""
-    catalog.define(_LINES)
-    catalog.put("scale_factors", catalog.reader(_USABLE).read_all())
-    catalog.define(_STILL)
+    catalog.define(_SHARED)
 
 
 def _values(catalog: Catalog, metric: Metric) -> pa.Table:
@@ -173,7 +168,7 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
 def _make_readable(columns: dict[str, pa.Array]) -> None:
     """Replace numbers that JSON cannot write: one in the parameters would make every query of them fail."""
     parameters = columns["parameters"]
-    unreadable = pc.fill_null(pc.match_substring_regex(parameters, _NO_JSON), False)
+    unreadable = pc.fill_null(pc.match_substring_regex(parameters, "NaN|Infinity"), False)
     if pc.any(unreadable).as_py():
         texts = parameters.filter(unreadable).to_pylist()
         mended = [parameters_text(json.loads(text, parse_constant=lambda _: None)) for text in texts]
@@ -215,10 +210,6 @@ def _rate_units(steps: pa.Table) -> pa.Table:
                 found[unit] = conversion(unit, "deg/h")[0]
     units, factors = pa.array(found.keys(), pa.string()), pa.array(found.values(), pa.float64())
     return pa.table({"unit_of_measure": units, "deg_per_h": factors})
-
-
-def _marks(catalog: Catalog, sql: str) -> dict[str, str]:
-    return {str(unit): str(mark) for unit, mark in catalog.rows(sql)}
 
 
 def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:

@@ -68,15 +68,12 @@ def _series(catalog: Catalog, run: str, tests: list[dict[str, Any]]) -> dict[int
 def _row(test: Mapping[str, Any], series: tuple[IntArray, FloatArray] | None) -> dict[str, Any]:
     what = f"rate {test['rate_command']:g} deg/s" if test["is_rate"] else f"position {test['position'] or 'unknown'}"
     known, band = test["expected"] is not None, test["band"]
-    row = {name: test[name] for name in ("unit", "signal", "run", "n")} | {
-        "steps": [test["index"]],
-        "parameters": {
-            "test": what,
-            "band_deg_per_h": band,
-            "reference": f"bias of run {test['zero_run']}" if known else "end of the record",
-            "counted_from": "power-on" if test["is_powered"] else "step start",
-        },
-    }
+    row = {name: test[name] for name in ("unit", "signal", "run", "n")} | {"steps": [test["index"]]}
+    row["parameters"] = {
+        "test": what, "band_deg_per_h": band,
+        "reference": f"bias of run {test['zero_run']}" if known else "end of the record",
+        "counted_from": "power-on" if test["is_powered"] else "step start",
+    }  # fmt: skip
     if (reason := _lack(test, has_samples=series is not None)) is not None:
         return row | {"reason": reason}
     assert series is not None

@@ -21,7 +21,6 @@ LEAST_RECORDS = 10
 LOWEST_HZ = 10.0
 # Tests are planned by the expected bandwidth: the measured one may be larger by this factor.
 _ALLOWANCE = 0.8
-_COMMANDED = "commanded amplitude"
 # a signal that sees less of the vibration than this share of another of its unit stands across it
 _ACROSS = 0.2
 
@@ -152,7 +151,7 @@ def _reference(
                 name = f"{signal} of {owner}" if owner != unit else signal
                 known[owner, signal] = _Reference(name, series, is_angle=is_angle)
             return known[owner, signal]
-    return _Reference(_COMMANDED)
+    return _Reference("commanded amplitude")
 
 
 def _fetched(catalog: Catalog, run: str, unit: str, signal: str, steps: Iterable[Mapping[str, Any]]) -> _Series:

@@ -10,8 +10,6 @@ from analytics.methods.vibration_records import LEAST_RECORDS, Vibration, too_li
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput
 
-_MS = 1e3
-
 
 def bandwidths(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric: of GJB by the first-order lag and by the crossing of 0.707, of JJF by the crossing."""
@@ -49,7 +47,7 @@ def output_delays(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
                     reason = too_little_for(bandwidth.value, vibration)
                     parameters = {"bandwidth_hz": float(f"{bandwidth.value:.6g}")}
                     parameters["misfit_rad"] = float(f"{found.misfit:.3g}")
-            yield _row(vibration, parameters, found, reason, _MS) | {"standard": standard, "clause": clause}
+            yield _row(vibration, parameters, found, reason, scale=1e3) | {"standard": standard, "clause": clause}
 
 
 def _found(

@@ -21,11 +21,15 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
         subtracts = row["standard"] != "JJF2014"
         zero = _zero(row, subtracts=subtracts)
         found = None if zero is None or not math.isfinite(zero) else _uncertainty(row, zero, subtracts=subtracts)
+        parameters = {
+            "temperature": None if row["temperature"] is None else round(row["temperature"], 2),
+            "output": None if zero is None else zero * row["k"], "output_unit": row["output_unit"],
+        }  # fmt: skip
         yield row | {
+            "parameters": row["words"] | parameters,
             "value": None if zero is None else zero * 3600,
             "standard_uncertainty": None if found is None else found.value * 3600,
             "freedom": None if found is None else found.freedom,
-            "parameters": _parameters(row, zero),
         }
 
 
@@ -37,13 +41,6 @@ def _zero(row: Mapping[str, Any], *, subtracts: bool) -> float | None:
     if subtracts:
         output -= row["rest_zero"]
     return float(output / k) if k else math.nan
-
-
-def _parameters(row: Mapping[str, Any], zero: float | None) -> dict[str, Any]:
-    temperature = None if row["temperature"] is None else round(row["temperature"], 2)
-    output = None if zero is None else zero * row["k"]
-    words: dict[str, Any] = row["words"]
-    return words | {"temperature": temperature, "output": output, "output_unit": row["output_unit"]}
 
 
 def _uncertainty(row: Mapping[str, Any], zero: float, *, subtracts: bool) -> Uncertainty | None:

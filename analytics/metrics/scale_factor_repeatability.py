@@ -6,7 +6,6 @@ from typing import Any
 from analytics.methods.repeatability import KINDS, Scatter, deviation_of, scatter
 from storage.sql.catalog import Catalog
 
-_CLAUSES = {"GJB2426A": "5.8.4 (12)", "JJF2014": "7.2.4 (10)"}
 # GJB asks for 6 measurements, JJF 2014 leaves Q open
 _LEAST = {"GJB2426A": 6, "JJF2014": 2}
 
@@ -24,9 +23,8 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
         found = scatter([each / mean * 1e6 for each in scales] if mean else [], days if mean else [])
         parameters = {"scale_factors": len(scales), "mean": mean if scales else None}
         parameters["days"] = len(set(days)) if row["is_dated"] else None
-        common = row | {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
         for kind in KINDS:
-            yield common | {"parameters": {"kind": kind} | parameters} | _value(row, found, kind)
+            yield row | {"n": len(scales), "parameters": {"kind": kind} | parameters} | _value(row, found, kind)
 
 
 def _lack_of_repeats(days: Sequence[str], kind: str, least: int, *, is_dated: bool) -> str | None:

@@ -32,7 +32,7 @@ with conditioned as (
   union all
   select *, null as scope from counted
 )
-select unit, signal, scope as run, standard,
+select unit, signal, scope as run, standard, if(standard = 'GJB2426A', '5.8.4 (12)', '7.2.4 (10)') as clause,
   list(k order by t_from_ns, run, steps) filter (lack is null) as scales,
   list(coalesce(day, 'run ' || run) order by t_from_ns, run, steps) filter (lack is null) as days,
   bool_and(day is not null) as is_dated,

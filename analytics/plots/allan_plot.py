@@ -25,7 +25,6 @@ _LANGUAGES = ("en", "zh")
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
 _WORDS = tomllib.loads(files("analytics.plots").joinpath("allan_words.toml").read_text(encoding="utf-8"))
-_WIDTH = 0.745
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16
 
@@ -73,7 +72,7 @@ def _figure(
     words = _WORDS[wanted[0]]
     names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
     what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
-    figure, axes = page(title or _title(curves, chosen), what, _WIDTH)
+    figure, axes = page(title or _title(curves, chosen), what, width=0.745)
     marks = allan_marks.limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
     _scales(axes, curves, marks)
     if found is None:

@@ -13,7 +13,6 @@ from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.plot_fonts import chinese_font
 from stream.errors import BadInput
 
-_SUFFIXES = (".png", ".svg")
 _GRID = "#dfe3e8"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -37,7 +36,7 @@ def in_both(en: str, zh: str, between: str = "  ") -> str:
 
 def check_suffix(path: Path) -> None:
     """Refuse a file that is to be neither PNG nor SVG."""
-    if path.suffix.lower() not in _SUFFIXES:
+    if path.suffix.lower() not in {".png", ".svg"}:
         raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.colors import LogNorm
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 from analytics.curves.rolling_allan import RollingAllan
 from analytics.plots.allan_marks import INK
@@ -39,12 +39,12 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
         axes.contour(middles_h, taus_s, values.T, levels=levels, colors="white", linewidths=0.6, alpha=0.7)
     axes.set_yscale("log")
     # the fonts are set for plain text, which powers of ten are not
-    axes.yaxis.set_major_formatter(FuncFormatter(_plain))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylabel("Averaging time τ (s)", color=INK)
     axes.set_xlabel(in_both("Middle of the window (h)", "窗口中点"), color=INK)
     axes.tick_params(colors=INK)
-    bar = figure.colorbar(image, cax=figure.add_axes((0.85, 0.135, 0.025, 0.725)), format=FuncFormatter(_plain))
+    bar = figure.colorbar(image, cax=figure.add_axes((0.85, 0.135, 0.025, 0.725)), format=StrMethodFormatter("{x:g}"))
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
     bar.set_label(f"Allan deviation ({surface.unit_of_measure})", color=INK)
     set_fonts(figure)
@@ -57,7 +57,3 @@ def _edges(middles: FloatArray, only: float) -> FloatArray:
         return np.array([middles[0] - only / 2, middles[0] + only / 2])
     between = (middles[1:] + middles[:-1]) / 2
     return np.concatenate([[2 * middles[0] - between[0]], between, [2 * middles[-1] - between[-1]]])
-
-
-def _plain(value: float, _: float) -> str:
-    return f"{value:g}"

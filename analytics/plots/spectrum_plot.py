@@ -18,7 +18,6 @@ from stream.estimators.spectral_density import FIRST_BIN
 from stream.estimators.spectrum.spectral_lines import SpectralLine
 
 _DENSITY, _LINE = "#0072b2", "#d55e00"
-_WIDTH, _WIDTH_BESIDE_LINES = 0.875, 0.745
 _BANDS_A_DECADE = 20
 _NAMED_AT_MOST = 11
 _NAME_HEIGHT = 0.078
@@ -54,7 +53,7 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
         _DOT.join((spectrum.unit, spectrum.signal, f"run {spectrum.run}")),
         f"{name}; grey: every bin; bold: mean of 1/{_BANDS_A_DECADE} decade, lines left out; "
         f"band: {spectrum.confidence * 100:g} % confidence",
-        _WIDTH_BESIDE_LINES if spectrum.lines else _WIDTH,
+        0.745 if spectrum.lines else 0.875,  # the lines are listed beside the axes
     )
     _scales(axes, spectrum, levels)
     # a path of every bin would make an SVG of megabytes

@@ -14,7 +14,8 @@ from analytics.plots.plot_fonts import set_fonts
 from analytics.trends.change_points import Changes
 from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.series import MetricSeries
-from analytics.trends.trend import NS_PER_DAY, Chart, Trend
+from analytics.trends.sessions import NS_PER_DAY
+from analytics.trends.trend import Chart, Trend
 
 _MOST_CHARTS = 8
 _CENTRE, _ALARM, _LEVEL, _SPECIFIED = "#2f6f4f", "#a40000", "#c46a00", "#6a3d9a"

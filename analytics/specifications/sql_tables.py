@@ -30,8 +30,6 @@ _HISTORY = pa.schema({
     "t_ns": _WHOLE, "action": _TEXT, "specification": _TEXT, "revision": _TEXT, "entered_by": _TEXT, "reason": _TEXT,
     "rejudges": pa.bool_(), "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
 })  # fmt: skip
-_PROBLEMS = pa.schema({"problem": _TEXT})
-_FACTORS = pa.schema({"source": _TEXT, "target": _TEXT, "factor": _REAL})
 _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause", "parameters", "needs", "equation")
 
 
@@ -49,7 +47,9 @@ def put_specifications(catalog: Catalog) -> None:
     for each in editions:
         products += _product_rows(each)
         for limit in each.period.specification.limits if not chain.breaks else ():
-            parameters += _parameter_rows(len(limits), limit)
+            for name, value in limit.parameters.items():
+                of = {"limit_id": len(limits), "metric": limit.metric}
+                parameters.append(of | {"path": f"$.{json.dumps(name)}", "key": _key(value)})
             limits.append(_limit_row(len(limits), limit, each))
     problems = [{"problem": f"the chain of specification documents is broken: {each.what}"} for each in chain.breaks]
     now = [row for row in limits if row["known_until_ns"] == NEVER]
@@ -58,7 +58,7 @@ def put_specifications(catalog: Catalog) -> None:
         ("specification_parameters", parameters, _PARAMETERS),
         ("product_editions", products, _PRODUCTS),
         ("specification_history", _history(chain), _HISTORY),
-        ("specification_problems", problems, _PROBLEMS),
+        ("specification_problems", problems, pa.schema({"problem": _TEXT})),
     ):
         catalog.put(name, pa.Table.from_pylist(rows, schema=schema))
     limits_now = pa.Table.from_pylist(now, schema=_LIMITS)
@@ -100,13 +100,6 @@ def _history(chain: Chain) -> list[dict[str, object]]:
     ]
 
 
-def _parameter_rows(limit_id: int, limit: SpecificationLimit) -> list[dict[str, object]]:
-    return [
-        {"limit_id": limit_id, "metric": limit.metric, "path": f"$.{json.dumps(name)}", "key": _key(value)}
-        for name, value in limit.parameters.items()
-    ]
-
-
 def _key(value: Parameter) -> str:
     """Key by which parameters are compared: numbers to nine digits, everything else as its text."""
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -124,7 +117,7 @@ def _factors(catalog: Catalog) -> pa.Table:
     for source, target in pairs:
         with suppress(UnknownUnit):
             rows.append({"source": source, "target": target, "factor": result_factor(source, target)})
-    return pa.Table.from_pylist(rows, schema=_FACTORS)
+    return pa.Table.from_pylist(rows, schema=pa.schema({"source": _TEXT, "target": _TEXT, "factor": _REAL}))
 
 
 def _names() -> pa.Table:

@@ -49,7 +49,8 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
         tables.append(_reduced(catalog, stale, prints, progress))
     table = pa.concat_tables(tables, promote_options="default") if tables else _reduced(catalog, [], {}, None)
     table = table.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
-    _keep(catalog, table)
+    if not catalog.frozen:
+        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
     return table
 
 
@@ -92,11 +93,6 @@ def _mark(schema: pa.Schema) -> bytes:
     """Hash of the version, the SQL and the columns of the records."""
     text = f"{_VERSION}/{_SQL}/{schema.remove_metadata().to_string()}"
     return hashlib.sha256(text.encode()).hexdigest().encode()
-
-
-def _keep(catalog: Catalog, table: pa.Table) -> None:
-    if not catalog.frozen:
-        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
 
 
 def hash_path(path: Path) -> Path:

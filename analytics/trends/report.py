@@ -10,8 +10,8 @@ from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.level_shifts import LevelShift, LevelShifts
 from analytics.trends.nelson_rules import RULES, wild_point_chance
 from analytics.trends.series import MetricSeries
-from analytics.trends.sessions import LEAST_UNITS
-from analytics.trends.trend import FALSE_ALARM, NS_PER_DAY, Chart, Trend
+from analytics.trends.sessions import LEAST_UNITS, NS_PER_DAY
+from analytics.trends.trend import FALSE_ALARM, Chart, Trend
 from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
 
 _BRIEF_DAYS = 10

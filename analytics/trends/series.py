@@ -82,10 +82,6 @@ class MetricSeries:
         first = {unit: index for index, unit in reversed(list(enumerate(self.unit)))}
         return self.where(sorted(first.values()))
 
-    def split(self, by: str) -> dict[str, "MetricSeries"]:
-        """The values of each unit, or level of a group, by name."""
-        return {level: self.where(at) for level, at in self.places(by).items()}
-
     def places(self, by: str) -> dict[str, IntArray]:
         """Indices of the values of each unit, or level of a group, by name."""
         levels = np.array(self.unit if by == "unit" else self.groups[by])
@@ -133,16 +129,15 @@ def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
         (not choice.units or row["unit"] in choice.units),
         choice.signal in {None, row["signal"]},
         choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
-        choice.since_ns is None or (_moment(row) or 0) >= choice.since_ns,
+        choice.since_ns is None or _moment(row) >= choice.since_ns,
         *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in (*GROUPS, "product")),
         *(parameter_text(own.get(name)) == parameter_text(value) for name, value in choice.parameters.items()),
     )
     return all(asked)
 
 
-def _moment(row: Mapping[str, Any]) -> int | None:
-    found: int | None = row["t_ns"] if row["date_known"] and row["t_ns"] is not None else row["recorded_ns"]
-    return found
+def _moment(row: Mapping[str, Any]) -> int:
+    return int((row["t_ns"] if row["date_known"] and row["t_ns"] is not None else row["recorded_ns"]) or 0)
 
 
 def parameter_text(value: object) -> str:
@@ -224,12 +219,12 @@ def _series(
     # scale factors of outputs in volts and in deg/s cannot share a chart
     without_value += len(rows) - most
     rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
-    rows.sort(key=lambda row: (_moment(row) or 0, row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
+    rows.sort(key=lambda row: (_moment(row), row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1
     return MetricSeries(
         metric=metric, unit_of_measure=unit_of_measure, value=np.array([row["value"] for row in rows], np.float64),
         uncertainty=np.array([row["standard_uncertainty"] for row in rows], np.float64),
-        t_ns=np.array([_moment(row) or 0 for row in rows], np.int64),
+        t_ns=np.array([_moment(row) for row in rows], np.int64),
         unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],
         run=[row["run"] or "" for row in rows],
         groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")},

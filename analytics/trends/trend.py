@@ -17,12 +17,12 @@ from analytics.trends.level_shifts import LevelShift, LevelShifts, level_shifts
 from analytics.trends.mixed_model import ComponentDeviation
 from analytics.trends.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.series import GROUPS, MetricSeries
+from analytics.trends.sessions import NS_PER_DAY
 from analytics.trends.words import NotComputed, Words, joined, not_computed, words
 from stream.batch import FloatArray, IntArray
 
 # probability that noise alone shows an outlier; the same for a change, a drift, and too many signals
 FALSE_ALARM = 0.01
-NS_PER_DAY = 86_400 * 10**9
 _MOST_SIMULATED = 40
 
 

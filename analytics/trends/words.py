@@ -14,10 +14,6 @@ class Words(NamedTuple):
     en: str
     zh: str
 
-    def in_language(self, language: str) -> str:
-        """The text in the language `en` or `zh`."""
-        return self.zh if language == "zh" else self.en
-
 
 class NotComputed(NamedTuple):
     """A result that was not computed, and why."""
