@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
     from stream.estimators.base import NoEstimate
 
-_SECONDS_PER_HOUR = 3600.0
 _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 
 
@@ -34,13 +33,9 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 )  # fmt: skip
 @click.option("--tau", "taus", metavar="SECONDS,...", help="These averaging times, as 10,100,1000.")
 @click.option(
-    "--deviation",
-    "kind",
-    type=click.Choice(_DEVIATIONS),
-    default="oadev",
-    show_default=True,
+    "--deviation", "kind", type=click.Choice(_DEVIATIONS), default="oadev", show_default=True,
     help="Allan, overlapping Allan, modified Allan, Hadamard or overlapping Hadamard (blind to a steady drift).",
-)
+)  # fmt: skip
 @click.option(
     "--overlap",
     type=click.Choice(["full", "strided"]),
@@ -140,12 +135,9 @@ def _working(*, as_json: bool) -> AbstractContextManager[object]:
 
 
 def _show(
-    curve: "AllanCurve",
-    found: "NoiseCoefficients | NoEstimate | None",
-    outliers: "IsolatedOutliers | None",
-    *,
+    curve: "AllanCurve", found: "NoiseCoefficients | NoEstimate | None", outliers: "IsolatedOutliers | None", *,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     from analytics.curves.noise_coefficients import curve_document, noise_table
     from stream.estimators.base import NoEstimate
 
@@ -174,8 +166,8 @@ def _rolling(
     with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
         unit, signal, run = which
         surface = rolling_allan(
-            catalog, unit, signal, chosen_run(catalog, unit, signal, run), window_s=window_h * _SECONDS_PER_HOUR,
-            step_s=(window_h / 8 if step_h is None else step_h) * _SECONDS_PER_HOUR,
+            catalog, unit, signal, chosen_run(catalog, unit, signal, run), window_s=window_h * 3600,
+            step_s=(window_h / 8 if step_h is None else step_h) * 3600,
             points_per_octave=points_per_octave,
         )  # fmt: skip
     if plot_path is not None:

@@ -235,10 +235,8 @@ def _period_document(period: "Period") -> dict[str, object]:
 
     found = period.specification
     return {
-        "specification": found.name,
-        "revision": found.revision,
+        "specification": found.name, "revision": found.revision,
         "valid_from": format_moment(None if period.from_ns == EVER else period.from_ns),
         "valid_until": format_moment(None if period.until_ns == NEVER else period.until_ns),
-        "products": list(found.products),
-        "limit_count": len(found.limits),
-    }
+        "products": list(found.products), "limit_count": len(found.limits),
+    }  # fmt: skip

@@ -118,7 +118,7 @@ def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_jso
     from analytics.evaluation.table import format_parameters, format_value, interval_of
 
     if as_json:
-        print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row.document() for row in rows]})
+        print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row._asdict() for row in rows]})
         return
     in_chinese = language == "zh"
     titles = ("no.", "characteristic", "result", "95 % interval", "parameters", "clause")
@@ -126,7 +126,7 @@ def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_jso
         titles = ("序号", "校准项目", "校准结果", "95 % 区间", "参数", "条款")
     table = ResultTable(*titles, title=f"JJF 2014-2022 {'附录 A' if in_chinese else 'annex A'}: {unit}")
     for row in rows:
-        name = row.characteristic.zh if in_chinese else row.characteristic.en
+        name = row.zh if in_chinese else row.en
         if not row.results:
             table.add_row(str(row.number), name, styled(row.reason or "", "yellow"), "", "", row.clause)
         for at, each in enumerate(row.results):

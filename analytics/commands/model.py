@@ -134,10 +134,9 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 @click.option("--model", "text", help="Trace the residual of this declared model, and promote it with what is found.")
 @click.option("--signal", type=SIGNAL, help="Which signal, as rate; left out where the model names it.")
 @click.option(
-    "--block",
-    show_default="30s, or the interval of the samples where that is longer",
+    "--block", show_default="30s, or the interval of the samples where that is longer",
     help="Length of the blocks that are averaged: 10s, 1min.",
-)
+)  # fmt: skip
 @click.option("--noise", metavar="N=..,B=..,K=..,turn_on=..", help="Declared noise, as of `gyrofleet diagnose`.")
 @click.option("--holdout", default="last-third", show_default=True, metavar="last-third|runs=A,B", help="Held-out set.")
 @click.option("--run", "runs", type=RUN, multiple=True, help="Only this run; may be given several times.")

@@ -20,7 +20,6 @@ _TITLES = {
     "en": ("points", "centre", "sigma", "lower limit", "upper limit", "state", "rules met (times)"),
     "zh": ("点数", "中心线", "σ", "下控制限", "上控制限", "状态", "判异准则（次数）"),
 }
-_ALL = {"en": "all units", "zh": "全部样品"}
 _STATES = {
     "en": {True: "in control", False: "stands out", None: "too few points"},
     "zh": {True: "受控", False: "异常", None: "点数不足"},
@@ -31,10 +30,9 @@ _STATES = {
 @click.argument("metric", type=METRIC, required=False)
 @click.option("--metric", "named", type=METRIC, help="The metric; the same as the argument METRIC.")
 @click.option(
-    "--by",
-    type=click.Choice(["unit", "lot", "station", "fixture"]),
+    "--by", type=click.Choice(["unit", "lot", "station", "fixture"]),
     help="One chart for each; by default one chart with the first value of each unit.",
-)
+)  # fmt: skip
 @store_option
 @click.option("--unit", "units", type=UNIT, multiple=True, help="Only this unit; may be given several times.")
 @click.option("--signal", type=SIGNAL, help="Only this signal, as rate_x.")
@@ -103,7 +101,7 @@ def trend(
     results().print(_chart_table(found, language))
     results().print()
     for sentence in sentences(found):
-        results().print(sentence.in_language(language), soft_wrap=True)
+        results().print(getattr(sentence, language), soft_wrap=True)
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
 
@@ -124,8 +122,8 @@ def _chart_table(found: "Trend", language: str) -> ResultTable:
     from stream.quantities import format_unit
 
     unit = format_unit(found.series.unit_of_measure)
-    name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
-    table = ResultTable(title=f"{name} / {unit}" if unit else name)
+    metric = name_of(found.series.metric, language) if language == "zh" else found.series.metric
+    table = ResultTable(title=f"{metric} / {unit}" if unit else metric)
     table.add_column(found.by or "")
     for title in _TITLES[language]:
         table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")
@@ -138,7 +136,8 @@ def _chart_table(found: "Trend", language: str) -> ResultTable:
             cells = [centre, f"{limits.sigma:.3g}", lower, upper]
         met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
         state = _STATES[language][chart.in_control]
-        table.add_row(chart.name or _ALL[language], str(chart.series.value.size), *cells, state, met)
+        name = chart.name or {"en": "all units", "zh": "全部样品"}[language]
+        table.add_row(name, str(chart.series.value.size), *cells, state, met)
     if len(order) > _SHOWN_ROWS:
         table.caption = f"{len(order) - _SHOWN_ROWS} more; --json has all"
     return table

@@ -137,12 +137,9 @@ def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resampl
 
 
 def _curve(
-    record: SignalRecord,
-    estimator: _Estimator,
-    points: tuple[EstimatePoint, ...] | NoEstimate,
-    deviation: Deviation,
+    record: SignalRecord, estimator: _Estimator, points: tuple[EstimatePoint, ...] | NoEstimate, deviation: Deviation,
     overlap: Overlap,
-) -> AllanCurve:
+) -> AllanCurve:  # fmt: skip
     if isinstance(points, NoEstimate):
         where = f"unit {record.unit}, signal {record.signal}"
         reason = points.reason.removeprefix(f"{where}: ")
@@ -151,12 +148,9 @@ def _curve(
 
 
 def curve_of_points(
-    of: tuple[str, str, str],
-    estimator: AllanDeviation | FullOverlap,
-    points: Sequence[EstimatePoint],
-    deviation: Deviation,
+    of: tuple[str, str, str], estimator: _Estimator, points: Sequence[EstimatePoint], deviation: Deviation,
     overlap: Overlap,
-) -> AllanCurve:
+) -> AllanCurve:  # fmt: skip
     """The curve of a unit, signal and run from the points of an estimator."""
     unit, signal, run = of
     return AllanCurve(

@@ -45,8 +45,7 @@ class FittedTerm:
             column = term_columns(taus_s)[:, TERMS.index(self.term)]
         else:
             column = markov_column(taus_s, self.correlation_s)
-        share: FloatArray = column * (self.coefficient.value / self.term.per_si) ** 2
-        return share
+        return np.asarray(column * (self.coefficient.value / self.term.per_si) ** 2, np.float64)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,8 +65,7 @@ class NoiseCoefficients:
 
     def deviation(self, taus_s: FloatArray) -> FloatArray:
         """Allan deviation of the fitted model, all terms together, deg/h."""
-        total: FloatArray = np.sqrt(np.sum([term.variance(taus_s) for term in self.terms], axis=0))
-        return total
+        return np.asarray(np.sqrt(np.sum([term.variance(taus_s) for term in self.terms], axis=0)), np.float64)
 
     @property
     def describes(self) -> bool:

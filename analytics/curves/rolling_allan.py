@@ -11,7 +11,6 @@ from stream.estimators.base import NoEstimate
 from stream.estimators.rolling_window import RollingWindow, WindowEstimate
 from stream.result_table import ResultTable
 
-_SECONDS_PER_HOUR = 3600.0
 _SHOWN_TAUS = 8
 _SHOWN_ROWS = 40
 
@@ -44,8 +43,8 @@ class RollingAllan:
         left_out = f"; --json gives {'the limits' if is_all else 'all windows and times, with limits'}"
         table = ResultTable(
             title=f"Rolling Allan deviation (动态 Allan 标准差) of {self.unit} {self.signal}, run {self.run}",
-            caption=f"{len(self.start_h)} windows of {self.window_s / _SECONDS_PER_HOUR:g} h every "
-            f"{self.step_s / _SECONDS_PER_HOUR:g} h; deviations in {self.unit_of_measure}{left_out}",
+            caption=f"{len(self.start_h)} windows of {self.window_s / 3600:g} h every "
+            f"{self.step_s / 3600:g} h; deviations in {self.unit_of_measure}{left_out}",
         )
         table.add_column("from h", justify="right")
         for column in columns:
@@ -90,7 +89,7 @@ def rolling_allan(
     }
     return RollingAllan(
         unit=unit, signal=signal, run=record.run, unit_of_measure=rolling.unit_of_measure, window_s=window_s,
-        step_s=step_s, start_h=tuple((each.start_ns - first_ns) / 1e9 / _SECONDS_PER_HOUR for each in windows),
+        step_s=step_s, start_h=tuple((each.start_ns - first_ns) / 1e9 / 3600 for each in windows),
         samples=tuple(each.samples for each in windows), missing=tuple(each.missing for each in windows),
         tau_s=tuple(taus_s), adev=columns["value"], lo=columns["lo"], hi=columns["hi"],
     )  # fmt: skip

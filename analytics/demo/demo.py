@@ -17,22 +17,8 @@ from storage.specifications.live_limits import UnitLimits, unit_limits
 from storage.specifications.specification import parse_specification
 from storage.sql.catalog import Catalog
 from storage.store import Store
+from stream import events
 from stream.batch import SampleBatch
-from stream.events import (
-    AnyDocument,
-    EarlyDecision,
-    EstimatePublished,
-    Limit,
-    LimitsApplied,
-    PowerOn,
-    RunEnded,
-    RunStarted,
-    StepEnded,
-    StepStarted,
-    StepWords,
-    StreamTotal,
-    VerdictGiven,
-)
 from stream.identity import Place, event_key, sample_key
 from stream.quantities import report_unit
 
@@ -43,7 +29,7 @@ ESTIMATE_EVERY_S = 600.0
 _BEFORE_S = 3600.0
 _RATE_BATCH, _TEMPERATURE_BATCH = 1000, 60
 # the simulated gyros at rest feel no Earth's rate
-_AT_REST = StepWords(procedure="static_bias", position="IRA_east_west")
+_AT_REST = events.StepWords(procedure="static_bias", position="IRA_east_west")
 
 
 @dataclass
@@ -54,9 +40,9 @@ class UnitView:
     samples: int = 0
     rate_deg_per_h: float | None = None
     temperature_deg_c: float | None = None
-    estimates: dict[str, EstimatePublished] = field(default_factory=dict)
-    decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
-    verdict: VerdictGiven | None = None
+    estimates: dict[str, events.EstimatePublished] = field(default_factory=dict)
+    decisions: dict[events.Limit, events.EarlyDecision] = field(default_factory=dict)
+    verdict: events.VerdictGiven | None = None
 
 
 @dataclass
@@ -77,9 +63,6 @@ class DemoState:
     found: UnitsDiagnosis | None = None
 
 
-_Watcher = Callable[[DemoState], object]
-
-
 def demo_limits() -> UnitLimits:
     """Limits of the demonstration's specification, which ships with the package."""
     content = files("analytics.demo").joinpath("demo_limits.toml").read_bytes()
@@ -88,7 +71,9 @@ def demo_limits() -> UnitLimits:
     return found
 
 
-def run_demo(folder: Path, *, hours: float, seed: int, on_progress: _Watcher = lambda _: None) -> DemoState:
+def run_demo(
+    folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], object] = lambda _: None
+) -> DemoState:
     """Simulate the fleet for so many hours, send it through bus, log, lake and estimators, and judge it.
 
     `on_progress` is called several times a second, in the caller's thread. Raises GyrofleetError if any part of the
@@ -103,12 +88,12 @@ def run_demo(folder: Path, *, hours: float, seed: int, on_progress: _Watcher = l
     state = DemoState(run, duration_s, limits, {unit: UnitView(unit) for unit in fleet.units})
     shown_at = 0.0
 
-    def on_document(document: AnyDocument) -> None:
-        if isinstance(document, EarlyDecision):
+    def on_document(document: events.AnyDocument) -> None:
+        if isinstance(document, events.EarlyDecision):
             state.units[document.unit].decisions[document.limit] = document
-        elif isinstance(document, VerdictGiven):
+        elif isinstance(document, events.VerdictGiven):
             state.units[document.unit].verdict = document
-        elif isinstance(document, EstimatePublished) and document.signal == "rate":
+        elif isinstance(document, events.EstimatePublished) and document.signal == "rate":
             state.units[document.unit].estimates[document.estimator] = document
 
     def on_batch(batch: SampleBatch) -> None:
@@ -123,7 +108,9 @@ def run_demo(folder: Path, *, hours: float, seed: int, on_progress: _Watcher = l
         on_progress(state)
 
     with EmbeddedPipeline(folder, _NAME, estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document) as pipeline:
-        applied = LimitsApplied(run=run, t_ns=t0_ns, revision=limits.label, limits=limits.live, planned_s=duration_s)
+        applied = events.LimitsApplied(
+            run=run, t_ns=t0_ns, revision=limits.label, limits=limits.live, planned_s=duration_s
+        )
         end_ns = t0_ns + round(duration_s * 1e9)
         station = SimulatedStation(fleet, run, batch=_RATE_BATCH, temperature_batch=_TEMPERATURE_BATCH)
         # the short runs come before in time
@@ -139,37 +126,39 @@ def run_demo(folder: Path, *, hours: float, seed: int, on_progress: _Watcher = l
     return state
 
 
-def _started(fleet: Plan, run: str, t_ns: int, procedure: str) -> RunStarted:
+def _started(fleet: Plan, run: str, t_ns: int, procedure: str) -> events.RunStarted:
     source, units = f"simulated station, seed {fleet.seed}", fleet.units
-    return RunStarted(run=run, t_ns=t_ns, simulated=True, source=source, units=units, procedure=procedure, lot=_LOT)
+    return events.RunStarted(
+        run=run, t_ns=t_ns, simulated=True, source=source, units=units, procedure=procedure, lot=_LOT
+    )
 
 
-def _steps(units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> Iterator[AnyDocument]:
+def _steps(units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> Iterator[events.AnyDocument]:
     """The step of each unit: at rest throughout the run."""
     for unit in units:
-        step = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
+        step = events.StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
         yield step
-        yield StepEnded(run=run, t_ns=last_ns, unit=unit, step_uid=step.uid)
+        yield events.StepEnded(run=run, t_ns=last_ns, unit=unit, step_uid=step.uid)
 
 
 def _send_run(
-    pipeline: EmbeddedPipeline, place: Place, first: Sequence[AnyDocument], batches: Iterable[SampleBatch],
-    last: Iterable[AnyDocument], end_ns: int, on_batch: Callable[[SampleBatch], None] = lambda _: None,
+    pipeline: EmbeddedPipeline, place: Place, first: Sequence[events.AnyDocument], batches: Iterable[SampleBatch],
+    last: Iterable[events.AnyDocument], end_ns: int, on_batch: Callable[[SampleBatch], None] = lambda _: None,
 ) -> int:  # fmt: skip
     """Send the documents that begin a run, its samples, those that follow them, and its end; the number of samples."""
-    events, run = event_key(place), first[0].run
+    key, run = event_key(place), first[0].run
     for document in first:
-        pipeline.send_event(events, document)
-    totals: dict[tuple[str, str], StreamTotal] = {}
+        pipeline.send_event(key, document)
+    totals: dict[tuple[str, str], events.StreamTotal] = {}
     for batch in batches:
         unit, signal, epoch = batch.unit, batch.signal, str(batch.epoch)
         if (unit, signal) not in totals and signal == "rate":
-            pipeline.send_event(events, PowerOn(run=run, t_ns=batch.t0_ns, unit=unit, epoch=epoch))
+            pipeline.send_event(key, events.PowerOn(run=run, t_ns=batch.t0_ns, unit=unit, epoch=epoch))
         pipeline.send_batch(sample_key(place, unit, signal), batch)
-        totals[unit, signal] = StreamTotal(unit=unit, signal=signal, epoch=epoch, samples=batch.next_seq)
+        totals[unit, signal] = events.StreamTotal(unit=unit, signal=signal, epoch=epoch, samples=batch.next_seq)
         on_batch(batch)
-    for document in (*last, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values()))):
-        pipeline.send_event(events, document)
+    for document in (*last, events.RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values()))):
+        pipeline.send_event(key, document)
     return sum(each.samples for each in totals.values())
 
 

@@ -15,19 +15,12 @@ from stream.events import Check, EarlyDecision, Limit, Verdict, VerdictGiven
 from stream.worker.limit_checks import judge
 
 _WIDE = 140
-_COLOURS = {
-    Verdict.PASS: "green",
-    Verdict.FAIL: "bold red",
-    Verdict.MARGINAL: "yellow",
-    Verdict.NO_DATA: "dim",
-    Verdict.ABORTED: "red",
-}
-_CHINESE = {
-    Verdict.PASS: "合格",
-    Verdict.FAIL: "不合格",
-    Verdict.MARGINAL: "临界",
-    Verdict.NO_DATA: "无数据",
-    Verdict.ABORTED: "中止",
+_SHOWN = {
+    Verdict.PASS: ("合格", "green"),
+    Verdict.FAIL: ("不合格", "bold red"),
+    Verdict.MARGINAL: ("临界", "yellow"),
+    Verdict.NO_DATA: ("无数据", "dim"),
+    Verdict.ABORTED: ("中止", "red"),
 }
 _NAMES = {
     "angle_random_walk": ("Angle random walk", "角度随机游走"),
@@ -103,11 +96,11 @@ def _cell(check: Check, decision: EarlyDecision | None, *, final: bool) -> Text:
         return Text("...", style="dim")
     text = f"{check.value:.4f}\n{_short(check.lo)}-{_short(check.hi)}"
     if final:
-        return Text(text, style=_COLOURS[check.verdict])
+        return Text(text, style=_SHOWN[check.verdict][1])
     # an interval looked at again and again says nothing; a decision that was planned does
     if decision is None or decision.outcome == Outcome.UNDECIDED:
         return Text(text)
-    return Text(f"{text}\n{decision.outcome} early 提前", style=_COLOURS[Verdict(decision.outcome)])
+    return Text(f"{text}\n{decision.outcome} early 提前", style=_SHOWN[Verdict(decision.outcome)][1])
 
 
 def _short(value: float | None) -> str:
@@ -118,4 +111,5 @@ def _verdict(given: VerdictGiven | None) -> Text:
     if given is None:
         # a look at an interval in mid-run decides wrongly too often: the verdict is given once, at the end
         return Text("at the end\n结束时", style="dim")
-    return Text(f"{given.verdict}\n{_CHINESE[given.verdict]}", style=_COLOURS[given.verdict])
+    chinese, style = _SHOWN[given.verdict]
+    return Text(f"{given.verdict}\n{chinese}", style=style)

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ import pyarrow.compute as pc
 
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
-from analytics.metrics.scale_factor import keep_scale_fits
 from analytics.specifications.sql_tables import put_specifications
 from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, read_kept, step_means, write_kept
@@ -24,9 +24,6 @@ from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 FILE = "unit_metrics.parquet"
-_NO_JSON = "NaN|Infinity"
-# evaluated first: the others use the tables that it puts
-_FIRST = "scale_factor"
 _TOO_LITTLE = "the steps hold too little to compute it"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
@@ -45,16 +42,18 @@ where kind = 'CheckEntered' group by unit
 _PRODUCTS = """
 select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit
 """
-_STILL = "create or replace table internal.still_steps as from internal.standing_steps"
+# The lines of the scale factors, the scale factors that metrics may use, and with these the steps in deg/h.
+_SHARED = """
+create or replace table internal.scale_fits as from scale_lines('internal.scale_sides');
+create or replace table internal.scale_factors as from measured_scale_factors('internal.scale_fits');
+create or replace table internal.still_steps as from internal.standing_steps;
+"""
 # A total order, so that kept and recomputed rows make the same table.
 _SORTED = """
 select * from unit_metrics
 order by metric, unit, signal nulls first, run nulls first, parameters nulls first, standard, clause, steps, runs,
   reason
 """
-_NO_SCALES = pa.schema({
-    "unit": _TEXT, "signal": _TEXT, "run": _TEXT, "output_unit": _TEXT, "value": _REAL, "t_to_ns": pa.int64()
-}).empty_table()  # fmt: skip
 # In the metadata of the kept file: the fingerprint of each unit; for a unit with some metrics only, with their ids.
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
@@ -71,7 +70,7 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
     """
     steps = step_means(catalog, progress)
     define_views(catalog, steps)
-    of_documents = (_marks(catalog, sql) for sql in (_ENTERED, _PRODUCTS))
+    of_documents = (dict(catalog.rows(sql)) for sql in (_ENTERED, _PRODUCTS))
     prints = _unit_fingerprints(steps, *of_documents, _averaging_times(catalog, steps))
     table, marks = kept_metrics(catalog.kept)
     every = frozenset(metrics())
@@ -104,8 +103,7 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
         if not catalog.frozen:
             write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(marks)}))
     if is_partial and needed == every:  # else the evaluation has put those of all units
-        keep_scale_fits(catalog)
-        catalog.define(_STILL)
+        keep_scale_factors(catalog)
     catalog.put("unit_metrics", table)
     return table
 
@@ -115,7 +113,6 @@ def define_views(catalog: Catalog, steps: pa.Table) -> None:
     catalog.put("step_means", steps)
     put_specifications(catalog)
     catalog.put("rate_units", _rate_units(steps))
-    catalog.put("scale_factors", _NO_SCALES)
     define_scripts(catalog, "views")
 
 
@@ -129,16 +126,13 @@ def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -
 
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue; `COLUMNS`."""
-    wanted = {metric.header.id: metric for metric in chosen}
-    tables = [COLUMNS.empty_table()]
-    for each in dict.fromkeys([*([_FIRST] if _FIRST in metrics() else []), *wanted]):
-        if each in wanted:
-            tables.append(_values(catalog, metrics()[each]))
-        else:
-            keep_scale_fits(catalog)
-        if each == _FIRST:
-            catalog.define(_STILL)
-    return pa.concat_tables(tables)
+    keep_scale_factors(catalog)
+    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric) for metric in chosen)])
+
+
+def keep_scale_factors(catalog: Catalog) -> None:
+    """Put the tables that many metrics use: ``scale_fits``, ``scale_factors`` and ``still_steps``."""
+    catalog.define(_SHARED)
 
 
 def _values(catalog: Catalog, metric: Metric) -> pa.Table:
@@ -161,11 +155,10 @@ def _values(catalog: Catalog, metric: Metric) -> pa.Table:
 
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric's statement or function, before the columns that all metrics share are filled in."""
-    if metric.sql is not None:
+    if not metric.header.python:
         body = f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})"  # noqa: S608
         return catalog.reader(body).read_all()
-    assert metric.compute is not None
-    rows = metric.compute(catalog)
+    rows = resolve_name(metric.header.python)(catalog, metric.sql)
     if isinstance(rows, pa.Table):
         return rows
     found = [{"runs": [row["run"]], **row, "parameters": parameters_text(row["parameters"])} for row in rows]
@@ -175,7 +168,7 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
 def _make_readable(columns: dict[str, pa.Array]) -> None:
     """Replace numbers that JSON cannot write: one in the parameters would make every query of them fail."""
     parameters = columns["parameters"]
-    unreadable = pc.fill_null(pc.match_substring_regex(parameters, _NO_JSON), False)
+    unreadable = pc.fill_null(pc.match_substring_regex(parameters, "NaN|Infinity"), False)
     if pc.any(unreadable).as_py():
         texts = parameters.filter(unreadable).to_pylist()
         mended = [parameters_text(json.loads(text, parse_constant=lambda _: None)) for text in texts]
@@ -217,10 +210,6 @@ def _rate_units(steps: pa.Table) -> pa.Table:
                 found[unit] = conversion(unit, "deg/h")[0]
     units, factors = pa.array(found.keys(), pa.string()), pa.array(found.values(), pa.float64())
     return pa.table({"unit_of_measure": units, "deg_per_h": factors})
-
-
-def _marks(catalog: Catalog, sql: str) -> dict[str, str]:
-    return {str(unit): str(mark) for unit, mark in catalog.rows(sql)}
 
 
 def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:

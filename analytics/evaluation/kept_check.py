@@ -37,13 +37,13 @@ def kept_findings(store: Store) -> list[Finding]:
     if steps is not None and steps_now is not None:
         marks, marks_now = step_table.kept_prints(steps), step_table.kept_prints(steps_now)
         same = {run for run, mark in marks.items() if marks_now.get(run) == mark}
-        found += _changed(paths[0], "run", _differing(steps, steps_now, "run", same))
+        found += _changed(paths[0], "run", steps, steps_now, same)
     parts = {unit: mark.partition(":") for unit, mark in prints.items()}
     same = {unit for unit, (mark, _, _) in parts.items() if prints_now.get(unit) == mark}
     for unit, (_, colon, names) in parts.items():
         if colon:  # some metrics only
             metrics_now = metrics_now.filter((pl.col("unit") != unit) | pl.col("metric").is_in(names.split(",")))
-    found += _changed(paths[1], "unit", _differing(metrics, metrics_now, "unit", same))
+    found += _changed(paths[1], "unit", metrics, metrics_now, same)
     return found
 
 
@@ -56,14 +56,13 @@ def _is_damaged(path: Path) -> bool:
     return True
 
 
-def _differing(kept: pa.Table, now: pa.Table | pl.DataFrame, key: str, same: Collection[str]) -> list[str]:
-    """Runs or units whose rows should be the same, and are not."""
+def _changed(
+    path: Path, key: str, kept: pa.Table, now: pa.Table | pl.DataFrame, same: Collection[str]
+) -> list[Finding]:
+    """A finding where the rows of runs or units should be the same, and are not."""
     one, other = (pl.DataFrame(table).partition_by(key, as_dict=True) for table in (kept, now))
     nothing = pl.DataFrame()
-    return sorted(each for each in same if not one.get((each,), nothing).equals(other.get((each,), nothing)))
-
-
-def _changed(path: Path, key: str, which: list[str]) -> list[Finding]:
+    which = sorted(each for each in same if not one.get((each,), nothing).equals(other.get((each,), nothing)))
     if not which:
         return []
     more = f" and {len(which) - 5} more" if len(which) > 5 else ""

@@ -1,7 +1,8 @@
 """The tables that metrics add to a store's catalogue."""
 
+import tomllib
 from importlib.resources import files
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from analytics.step_records import FOLDER
 
@@ -18,25 +19,24 @@ class MetricsLayer:
     The code that computes them is imported only then: every command that opens a catalogue makes a layer.
     """
 
-    tables = (
+    tables: tuple[str, ...] = (
         "step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve", "unit_runs",
         "metric_names", "specification_limits", "specification_history", "unit_warnings", "unused_steps",
     )  # fmt: skip
     folder = FOLDER
-    examples: ClassVar[dict[str, str]] = {
-        "Every metric of a unit": "select metric, value, lo, hi, unit_of_measure, reason from unit_metrics "
-        "where unit = 'FOG-0231'",
-        "Bias by day": "select unit, day, position, temperature_command, bias from bias_by_day order by unit, day",
-        "Bias against temperature": "select unit, temperature, bias, standard_uncertainty from temperature_curve "
-        "order by unit, temperature",
-        "The fleet's 100 s bias stability": "select unit, value from unit_metrics "
-        "where metric = 'bias_stability_averaged' and (parameters->>'$.average_s')::double = 100 order by value desc",
-    }
+
+    @property
+    def examples(self) -> dict[str, str]:
+        """Questions that its tables answer."""
+        text = files("analytics.evaluation").joinpath("tables", "examples.toml").read_text(encoding="utf-8")
+        return dict(tomllib.loads(text)[type(self).__name__])
 
     @property
     def columns(self) -> "ColumnTexts":
         """Descriptions of the columns of its tables."""
-        return _column_texts()
+        from storage.sql.tables import read_texts
+
+        return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))
 
     def fill(self, catalog: "Catalog") -> None:
         """Bring the metrics up to date, and define the tables."""
@@ -52,23 +52,10 @@ class MetricsLayer:
         return kept_findings(store)
 
 
-class VerdictsLayer:
+class VerdictsLayer(MetricsLayer):
     """Verdicts on the metrics; apart from them, since their views take longer to define than all others."""
 
     tables = ("verdicts", "unit_verdicts", "yield_by", "failure_pareto")
-    folder = FOLDER
-    examples: ClassVar[dict[str, str]] = {
-        "Which units are not good, and why?": "select unit, metric, verdict, value, lower, upper, reason "
-        "from verdicts where verdict <> 'PASS' order by unit, metric",
-        "Yield of each lot": "select name as lot, units, passed, failed, yield, yield_lo, yield_hi from yield_by "
-        "where kind = 'lot'",
-        "What do units fail by?": "select metric, subject, failed, judged, cumulative_share from failure_pareto",
-    }
-
-    @property
-    def columns(self) -> "ColumnTexts":
-        """Descriptions of the columns of its tables."""
-        return _column_texts()
 
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables, after the metrics."""
@@ -82,24 +69,10 @@ class VerdictsLayer:
         return []
 
 
-def define_tables(catalog: "Catalog") -> None:
-    """Define the tables that use the step records and metrics of a catalogue, and the specifications of its store."""
-    from analytics.evaluation.evaluation import define_scripts
-
-    define_metric_tables(catalog)
-    define_scripts(catalog, "verdict_tables")
-
-
 def define_metric_tables(catalog: "Catalog") -> None:
-    """Define those without verdicts."""
+    """Define the tables that use the step records and metrics of a catalogue, and the specifications of its store."""
     from analytics.evaluation.evaluation import define_scripts
     from analytics.specifications.sql_tables import put_names
 
     put_names(catalog)
     define_scripts(catalog, "tables")
-
-
-def _column_texts() -> "ColumnTexts":
-    from storage.sql.tables import read_texts
-
-    return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))

@@ -3,7 +3,9 @@
 import csv
 import json
 import math
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -21,21 +23,7 @@ COLUMNS = (
     "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
     "parameters", "runs", "steps", "standard", "clause", "reason",
 )  # fmt: skip
-_ZH = {
-    "name": "特性", "metric": "代号", "unit": "产品编号", "signal": "信号", "run": "试验", "value": "数值",
-    "unit_of_measure": "单位", "lo": "下限", "hi": "上限", "standard_uncertainty": "标准不确定度", "n": "样本数",
-    "parameters": "参数", "runs": "试验清单", "steps": "步骤", "standard": "标准", "clause": "条款",
-    "reason": "无数值的原因", "interval": "95 % 区间",
-}  # fmt: skip
-_EN = {
-    "name": "characteristic",
-    "unit_of_measure": "unit of measure",
-    "lo": "lower limit of the 95 % interval",
-    "hi": "upper limit of the 95 % interval",
-    "standard_uncertainty": "standard uncertainty",
-    "interval": "95 % interval",
-    "reason": "reason why there is no value",
-}
+_TITLES = tomllib.loads(files("analytics.evaluation").joinpath("metric_titles.toml").read_text(encoding="utf-8"))
 _MOST_DIGITS = 9
 
 
@@ -46,8 +34,7 @@ def name_of(metric: str, language: str) -> str:
 
 
 def _titles(columns: Iterable[str], language: str) -> list[str]:
-    titles = _ZH if language == "zh" else _EN
-    return [titles.get(column, column) for column in columns]
+    return [_TITLES[language].get(column, column) for column in columns]
 
 
 def format_number(value: float | None, resolution: float | None = None) -> str:

@@ -1,6 +1,6 @@
 """The smallest input whose output is within 50 % of the true one: threshold, by a slow turn too, and resolution."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,20 +10,12 @@ from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 
 _HALF = 0.5
-_LEAST_DEG = 350.0
 # relative uncertainty of the fit at its least input: the criterion is one half
 _SHARE = 1 / 6
 _FINER = 1.1
 _EVALUATED = 200
 _QUARTERS = ("north towards crossing", "crossing towards south", "south towards crossing", "crossing towards north")
 
-_TURNS = """
-select run, unit, signal, repeat, "index", t_from_ns, t_to_ns, n, deg_per_h, scale_source, unit_of_measure,
-  earth_rate_deg_per_h() * cos(radians(latitude_deg)) as level, input_rate, duration_s
-from rate_steps
-where n > 0 and rate_command <> 0 and frequency is null and regexp_matches("procedure", '^threshold_slow_turn|慢转')
-order by run, unit, signal, "index"
-"""
 _MEANS = """
 select (t_ns - $start) / 1e9 as t_s, mean from rollup_1s
 where run = $run and unit = $unit and signal = $signal and t_ns >= $start and t_ns + 1000000000 <= $end + 1
@@ -47,15 +39,13 @@ def within_half_both_ways(points: Sequence[Mapping[str, Any]], what: str) -> dic
 
     An unknown uncertainty counts as 0. `what` is measured in a direction, for the reason.
     """
-    missing = {"size": np.nan, "error": np.nan, "u": 0.0, "freedom": 1.0}
     directions = {}
     for name, is_forward in (("forwards", True), ("backwards", False)):
         own = [each for each in points if each["is_forward"] == is_forward]
         size, error, u, freedom = (
-            np.array([other if each[key] is None else each[key] for each in own], np.float64)
-            for key, other in missing.items()
+            np.array([each[key] for each in own], np.float64) for key in ("size", "error", "u", "freedom")
         )
-        directions[name] = Direction(size, error, u, freedom)
+        directions[name] = Direction(size, error, np.nan_to_num(u), np.nan_to_num(freedom, nan=1.0))
     if empty := " and ".join(name for name, each in directions.items() if not each.size.size):
         return {"reason": f"no {what} {empty} was measured, the clause asks for both directions"}
     return smallest_within_half(directions)
@@ -102,20 +92,8 @@ def _last_of_run(holds: np.ndarray[Any, np.dtype[np.bool_]], size: FloatArray) -
     return float(size[n - 1]) if n else None
 
 
-def turns(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Each slow turn with its result, `found`."""
-    for row in catalog.reader(_TURNS).read_all().to_pylist():
-        yield row | {"steps": [row["index"]], "found": _found(catalog, row)}
-
-
-def _found(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
-    turned_deg = abs(row["input_rate"]) * row["duration_s"]
-    if row["deg_per_h"] is None:
-        return {"reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it before"}
-    if row["level"] is None:
-        return {"reason": "no latitude, so the Earth's rate on the axis is unknown: give the station's latitude_deg"}
-    if turned_deg < _LEAST_DEG:
-        return {"reason": f"the table turned by {turned_deg:.0f} deg, the clause asks for one turn (5.10.3.3)"}
+def of_slow_turn(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
+    """The threshold of a recorded turn, see `threshold_in_turn`."""
     asked = {name: row[name] for name in ("run", "unit", "signal")} | {"start": row["t_from_ns"], "end": row["t_to_ns"]}
     means = catalog.reader(_MEANS, asked).read_all()
     t_s, output = (np.asarray(means[name].to_numpy(), np.float64) for name in ("t_s", "mean"))

@@ -7,6 +7,7 @@ test.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,10 +16,10 @@ from scipy import stats
 from analytics.methods.confidence_bounds import CONFIDENCE
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
-from stream.errors import BadInput
+from stream.errors import BadInput, UnknownUnit
+from stream.quantities import conversion
 
 ARCSEC_PER_RAD = 180 * 3600 / math.pi
-_GROUP = ("run", "unit", "signal", "procedure")
 
 
 class GyroReading(NamedTuple):
@@ -38,10 +39,10 @@ class AccelerometerReading(NamedTuple):
 
 
 class Angle(NamedTuple):
-    """An angle in arcsec, its standard error and its 95 % bounds."""
+    """An angle in arcsec, its standard uncertainty and its 95 % bounds."""
 
     value: float
-    standard_error: float
+    standard_uncertainty: float
     lo: float
     hi: float
 
@@ -142,39 +143,63 @@ def _angle(value_rad: float, error_rad: float, t: float) -> Angle:
     return Angle(float(value), float(error), float(value - t * error), float(value + t * error))
 
 
-def separation_rows(
-    catalog: Catalog,
-    statement: str,
-    positions: Mapping[str, Any],
-    lack: Callable[[Sequence[Mapping[str, Any]]], str | None],
-    separate: Callable[[Sequence[Mapping[str, Any]]], Separation],
+def gyro_rows(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
+    """Rows of the metric: y0 and x0 of the table, y1 of the fixture, y2, z2 and gamma of the gyro."""
+    places = ("alpha0_beta0", "alpha0_beta180", "alpha180_beta180", "alpha90_beta180", "alpha0_beta90")
+    return _rows(catalog, sql, places, _of_gyro)
+
+
+def accelerometer_rows(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
+    """Rows of the metric: y2, z2 and gamma."""
+    return _rows(catalog, sql, ("beta0", "beta90", "beta180", "beta270"), _of_accelerometer)
+
+
+_Steps = Sequence[Mapping[str, Any]]
+
+
+def _of_gyro(steps: _Steps, positions: Sequence[str]) -> Separation:
+    if steps[0]["deg_per_h"] is None:
+        raise BadInput(steps[0]["no_scale"])
+    for position in positions:
+        if len({step["input_rate"] > 0 for step in steps if step["position"] == position}) < 2:
+            one_way = f"position {position} was turned one way only"
+            raise BadInput(f"{one_way}, the method turns it forwards and backwards")
+    readings = [GyroReading(step["alpha"], step["beta"], step["input_rate"], step["output"]) for step in steps]
+    return gyro_separation(readings, 3600.0 / steps[0]["deg_per_h"])
+
+
+def _of_accelerometer(steps: _Steps, _: Sequence[str]) -> Separation:
+    """By the output per local g; where the local g is unknown, per standard g."""
+    step = steps[0]
+    measure, gravity = step["unit_of_measure"], step["gravity_m_per_s2"]
+    try:
+        per_g = 1 / conversion(measure, "g_0")[0]
+        per_g = per_g if gravity is None else per_g * gravity * conversion("m/s^2", "g_0")[0]
+    except UnknownUnit as error:
+        if not step["per_g"]:
+            how = "give the nominal one of the product, per g, or import the output in g_0"
+            raise BadInput(f"no scale factor for an output in {measure}: {how}") from error
+        per_g = float(step["per_g"])
+    return accelerometer_separation([AccelerometerReading(each["beta"], each["output"]) for each in steps], per_g)
+
+
+def _rows(
+    catalog: Catalog, sql: str, positions: Sequence[str], separate: Callable[[_Steps, Sequence[str]], Separation]
 ) -> Iterator[dict[str, Any]]:
-    """Rows of a separation metric: one for each angle, or one with the reason why there is none.
-
-    `statement` gives `run, unit, signal, procedure, index, position, scale_source` of each step, and what `lack` and
-    `separate` take; in the order of the first four. `positions`: those that the method names, by their words. `lack`:
-    what a group's steps lack besides positions, None if nothing. `separate` solves a group; the message of its
-    `BadInput` is the reason.
-    """
-    steps: list[dict[str, Any]] = catalog.reader(statement).read_all().to_pylist()
-    for key, group in groupby(steps, lambda row: tuple(row[name] for name in _GROUP)):
+    """A row for each angle of a test, or one with the reason why there is none; `positions`: those of the method."""
+    steps = catalog.reader(sql).read_all().to_pylist()
+    for key, group in groupby(steps, itemgetter("run", "unit", "signal", "procedure")):
         rows = list(group)
-        common = dict(zip(_GROUP, key, strict=True)) | {"n": len(rows), "steps": [row["index"] for row in rows]}
+        common = dict(zip(("run", "unit", "signal"), key, strict=False))
+        common |= {"n": len(rows), "steps": [row["index"] for row in rows]}
         words = {"scale_factor": rows[0]["scale_source"], "steps_at_each": len(rows) // len(positions)}
-        missing = [name for name in positions if name not in {row["position"] for row in rows}]
-        reason = f"position {', '.join(missing)} was not measured" if missing else lack(rows)
-        if reason is None:
-            try:
-                yield from (common | row for row in _rows_of(separate(rows), words))
-            except BadInput as error:
-                reason = str(error)
-        if reason is not None:
-            yield common | {"parameters": {"angle": "gamma"} | words, "reason": reason}
-
-
-def _rows_of(found: Separation, words: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    for name, angle in (found.angles | {"gamma": found.gamma}).items():
-        yield {
-            "value": angle.value, "lo": angle.lo, "hi": angle.hi, "standard_uncertainty": angle.standard_error,
-            "freedom": float(found.freedom), "parameters": {"angle": name, **words, "rms": float(f"{found.rms:.4g}")},
-        }  # fmt: skip
+        try:
+            if missing := [name for name in positions if name not in {row["position"] for row in rows}]:
+                raise BadInput(f"position {', '.join(missing)} was not measured")
+            found = separate(rows, positions)
+        except BadInput as error:
+            yield common | {"parameters": {"angle": "gamma"} | words, "reason": str(error)}
+            continue
+        words["rms"] = float(f"{found.rms:.4g}")
+        for name, angle in (found.angles | {"gamma": found.gamma}).items():
+            yield common | angle._asdict() | {"freedom": float(found.freedom), "parameters": {"angle": name} | words}

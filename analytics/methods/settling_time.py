@@ -17,35 +17,6 @@ LEAST_STAY = 0.1
 # Where no zero was measured before, the last part of the record stands for it.
 _TAIL = 0.25
 
-# Tests of the procedure, with what was measured of the unit before: its last bias without the Earth's rate, and its
-# scale factor. In a rate test a unit's scale-factor error is not part of the start-up: without a measured scale factor
-# the end of the record is the reference.
-_TESTS = """
-with zero as (
-  select unit, signal, run, t_to_ns, mean_deg_per_h - earth_deg_per_h as bias, u_deg_per_h
-  from internal.bias_steps where lack is null and earth_deg_per_h is not null
-), test as (
-  select *, coalesce(abs(rate_command), 0) > 0 as is_rate,
-    t_from_ns - coalesce(round(time_since_power_on_s * 1e9)::bigint, 0) as on_ns
-  from rate_steps where regexp_matches("procedure", '{procedure}')
-)
-select s.unit, s.signal, s.run, s."index", s.position, s.rate_command, s.is_rate, s.on_ns, s.t_to_ns, s.n, s.product,
-  s.unit_of_measure, s.time_since_power_on_s is not null as is_powered, g.kept_raw < g.samples as is_dropped,
-  coalesce(case when s.is_rate then coalesce(s.rate_factor, 3600) / f.value end, s.deg_per_h) as deg_per_h,
-  case when not s.is_rate then 0 when f.value is not null then s.input_rate * 3600 end
-    -- the axis of a rate table stands upright
-    + case when s.is_rate and s.position is null then earth_projection('IRA_up', s.latitude_deg, s.signal)
-      else earth_projection(s.position, s.latitude_deg, s.signal) end + z.bias as expected,
-  z.u_deg_per_h as expected_u, z.run as zero_run
-from test s
-join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal
-asof left join internal.scale_factors f
-  on f.unit = s.unit and f.signal = s.signal and f.t_to_ns <= s.on_ns
-  and f.output_unit = case when s.rate_factor is null then s.unit_of_measure else 'deg/s' end
-asof left join zero z on z.unit = s.unit and z.signal = s.signal and z.t_to_ns <= s.on_ns
-order by s.run, s.unit, s.signal, s."index"
-"""
-
 _SAMPLES = """
 select w.which, list(s.t_ns order by s.t_ns, s.seq) as t_ns, list(s.value order by s.t_ns, s.seq) as values
 from internal.power_on_windows w
@@ -64,22 +35,20 @@ class Settled(NamedTuple):
     standard_uncertainty: float
 
 
-def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]:
-    """Rows of a metric: each test of the procedures that match a regular expression, and the largest of a unit's tests.
+def settling_times(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
+    """Rows of a metric: each test, as of the SQL macro ``settling_tests``, and the largest of a unit's tests.
 
     The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where that
     is unknown, less the mean over the last quarter of the record (`reference` in the parameters). The time is that of
     the first sample after the last one outside the band: it is known to a sample interval. The bounds include the
     reference's uncertainty: they are the times for a band that is wider and narrower by 1.96 times that.
     """
-    tests = catalog.reader(_TESTS.format(procedure=procedure)).read_all().to_pylist()
-    known = catalog.rows("select unit, run, startup_band_deg_per_h from internal.run_products")
-    bands = {(unit, of_run): band for unit, of_run, band in known}
+    tests = catalog.reader(sql).read_all().to_pylist()
     found = []
     for run, group in groupby(tests, key=lambda test: test["run"]):
         of_run = list(group)
         series = _series(catalog, run, of_run)
-        found += [_row(each, bands.get((each["unit"], run)), series.get(at)) for at, each in enumerate(of_run)]
+        found += [_row(each, series.get(at)) for at, each in enumerate(of_run)]
     yield from found
     for _, group in groupby(found, key=lambda row: (row["run"], row["unit"], row["signal"])):
         yield _largest(list(group))
@@ -96,21 +65,18 @@ def _series(catalog: Catalog, run: str, tests: list[dict[str, Any]]) -> dict[int
     }
 
 
-def _row(test: Mapping[str, Any], band: float | None, series: tuple[IntArray, FloatArray] | None) -> dict[str, Any]:
+def _row(test: Mapping[str, Any], series: tuple[IntArray, FloatArray] | None) -> dict[str, Any]:
     what = f"rate {test['rate_command']:g} deg/s" if test["is_rate"] else f"position {test['position'] or 'unknown'}"
-    known = test["expected"] is not None
-    row = {name: test[name] for name in ("unit", "signal", "run", "n")} | {
-        "steps": [test["index"]],
-        "parameters": {
-            "test": what,
-            "band_deg_per_h": band,
-            "reference": f"bias of run {test['zero_run']}" if known else "end of the record",
-            "counted_from": "power-on" if test["is_powered"] else "step start",
-        },
-    }
-    reason = _lack(test, band, series)
-    if reason is not None or series is None or band is None:
+    known, band = test["expected"] is not None, test["band"]
+    row = {name: test[name] for name in ("unit", "signal", "run", "n")} | {"steps": [test["index"]]}
+    row["parameters"] = {
+        "test": what, "band_deg_per_h": band,
+        "reference": f"bias of run {test['zero_run']}" if known else "end of the record",
+        "counted_from": "power-on" if test["is_powered"] else "step start",
+    }  # fmt: skip
+    if (reason := _lack(test, has_samples=series is not None)) is not None:
         return row | {"reason": reason}
+    assert series is not None
     t_ns, output = series[0], series[1] * test["deg_per_h"]
     mean, mean_u, noise = _end_of(t_ns, output)
     expected, u = (test["expected"], test["expected_u"]) if known else (mean, mean_u)
@@ -118,19 +84,16 @@ def _row(test: Mapping[str, Any], band: float | None, series: tuple[IntArray, Fl
     return row | (settled._asdict() if isinstance(settled, Settled) else {"reason": f"{what}: {settled}"})
 
 
-def _lack(test: Mapping[str, Any], band: float | None, series: object) -> str | None:
+def _lack(test: Mapping[str, Any], *, has_samples: bool) -> str | None:
     if test["product"] is None:
         return "the product of the unit is unknown, and with it the error band: name it where the unit is mounted"
-    if band is None:
+    if test["band"] is None:
         return f"product {test['product']}: no specification in the store has its startup_band_deg_per_h"
     if test["is_dropped"]:
         return "raw samples of the run were dropped to make room, and the time is computed from them"
-    if series is None:
+    if not has_samples:
         return "no sample between power-on and the end of the step"
-    if test["deg_per_h"] is None:
-        how = "measure it or give the nominal one of the product"
-        return f"no scale factor for an output in {test['unit_of_measure']}: {how}"
-    return None
+    return test["no_scale"] if test["deg_per_h"] is None else None
 
 
 def _end_of(t_ns: IntArray, output: FloatArray) -> tuple[float, float, float]:

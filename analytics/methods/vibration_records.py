@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.methods.dynamics import DynamicResult
 from analytics.methods.frequency_response import LEAST_PER_PERIOD, Response, SineFit, SineRatio, fit_sine, response_of
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
@@ -22,19 +21,9 @@ LEAST_RECORDS = 10
 LOWEST_HZ = 10.0
 # Tests are planned by the expected bandwidth: the measured one may be larger by this factor.
 _ALLOWANCE = 0.8
-_COMMANDED = "commanded amplitude"
 # a signal that sees less of the vibration than this share of another of its unit stands across it
 _ACROSS = 0.2
 
-_STEPS = """
-select g.run, g.unit, g.signal, g."procedure", g.position, g.axis, g."index", g.frequency, g.amplitude,
-  g.t_from_ns, g.t_to_ns, g.rate_factor, f.value as scale_factor, f.run as scale_run
-from internal.gyro_steps g
-asof left join internal.scale_factors f
-  on f.unit = g.unit and f.signal = g.signal and f.output_unit = g.output_unit and f.t_to_ns <= g.t_to_ns
-where g.frequency > 0 and g.phase is null
-order by g.run, g.unit, g.signal, g."procedure", g.position, g.axis, g.t_from_ns, g."index"
-"""
 _REFERENCES = """
 select unit, signal, unit_of_measure, sample_interval_s from signals
 where run = $run and kept_raw > 0 and regexp_matches(signal, '^(table|input|reference|vibration)_(rate|angle)(_|$)')
@@ -88,7 +77,7 @@ class _Reference:
         return self._sines[of]
 
 
-def vibrations(catalog: Catalog) -> Iterator[Vibration]:
+def vibrations(catalog: Catalog, sql: str) -> Iterator[Vibration]:
     """Tests on angular-vibration tables of the units whose ``step_means`` are in the catalogue.
 
     One for each signal, run, procedure, position and axis with steps that have a `frequency`. The reference is the
@@ -97,7 +86,7 @@ def vibrations(catalog: Catalog) -> Iterator[Vibration]:
     deg/s of the rate. A signal that sees less than a fifth of what another of the unit sees stands across and is left
     out.
     """
-    rows: list[dict[str, Any]] = catalog.reader(_STEPS).read_all().to_pylist()
+    rows: list[dict[str, Any]] = catalog.reader(sql).read_all().to_pylist()
     test = itemgetter("signal", "procedure", "position", "axis")
     for run, of_run in groupby(rows, itemgetter("run")):
         known: dict[tuple[str, str], _Reference] = {}
@@ -110,7 +99,7 @@ def vibrations(catalog: Catalog) -> Iterator[Vibration]:
             yield from (each for each in found if each.response is None or _lowest_gain(each) >= _ACROSS * largest)
 
 
-def unmet(vibration: Vibration, *, least_records: int = 1) -> str | None:
+def unmet(vibration: Vibration, least_records: int) -> str | None:
     """What the clauses ask of the frequencies and records and the test lacks; None if nothing."""
     response, reason = vibration.response, vibration.reason
     count = 0 if response is None else len(response.frequency_hz)
@@ -142,34 +131,6 @@ def too_little_for(bandwidth_hz: float, vibration: Vibration) -> str | None:
     return None if asked is None else f"{asked}, which comes out as {bandwidth_hz:.4g} Hz"
 
 
-def vibration_row(
-    vibration: Vibration, source: tuple[str, str], parameters: Mapping[str, Any], found: DynamicResult | None,
-    reason: str | None, scale: float = 1.0,
-) -> dict[str, Any]:  # fmt: skip
-    """Row of a metric of such a test.
-
-    `source`: standard and clause. `parameters`: besides those that all metrics of such a test share. `scale`: from the
-    unit of `found` to that of the metric.
-    """
-    response, words = vibration.response, vibration.words
-    shared = {
-        "position": words["position"],
-        "axis": words["axis"],
-        "reference": vibration.reference,
-        "frequencies": 0 if response is None else len(response.frequency_hz),
-        "records": 0 if response is None else int(response.records.min()),
-        "sample_rate_hz": round(vibration.sample_rate_hz, 3),
-    }
-    return {
-        **{name: words[name] for name in ("unit", "signal", "run")},
-        "n": 0 if response is None else int(response.records.sum()), "steps": vibration.steps,
-        "value": None if found is None or reason else found.value * scale,
-        "standard_uncertainty": None if found is None else found.standard_uncertainty * scale,
-        "freedom": None if found is None else found.freedom, "parameters": dict(parameters) | shared,
-        "standard": source[0], "clause": source[1], "reason": reason,
-    }  # fmt: skip
-
-
 def _lowest_gain(vibration: Vibration) -> float:
     return 0.0 if vibration.response is None else float(vibration.response.gain[0])
 
@@ -190,7 +151,7 @@ def _reference(
                 name = f"{signal} of {owner}" if owner != unit else signal
                 known[owner, signal] = _Reference(name, series, is_angle=is_angle)
             return known[owner, signal]
-    return _Reference(_COMMANDED)
+    return _Reference("commanded amplitude")
 
 
 def _fetched(catalog: Catalog, run: str, unit: str, signal: str, steps: Iterable[Mapping[str, Any]]) -> _Series:
@@ -241,11 +202,7 @@ def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> 
     omega = 2 * math.pi * given.frequency_hz if reference.is_angle else 1.0
     gain = own.amplitude / (given.amplitude * omega)
     relative = math.hypot(own.amplitude_uncertainty / own.amplitude, given.amplitude_uncertainty / given.amplitude)
-    return SineRatio(
-        frequency_hz=step["frequency"],
-        gain=gain,
-        gain_uncertainty=gain * relative,
-        # erratum: the rate leads the angle by pi/2, GJB 2426A-2004 (33) prints -pi/2
-        phase_rad=own.phase_rad - given.phase_rad - (math.pi / 2 if reference.is_angle else 0.0),
-        phase_uncertainty_rad=math.hypot(own.phase_uncertainty_rad, given.phase_uncertainty_rad),
-    )
+    # erratum: the rate leads the angle by pi/2, GJB 2426A-2004 (33) prints -pi/2
+    phase_rad = own.phase_rad - given.phase_rad - (math.pi / 2 if reference.is_angle else 0.0)
+    phase_u = math.hypot(own.phase_uncertainty_rad, given.phase_uncertainty_rad)
+    return SineRatio(step["frequency"], gain, gain * relative, phase_rad, phase_u)

@@ -1,19 +1,14 @@
-"""The registry of metrics: each file in `analytics/metrics` is one, found automatically by its header."""
+"""The registry of metrics: each SQL file in `analytics/metrics` is one, found automatically by its header."""
 
 import difflib
-import importlib
 import json
-import pkgutil
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-import pyarrow as pa
-
-from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError
 
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
@@ -53,6 +48,8 @@ class MetricHeader(NamedTuple):
     needs: str  # what must have been measured
     limits: BoundsSource  # where the confidence bounds come from
     equation: str  # as in the clause
+    # `module:function` that makes the rows where SQL cannot say all of it; it takes the catalogue and the statement
+    python: str = ""
 
     @property
     def standard(self) -> str:
@@ -68,20 +65,9 @@ class MetricHeader(NamedTuple):
 def parse_header(text: str, where: str) -> MetricHeader:
     """Read the comment lines ``-- key: value`` at the head of a metric; `parameters` may take several lines.
 
-    >>> header = parse_header('''-- id: bias
-    ... -- en: Bias
-    ... -- zh: 零偏
-    ... -- unit: deg/h
-    ... -- better: neither
-    ... -- grain: unit, signal, run
-    ... -- parameters: earth_rate, position
-    ... -- source: GJB 2426A-2004 5.12.1 (19); JJF 2014-2022 7.2.13 (27)(28)
-    ... -- needs: a static step
-    ... -- limits: t
-    ... -- equation: B0 = mean(F)/K
-    ... select 1''', "bias.sql")
-    >>> header.standard, header.sources[1], header.parameters
-    ('GJB2426A, JJF2014', Clause(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'position'))
+    >>> header = parse_header(metrics()["bias"].sql, "bias.sql")
+    >>> header.standard, header.sources[1], header.parameters[:2]
+    ('GJB2426A, JJF2014', Clause(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'scale_factor'))
     """
     lines: dict[str, str] = {}
     parameters: list[str] = []
@@ -105,61 +91,41 @@ def parse_header(text: str, where: str) -> MetricHeader:
         sources.append(Clause(match["standard"].replace(" ", ""), match["clause"]))
     return MetricHeader(
         **{name: lines[name] for name in texts},
+        python=lines.get("python", ""),
         sources=tuple(sources),
         limits=BoundsSource(lines["limits"]),
         parameters=tuple(parameters),
     )
 
 
-Compute = Callable[[Catalog], pa.Table | Iterable[Mapping[str, Any]]]
-_PACKAGE = "analytics.metrics"
-
-
 class Metric(NamedTuple):
-    """A metric: an SQL statement over the step records, or a function where SQL cannot express it.
+    """A metric: an SQL statement over the step records, and the Python function that its header may name.
 
     Either gives rows with ``unit, signal, run, value, standard_uncertainty, freedom, n, parameters, runs, steps,
     reason``; with given bounds also ``lo, hi``; where two standards differ also ``standard, clause``. `value` is null
-    exactly where `reason` says why. A function may omit `runs` (the run) and yields `parameters` as a mapping.
+    exactly where `reason` says why. A function may omit `runs` (the run), and its rows may have further keys.
     """
 
     header: MetricHeader
-    sql: str | None = None
-    compute: Compute | None = None
+    sql: str
 
 
 @cache
 def metrics() -> Mapping[str, Metric]:
-    """All metrics by id, in alphabetical order.
-
-    An SQL file is a metric by its header, a module by ``HEADER`` (the same lines as text) and ``compute``. Raises
-    MetricError if a file is malformed, or two have one id.
+    """All metrics by id, in alphabetical order. Raises MetricError if a file is malformed.
 
     >>> metrics()["bias"].header.unit
     'deg/h'
     """
-    found: dict[str, Metric] = {}
-    for metric in [*_from_sql(), *_from_modules()]:
-        if metric.header.id in found:
-            raise MetricError(f"two metrics are called {metric.header.id}")
-        found[metric.header.id] = metric
-    return dict(sorted(found.items()))
-
-
-def _from_sql() -> Iterable[Metric]:
-    for file in files(_PACKAGE).iterdir():
+    found = {}
+    for file in sorted(files("analytics.metrics").iterdir(), key=lambda each: each.name):
         if file.name.endswith(".sql"):
             text = file.read_text(encoding="utf-8")
             header = parse_header(text, file.name)
             if file.name != f"{header.id}.sql":
                 raise MetricError(f"metric {file.name}: its header calls it {header.id}")
-            yield Metric(header, sql=text)
-
-
-def _from_modules() -> Iterable[Metric]:
-    for module_info in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__):
-        module = importlib.import_module(f"{_PACKAGE}.{module_info.name}")
-        yield Metric(parse_header(module.HEADER, module_info.name), compute=module.compute)
+            found[header.id] = Metric(header, text)
+    return dict(sorted(found.items()))
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:

@@ -2,14 +2,12 @@
 
 import contextlib
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator
 from operator import itemgetter
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
-from analytics.metric_registry.registry import parameters_text
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
 from stream.batch import SampleBatch
@@ -20,45 +18,18 @@ from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.quantities import report_unit
 
-HEADER = """\
--- id:        allan_deviation
--- en:        Allan deviation
--- zh:        Allan 标准差
--- unit:      deg/h
--- better:    lower
--- grain:     unit, signal, run, step, averaging time
--- parameters: tau_s, position, repeat, scale_factor, remark
--- source:    GJB 2426A-2004 5.12.5.4.2 (25)(26); JJF 2014-2022 7.2.20 (34)(35)
--- needs:     a static step (procedure static_bias or allan_variance), and a limit that names the averaging time
--- limits:    given
--- equation:  sigma^2(tau) = mean((F_(i+1) - F_i)^2)/2, F_i means over tau that overlap
-"""
-
-_ASKED = """
-select s.*, t.tau_s from internal.bias_steps s,
-  (select distinct replace(key, 'number ', '')::double as tau_s from internal.specification_parameters
-    where metric = 'allan_deviation' and path = '$."tau_s"' and starts_with(key, 'number ')) t
-where t.tau_s > 0
-order by s.unit, s.signal, s.run, s."index", t.tau_s
-"""
 _BLOCKS = 16
 _LEAST_BLOCK = 6  # samples; means of fewer, now one more and now one less, have another deviation
 _SAME_TAU = 0.01
-_COLUMNS = pa.schema(
-    [(name, pa.string()) for name in ("unit", "signal", "run", "parameters", "reason")]
-    + [(name, pa.float64()) for name in ("value", "lo", "hi", "standard_uncertainty", "freedom")]
-    + [("n", pa.int64()), ("runs", pa.list_(pa.string())), ("steps", pa.list_(pa.int64()))]
-)
 
 
-def compute(catalog: Catalog) -> pa.Table:
+def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric: the samples of a signal are read once, where a limit names an averaging time."""
-    rows = catalog.reader(_ASKED).read_all().to_pylist()
-    found: list[dict[str, Any]] = []
+    rows = catalog.reader(sql).read_all().to_pylist()
     for (unit, signal, run), asked in itertools.groupby(rows, itemgetter("unit", "signal", "run")):
         records = [_Record(row) for row in asked]
         with contextlib.ExitStack() as opened:
-            pending = [opened.enter_context(record) for record in records if record.answer is None]
+            pending = [opened.enter_context(contextlib.closing(each)) for each in records if each.answer is None]
             try:
                 for batch in read_signal(catalog, find_signal(catalog, unit, signal, run)) if pending else ():
                     for record in pending:
@@ -66,32 +37,22 @@ def compute(catalog: Catalog) -> pa.Table:
             except GyrofleetError as error:  # as where raw rows were dropped
                 for record in pending:
                     record.answer = {"reason": str(error)}
-            found += [record.head() | record.evaluate() for record in records]
-    return pa.Table.from_pylist(found, schema=_COLUMNS)
+            for record in records:
+                yield record.row | record.evaluate()
 
 
 class _Record:
     """The evaluated part of a step, for one averaging time; its sums are held until the samples are past its end."""
 
-    def __init__(self, row: Mapping[str, Any]) -> None:
+    def __init__(self, row: dict[str, Any]) -> None:
         self.row = row
-        self.answer: dict[str, Any] | None = None if row["lack"] is None else {"reason": row["lack"]}
+        self.answer: dict[str, Any] | None = None if row["reason"] is None else {}
         self._tau_s: float = row["tau_s"]
         self._means = BlockMeans(self._tau_s / _BLOCKS)
         self._overlap: FullOverlap | None = None
 
-    def head(self) -> dict[str, Any]:
-        """What it belongs to, and its parameters."""
-        row = self.row
-        parameters = {name: row[name] for name in ("tau_s", "position", "repeat")}
-        parameters |= {"scale_factor": row["scale_source"], "remark": row["remark"]}
-        head = {name: row[name] for name in ("unit", "signal", "run", "n")}
-        return head | {"runs": [row["run"]], "steps": [row["index"]], "parameters": parameters_text(parameters)}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Give up the sums."""
         if self._overlap is not None:
             self._overlap.close()
 
@@ -121,8 +82,7 @@ class _Record:
         """Return the deviation, or the reason that there is none."""
         if self.answer is None:
             self.answer = self._deviation()
-            if self._overlap is not None:
-                self._overlap.close()
+            self.close()
         return self.answer
 
     def _deviation(self) -> dict[str, Any]:
@@ -143,6 +103,6 @@ class _Record:
             return {"reason": f"the record of {row['duration_s']:.0f} s has no Allan deviation at {tau_s:g} s"}
         if point.value == 0:
             return {"reason": "all samples are alike: the output is frozen, or its resolution too coarse to show noise"}
-        factor = abs(row["deg_per_h"]) / report_unit(row["unit_of_measure"])[1]
+        factor = abs(row["deg_per_h"]) / report_unit(row["output_unit"])[1]
         found = {name: getattr(point, name) * factor for name in ("value", "lo", "hi")}
         return found | {"freedom": point.edf, "standard_uncertainty": found["value"] / (2 * point.edf) ** 0.5}

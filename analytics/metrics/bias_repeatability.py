@@ -6,56 +6,13 @@ from typing import Any
 from analytics.methods.repeatability import KINDS, ValuesNoise, deviation_of, means_noise, pooled, scatter, scatters
 from storage.sql.catalog import Catalog
 
-HEADER = """\
--- id:        bias_repeatability
--- en:        Bias repeatability
--- zh:        零偏重复性
--- unit:      deg/h
--- better:    lower
--- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
--- parameters: kind, position, earth_rate, power_ons, power_ons_recorded, days, scatter, uncertainty_of_means, remark
--- source:    GJB 2426A-2004 5.12.3 (21); JJF 2014-2022 7.2.15 (30)
--- needs:     static steps of an hour in several power-ons (procedure bias_repeatability, or runs of static_bias)
--- limits:    given
--- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons, less the uncertainty of the B0_i
-"""
-
 LEAST_GJB = 6
 LEAST_S = 3590.0
 _LIKE = 1.1
 _NOT_KNOWN: Mapping[str, float | None] = {"scatter": None, "uncertainty_of_means": None}
 
-# A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
-_SQL = """
-with counted as (
-  select *,
-    count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
-    bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
-  from internal.bias_power_ons
-), scoped as (
-  select *, run as scope from counted where is_test or in_run > 1
-  union all
-  select *, null as scope from counted
-)
-select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
-  list(bias order by t_from_ns, run, power_on) as biases,
-  list(u order by t_from_ns, run, power_on) as uncertainties,
-  list(u_white order by t_from_ns, run, power_on) as of_white_noise,
-  list(freedom order by t_from_ns, run, power_on) as freedoms,
-  list(duration_s order by t_from_ns, run, power_on) as durations,
-  list(counted_by order by t_from_ns, run, power_on) as counted_by,
-  list(coalesce(day::varchar, 'run ' || run) order by t_from_ns, run, power_on) as days,
-  bool_and(day is not null) as is_dated,
-  list(distinct run order by run) as runs,
-  flatten(list(steps order by run, t_from_ns, power_on)) as steps
-from scoped
-group by unit, signal, position, earth_rate, scope
-having scope is not null or count(distinct run) > 1
-order by unit, signal, position, earth_rate, scope
-"""
 
-
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric.
 
     The uncertainty of the biases, a component of the variance of their scatter, is subtracted; in the parameters
@@ -69,7 +26,7 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     share its effect, and among several days they are not independent. A day is one of the station's time zone. GJB
     2426A asks for 6 power-ons (days), JJF 2014 names no number.
     """
-    for row in catalog.reader(_SQL).read_all().to_pylist():
+    for row in catalog.reader(sql).read_all().to_pylist():
         if row["lack"] is not None:
             for kind in KINDS:
                 yield from _standards(row, kind, len(row["biases"]), {"reason": row["lack"]})
@@ -116,8 +73,7 @@ def _standards(
     parameters |= {"power_ons": len(row["biases"]), "power_ons_recorded": row["counted_by"].count("power-on")}
     parameters |= {"days": len(set(row["days"])) if row["is_dated"] else None, "remark": _remark(row)}
     parameters |= made_of
-    common = {name: row[name] for name in ("unit", "signal", "run", "runs", "steps")}
-    common |= {"n": n, "parameters": parameters}
+    common = {**row, "n": n, "parameters": parameters}
     if "component" in kind or n >= LEAST_GJB or "reason" in value:
         yield common | value
         return

@@ -9,64 +9,38 @@ import numpy as np
 from analytics.methods.zero_drift import Sequence, Uncertainty, zero_uncertainty
 from storage.sql.catalog import Catalog
 
-HEADER = """\
--- id:        fitted_zero
--- en:        Fitted zero
--- zh:        拟合零位
--- unit:      deg/h
--- better:    neither
--- grain:     unit, signal, run, position, temperature, repeat
--- parameters: procedure, repeat, temperature_command, room, position, axis, phase, temperature, output, output_unit
--- source:    GJB 2426A-2004 5.8.1 (6); JJF 2014-2022 7.2.1 (5); JJF 1536-2015 7.1 (15)
--- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
--- limits:    t
--- equation:  F0 = mean(F_j) - K mean(Omega_j), reported as F0/K
-"""
 
-_CLAUSES = {"GJB2426A": "5.8.1 (6)", "JJF2014": "7.2.1 (5)", "JJF1536": "7.1 (15)"}
-_SQL = """
-select unit, signal, run, steps, standard, n, words, lack, k, zero, rest_zero, points, rests, rest_before, rest_after,
-  zero_weights, slope_weights, temperature, output_unit
-from scale_results('internal.scale_fits')
-"""
-
-
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric.
 
     JJF 2014 subtracts no rest, so its F0 is the bias; GJB and JJF 1536 subtract F_r = (F_s + F_e)/2. F0/K is, to first
     order, a weighted sum of the outputs with the weights (d_j - c_j F0/K)/K. Its uncertainty allows for a zero that
     drifts during the test (`zero_uncertainty`).
     """
-    for row in catalog.reader(_SQL).read_all().to_pylist():
+    for row in catalog.reader(sql).read_all().to_pylist():
         subtracts = row["standard"] != "JJF2014"
         zero = _zero(row, subtracts=subtracts)
         found = None if zero is None or not math.isfinite(zero) else _uncertainty(row, zero, subtracts=subtracts)
-        yield {name: row[name] for name in ("unit", "signal", "run", "n", "steps", "standard")} | {
+        parameters = {
+            "temperature": None if row["temperature"] is None else round(row["temperature"], 2),
+            "output": None if zero is None else zero * row["k"], "output_unit": row["output_unit"],
+        }  # fmt: skip
+        yield row | {
+            "parameters": row["words"] | parameters,
             "value": None if zero is None else zero * 3600,
             "standard_uncertainty": None if found is None else found.value * 3600,
             "freedom": None if found is None else found.freedom,
-            "parameters": _parameters(row, zero),
-            "clause": _CLAUSES[row["standard"]],
-            "reason": row["lack"],
         }
 
 
 def _zero(row: Mapping[str, Any], *, subtracts: bool) -> float | None:
     """The input rate at which the output is 0, in deg/s; NaN where the output does not answer to the rate."""
     k, output = row["k"], row["zero"]
-    if row["lack"] is not None or k is None or output is None:
+    if row["reason"] is not None or k is None or output is None:
         return None
     if subtracts:
         output -= row["rest_zero"]
     return float(output / k) if k else math.nan
-
-
-def _parameters(row: Mapping[str, Any], zero: float | None) -> dict[str, Any]:
-    temperature = None if row["temperature"] is None else round(row["temperature"], 2)
-    output = None if zero is None else zero * row["k"]
-    words: dict[str, Any] = row["words"]
-    return words | {"temperature": temperature, "output": output, "output_unit": row["output_unit"]}
 
 
 def _uncertainty(row: Mapping[str, Any], zero: float, *, subtracts: bool) -> Uncertainty | None:

@@ -11,48 +11,6 @@ from analytics.step_records.series_statistics import samples_statistics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
-HEADER = """\
--- id:        power
--- en:        Power consumption
--- zh:        功耗
--- unit:      W
--- better:    lower
--- grain:     unit, run, step, supply
--- parameters: supply, step
--- source:    GJB 2426A-2004 5.4
--- needs:     procedure power_consumption with supply_voltage (V) and supply_current (A) of the unit or of its supply
--- limits:    t
--- equation:  P = mean(U*I) for each supply
-"""
-
-# The steps, with the supplies that fed them: the unit's own signals, else the instruments of the run.
-_STEPS = """
-with step as (
-  select run, unit, "index", any_value(step) as step, min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns
-  from step_means where regexp_matches("procedure", '^power|功耗')
-  group by run, unit, "index"
-), supply as (
-  select run, unit as supply,
-    bool_or(signal = 'supply_voltage' and unit_of_measure = 'V') as has_voltage,
-    bool_or(signal = 'supply_current' and unit_of_measure = 'A') as has_current
-  from signals where signal in ('supply_voltage', 'supply_current') group by all
-), tested as (
-  select run, count(distinct unit) as units from step group by run
-), fed as (
-  select s.*, p.supply, p.has_voltage, p.has_current, t.units,
-    bool_or(p.supply = s.unit) over (partition by s.run, s.unit) as has_own,
-    -- the word `power` of its mounting names the supply of a unit
-    json_extract_string(m.details, '$.power') as named
-  from step s join tested t using (run) left join supply p on p.run = s.run
-  left join units m on m.run = s.run and m.unit = s.unit
-)
-select *, supply = unit or units = 1 or supply = named as is_own from fed
-where supply is null or case when has_own then supply = unit
-  when named is not null then supply = named
-  else supply not in (select unit from step) end
-order by run, unit, "index", supply
-"""
-
 _READINGS = """
 select w.which, s.signal, list(s.t_ns order by s.t_ns) as t_ns, list(s.value order by s.t_ns) as values
 from internal.power_windows w
@@ -64,9 +22,9 @@ group by w.which, s.signal
 _Readings = Mapping[str, tuple[IntArray, FloatArray]]
 
 
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric; an instrument reads voltage and current in turn, see `watts`."""
-    steps = catalog.reader(_STEPS).read_all().to_pylist()
+    steps = catalog.reader(sql).read_all().to_pylist()
     for run, group in groupby(steps, key=lambda step: step["run"]):
         of_run = list(group)
         columns = ("run", "supply", "t_from_ns", "t_to_ns")
@@ -81,8 +39,8 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
 
 def _row(step: Mapping[str, Any], readings: _Readings) -> dict[str, Any]:
-    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "n": 0, "steps": [step["index"]]}
-    row |= {"parameters": {"supply": step["supply"], "step": step["step"]}}
+    row = {**step, "signal": "supply_power", "n": 0, "steps": [step["index"]]}
+    row["parameters"] = {"supply": step["supply"], "step": step["step"]}
     if (reason := _lack(step, readings)) is not None:
         return row | {"reason": reason}
     power, t_ns = watts(*readings["supply_voltage"], *readings["supply_current"])

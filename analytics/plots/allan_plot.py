@@ -1,29 +1,19 @@
 """A plot of Allan deviations, for a data sheet or a report: PNG or SVG."""
 
+import tomllib
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.noise_coefficients import NoiseCoefficients
-from analytics.plots.allan_marks import (
-    FLEET,
-    INK,
-    MINUS_HALF,
-    SOFT,
-    EndName,
-    LimitMark,
-    draw_fit,
-    draw_limit,
-    draw_slopes,
-    limit_marks,
-    write_names,
-)
-from analytics.plots.figure_file import check_suffix, logarithmic_grid, widened, write_figure
+from analytics.plots import allan_marks
+from analytics.plots.allan_marks import FLEET, INK, SOFT, EndName, LimitMark
+from analytics.plots.figure_file import LEFT, check_suffix, logarithmic_grid, page, widened, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
 from stream.events import Limit
@@ -34,34 +24,7 @@ _LANGUAGES = ("en", "zh")
 # Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
-_WORDS = {
-    "en": {
-        "tau": "Averaging time τ (s)",
-        "deviation": "{name} ({unit})",
-        "what": "{overlapping}; bands: 95 % confidence",
-        "limit": "limit",
-        "+1/2": "rate random walk",
-        "0": "bias instability",
-        MINUS_HALF: "angle random walk",
-        "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
-        "others": "{n} other units",
-        "fit": "fitted model, all terms",
-    },
-    "zh": {
-        "tau": "平均时间 τ (s)",
-        "deviation": "{name} ({unit})",
-        "what": "{overlapping}；色带：95 % 置信区间",
-        "limit": "限值",
-        "+1/2": "角速率随机游走",
-        "0": "零偏不稳定性",
-        MINUS_HALF: "角度随机游走",
-        "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
-        "others": "其余 {n} 只",
-        "fit": "拟合模型(各项之和)",
-    },
-}
-SECONDS_PER_HOUR = 3600.0
-_LEFT, _WIDTH = 0.095, 0.745
+_WORDS = tomllib.loads(files("analytics.plots").joinpath("allan_words.toml").read_text(encoding="utf-8"))
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16
 
@@ -81,8 +44,7 @@ def plot_allan(
     Holds no global state of matplotlib: calls may run in several threads.
     """
     check_suffix(path)
-    figure = _figure(_checked(curves, chosen), list(limits), title, chosen, language, found)
-    write_figure(figure, path)
+    write_figure(_figure(_checked(curves, chosen), list(limits), title, chosen, language, found), path)
 
 
 def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurve]:
@@ -108,13 +70,13 @@ def _figure(
 ) -> Figure:  # fmt: skip
     wanted = [part for part in language.split("+") if part == "en" or chinese_font() is not None] or ["en"]
     words = _WORDS[wanted[0]]
-    figure = Figure(figsize=(8.2, 5.4), facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((_LEFT, 0.135, _WIDTH, 0.725))
-    marks = limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
+    names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
+    what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
+    figure, axes = page(title or _title(curves, chosen), what, width=0.745)
+    marks = allan_marks.limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
     _scales(axes, curves, marks)
     if found is None:
-        draw_slopes(axes, _crowd(curves, marks), words)
+        allan_marks.draw_slopes(axes, _crowd(curves, marks), words)
     names: list[EndName] = []
     for i, curve in enumerate(curves):
         _curve(axes, curve, i, len(curves), chosen)
@@ -125,20 +87,16 @@ def _figure(
         middle = sorted(others, key=lambda curve: curve.adev[-1])[len(others) // 2]
         names.append(EndName(words["others"].format(n=len({c.unit for c in others})), SOFT, *middle.end))
     if len(names) <= _NAMED_AT_MOST:
-        write_names(axes, names)
+        allan_marks.write_names(axes, names)
     for mark in marks:
-        draw_limit(axes, mark, words["limit"])
+        allan_marks.draw_limit(axes, mark, words["limit"])
     if found is not None:
-        draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
+        allan_marks.draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
     axes.set_xlabel(words["tau"], color=INK, fontsize=10)
     bare = curves[0].bare_names[_LANGUAGES.index(wanted[0])]
     axes.set_ylabel(words["deviation"].format(name=bare, unit=curves[0].unit_of_measure), color=INK, fontsize=10)
-    figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)
-    names_of = {part: curves[0].names[_LANGUAGES.index(part)] for part in wanted}
-    what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"].format(overlapping=name) for part, name in names_of.items())
-    figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
     shown = [curve for curve in curves if chosen in (None, curve.unit)]
-    figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
+    figure.text(LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
     set_fonts(figure)
     return figure
 
@@ -202,7 +160,7 @@ def _title(curves: list[AllanCurve], chosen: str | None) -> str:
 
 def _record(curves: list[AllanCurve], words: dict[str, str]) -> str:
     """Lengths of the records and missing samples."""
-    hours = sorted(curve.samples * curve.sample_interval_s / SECONDS_PER_HOUR for curve in curves)
+    hours = sorted(curve.samples * curve.sample_interval_s / 3600 for curve in curves)
     least, most = f"{hours[0]:.3g}", f"{hours[-1]:.3g}"
     return words["record"].format(
         hours=least if least == most else f"{least} \N{EN DASH} {most}",

@@ -9,17 +9,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from analytics.plots.allan_marks import FLEET, INK
+from analytics.plots.allan_marks import FLEET, INK, SOFT
+from analytics.plots.plot_fonts import chinese_font
 from stream.errors import BadInput
 
-_SUFFIXES = (".png", ".svg")
 _GRID = "#dfe3e8"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+LEFT = 0.095
+
+
+def page(title: str, what: str, width: float) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes of this width, a title and a line below it."""
+    figure = Figure(figsize=(8.2, 5.4), facecolor="white")
+    axes = figure.add_axes((LEFT, 0.135, width, 0.725))
+    figure.text(LEFT, 0.945, title, fontsize=13, fontweight="bold", color=INK)
+    figure.text(LEFT, 0.893, what, fontsize=8.5, color=SOFT)
+    return figure, axes
+
+
+def in_both(en: str, zh: str, between: str = "  ") -> str:
+    """A label in English and, where there is a font for it, in Chinese."""
+    return en if chinese_font() is None else f"{en}{between}{zh}"
+
+
 def check_suffix(path: Path) -> None:
     """Refuse a file that is to be neither PNG nor SVG."""
-    if path.suffix.lower() not in _SUFFIXES:
+    if path.suffix.lower() not in {".png", ".svg"}:
         raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
 
 

@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.markers import CARETDOWN
 
 from analytics.curves.spectrum import Level, SignalSpectrum, with_error
 from analytics.plots.allan_marks import FLEET, INK, SOFT
-from analytics.plots.figure_file import check_suffix, logarithmic_grid, widened, write_figure
-from analytics.plots.plot_fonts import chinese_font, set_fonts
+from analytics.plots.figure_file import LEFT, check_suffix, in_both, logarithmic_grid, page, widened, write_figure
+from analytics.plots.plot_fonts import set_fonts
 from stream.errors import BadInput
 from stream.estimators.spectral_density import FIRST_BIN
 from stream.estimators.spectrum.spectral_lines import SpectralLine
 
 _DENSITY, _LINE = "#0072b2", "#d55e00"
-_LEFT, _WIDTH, _WIDTH_BESIDE_LINES = 0.095, 0.875, 0.745
 _BANDS_A_DECADE = 20
 _NAMED_AT_MOST = 11
 _NAME_HEIGHT = 0.078
@@ -28,7 +26,6 @@ _NUMBER_ABOVE, _NUMBER_WIDTH = 6.0, 8.0
 _POINTS_PER_INCH = 72.0
 _DOT = "  \N{MIDDLE DOT}  "
 _MOST_OVER = 3.0
-_SECONDS_PER_HOUR = 3600.0
 
 
 def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
@@ -51,10 +48,13 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
             f"unit {spectrum.unit}, signal {spectrum.signal}, run {spectrum.run}: no density above 0 to draw; "
             "the output is constant"
         )
-    figure = Figure(figsize=(8.2, 5.4), facecolor="white")
-    FigureCanvasAgg(figure)
-    width = _WIDTH_BESIDE_LINES if spectrum.lines else _WIDTH
-    axes = figure.add_axes((_LEFT, 0.135, width, 0.725))
+    name = in_both("Power spectral density", "功率谱密度")
+    figure, axes = page(
+        _DOT.join((spectrum.unit, spectrum.signal, f"run {spectrum.run}")),
+        f"{name}; grey: every bin; bold: mean of 1/{_BANDS_A_DECADE} decade, lines left out; "
+        f"band: {spectrum.confidence * 100:g} % confidence",
+        0.745 if spectrum.lines else 0.875,  # the lines are listed beside the axes
+    )
     _scales(axes, spectrum, levels)
     # a path of every bin would make an SVG of megabytes
     axes.plot(spectrum.frequency_hz, spectrum.psd, color=FLEET, alpha=0.7, linewidth=0.5, rasterized=True)
@@ -67,7 +67,7 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
     _mark(axes, spectrum, named)
     for hump in spectrum.humps:
         axes.axvspan(hump.frequency_lo_hz, hump.frequency_hi_hz, color=_LINE, alpha=0.12, linewidth=0, zorder=0.5)
-    _write(figure, axes, spectrum)
+    _write_record(figure, axes, spectrum)
     if named:
         _list_lines(axes, spectrum, named)
     set_fonts(figure)
@@ -108,9 +108,8 @@ def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> No
 
 def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
     """The lines by number beside the axes, with frequency and amplitude."""
-    heading = "Lines  谱线" if chinese_font() is not None else "Lines"
     beside: dict[str, Any] = {"va": "top", "transform": axes.transAxes}
-    axes.text(1.025, 1.0, heading, color=INK, fontsize=8.5, fontweight="bold", **beside)
+    axes.text(1.025, 1.0, in_both("Lines", "谱线"), color=INK, fontsize=8.5, fontweight="bold", **beside)
     for i, line in enumerate(named):
         top = 0.945 - i * _NAME_HEIGHT
         frequency = with_error(line.frequency_hz, line.frequency_hi_hz - line.frequency_hz, digits=1).split(" ")[0]
@@ -124,21 +123,12 @@ def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine])
         axes.text(1.025, 0.945 - len(named) * _NAME_HEIGHT, text, color=SOFT, fontsize=7.5, **beside)
 
 
-def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
-    """Axis labels, title, legend line and record."""
-    is_chinese = chinese_font() is not None
+def _write_record(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
+    """Axis labels and record."""
     unit = spectrum.psd_unit.replace("^2", "\N{SUPERSCRIPT TWO}")
-    axes.set_xlabel("Frequency (Hz)" + ("  频率" if is_chinese else ""), color=INK, fontsize=10)
+    axes.set_xlabel(in_both("Frequency (Hz)", "频率"), color=INK, fontsize=10)
     axes.set_ylabel(f"One-sided power spectral density ({unit})", color=INK, fontsize=10)
-    title = _DOT.join((spectrum.unit, spectrum.signal, f"run {spectrum.run}"))
-    figure.text(_LEFT, 0.945, title, fontsize=13, fontweight="bold", color=INK)
-    name = "Power spectral density" + ("  功率谱密度" if is_chinese else "")
-    what = (
-        f"{name}; grey: every bin; bold: mean of 1/{_BANDS_A_DECADE} decade, lines left out; "
-        f"band: {spectrum.confidence * 100:g} % confidence"
-    )
-    figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
-    hours = spectrum.samples * spectrum.sample_interval_s / _SECONDS_PER_HOUR
+    hours = spectrum.samples * spectrum.sample_interval_s / 3600
     record = (
         f"{hours:.3g} h at {spectrum.sample_interval_s:g} s; {spectrum.samples:,} samples, "
         f"{spectrum.missing:,} missing; {spectrum.segments:,} segments, resolution {spectrum.bin_width_hz:.3g} Hz"
@@ -147,4 +137,4 @@ def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
         record += f"; no line stands out from {spectrum.searched_lo_hz:.3g} to {spectrum.searched_hi_hz:.3g} Hz"
     if spectrum.humps:
         record += "; shaded: humps"
-    figure.text(_LEFT, 0.022, record, fontsize=7.5, color=SOFT)
+    figure.text(LEFT, 0.022, record, fontsize=7.5, color=SOFT)

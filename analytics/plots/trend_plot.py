@@ -5,18 +5,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from analytics.metric_registry.registry import metrics
 from analytics.plots.allan_marks import FLEET, INK, SOFT
-from analytics.plots.figure_file import check_suffix, write_figure
-from analytics.plots.plot_fonts import chinese_font, set_fonts
+from analytics.plots.figure_file import check_suffix, in_both, write_figure
+from analytics.plots.plot_fonts import set_fonts
 from analytics.trends.change_points import Changes
 from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.series import MetricSeries
-from analytics.trends.trend import NS_PER_DAY, Chart, Trend
+from analytics.trends.sessions import NS_PER_DAY
+from analytics.trends.trend import Chart, Trend
 
 _MOST_CHARTS = 8
 _CENTRE, _ALARM, _LEVEL, _SPECIFIED = "#2f6f4f", "#a40000", "#c46a00", "#6a3d9a"
@@ -26,18 +25,16 @@ _COLOURS = ("#1f4e79", "#b3541e", "#4b7f52", "#7a4988", "#8a6d1d", "#3f7f93")
 def plot_trend(trend: Trend, path: Path) -> None:
     """Draw the charts of a trend into a file, PNG or SVG; of many, the significant ones."""
     check_suffix(path)
-    is_chinese = chinese_font() is not None
     order = sorted(trend.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))
     shown = order[:_MOST_CHARTS]
     figure = Figure(figsize=(9.5, 1.1 + (4.6 if len(shown) == 1 else 2.3 * len(shown))), facecolor="white")
-    FigureCanvasAgg(figure)
     top = 1 - 0.75 / figure.get_figheight()
     grid: dict[str, Any] = {"left": 0.1, "right": 0.87, "top": top, "bottom": 0.7 / figure.get_figheight()}
     if len(shown) == 1:
         axes = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1.3], "hspace": 0.08, **grid})
         _draw_chart(axes[0], shown[0], trend)
-        _draw_averages(axes[1], shown[0], is_chinese=is_chinese)
-        _name_axis(axes[1], trend.series, is_chinese=is_chinese)
+        _draw_averages(axes[1], shown[0])
+        _name_axis(axes[1], trend.series)
     else:
         # units differ by more than each scatters; stations, lots and fixtures are to be compared
         is_of_units = trend.by == "unit"
@@ -45,20 +42,19 @@ def plot_trend(trend: Trend, path: Path) -> None:
         for each, chart in zip(axes, shown, strict=True):
             _draw_chart(each, chart, trend)
             each.set_title(chart.name, loc="left", fontsize=8.5, color=INK, pad=3)
-        _name_axis(axes[-1], trend.series, is_chinese=is_chinese)
+        _name_axis(axes[-1], trend.series)
     t = _times(trend.series)
     margin = 0.02 * float(np.ptp(t)) or 0.5
     for each in figure.axes:
         each.set_xlim(float(t.min()) - margin, float(t.max()) + margin)
-    _write_title(figure, trend, len(order) - len(shown), is_chinese=is_chinese)
+    _write_title(figure, trend, len(order) - len(shown))
     set_fonts(figure)
     write_figure(figure, path)
 
 
-def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -> None:
-    series = trend.series
-    header = metrics()[series.metric].header if series.metric in metrics() else None
-    name = series.metric if header is None else header.en + (f"  ·  {header.zh}" if is_chinese else "")
+def _write_title(figure: Figure, trend: Trend, more: int) -> None:
+    series, header = trend.series, trend.series.header
+    name = series.metric if header is None else in_both(header.en, header.zh, "  ·  ")
     height = figure.get_figheight()
     figure.text(0.1, 1 - 0.3 / height, f"{name}, {series.unit_of_measure}", fontsize=13, fontweight="bold", color=INK)
     subtitle = f"{series.variant}; {series.value.size} values of {len(set(series.unit))} units"
@@ -80,12 +76,12 @@ def _times(series: MetricSeries) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.asarray(series.t_ns / NS_PER_DAY, np.float64)
 
 
-def _name_axis(axes: Axes, series: MetricSeries, *, is_chinese: bool) -> None:
+def _name_axis(axes: Axes, series: MetricSeries) -> None:
     if series.dated:
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-    axes.set_xlabel(("Time (UTC)" if series.dated else "Point") + ("  时间" if is_chinese else ""), color=INK)
+    axes.set_xlabel(in_both("Time (UTC)" if series.dated else "Point", "时间"), color=INK)
 
 
 def _draw_chart(axes: Axes, chart: Chart, trend: Trend) -> None:
@@ -159,8 +155,8 @@ def _draw_levels(axes: Axes, changes: Changes, t: np.ndarray[Any, Any]) -> None:
         axes.axvspan(t[point.first - 1], t[point.last], color=_LEVEL, alpha=0.15, linewidth=0)
 
 
-def _draw_averages(axes: Axes, chart: Chart, *, is_chinese: bool) -> None:
-    axes.set_ylabel("EWMA" + ("  指数加权平均" if is_chinese else ""), color=INK, fontsize=8)
+def _draw_averages(axes: Axes, chart: Chart) -> None:
+    axes.set_ylabel(in_both("EWMA", "指数加权平均"), color=INK, fontsize=8)
     axes.tick_params(colors=INK, labelsize=8)
     found = chart.averages
     if found is None:

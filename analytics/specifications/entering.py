@@ -9,15 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from analytics.metric_registry.registry import alike, check_metrics, metrics
+from storage.specifications import specification
 from storage.specifications.chain import Chain, append_document, read_chain
 from storage.specifications.copies import FOLDER, write_copy
-from storage.specifications.specification import (
-    Specification,
-    SpecificationLimit,
-    check_names,
-    parse_specification,
-    read_specification,
-)
+from storage.specifications.specification import Specification, SpecificationLimit
 from storage.specifications.validity import in_force, periods_of
 from storage.store import Store, only_one
 from stream.errors import BadInput, NotFound, UnknownUnit
@@ -35,7 +30,7 @@ def add_specification(
     entered again only with `rejudges`. Raises BadInput if it is not right, contradicts another one, or has the revision
     of one with other content; StoreError if the store cannot be written.
     """
-    content = read_specification(path)
+    content = specification.read_specification(path)
     found = checked_specification(content, str(path))
     with only_one(store.folder / FOLDER / ".lock", "gyrofleet limits"):
         chain = _whole_chain(store)
@@ -134,9 +129,9 @@ def checked_specification(content: bytes, source: str) -> Specification:
     in it is not right: an unknown metric or standard, a unit of measure that does not fit, limits that repeat each
     other; the message names the file, the line and the key.
     """
-    found = parse_specification(content, source)
+    found = specification.parse_specification(content, source)
     where = f"specification {source}"
-    check_names(found, where)
+    specification.check_names(found, where)
     _check_limits(found, content, where)
     return found
 

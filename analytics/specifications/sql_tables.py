@@ -30,8 +30,6 @@ _HISTORY = pa.schema({
     "t_ns": _WHOLE, "action": _TEXT, "specification": _TEXT, "revision": _TEXT, "entered_by": _TEXT, "reason": _TEXT,
     "rejudges": pa.bool_(), "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
 })  # fmt: skip
-_PROBLEMS = pa.schema({"problem": _TEXT})
-_FACTORS = pa.schema({"source": _TEXT, "target": _TEXT, "factor": _REAL})
 _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause", "parameters", "needs", "equation")
 
 
@@ -49,7 +47,9 @@ def put_specifications(catalog: Catalog) -> None:
     for each in editions:
         products += _product_rows(each)
         for limit in each.period.specification.limits if not chain.breaks else ():
-            parameters += _parameter_rows(len(limits), limit)
+            for name, value in limit.parameters.items():
+                of = {"limit_id": len(limits), "metric": limit.metric}
+                parameters.append(of | {"path": f"$.{json.dumps(name)}", "key": _key(value)})
             limits.append(_limit_row(len(limits), limit, each))
     problems = [{"problem": f"the chain of specification documents is broken: {each.what}"} for each in chain.breaks]
     now = [row for row in limits if row["known_until_ns"] == NEVER]
@@ -58,7 +58,7 @@ def put_specifications(catalog: Catalog) -> None:
         ("specification_parameters", parameters, _PARAMETERS),
         ("product_editions", products, _PRODUCTS),
         ("specification_history", _history(chain), _HISTORY),
-        ("specification_problems", problems, _PROBLEMS),
+        ("specification_problems", problems, pa.schema({"problem": _TEXT})),
     ):
         catalog.put(name, pa.Table.from_pylist(rows, schema=schema))
     limits_now = pa.Table.from_pylist(now, schema=_LIMITS)
@@ -73,11 +73,11 @@ def put_names(catalog: Catalog) -> None:
 
 def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> dict[str, object]:
     period, specification = edition.period, edition.period.specification
-    names = ("metric", "subject", "product", "signal", "standard", "lower", "upper", "unit_of_measure")
-    return {name: getattr(limit, name) for name in names} | {
-        "limit_id": limit_id, "specification": specification.name, "revision": specification.revision,
-        "from_ns": period.from_ns, "until_ns": period.until_ns, "known_from_ns": edition.known_from_ns,
-        "known_until_ns": edition.known_until_ns, "valid": period.text, "revisions": edition.revisions,
+    return msgspec.structs.asdict(limit) | {
+        "limit_id": limit_id, "subject": limit.subject, "specification": specification.name,
+        "revision": specification.revision, "from_ns": period.from_ns, "until_ns": period.until_ns,
+        "known_from_ns": edition.known_from_ns, "known_until_ns": edition.known_until_ns, "valid": period.text,
+        "revisions": edition.revisions,
         "parameters": json.dumps(limit.parameters, sort_keys=True, ensure_ascii=False),
         "parameter_count": len(limit.parameters),
     }  # fmt: skip
@@ -92,19 +92,11 @@ def _product_rows(edition: Edition) -> list[dict[str, object]]:
 
 
 def _history(chain: Chain) -> list[dict[str, object]]:
-    names = ("t_ns", "reason", "rejudges", "content", "previous")
     return [
-        {name: getattr(link.document, name) for name in names}
+        msgspec.structs.asdict(link.document)
         | {"action": link.document.action.value, "specification": link.document.name, "sha256": link.hash}
         | {"revision": link.document.revision, "entered_by": link.document.by}
         for link in chain.links
-    ]
-
-
-def _parameter_rows(limit_id: int, limit: SpecificationLimit) -> list[dict[str, object]]:
-    return [
-        {"limit_id": limit_id, "metric": limit.metric, "path": f"$.{json.dumps(name)}", "key": _key(value)}
-        for name, value in limit.parameters.items()
     ]
 
 
@@ -125,7 +117,7 @@ def _factors(catalog: Catalog) -> pa.Table:
     for source, target in pairs:
         with suppress(UnknownUnit):
             rows.append({"source": source, "target": target, "factor": result_factor(source, target)})
-    return pa.Table.from_pylist(rows, schema=_FACTORS)
+    return pa.Table.from_pylist(rows, schema=pa.schema({"source": _TEXT, "target": _TEXT, "factor": _REAL}))
 
 
 def _names() -> pa.Table:

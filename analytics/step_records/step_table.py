@@ -20,6 +20,7 @@ FILE = "steps.parquet"
 _VERSION = "7"
 _PRINT = "fingerprint"
 _SQL = files("analytics.step_records").joinpath("step_means.sql").read_text()
+_INPUTS = files("analytics.step_records").joinpath("run_inputs.sql").read_text()
 _MARK = b"gyrofleet.written"
 
 Progress = Callable[[int, int], None]
@@ -48,29 +49,16 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
         tables.append(_reduced(catalog, stale, prints, progress))
     table = pa.concat_tables(tables, promote_options="default") if tables else _reduced(catalog, [], {}, None)
     table = table.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
-    _keep(catalog, table)
+    if not catalog.frozen:
+        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
     return table
 
 
 def run_fingerprints(catalog: Catalog) -> dict[str, str]:
     """Hash of what the records of each run with a completed step depend on: its samples and its documents."""
-    found = catalog.rows(
-        """
-        with sampled as (
-          select run, string_agg(
-              concat_ws('|', channel, samples, kept_raw, t_first_ns, t_last_ns), ';' order by channel) as samples
-          from internal.lake_channels group by run
-        ), documented as (
-          select run, bit_xor(hash(uid)) as documents, count(*) as n,
-            count(*) filter (kind = 'StepEnded') as steps
-          from internal.lake_documents where kind not in ('EstimatePublished', 'EarlyDecision') group by run
-        )
-        select run, samples, documents::varchar, n from documented join sampled using (run) where steps > 0 order by run
-        """
-    )
     return {
         run: hashlib.sha256(f"{_VERSION}/{samples}/{documents}/{n}".encode()).hexdigest()[:32]
-        for run, samples, documents, n in found
+        for run, samples, documents, n in catalog.rows(_INPUTS)
     }
 
 
@@ -105,11 +93,6 @@ def _mark(schema: pa.Schema) -> bytes:
     """Hash of the version, the SQL and the columns of the records."""
     text = f"{_VERSION}/{_SQL}/{schema.remove_metadata().to_string()}"
     return hashlib.sha256(text.encode()).hexdigest().encode()
-
-
-def _keep(catalog: Catalog, table: pa.Table) -> None:
-    if not catalog.frozen:
-        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
 
 
 def hash_path(path: Path) -> Path:

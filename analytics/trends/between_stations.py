@@ -9,13 +9,12 @@ import polars as pl
 
 from analytics.trends.mixed_model import ComponentDeviation, ContrastEstimate, MixedModel, holm, paired_difference
 from analytics.trends.series import GROUPS, MetricSeries
-from analytics.trends.words import NotComputed, Words, not_computed
+from analytics.trends.words import NotComputed, Words, group_name, not_computed, words
 from stream.batch import FloatArray, IntArray
 
 LEAST_VALUES = 8
 LEAST_PER_LEVEL = 2
 LEAST_PAIRS = 3
-GROUP_NAMES_ZH = {"station": "测试站", "fixture": "夹具", "lot": "批次", "unit": "样品", "product": "产品"}
 _MOST_LEVELS = 200
 _MOST_RANDOM_LEVELS = 60
 _DEPENDENT = 1e-9
@@ -69,10 +68,7 @@ def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> Gr
     is compared with the first, with more each against the mean of the others.
     """
     if series.value.size < LEAST_VALUES:
-        return not_computed(
-            f"{series.value.size} values; groups are compared from {LEAST_VALUES} on",
-            f"仅有 {series.value.size} 个数值，分组比较至少需要 {LEAST_VALUES} 个",
-        )
+        return not_computed("groups_short", values=series.value.size, least=LEAST_VALUES)
     found, left_out = _groups(series, groups)
     unit = _codes(series.unit)[1]
     differences = []
@@ -82,8 +78,7 @@ def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> Gr
         fixed = np.column_stack([np.ones(series.value.size), *(each.columns for each in (group, *others))])
         model = MixedModel(series.value, fixed[:, _independent(fixed)], unit)
         if model.y.size - model.fixed.shape[1] < 3 or unit.max() < 1:
-            few = f"{group.name}: too few values for its {len(group.levels)} levels"
-            left_out.append(Words(few, f"{GROUP_NAMES_ZH.get(group.name, group.name)}：数据不足"))
+            left_out.append(words("group_short", group=group_name(group.name), levels=len(group.levels)))
             continue
         differences += _differences(group, model, series, confounded)
     adjusted = holm([each.effect.chance for each in differences])
@@ -105,9 +100,7 @@ def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group],
         if len(levels) < 2:
             continue
         if len(levels) - few < 2 or len(levels) > _MOST_LEVELS:
-            en = f"{name}: {len(levels)} levels, {few} of them with a single value"
-            zh = f"{GROUP_NAMES_ZH.get(name, name)}：{len(levels)} 个水平，其中 {few} 个仅有 1 个数值"
-            left_out.append(Words(en, zh))
+            left_out.append(words("group_single", group=group_name(name), levels=len(levels), few=few))
             continue
         found.append(_Group(name, levels, code, (code[:, None] == np.arange(1, len(levels))).astype(np.float64)))
     return found, left_out

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2, norm, shapiro
 
 from analytics.trends.series import MetricSeries, parameter_text
-from analytics.trends.words import NotComputed, Words, not_computed
+from analytics.trends.words import NotComputed, Words, not_computed, words
 from storage.specifications.specification import SpecificationLimit
 from storage.specifications.validity import ordered_periods, stored_specifications
 from storage.store import Store
@@ -47,11 +47,7 @@ def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
             lower, upper = (None if side is None else side * factor for side in (limit.lower, limit.upper))
             found[lower, upper] = label
     if len(found) > 1 or (found and without):
-        why_not = Words(
-            "the values are of products or signals with different limits: choose by --product or --signal",
-            "各产品或信号的限值不同：请用 --product 或 --signal 选择",
-        )
-        return SpecifiedLimits(why_not=why_not)
+        return SpecifiedLimits(why_not=words("limits_differ"))
     return next((SpecifiedLimits(*sides, label) for sides, label in found.items()), SpecifiedLimits())
 
 
@@ -140,18 +136,9 @@ def cpk_index(cpk: float, n: int) -> Index:
 
 def _why_not(values: FloatArray, has_limit: bool, out_of_control: Words | None) -> NotComputed | None:
     if not has_limit:
-        return not_computed(
-            "no specification limits this characteristic: add one with `gyrofleet limits add`",
-            "产品规范中没有该特性的限值：请用 `gyrofleet limits add` 添加",
-        )
+        return not_computed("capability_no_limit")
     if values.size < LEAST_POINTS:
-        return not_computed(
-            f"{values.size} units, capability is given from {LEAST_POINTS} on",
-            f"仅 {values.size} 个样品，过程能力至少需要 {LEAST_POINTS} 个",
-        )
+        return not_computed("capability_short", units=values.size, least=LEAST_POINTS)
     if out_of_control is not None:
-        return not_computed(
-            f"the process is not in control ({out_of_control.en}), so it has no capability: mend that first",
-            f"过程未受控（{out_of_control.zh}），过程能力无意义：请先消除异因",
-        )
-    return None if values.std() > 0 else not_computed("the values do not vary", "各值无变化")
+        return not_computed("capability_not_in_control", why=out_of_control)
+    return None if values.std() > 0 else not_computed("capability_constant")

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import gammaln
-from scipy.stats import norm
 
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray
@@ -82,14 +81,10 @@ def individuals_chart(
     """
     first = values if baseline is None else values[:baseline]
     if first.size < LEAST_POINTS:
-        return not_computed(
-            f"{first.size} points, a chart's limits need {LEAST_POINTS}: measure on",
-            f"仅有 {first.size} 点，确定控制限至少需要 {LEAST_POINTS} 点：请继续测量",
-        )
+        return not_computed("chart_short", points=first.size, least=LEAST_POINTS)
     centre, sigma = (float(each) for each in centre_and_sigma(first, spread))
     if not sigma > 1e-12 * abs(centre):
-        en = "the values do not vary from point to point: a chart has no limits then"
-        return not_computed(en, "各点数值无变化：无法确定控制限")
+        return not_computed("chart_constant")
     lower, upper = centre - WIDTH * sigma, centre + WIDTH * sigma
     return IndividualsChart(centre, sigma, lower, upper, D2 * sigma, (D2 + WIDTH * D3) * sigma, int(first.size), spread)
 
@@ -124,20 +119,3 @@ def ewma_chart(
     grown = 1 - (1 - weight) ** (2 * np.arange(1, values.size + 1))
     half = width * sigma * np.sqrt(weight / (2 - weight) * grown)
     return EwmaChart(averages, centre - half, centre + half, weight, width)
-
-
-def average_run_length(weight: float, width: float, shift: float = 0.0, states: int = 201) -> float:
-    """Points until the average leaves steady limits, by the Markov chain of Brook and Evans (Lucas, Saccucci 1990).
-
-    `shift`: by how many sigma the process has moved.
-
-    >>> round(average_run_length(0.2, 2.86))
-    371
-    """
-    half = width * np.sqrt(weight / (2 - weight))
-    edges = np.linspace(-half, half, states + 1)
-    middles = (edges[1:] + edges[:-1]) / 2
-    reached = norm.cdf((edges[None, :] - (1 - weight) * middles[:, None]) / weight - shift)
-    moves = np.diff(reached, axis=1)
-    lengths = np.linalg.solve(np.eye(states) - moves, np.ones(states))
-    return float(lengths[states // 2])

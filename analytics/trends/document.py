@@ -2,11 +2,9 @@
 
 from typing import Any
 
-from analytics.metric_registry.registry import metrics
 from analytics.trends.between_stations import Difference, GroupComparison, Pairs
 from analytics.trends.capability import Capability
 from analytics.trends.change_points import Changes, Drift
-from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.level_shifts import LevelShift, LevelShifts
 from analytics.trends.nelson_rules import RULES
 from analytics.trends.report import moment, sentences, stands_out
@@ -17,8 +15,7 @@ from analytics.trends.words import NotComputed
 
 def document(trend: Trend) -> dict[str, Any]:
     """All results of a trend; one that was not computed has a `reason`."""
-    series = trend.series
-    header = metrics()[series.metric].header if series.metric in metrics() else None
+    series, header = trend.series, trend.series.header
     limits, charts = trend.specification, zip(trend.charts, trend.capabilities, strict=True)
     return {
         "metric": series.metric,
@@ -35,14 +32,19 @@ def document(trend: Trend) -> dict[str, Any]:
         "specification": {"lower": limits.lower, "upper": limits.upper, "source": limits.source or None},
         **_shifts(trend.shifts, series),
         **_comparison(trend.comparison),
-        "components": {name: each._asdict() for name, each in trend.components.items()},
+        "components": {name: _plain(each) for name, each in trend.components.items()},
         "stands_out": stands_out(trend),
         "report": [each._asdict() for each in sentences(trend)],
     }
 
 
-def _reason(refused: NotComputed) -> dict[str, dict[str, str]]:
-    return {"reason": refused.why._asdict()}
+def _plain(value: Any) -> Any:
+    """A result with its parts as mappings; of one that was not computed the reason."""
+    if isinstance(value, NotComputed):
+        return {"reason": value.why._asdict()}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return {name: _plain(each) for name, each in value._asdict().items()}
+    return value
 
 
 def _kind(variant: Variant) -> dict[str, Any]:
@@ -50,11 +52,11 @@ def _kind(variant: Variant) -> dict[str, Any]:
 
 
 def _chart(chart: Chart) -> dict[str, Any]:
-    per = "day" if chart.series.dated else "point"
+    per = {"per": "day" if chart.series.dated else "point"} if isinstance(chart.drift, Drift) else {}
     return {
         "name": chart.name,
         "in_control": chart.in_control,
-        "limits": chart.limits._asdict() if isinstance(chart.limits, IndividualsChart) else _reason(chart.limits),
+        "limits": _plain(chart.limits),
         "points": _points(chart),
         "signals": [
             {
@@ -66,11 +68,11 @@ def _chart(chart: Chart) -> dict[str, Any]:
             }
             for rule, points in chart.signals.items()
         ],
-        "chance": None if chart.chance is None else chart.chance._asdict(),
+        "chance": _plain(chart.chance),
         "wild_point": chart.wild_point,
         "rule_met_too_often": chart.too_many,
         "changes": _changes(chart),
-        "drift": chart.drift._asdict() | {"per": per} if isinstance(chart.drift, Drift) else _reason(chart.drift),
+        "drift": _plain(chart.drift) | per,
         "drifts": chart.drifts,
         "is_adjusted": chart.is_adjusted,
     }
@@ -99,7 +101,7 @@ def _points(chart: Chart) -> list[dict[str, Any]]:
 
 def _changes(chart: Chart) -> dict[str, Any]:
     if not isinstance(chart.changes, Changes):
-        return _reason(chart.changes)
+        return {"reason": chart.changes.why._asdict()}
     of = chart.series
     points = [each._asdict() | _times(of, each.at, each.first - 1, each.last) for each in chart.changes.points]
     return {"points": points, "levels": list(chart.changes.levels), "false_alarm": chart.changes.false_alarm}
@@ -126,10 +128,8 @@ def _times(series: MetricSeries, at: int, first: int, last: int) -> dict[str, st
 
 
 def _capability(found: Capability | NotComputed) -> dict[str, Any]:
-    if isinstance(found, NotComputed):
-        return _reason(found)
-    cp = None if found.cp is None else found.cp._asdict()
-    return found._asdict() | {"cp": cp, "cpk": found.cpk._asdict(), "is_normal": found.is_normal}
+    normal = {"is_normal": found.is_normal} if isinstance(found, Capability) else {}
+    return {**_plain(found), **normal}
 
 
 def _comparison(found: GroupComparison | NotComputed) -> dict[str, Any]:

@@ -4,21 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analytics.trends import sessions
 from analytics.trends.change_points import clipped
 from analytics.trends.series import MetricSeries
-from analytics.trends.sessions import (
-    LEAST_SEGMENT,
-    LEAST_UNITS,
-    Layout,
-    SessionModel,
-    Sums,
-    layout_of,
-    sides,
-    station_columns,
-    steps_of,
-    unit_ratio,
-    units_across,
-)
 from analytics.trends.step_search import BestStep, StepSearch
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
@@ -82,23 +70,19 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
     added to the model, until no more are found. Outliers are clipped to 5 standard deviations first. Moment and size
     are averaged over all moments and noises by their likelihoods.
     """
-    layout = layout_of(series)
+    layout = sessions.layout_of(series)
     station_of_value = layout.station[layout.session]
     repeated = int((np.bincount(layout.unit) > 1).sum())
-    if series.value.size < LEAST_VALUES or repeated < LEAST_UNITS:
-        return not_computed(
-            f"{series.value.size} values, {repeated} units measured more than once; changes of stations need "
-            f"{LEAST_VALUES} values with {LEAST_UNITS} such units",
-            f"共 {series.value.size} 个数值、{repeated} 个重复测量的样品；测试站变点检测至少需要 "
-            f"{LEAST_VALUES} 个数值与 {LEAST_UNITS} 个重复测量的样品",
-        )
+    if series.value.size < LEAST_VALUES or repeated < sessions.LEAST_UNITS:
+        counts = {"values": series.value.size, "repeated": repeated}
+        return not_computed("shifts_short", **counts, least=LEAST_VALUES, units=sessions.LEAST_UNITS)
     middle, scale = float(np.median(series.value)), float(series.value.std())
     if not scale > 1e-12 * abs(middle):
-        return not_computed("the values do not vary", "数值无变化")
+        return not_computed("shifts_constant")
     y = (series.value - middle) / scale
-    ratio = min(unit_ratio(y, layout.unit, station_of_value), _MOST_RATIO)
-    model = SessionModel(layout.session, layout.unit, layout.station, ratio)
-    search = StepSearch(model, steps_of(layout), station_columns(layout.station))
+    ratio = min(sessions.unit_ratio(y, layout.unit, station_of_value), _MOST_RATIO)
+    model = sessions.SessionModel(layout.session, layout.unit, layout.station, ratio)
+    search = StepSearch(model, sessions.steps_of(layout), sessions.station_columns(layout.station))
     for _ in range(2):
         # levels first from the raw values, then from the clipped ones
         expected, spread = search.residuals(y)
@@ -128,18 +112,20 @@ def _tame(residuals: FloatArray, station: IntArray) -> FloatArray:
     found = residuals.copy()
     for number in np.unique(station):
         own = station == number
-        if own.sum() >= LEAST_SEGMENT:
+        if own.sum() >= sessions.LEAST_SEGMENT:
             found[own] = clipped(residuals[own])
     return found
 
 
-def _located(search: StepSearch, sums: Sums, found: BestStep, layout: Layout, scale: float) -> LevelShift:
+def _located(
+    search: StepSearch, sums: sessions.Sums, found: BestStep, layout: sessions.Layout, scale: float
+) -> LevelShift:
     """A step with its bounds; it is no column of the search."""
     step, moments = found.step, search.moments(sums, found.step)
     size, lo, hi = (each * scale for each in moments.size())
-    ends = [sides(layout, each) for each in moments.likely()]
+    ends = [sessions.sides(layout, each) for each in moments.likely()]
     return LevelShift(
-        station="" if step.station < 0 else layout.names[step.station], at=int(sides(layout, step)[1][0]),
+        station="" if step.station < 0 else layout.names[step.station], at=int(sessions.sides(layout, step)[1][0]),
         first=min(int(before[-1]) for before, _ in ends), last=max(int(after[0]) for _, after in ends), size=size,
-        lo=lo, hi=hi, chance=found.seen, wander=found.wander, units=units_across(layout, step),
+        lo=lo, hi=hi, chance=found.seen, wander=found.wander, units=sessions.units_across(layout, step),
     )  # fmt: skip

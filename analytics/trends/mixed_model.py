@@ -85,10 +85,7 @@ class MixedModel:
         found = []
         for contrast, freedom in zip(contrasts, freedoms, strict=True):
             value = float(contrast @ beta) + float(contrast @ self._centre) * float(self.y.mean())
-            error = float(np.sqrt(contrast @ covariance @ contrast))
-            half = float(student.ppf((1 + _CONFIDENCE) / 2, freedom)) * error
-            chance = float(2 * student.sf(abs(value) / error, freedom)) if error > 0 else float(value == 0)
-            found.append(ContrastEstimate(value, value - half, value + half, error, float(freedom), chance))
+            found.append(_estimate(value, float(np.sqrt(contrast @ covariance @ contrast)), float(freedom)))
         return found
 
     def deviations(self) -> dict[str, ComponentDeviation]:
@@ -204,20 +201,20 @@ class MixedModel:
 
         lo, hi = (_crossing(above, float(at[index]), *way) for way in ((-1.0, _LEAST), (1.0, _MOST)))
         zero = index > 0 and at[index] - at.max() < _LEAST / 2
-        return ComponentDeviation(
-            0.0 if zero else float(np.exp(at[index] / 2)),
-            0.0 if lo is None else float(np.exp(lo / 2)),
-            float("inf") if hi is None else float(np.exp(hi / 2)),
-        )
+        low, high = 0.0 if lo is None else np.exp(lo / 2), np.inf if hi is None else np.exp(hi / 2)
+        return ComponentDeviation(0.0 if zero else float(np.exp(at[index] / 2)), float(low), float(high))
 
 
 def paired_difference(differences: FloatArray) -> ContrastEstimate:
     """Mean of at least 2 paired differences with bounds by Student's t."""
     n = differences.size
-    mean, error = float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n))
-    half = float(student.ppf((1 + _CONFIDENCE) / 2, n - 1)) * error
-    chance = float(2 * student.sf(abs(mean) / error, n - 1)) if error > 0 else float(mean == 0)
-    return ContrastEstimate(mean, mean - half, mean + half, error, float(n - 1), chance)
+    return _estimate(float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n)), float(n - 1))
+
+
+def _estimate(value: float, error: float, freedom: float) -> ContrastEstimate:
+    half = float(student.ppf((1 + _CONFIDENCE) / 2, freedom)) * error
+    chance = float(2 * student.sf(abs(value) / error, freedom)) if error > 0 else float(value == 0)
+    return ContrastEstimate(value, value - half, value + half, error, freedom, chance)
 
 
 def _crossing(above: Callable[[float], float], start: float, step: float, most: float) -> float | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from analytics.trends.control_chart import Spread, centre_and_sigma
-from analytics.trends.words import Words
+from analytics.trends.words import words
 from stream.batch import FloatArray, IntArray
 
 BoolArray = NDArray[np.bool_]
@@ -23,16 +23,7 @@ _MOST_SERIES = 4000
 _LEAST_SERIES = 400
 _SEED = 20260101
 
-RULES = (
-    Words("a point beyond 3 sigma", "1 点超出 3σ 控制限"),
-    Words("9 points in a row on one side of the centre", "连续 9 点在中心线同一侧"),
-    Words("6 points in a row rising or falling", "连续 6 点递增或递减"),
-    Words("14 points in a row up and down by turns", "连续 14 点交替上下"),
-    Words("2 of 3 points beyond 2 sigma on one side", "连续 3 点中有 2 点在同侧 2σ 以外"),
-    Words("4 of 5 points beyond 1 sigma on one side", "连续 5 点中有 4 点在同侧 1σ 以外"),
-    Words("15 points in a row within 1 sigma", "连续 15 点在 1σ 以内"),
-    Words("8 points in a row beyond 1 sigma, on either side", "连续 8 点在两侧 1σ 以外"),
-)
+RULES = tuple(words(f"rule_{number}") for number in range(1, 9))
 LENGTHS = (1, 9, 6, 14, 3, 5, 15, 8)  # points that each rule looks at together
 
 

@@ -3,17 +3,16 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from analytics.metric_registry.registry import metrics
-from analytics.trends.between_stations import GROUP_NAMES_ZH
+from analytics.trends.between_stations import Difference, GroupComparison
+from analytics.trends.capability import Capability
 from analytics.trends.change_points import Changes, Drift
 from analytics.trends.control_chart import IndividualsChart
-from analytics.trends.group_report import about, of_capability, of_components, of_groups
 from analytics.trends.level_shifts import LevelShift, LevelShifts
 from analytics.trends.nelson_rules import RULES, wild_point_chance
 from analytics.trends.series import MetricSeries
-from analytics.trends.sessions import LEAST_UNITS
-from analytics.trends.trend import NS_PER_DAY, Chart, Trend
-from analytics.trends.words import NOTHING, NotComputed, Words, figures, interval, joined, listed, words
+from analytics.trends.sessions import LEAST_UNITS, NS_PER_DAY
+from analytics.trends.trend import FALSE_ALARM, Chart, Trend
+from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
 
 _BRIEF_DAYS = 10
 
@@ -25,7 +24,7 @@ def sentences(trend: Trend) -> list[Words]:
     stations, outliers, changes of charts, drifts, signals of rules, and groups; adjusted for all charts and groups).
     """
     found = _significant(trend) or [_nothing(trend)]
-    return [_head(trend), *found, *of_components(trend), *of_capability(trend), *_left_out(trend)]
+    return [_head(trend), *found, *_of_components(trend), *_of_capability(trend), *_left_out(trend)]
 
 
 def stands_out(trend: Trend) -> bool:
@@ -34,8 +33,8 @@ def stands_out(trend: Trend) -> bool:
 
 
 def _significant(trend: Trend) -> list[Words]:
-    of_charts = (about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
-    return [*_of_shifts(trend), *of_charts, *of_groups(trend)]
+    of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
+    return [*_of_shifts(trend), *of_charts, *_of_groups(trend)]
 
 
 def moment(series: MetricSeries, index: int) -> str:
@@ -56,21 +55,17 @@ def moment(series: MetricSeries, index: int) -> str:
 
 
 def _head(trend: Trend) -> Words:
-    series = trend.series
-    header = metrics()[series.metric].header if series.metric in metrics() else None
+    series, header = trend.series, trend.series.header
     units, charts = len(set(series.unit)), len(trend.charts)
     if trend.by is None:
-        charted = Words("one chart, of the first value of each unit", "控制图取每个样品的首个值")
+        charted = words("one_chart")
     else:
-        each = Words("" if trend.by == "unit" else ", of the first value of each unit there", "")
+        each = NOTHING if trend.by == "unit" else words("charts_of_first")
         if any(chart.is_adjusted for chart in trend.charts):
-            each = Words(", of every value, its unit's own level taken off", "，取全部数值并扣除样品自身水平")
-        zh = f"按{GROUP_NAMES_ZH[trend.by]}共 {charts} 张控制图{{each}}"
-        charted = words(f"{charts} chart{'s' * (charts > 1)}, by {trend.by}{{each}}", zh, each=each)
+            each = words("charts_adjusted")
+        charted = words("charts", charts=charts, s="s" * (charts > 1), by=group_name(trend.by), each=each)
     return words(
-        "{name} ({variant}): {n} values of {units} unit{s}, {first} to {last}; {charted}.",
-        "{name}（{variant}）：{units} 个样品共 {n} 个值，{first} 至 {last}；{charted}。",
-        name=series.metric if header is None else Words(header.en, header.zh), variant=series.variant,
+        "head", name=series.metric if header is None else Words(header.en, header.zh), variant=series.variant,
         n=series.value.size, units=units, s="s" * (units > 1), first=moment(series, 0),
         last=moment(series, series.value.size - 1), charted=charted,
     )  # fmt: skip
@@ -88,35 +83,18 @@ def _of_shifts(trend: Trend) -> Iterator[Words]:
 
 def _shift_parts(series: MetricSeries, shift: LevelShift) -> dict[str, Words]:
     before, after, at = (moment(series, point) for point in (shift.first, shift.last, shift.at))
-    whose = Words("The level of all stations", "所有测试站的水平")
-    if shift.station:
-        whose = Words(f"The level of station {shift.station}", f"测试站 {shift.station} 的水平")
-    en = f"between {before} and {after} (most likely at {at})"
-    when = Words(en, f"在 {before} 与 {after} 之间（最可能始于 {at}）")
-    return {"whose": whose, "when": when, "size": interval(shift.size, shift.lo, shift.hi, series.unit_of_measure)}
+    return {
+        "whose": words("shift_of_station" if shift.station else "shift_of_all", station=shift.station),
+        "when": words("shift_when", before=before, after=after, at=at),
+        "size": interval(shift.size, shift.lo, shift.hi, series.unit_of_measure),
+    }
 
 
 def _shift(series: MetricSeries, shift: LevelShift) -> Words:
-    there, there_zh = ("there ", "在该处") if shift.station else ("", "")
-    units = Words(
-        f"; {shift.units} units were measured {there}before and after", f"；{shift.units} 个样品前后均{there_zh}测量过"
-    )
-    if shift.units < LEAST_UNITS:
-        units = Words(
-            f"; {shift.units} units were measured there before and after, so it may be the units that changed",
-            f"；前后均测量过的样品仅 {shift.units} 个，也可能是样品不同所致",
-        )
-    doubt = NOTHING
-    if not shift.is_plain:
-        doubt = Words(
-            f"; levels that wander from session to session would show as much with a probability of {shift.wander:.1g}",
-            f"；若各次测试间水平缓慢游动，出现同样变化的概率为 {shift.wander:.1g}",
-        )
-    return words(
-        "{whose} changes by {size} {when}{units}{doubt}.",
-        "{whose}{when}改变 {size}{units}{doubt}。",
-        **_shift_parts(series, shift), units=units, doubt=doubt,
-    )  # fmt: skip
+    there = "shift_units" if shift.station else "shift_units_all"
+    units = words("shift_units_few" if shift.units < LEAST_UNITS else there, n=shift.units)
+    doubt = NOTHING if shift.is_plain else words("shift_doubt", chance=shift.wander)
+    return words("shift", **_shift_parts(series, shift), units=units, doubt=doubt)
 
 
 def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
@@ -125,18 +103,9 @@ def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
     if (shift := found.unsteady.largest) is not None:
         parts = _shift_parts(series, shift)
         parts["whose"] = Words(parts["whose"].en[0].lower() + parts["whose"].en[1:], parts["whose"].zh)
-        largest = words(
-            "; the largest change, which cannot be separated from that: {whose} by {size} {when}",
-            "；其中最大的变化（无法与之区分）：{whose}{when}改变 {size}",
-            **parts,
-        )
-    return words(
-        "Levels of stations wander from session to session by {deviation} (standard deviation), more than repeated "
-        "measurements scatter{largest}.",
-        "各次测试之间测试站水平不稳定，标准差 {deviation}，超出重复测量的分散{largest}。",
-        deviation=f"{found.unsteady.deviation:.2g} {series.unit_of_measure}",
-        largest=largest,
-    )
+        largest = words("unsteady_largest", **parts)
+    deviation = f"{found.unsteady.deviation:.2g} {series.unit_of_measure}"
+    return words("unsteady", deviation=deviation, largest=largest)
 
 
 def _of_chart(chart: Chart) -> Iterator[Words]:
@@ -144,15 +113,13 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
         for change in chart.changes.points:
             yield words(
-                "the level changes by {size} between {before} and {after} (most likely at {here}).",
-                "水平在 {before} 与 {after} 之间改变 {size}（最可能始于 {here}）。",
-                size=interval(change.size, change.lo, change.hi, unit), before=moment(series, change.first - 1),
-                after=moment(series, change.last), here=f"{series.unit[change.at]}, {moment(series, change.at)}",
+                "change", size=interval(change.size, change.lo, change.hi, unit),
+                before=moment(series, change.first - 1), after=moment(series, change.last),
+                here=f"{series.unit[change.at]}, {moment(series, change.at)}",
             )  # fmt: skip
     if chart.drifts and isinstance(chart.drift, Drift):
-        per = Words("per day", "每天") if series.dated else Words("per point", "每点")
         size = interval(chart.drift.slope, chart.drift.lo, chart.drift.hi, unit)
-        yield words("it drifts by {size} {per}.", "存在漂移，{per} {size}。", size=size, per=per)
+        yield words("drift", size=size, per=words("per_day" if series.dated else "per_point"))
     if isinstance(chart.limits, NotComputed):
         return
     if chart.wild_point is not None:
@@ -160,9 +127,7 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     # a moving level meets the rules by itself
     if chart.too_many is not None and not (chart.has_changed or chart.drifts or chart.shifts or chart.is_unsteady):
         yield words(
-            "rule {rule} ({text}) is met {count} times, from {first} on; noise gives {expected:.2g}.",
-            "判异准则 {rule}（{text}）自 {first} 起出现 {count} 次；随机预期 {expected:.2g} 次。",
-            rule=chart.too_many, text=RULES[chart.too_many - 1], count=chart.counts[chart.too_many - 1],
+            "rule_met", rule=chart.too_many, text=RULES[chart.too_many - 1], count=chart.counts[chart.too_many - 1],
             first=moment(series, chart.signals[chart.too_many][0]),
             expected=0.0 if chart.chance is None else chart.chance.expected[chart.too_many - 1],
         )  # fmt: skip
@@ -171,11 +136,7 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
 def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
     series = chart.series
     return words(
-        "a wild point ({where}): {value} {unit}, {z:+.1f} sigma from the centre {centre}; of {n} normal values the "
-        "farthest is so far with a probability of {chance:.2g} at most (Grubbs).",
-        "异常点（{where}）：{value} {unit}，距中心线 {centre} 为 {z:+.1f}σ；{n} 个正态值中最远者达到此距离的概率至多为 "
-        "{chance:.2g}（Grubbs 检验）。",
-        where=f"{series.unit[point]}, {moment(series, point)}",
+        "outlier", where=f"{series.unit[point]}, {moment(series, point)}",
         value=figures(float(chart.charted[point]), limits.sigma), unit=series.unit_of_measure, z=float(chart.z[point]),
         centre=figures(limits.centre, limits.sigma), n=chart.charted.size, chance=wild_point_chance(chart.charted),
     )  # fmt: skip
@@ -187,44 +148,129 @@ def _nothing(trend: Trend) -> Words:
     differences = () if isinstance(comparison, NotComputed) else comparison.differences
     compared = sorted({each.group for each in differences})
     if not is_judged and not compared:
-        return Words("There is too little to judge.", "数据不足，无法判断。")
-    groups = words(
-        ", and {names} make no difference that can be seen",
-        "；{names}之间无可见差异",
-        names=joined((Words(each, GROUP_NAMES_ZH[each]) for each in compared), ", ", "、"),
-    )
+        return words("too_little")
+    groups = words("nothing_between", names=joined(map(group_name, compared), ", ", "、")) if compared else NOTHING
+    return words("nothing", groups=groups)
+
+
+def _about(trend: Trend, names: list[str], text: Words) -> Words:
+    """A sentence on these charts; without their names where all units share one."""
+    whose = NOTHING
+    if trend.by is not None:
+        whose = words("about", group=group_name(trend.by), names=listed(names))
+    return Words(_capitalised(f"{whose.en}{text.en}"), f"{whose.zh}{text.zh}")
+
+
+def _capitalised(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
+def _of_groups(trend: Trend) -> Iterator[Words]:
+    """Significant differences between the levels of groups."""
+    if isinstance(trend.comparison, NotComputed):
+        return
+    reported: set[str] = set()
+    for each in trend.comparison.differences:
+        if each.adjusted > FALSE_ALARM or reported & set(each.confounded):
+            continue
+        if each.confounded:
+            reported.add(each.group)
+        yield _difference(each, trend.comparison, trend.series.unit_of_measure)
+
+
+def _difference(found: Difference, comparison: GroupComparison, unit: str) -> Words:
+    effect = found.effect
+    higher = effect.value > 0
+    lo, hi = (effect.lo, effect.hi) if higher else (-effect.hi, -effect.lo)
+    group = group_name(found.group)
+    against = words("against_level" if found.against else "against_others", group=group, level=found.against)
     return words(
-        "Nothing stands out: no wild point, no change, no drift, no more signals than noise gives{groups}.",
-        "无异常：无异常点、无变点、无漂移，判异信号不超过随机预期{groups}。",
-        groups=groups if compared else NOTHING,
-    )
+        "difference", group=Words(_capitalised(group.en), group.zh), level=found.level,
+        size=interval(abs(effect.value), lo, hi, unit), way=words("higher" if higher else "lower"), against=against,
+        why=_attribution(found, comparison, unit),
+    )  # fmt: skip
+
+
+def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> Words:
+    """The cause of a difference, as far as it can be known."""
+    group = group_name(found.group)
+    if found.confounded:
+        return words("confounded", names=joined(map(group_name, found.confounded), " and ", "、"), group=group)
+    if found.group == "lot":
+        return NOTHING
+    of_group = [each for each in comparison.pairs if each.group == found.group]
+    levels = {found.level, found.against}
+    pair = next((each for each in of_group if {each.level, each.against} == levels), None)
+    elsewhere = [each.units for each in of_group if not found.against and found.level in {each.level, each.against}]
+    if pair is None:
+        return words("units_elsewhere", n=max(elsewhere)) if elsewhere else words("units_on_one")
+    sign = 1 if pair.level == found.level else -1
+    lo, hi = sorted((sign * pair.effect.lo, sign * pair.effect.hi))
+    proof = words("proof" if lo > 0 or hi < 0 else "proof_none", group=group)
+    size = interval(sign * pair.effect.value, lo, hi, unit)
+    return words("units_on_both", units=pair.units, size=size, proof=proof)
+
+
+def _of_components(trend: Trend) -> Iterator[Words]:
+    """Components of variance, where repeated measurements or groups separate them."""
+    found = trend.components
+    if "unit" not in found and len(found) < 2:
+        return
+    names = {"unit": "between_units", "residual": "between_measurements"}
+    if "unit" not in found:
+        names["residual"] = "between_units_measured"
+    parts = []
+    for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
+        # the upper bound of few levels may be far away: two digits of each suffice
+        value, lo, hi = (f"{each:.2g}" for each in found[name])
+        whose, unit = words(names.get(name, "between_levels"), group=group_name(name)), trend.series.unit_of_measure
+        parts.append(words("component", name=whose, unit=unit, value=value, lo=lo, hi=hi))
+    yield words("components", parts=joined(parts))
+
+
+def _of_capability(trend: Trend) -> Iterator[Words]:
+    """Capability of each chart, or why there is none."""
+    refused: dict[Words, list[str]] = {}
+    for chart, found in zip(trend.charts, trend.capabilities, strict=True):
+        if isinstance(found, NotComputed):
+            refused.setdefault(found.why, []).append(chart.name)
+        else:
+            yield _about(trend, [chart.name], _capable(trend, found))
+    if trend.by == "unit" and len(trend.charts) > 1:
+        return
+    for why, names in refused.items():
+        yield _about(trend, names, words("no_capability", why=why))
+
+
+def _capable(trend: Trend, found: Capability) -> Words:
+    indices = {name: index for name, index in (("Cp", found.cp), ("Cpk", found.cpk)) if index is not None}
+    noise = NOTHING
+    if found.measurement_share is not None:
+        noise = words("share", share=f"{found.measurement_share * 100:.2g} %")
+    limits = trend.specification
+    sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
+    return words(
+        "capability", n=found.n, noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
+        indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
+        sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
+    )  # fmt: skip
 
 
 def _left_out(trend: Trend) -> Iterator[Words]:
     series = trend.series
     refused = [(chart.name, chart.limits) for chart in trend.charts if isinstance(chart.limits, NotComputed)]
     if refused:
-        names = listed([name for name, _ in refused if name])
-        whose = Words(f" of {names.en}", f"{names.zh} ") if names.en else NOTHING
-        why = refused[0][1].why
-        yield words("No control limits{whose}: {why}.", "{whose}无控制限：{why}。", whose=whose, why=why)
+        named = [name for name, _ in refused if name]
+        whose = words("no_limits_of", names=listed(named)) if named else NOTHING
+        yield words("no_limits", whose=whose, why=refused[0][1].why)
     if not isinstance(trend.comparison, NotComputed):
         for each in trend.comparison.left_out:
-            yield words("Not compared: {each}.", "未比较：{each}。", each=each)
+            yield words("not_compared", each=each)
     if series.without_value:
-        yield Words(
-            f"{series.without_value} tests have no value; `gyrofleet metrics --metric {series.metric}` says why.",
-            f"{series.without_value} 次试验无结果；原因见 `gyrofleet metrics --metric {series.metric}`。",
-        )
+        yield words("without_value", n=series.without_value, metric=series.metric)
     if not series.dated:
-        yield Words(
-            "The dates of some runs are not known: values stand in the order in which they were recorded.",
-            "部分试验日期未知：按记录先后排序。",
-        )
+        yield words("undated")
     if series.others:
         kinds = [str(each) for each in series.others]
-        text = "; ".join(kinds[:6]) + (f"; {len(kinds) - 6} more" if len(kinds) > 6 else "")
-        yield Words(
-            f"Other kinds of this characteristic, chosen by --standard and --parameter: {text}.",
-            f"该特性的其他类别（用 --standard 与 --parameter 选择）：{text}。",
-        )
+        more = [f"{len(kinds) - 6} more"] if len(kinds) > 6 else []
+        yield words("other_kinds", kinds="; ".join(kinds[:6] + more))

@@ -4,13 +4,14 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from analytics.evaluation.selection import evaluated
-from analytics.metric_registry.registry import check_metrics, metrics
+from analytics.metric_registry.registry import MetricHeader, check_metrics, metrics
 from analytics.specifications.verdicts import rows_of
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
@@ -20,46 +21,14 @@ GROUPS = ("station", "fixture", "lot")
 UNGIVEN = "(not given)"
 
 # Results beside the value, no settings: values that differ in these are of one kind.
-_RESULTS = frozenset(
-    (
-        "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days",
-        "power_ons", "n", "remark",
-    )
-)  # fmt: skip
+_RESULTS = {
+    "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days", "power_ons",
+    "n", "remark",
+}  # fmt: skip
 _TEMPERATURE = "temperature"
 _TEMPERATURE_GAP_DEG_C = 5.0
 _FEW = 12
-_SQL = """
-with chosen as (
-  select row_number() over () as number, *
-  from unit_metrics where metric = $metric
-), placed as (
-  select c.number,
-    max(s.t_to_ns) as t_ns,
-    arg_max(s.station, s.t_to_ns) as station,
-    arg_max(s.lot, s.t_to_ns) as lot,
-    arg_max(s.fixture, s.t_to_ns) as fixture,
-    arg_max(s.product, s.t_to_ns) as product,
-    bool_and(s.date_known) as date_known
-  from (select *, unnest(case when len(runs) > 0 then runs else [run] end) as in_run from chosen) c
-  join step_means s on s.run = c.in_run and s.unit = c.unit
-    and (len(c.runs) > 1 or coalesce(len(c.steps), 0) = 0 or list_contains(c.steps, s."index"))
-  group by c.number
-)
-select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.standard_uncertainty, c.unit_of_measure,
-  c.standard, c.parameters, c.reason,
-  p.t_ns, coalesce(p.date_known, r.date_known, false) as date_known,
-  coalesce(p.station, u.station, r.station) as station,
-  coalesce(p.lot, u.lot, r.lot) as lot,
-  coalesce(p.fixture, u.fixture) as fixture,
-  coalesce(p.product, u.product) as product,
-  epoch_ns(coalesce(r.started, r.recorded)) as recorded_ns,
-  c.steps
-from chosen c
-left join placed p using (number)
-left join units u on u.run = coalesce(c.run, c.runs[-1]) and u.unit = c.unit
-left join runs r on r.run = coalesce(c.run, c.runs[-1])
-"""
+_SQL = files("analytics.trends").joinpath("metric_values.sql").read_text()
 
 
 class Variant(NamedTuple):
@@ -90,10 +59,14 @@ class MetricSeries:
     dated: bool  # whether the dates of all runs are known
 
     @property
+    def header(self) -> MetricHeader | None:
+        """The header of the metric; None where there is no such metric now."""
+        return metrics()[self.metric].header if self.metric in metrics() else None
+
+    @property
     def is_magnitude(self) -> bool:
         """Whether the values cannot be negative, as deviations and sizes of effects."""
-        known = metrics().get(self.metric)
-        return known is not None and known.header.better == "lower" and bool((self.value >= 0).all())
+        return self.header is not None and self.header.better == "lower" and bool((self.value >= 0).all())
 
     def where(self, chosen: Iterable[int]) -> "MetricSeries":
         """Some of the values, by their indices."""
@@ -108,10 +81,6 @@ class MetricSeries:
         """The first value of each unit: a repeated measurement is no new unit."""
         first = {unit: index for index, unit in reversed(list(enumerate(self.unit)))}
         return self.where(sorted(first.values()))
-
-    def split(self, by: str) -> dict[str, "MetricSeries"]:
-        """The values of each unit, or level of a group, by name."""
-        return {level: self.where(at) for level, at in self.places(by).items()}
 
     def places(self, by: str) -> dict[str, IntArray]:
         """Indices of the values of each unit, or level of a group, by name."""
@@ -160,16 +129,15 @@ def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
         (not choice.units or row["unit"] in choice.units),
         choice.signal in {None, row["signal"]},
         choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
-        choice.since_ns is None or (_moment(row) or 0) >= choice.since_ns,
+        choice.since_ns is None or _moment(row) >= choice.since_ns,
         *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in (*GROUPS, "product")),
         *(parameter_text(own.get(name)) == parameter_text(value) for name, value in choice.parameters.items()),
     )
     return all(asked)
 
 
-def _moment(row: Mapping[str, Any]) -> int | None:
-    found: int | None = row["t_ns"] if row["date_known"] and row["t_ns"] is not None else row["recorded_ns"]
-    return found
+def _moment(row: Mapping[str, Any]) -> int:
+    return int((row["t_ns"] if row["date_known"] and row["t_ns"] is not None else row["recorded_ns"]) or 0)
 
 
 def parameter_text(value: object) -> str:
@@ -251,19 +219,14 @@ def _series(
     # scale factors of outputs in volts and in deg/s cannot share a chart
     without_value += len(rows) - most
     rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
-    rows.sort(key=lambda row: (_moment(row) or 0, row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
+    rows.sort(key=lambda row: (_moment(row), row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1
     return MetricSeries(
-        metric=metric,
-        unit_of_measure=unit_of_measure,
-        value=np.array([row["value"] for row in rows], np.float64),
+        metric=metric, unit_of_measure=unit_of_measure, value=np.array([row["value"] for row in rows], np.float64),
         uncertainty=np.array([row["standard_uncertainty"] for row in rows], np.float64),
-        t_ns=np.array([_moment(row) or 0 for row in rows], np.int64),
+        t_ns=np.array([_moment(row) for row in rows], np.int64),
         unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],
         run=[row["run"] or "" for row in rows],
         groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")},
-        variant=variant,
-        others=others,
-        without_value=without_value,
-        dated=all(row["date_known"] for row in rows),
-    )
+        variant=variant, others=others, without_value=without_value, dated=all(row["date_known"] for row in rows),
+    )  # fmt: skip

@@ -19,7 +19,7 @@ from stream.batch import FloatArray, IntArray
 LEAST_SEGMENT = 4
 LEAST_UNITS = 3
 _MOST_SESSIONS = 150
-_NS_PER_DAY = 86_400 * 10**9
+NS_PER_DAY = 86_400 * 10**9
 
 
 class LevelStep(NamedTuple):
@@ -45,7 +45,7 @@ def layout_of(series: MetricSeries) -> Layout:
     """Sessions: the values of one run at one station on one day; neighbours are merged where they are too many."""
     names, station = np.unique(np.array(series.groups["station"]), return_inverse=True)
     moments = series.t_ns if series.dated else np.arange(series.value.size)
-    days = series.t_ns // _NS_PER_DAY if series.dated else np.zeros(series.value.size, np.int64)
+    days = series.t_ns // NS_PER_DAY if series.dated else np.zeros(series.value.size, np.int64)
     keys: defaultdict[tuple[int, str, int], list[int]] = defaultdict(list)
     for at, key in enumerate(zip(station.tolist(), series.run, days.tolist(), strict=True)):
         keys[key].append(at)
@@ -153,11 +153,6 @@ class SessionModel:
     unit_ratio: float  # variance from unit to unit over that of the noise
 
     @property
-    def values(self) -> int:
-        """Number of values."""
-        return self.session.size
-
-    @property
     def sessions(self) -> int:
         """Number of sessions."""
         return self.station.size
@@ -183,7 +178,7 @@ class SessionModel:
     @cached_property
     def mean_size(self) -> float:
         """Mean number of values in a session."""
-        return self.values / self.sessions
+        return self.session.size / self.sessions
 
     def sums(self, y: FloatArray) -> Sums:
         """Sums of one series, of shape (n,)."""
@@ -195,7 +190,7 @@ class SessionModel:
     @cached_property
     def noises(self) -> tuple[SessionNoise, ...]:
         """Candidate noises, white noise first."""
-        correlations = _CORRELATIONS if self.values > self.sessions else _CORRELATIONS[1:]
+        correlations = _CORRELATIONS if self.session.size > self.sessions else _CORRELATIONS[1:]
         return (SessionNoise(0.0, 0.0), *(SessionNoise(ratio, r) for ratio in _RATIOS for r in correlations))
 
     def covariance(self, noise: SessionNoise) -> FloatArray:
@@ -239,7 +234,7 @@ class SessionModel:
         white = rng.standard_normal((self.sessions, series))
         effects = self._root(noise) @ rng.standard_normal((self.sessions, series))
         inside = white + root.T @ effects
-        freedom = self.values - self.sessions
+        freedom = self.session.size - self.sessions
         rest = rng.chisquare(freedom, series) if freedom else np.zeros(series)
         return Sums(root @ inside, np.sum(inside**2, axis=0) + rest)
 

@@ -64,7 +64,7 @@ class StepSearch:
 
     @property
     def _freedom(self) -> int:
-        return int(self._model.values - self._fixed.shape[1])
+        return int(self._model.session.size - self._fixed.shape[1])
 
     def _fit(self, whitened: Whitened, sums: Sums) -> _NoiseFit:
         products = whitened.turn @ sums.products

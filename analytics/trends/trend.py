@@ -17,12 +17,12 @@ from analytics.trends.level_shifts import LevelShift, LevelShifts, level_shifts
 from analytics.trends.mixed_model import ComponentDeviation
 from analytics.trends.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.series import GROUPS, MetricSeries
-from analytics.trends.words import NotComputed, Words, joined, not_computed
+from analytics.trends.sessions import NS_PER_DAY
+from analytics.trends.words import NotComputed, Words, joined, not_computed, words
 from stream.batch import FloatArray, IntArray
 
 # probability that noise alone shows an outlier; the same for a change, a drift, and too many signals
 FALSE_ALARM = 0.01
-NS_PER_DAY = 86_400 * 10**9
 _MOST_SIMULATED = 40
 
 
@@ -85,13 +85,9 @@ class Trend:
 
 
 def trend_of(
-    series: MetricSeries,
-    *,
-    by: str | None = None,
-    baseline: int | None = None,
-    spread: Spread = Spread.MEDIAN_MOVING_RANGE,
-    specification: SpecifiedLimits = SpecifiedLimits(),
-) -> Trend:
+    series: MetricSeries, *, by: str | None = None, baseline: int | None = None,
+    spread: Spread = Spread.MEDIAN_MOVING_RANGE, specification: SpecifiedLimits = SpecifiedLimits(),
+) -> Trend:  # fmt: skip
     """Make the control charts of a series and compare its groups.
 
     One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
@@ -146,15 +142,11 @@ def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray
     """Level shifts as changes of the chart with these values of the series."""
     changes = tuple(
         ChangePoint(
-            int(np.searchsorted(at, each.at)),
-            int(np.searchsorted(at, each.first, side="right")),
-            min(int(np.searchsorted(at, each.last)), at.size - 1),
-            each.size,
-            each.lo,
-            each.hi,
+            int(np.searchsorted(at, each.at)), int(np.searchsorted(at, each.first, side="right")),
+            min(int(np.searchsorted(at, each.last)), at.size - 1), each.size, each.lo, each.hi,
         )
         for each in shifts
-    )
+    )  # fmt: skip
     edges = sorted({0, *(each.at for each in changes), at.size})
     stretches = [points[first:last] for first, last in pairwise(edges)]
     squares = sum(float(((each - each.mean()) ** 2).sum()) for each in stretches)
@@ -196,7 +188,7 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
 
 def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capability | NotComputed:
     if by == "unit":
-        return not_computed("it is of a process with many units, not of one unit", "过程能力针对多个样品，而非单个样品")
+        return not_computed("capability_of_one_unit")
     if limits.why_not is not None:
         return NotComputed(limits.why_not)
     # one value a unit: a repeated measurement is no other unit
@@ -207,12 +199,8 @@ def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capabi
 
 
 def _what_is_significant(chart: Chart) -> Words:
-    often = f"rule {chart.too_many} is met more often than by chance"
-    seen = [
-        (chart.wild_point is not None, Words("a wild point", "有异常点")),
-        (chart.has_changed or bool(chart.shifts), Words("its level changes", "水平发生变化")),
-        (chart.is_unsteady, Words("levels wander from session to session", "各次测试间水平不稳定")),
-        (chart.drifts, Words("it drifts", "存在漂移")),
-        (chart.too_many is not None, Words(often, f"判异准则 {chart.too_many} 超出随机预期")),
-    ]
-    return joined((words for is_so, words in seen if is_so), ", ", "，")
+    seen = {
+        "has_wild_point": chart.wild_point is not None, "has_changed": chart.has_changed or bool(chart.shifts),
+        "has_wandered": chart.is_unsteady, "has_drifted": chart.drifts, "has_met_rule": chart.too_many is not None,
+    }  # fmt: skip
+    return joined((words(key, rule=chart.too_many) for key, is_so in seen.items() if is_so), ", ", "，")

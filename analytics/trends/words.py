@@ -1,7 +1,10 @@
 """Sentences in two languages, and numbers rounded for people."""
 
 import math
-from collections.abc import Iterable
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from typing import NamedTuple
 
 
@@ -11,10 +14,6 @@ class Words(NamedTuple):
     en: str
     zh: str
 
-    def in_language(self, language: str) -> str:
-        """The text in the language `en` or `zh`."""
-        return self.zh if language == "zh" else self.en
-
 
 class NotComputed(NamedTuple):
     """A result that was not computed, and why."""
@@ -22,31 +21,42 @@ class NotComputed(NamedTuple):
     why: Words
 
 
-def not_computed(en: str, zh: str) -> NotComputed:
-    """The reason in two languages."""
-    return NotComputed(Words(en, zh))
+NOTHING = Words("", "")
+_GROUPS_ZH = {"station": "测试站", "fixture": "夹具", "lot": "批次", "unit": "样品", "product": "产品"}
 
 
-def words(en: str, zh: str, **parts: object) -> Words:
-    """Templates filled with parts; one that is `Words` goes in by its language.
+@cache
+def _templates() -> Mapping[str, Sequence[str]]:
+    return tomllib.loads(files("analytics.trends").joinpath("sentences.toml").read_text(encoding="utf-8"))
 
-    >>> words("{what} of {n}", "{n}个{what}", what=Words("unit", "样品"), n=3)
-    Words(en='unit of 3', zh='3个样品')
+
+def words(key: str, /, **parts: object) -> Words:
+    """A sentence of ``sentences.toml`` filled with parts; one that is `Words` goes in by its language.
+
+    >>> words("drift", size="3 deg/h", per=words("per_day"))
+    Words(en='it drifts by 3 deg/h per day.', zh='存在漂移，每天 3 deg/h。')
     """
     texts = [
         text.format(**{name: each[at] if isinstance(each, Words) else each for name, each in parts.items()})
-        for at, text in enumerate((en, zh))
+        for at, text in enumerate(_templates()[key])
     ]
     return Words(*texts)
+
+
+def not_computed(key: str, /, **parts: object) -> NotComputed:
+    """A sentence as the reason."""
+    return NotComputed(words(key, **parts))
+
+
+def group_name(group: str) -> Words:
+    """The name of a group of units, such as ``station``."""
+    return Words(group, _GROUPS_ZH.get(group, group))
 
 
 def joined(texts: Iterable[Words], en: str = "; ", zh: str = "；") -> Words:
     """Texts joined by the separators of their languages."""
     pairs = list(texts)
     return Words(en.join(each.en for each in pairs), zh.join(each.zh for each in pairs))
-
-
-NOTHING = Words("", "")
 
 
 def figures(value: float, half_width: float) -> str:

@@ -12,13 +12,26 @@ from analytics.trends.control_chart import (
     EWMA_WIDTH,
     IndividualsChart,
     Spread,
-    average_run_length,
     c4,
     ewma_chart,
     individuals_chart,
 )
 from analytics.trends.mixed_model import MixedModel
 from analytics.trends.nelson_rules import rule_flags
+
+
+def average_run_length(weight: float, width: float, shift: float = 0.0, states: int = 201) -> float:
+    """Points until the average leaves steady limits, by the Markov chain of Brook and Evans (Lucas, Saccucci 1990).
+
+    `shift`: by how many sigma the process has moved.
+    """
+    half = width * np.sqrt(weight / (2 - weight))
+    edges = np.linspace(-half, half, states + 1)
+    middles = (edges[1:] + edges[:-1]) / 2
+    reached = norm.cdf((edges[None, :] - (1 - weight) * middles[:, None]) / weight - shift)
+    moves = np.diff(reached, axis=1)
+    lengths = np.linalg.solve(np.eye(states) - moves, np.ones(states))
+    return float(lengths[states // 2])
 
 
 def test_individuals_chart_of_the_nist_handbook() -> None:

@@ -95,7 +95,7 @@ def test_one_least_squares_over_all_speeds_is_the_closed_form_weighted_by_rate()
     assert reported(found, "y0", "x0", "y1", "y2", "z2") == pytest.approx(
         [-7.4602, 2.3853, -53.7849, -162.0727, 56.0242, 171.4826], abs=1e-4
     )
-    errors = [found.angles[name].standard_error for name in ("y0", "x0", "y1", "y2", "z2")]
+    errors = [found.angles[name].standard_uncertainty for name in ("y0", "x0", "y1", "y2", "z2")]
     assert errors == pytest.approx([0.093, 0.161, 0.093, 0.093, 0.161], abs=1e-3)
     # what is left is about the display's step of 0.1 mV
     assert found.rms == pytest.approx(0.116e-3, abs=0.001e-3)

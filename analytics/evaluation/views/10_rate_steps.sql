@@ -9,6 +9,9 @@ create or replace macro is_instrument_name(signal) as
 create or replace macro is_output_name(signal) as
   regexp_matches(signal, '^rate(_|$)') and not is_instrument_name(signal);
 
+create or replace macro no_scale_factor(unit_of_measure) as
+  'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';
+
 create or replace view internal.gyro_steps as
 select s.*, r.deg_per_h as rate_factor,
   case when r.deg_per_h is null then s.unit_of_measure else 'deg/s' end as output_unit

@@ -6,6 +6,9 @@ create or replace macro no_latitude() as
   'no latitude of the station, so the Earth''s rate cannot be removed: give it in the station''s file, or import the '
   || 'file again with --latitude';
 
+create or replace macro no_level_rate() as
+  'no latitude, so the Earth''s rate on the axis is unknown: give the station''s latitude_deg';
+
 --
 -- A position may name the body axis that is up: the IRA of a signal rate_x is X; that of a gyro with one axis is Z (JJF
 -- 2014-2022 figure 2: IRA is o'z'). Of the other axes up, the IRA is level, and no word tells its heading.

@@ -11,8 +11,7 @@ with counted as (
 select *,
   case
     when n = 0 then 'no sample in the evaluated part of the step'
-    when deg_per_h is null then
-      'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product'
+    when deg_per_h is null then no_scale_factor(unit_of_measure)
   end as lack,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
   case when duration_s < 3590 then

@@ -52,8 +52,7 @@ with placed as (
   select *,
     case
       when known = 0 then 'no sample in any of its steps'
-      when not is_scaled then 'no scale factor for an output in ' || unit_of_measure
-        || ': measure it or give the nominal one of the product'
+      when not is_scaled then no_scale_factor(unit_of_measure)
       when room_mean is null then
         'the room-temperature point is missing: none of ' || known || ' steps is marked room, and the nearest to 20 '
         || 'degC' || coalesce(' is ' || round(nearest, 1) || ' degC from it, at most 10', ' has no known temperature, 10')

@@ -33,8 +33,7 @@ with flip as (
     case when flipped = 'IRA' or flipped = body_axis_of(signal)
       then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
     case
-      when not bool_and(is_scaled) then 'no scale factor for an output in ' || any_value(unit_of_measure)
-        || ': measure it or give the nominal one of the product'
+      when not bool_and(is_scaled) then no_scale_factor(any_value(unit_of_measure))
       when sum(unknown) > 0 then 'axis ' || flipped || ': no sample in the evaluated part of a step'
       when count(*) < 2 then 'axis ' || flipped || ': measured only with it '
         || case when max(g) = 1 then 'up' else 'down' end || ', the clause asks for up and down'

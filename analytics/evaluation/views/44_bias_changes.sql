@@ -28,8 +28,7 @@ with phased as (
     sum(n)::bigint as n, list_sort(flatten(list(steps order by phase))) as steps,
     any_value(scale_source) as scale_source,
     case
-      when not bool_and(is_scaled) then 'no scale factor for an output in ' || any_value(unit_of_measure)
-        || ': measure it or give the nominal one of the product'
+      when not bool_and(is_scaled) then no_scale_factor(any_value(unit_of_measure))
       when min(least_n) = 0 then 'axis ' || along || ': no sample in the evaluated part of a step'
       when count(*) < 2 then 'axis ' || along || ': measured only ' || any_value(phase) || ' the ' || cause
         || ', the clause asks for before and after'
@@ -41,3 +40,23 @@ select *,
   list(axis) over (partition by cause, run, unit, signal, "procedure", repeat
     order by axis rows between unbounded preceding and unbounded following) as axes
 from axis;
+
+-- Of each test the change along every axis, and the differences of which the largest is taken (`largest_magnitudes`).
+create or replace macro bias_axis_changes(cause_of) as table
+with changes as (
+  select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent,
+    unnest([axis, 'largest']) as shown
+  from internal.bias_changes where cause = cause_of
+)
+select unit, signal, run, axis, change as difference, u, freedom, false as is_signed,
+  {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat, shown: shown} as test,
+  {axis_of_largest: axis} as of_largest,
+  case when shown = 'largest' then (sum(n) over tested)::bigint else n end as n,
+  case when shown = 'largest' then list_sort(flatten(list(steps) over (tested
+    order by axis rows between unbounded preceding and unbounded following))) else steps end as steps,
+  case when shown = 'largest' and len(absent) > 0 then
+    'axis ' || array_to_string(absent, ', ') || ' was not tested: the clause asks for X, Y and Z'
+    else lack end as reason,
+  {axis: shown, repeat: repeat, scale_factor: scale_source} as parameters
+from changes
+window tested as (partition by unit, signal, run, "procedure", repeat, shown);

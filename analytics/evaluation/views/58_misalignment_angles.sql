@@ -26,8 +26,7 @@ select * exclude (forwards, backwards),
   sqrt(forwards[1].u ** 2 + backwards[1].u ** 2) / (forwards[1].rate - backwards[1].rate) as u,
   welch_freedom(forwards[1].u, forwards[1].freedom, backwards[1].u, backwards[1].freedom) as freedom,
   case
-    when not is_scaled then
-      'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product'
+    when not is_scaled then no_scale_factor(unit_of_measure)
     when forwards is null or backwards is null then 'position ' || position || ': measured in one direction only'
   end as lack
 from directed;

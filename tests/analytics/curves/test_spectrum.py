@@ -11,7 +11,7 @@ import pytest
 from matplotlib.text import Text
 
 from analytics.curves.spectrum import Level, SignalSpectrum, _result, segment_for
-from analytics.plots import spectrum_plot
+from analytics.plots import figure_file, spectrum_plot
 from analytics.plots.spectrum_plot import plot_spectrum
 from storage.sql.reading import SignalRecord
 from stream.batch import FloatArray, SampleBatch
@@ -148,7 +148,7 @@ def test_without_a_line_that_is_written() -> None:
 
 
 def test_labels_are_english_where_no_chinese_font_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spectrum_plot, "chinese_font", lambda: None)
+    monkeypatch.setattr(figure_file, "chinese_font", lambda: None)
     written = texts(spectrum(white() + sines(40_000, (12.34, 5.0))))
     assert "Lines" in written
     assert all(ord(character) < 0x2E80 for text in written for character in text)

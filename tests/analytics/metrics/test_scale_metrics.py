@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analytics.evaluation.evaluation import define_views, evaluate
+from analytics.evaluation.evaluation import define_views, evaluate, keep_scale_factors
 from analytics.metric_registry.registry import metrics
-from analytics.metrics.scale_factor import keep_scale_fits
 from analytics.step_records.step_table import step_means
 
 RATES = (4.0, 6.3, 10.0, 16.0, 25.0, 40.0, 63.0, 100.0, 160.0, 250.0, 300.0)
@@ -445,7 +444,7 @@ def test_the_scale_factors_that_others_may_use(tested: Any, table: Callable[...,
         steps = step_means(catalog)
         catalog._unfilled.clear()
         define_views(catalog, steps)
-        keep_scale_fits(catalog)
+        keep_scale_factors(catalog)
         found = catalog.rows("select unit, signal, run, value, t_to_ns from internal.scale_factors")
     ((unit, signal, run, value, t_to_ns),) = found
     assert (unit, signal, run) == ("U1", "rate", "r1")

@@ -6,10 +6,25 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from analytics.trends.change_points import LEAST_SEGMENT, Changes, Drift, change_points, drift, gain, penalty
+from analytics.trends.change_points import (
+    LEAST_SEGMENT,
+    Changes,
+    Drift,
+    _divisions,
+    change_points,
+    clipped,
+    drift,
+    penalty,
+)
 from analytics.trends.words import NotComputed
 
 TRIALS = 1500
+
+
+def gain(values: np.ndarray) -> float:
+    """n*ln(S_0/S_k)/k, the largest over k: a change is found where it exceeds the penalty."""
+    squares, _ = _divisions(clipped(values))
+    return float((values.size * np.log(squares[0] / squares[1:]) / np.arange(1, squares.size)).max())
 
 
 def _found(values: np.ndarray, false_alarm: float = 0.01) -> Changes:

@@ -99,7 +99,10 @@ def test_values_come_in_order_of_time_with_their_groups(reported: Reported) -> N
     assert list(series.t_ns) == [START_NS + hour * HOUR_NS for hour in (3, 5, 9)]
     assert series.without_value == 1
     assert series.first_of_units().unit == ["U1", "U2"]
-    assert {name: part.unit for name, part in series.split("station").items()} == {"A": ["U1"], "B": ["U2", "U1"]}
+    assert {name: series.where(at).unit for name, at in series.places("station").items()} == {
+        "A": ["U1"],
+        "B": ["U2", "U1"],
+    }
 
 
 def test_kinds_of_values_are_told_apart(reported: Reported) -> None:

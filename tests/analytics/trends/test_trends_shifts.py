@@ -162,7 +162,7 @@ def test_simulated_sums_have_the_moments_of_simulated_values() -> None:
     series = 4000
     session = rng.multivariate_normal(np.zeros(model.sessions), model.covariance(noise), series)
     own = rng.normal(0, 2.0, (series, model.unit.max() + 1))
-    values = own[:, model.unit] + session[:, model.session] + rng.standard_normal((series, model.values))
+    values = own[:, model.unit] + session[:, model.session] + rng.standard_normal((series, model.session.size))
     direct = [model.sums(each) for each in values]
     drawn = model.simulated(noise, series, rng)
     products = np.column_stack([each.products for each in direct])

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from analytics.evaluation.evaluation import COLUMNS, define_views
-from analytics.evaluation.layer import define_tables
+from analytics.evaluation.layer import VerdictsLayer, define_metric_tables
 from analytics.metric_registry.registry import metrics
 from analytics.specifications.entering import add_specification
 from analytics.specifications.verdicts import rows_of, verdicts_of, yield_by
@@ -57,7 +57,8 @@ class Judged:
         steps = pa.Table.from_pylist(rows, schema=step_means(catalog).schema)
         define_views(catalog, steps)
         catalog.put("unit_metrics", pa.Table.from_pylist([_value(row) for row in values], schema=COLUMNS))
-        define_tables(catalog)
+        define_metric_tables(catalog)
+        VerdictsLayer().fill(catalog)
         return catalog
 
     def close(self) -> None:

@@ -1,10 +1,3 @@
-"""Change of the bias by vibration, along each axis and the largest."""
-
-from functools import partial
-
-from analytics.methods.largest_magnitude import bias_changes
-
-HEADER = """\
 -- id:        bias_vibration_change
 -- en:        Bias change by vibration
 -- zh:        零偏振动前后变化量
@@ -16,6 +9,5 @@ HEADER = """\
 -- needs:     procedure bias_vibration: static steps before and after a vibration along X, Y and Z
 -- limits:    given
 -- equation:  abs(B_after - B_before) along each axis; of the unit the largest
-"""
-
-compute = partial(bias_changes, cause="vibration")
+-- python:    analytics.methods.largest_magnitude:largest_magnitudes
+from bias_axis_changes('vibration') order by test, axis

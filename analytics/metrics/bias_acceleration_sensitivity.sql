@@ -1,12 +1,3 @@
-"""Bias sensitivity to acceleration: half the difference between an axis up and down, for each axis and the largest."""
-
-from collections.abc import Iterator
-from typing import Any
-
-from analytics.methods.largest_magnitude import largest_magnitudes
-from storage.sql.catalog import Catalog
-
-HEADER = """\
 -- id:        bias_acceleration_sensitivity
 -- en:        Bias acceleration sensitivity
 -- zh:        零偏加速度灵敏度
@@ -18,9 +9,7 @@ HEADER = """\
 -- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
 -- limits:    given
 -- equation:  (mean(+1 g) - mean(-1 g))/(2 g); of the unit the largest in magnitude
-"""
-
-_SQL = """
+-- python:    analytics.methods.largest_magnitude:largest_magnitudes
 with shown as (
   select *, axis as shown from internal.bias_flips
   where earth_rate = 'none' or not coalesce(list_contains(level, axis), false)
@@ -29,10 +18,12 @@ with shown as (
 ), counted as (
   select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent from shown
 )
-select unit, signal, run, "procedure", repeat, shown, earth_rate, axis, half as difference, u, freedom,
-  case when shown = 'largest' then (sum(n) over test)::bigint else n end as n,
-  [run] as runs,
-  case when shown = 'largest' then list_sort(flatten(list(steps) over (test
+select unit, signal, run, half as difference, u, freedom, true as is_signed,
+  {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat, shown: shown, earth_rate: earth_rate}
+    as test,
+  {axis_of_largest: axis} as of_largest,
+  case when shown = 'largest' then (sum(n) over tested)::bigint else n end as n,
+  case when shown = 'largest' then list_sort(flatten(list(steps) over (tested
     order by axis rows between unbounded preceding and unbounded following))) else steps end as steps,
   case when shown = 'largest' and len(absent) > 0 and not list_contains(axes, 'IRA') then
     'no flip of axis ' || array_to_string(absent, ', ') || ': the clause asks for X, Y and Z' else lack end as reason,
@@ -41,13 +32,5 @@ select unit, signal, run, "procedure", repeat, shown, earth_rate, axis, half as 
     earth_rate_unknown: case when shown = 'largest' and earth_rate = 'removed' then level end
   } as parameters
 from counted
-window test as (partition by unit, signal, run, "procedure", repeat, shown, earth_rate)
-order by run, unit, signal, "procedure", repeat, shown, earth_rate, axis
-"""
-
-
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Rows of the metric: signed for an axis, the magnitude for the largest, with limits of `largest_magnitudes`."""
-    rows = catalog.reader(_SQL).read_all().to_pylist()
-    keys = ["run", "unit", "signal", "procedure", "repeat", "shown", "earth_rate"]
-    yield from largest_magnitudes(rows, keys, of="axis", signed=True)
+window tested as (partition by unit, signal, run, "procedure", repeat, shown, earth_rate)
+order by test, axis

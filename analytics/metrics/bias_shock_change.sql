@@ -1,10 +1,3 @@
-"""Change of the bias by shocks, along each axis and the largest."""
-
-from functools import partial
-
-from analytics.methods.largest_magnitude import bias_changes
-
-HEADER = """\
 -- id:        bias_shock_change
 -- en:        Bias change by shock
 -- zh:        零偏冲击前后变化量
@@ -16,6 +9,5 @@ HEADER = """\
 -- needs:     procedure bias_shock: static steps before and after a shock along X, Y and Z
 -- limits:    given
 -- equation:  abs(B_after - B_before) along each axis; of the unit the largest
-"""
-
-compute = partial(bias_changes, cause="shock")
+-- python:    analytics.methods.largest_magnitude:largest_magnitudes
+from bias_axis_changes('shock') order by test, axis

@@ -1,10 +1,3 @@
-"""Warm-up time of units with temperature control, measured like the start-up time."""
-
-from functools import partial
-
-from analytics.methods.settling_time import settling_times
-
-HEADER = """\
 -- id:        warmup_time
 -- en:        Warm-up time
 -- zh:        预热时间
@@ -16,6 +9,5 @@ HEADER = """\
 -- needs:     procedure warmup_time: power-on at several rates and positions; startup_band_deg_per_h of the product
 -- limits:    given
 -- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
-"""
-
-compute = partial(settling_times, procedure="^warm_?up_time|预热时间")
+-- python:    analytics.methods.settling_time:settling_times
+from settling_tests('^warm_?up_time|预热时间') order by run, unit, signal, "index"

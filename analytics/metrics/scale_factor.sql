@@ -1,10 +1,3 @@
-"""Scale factors: the least-squares lines of every measurement, computed once for all metrics that use them."""
-
-import pyarrow as pa
-
-from storage.sql.catalog import Catalog
-
-HEADER = """\
 -- id:        scale_factor
 -- en:        Scale factor
 -- zh:        标度因数
@@ -17,14 +10,10 @@ HEADER = """\
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
 -- equation:  K from the least-squares line F_j = K Omega_j + F0 + v_j
-"""
-
-_LINES = "create or replace table internal.scale_fits as select * from scale_lines('internal.scale_sides')"
-_USABLE = "select * from measured_scale_factors('internal.scale_fits')"
-
-# Subtracting the rests changes F0 and not K: the standards differ only in what they ask for.
-# A measurement that satisfies no standard has an informative value, without a clause.
-_SQL = """
+-- The unit of a value is that of the output over deg/s, and 1 where the output is a rate.
+-- Subtracting the rests changes F0 and not K: the standards differ only in what they ask for.
+-- Where a measurement satisfies none of them, a row of the standard `informative` has the value of the line, and its
+-- `remark` says why.
 with formed as (
   select * exclude (words), words, null::varchar as remark,
     case standard when 'GJB2426A' then '5.8.1 (1)-(6)' when 'JJF2014' then '7.2.1 (2)-(5)' else '7.1 (10)-(15)' end
@@ -42,24 +31,7 @@ with formed as (
 )
 select unit, signal, run, case when lack is null then k end as value, k_unit as unit_of_measure,
   u_k as standard_uncertainty, freedom_k as freedom, n,
-  to_json(struct_insert(words, temperature := round(temperature, 2), rates := n_points,
-    largest_rate_deg_per_s := largest_rate, remark := remark))::varchar as parameters,
+  struct_insert(words, temperature := round(temperature, 2), rates := n_points,
+    largest_rate_deg_per_s := largest_rate, remark := remark) as parameters,
   [run] as runs, steps, standard, clause, lack as reason
 from every
-"""
-
-
-def compute(catalog: Catalog) -> pa.Table:
-    """Rows of the metric, a row for each measurement and standard.
-
-    The unit of a value is that of the output over deg/s, and 1 where the output is a rate. Where the measurement
-    satisfies no standard, a row of the standard ``informative`` has the value of the line, and its `remark` says why.
-    """
-    keep_scale_fits(catalog)
-    return catalog.reader(_SQL).read_all()
-
-
-def keep_scale_fits(catalog: Catalog) -> None:
-    """Put the tables ``scale_fits``, the lines, and ``scale_factors``, those that other metrics may use."""
-    catalog.define(_LINES)
-    catalog.put("scale_factors", catalog.reader(_USABLE).read_all())

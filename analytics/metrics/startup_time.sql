@@ -1,10 +1,3 @@
-"""Start-up time: from power-on until the output stays within the product's error band."""
-
-from functools import partial
-
-from analytics.methods.settling_time import settling_times
-
-HEADER = """\
 -- id:        startup_time
 -- en:        Start-up time
 -- zh:        启动时间
@@ -16,6 +9,5 @@ HEADER = """\
 -- needs:     procedure startup_time: power-on at several rates and positions; startup_band_deg_per_h of the product
 -- limits:    given
 -- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
-"""
-
-compute = partial(settling_times, procedure="^startup_time|^start_up|启动时间")
+-- python:    analytics.methods.settling_time:settling_times
+from settling_tests('^startup_time|^start_up|启动时间') order by run, unit, signal, "index"

@@ -1,0 +1,38 @@
+-- id:        bias_repeatability
+-- en:        Bias repeatability
+-- zh:        零偏重复性
+-- unit:      deg/h
+-- better:    lower
+-- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
+-- parameters: kind, position, earth_rate, power_ons, power_ons_recorded, days, scatter, uncertainty_of_means, remark
+-- source:    GJB 2426A-2004 5.12.3 (21); JJF 2014-2022 7.2.15 (30)
+-- needs:     static steps of an hour in several power-ons (procedure bias_repeatability, or runs of static_bias)
+-- limits:    given
+-- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons, less the uncertainty of the B0_i
+-- python:    analytics.metrics.bias_repeatability:compute
+-- A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
+with counted as (
+  select *,
+    count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
+    bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
+  from internal.bias_power_ons
+), scoped as (
+  select *, run as scope from counted where is_test or in_run > 1
+  union all
+  select *, null as scope from counted
+)
+select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
+  list(bias order by t_from_ns, run, power_on) as biases,
+  list(u order by t_from_ns, run, power_on) as uncertainties,
+  list(u_white order by t_from_ns, run, power_on) as of_white_noise,
+  list(freedom order by t_from_ns, run, power_on) as freedoms,
+  list(duration_s order by t_from_ns, run, power_on) as durations,
+  list(counted_by order by t_from_ns, run, power_on) as counted_by,
+  list(coalesce(day::varchar, 'run ' || run) order by t_from_ns, run, power_on) as days,
+  bool_and(day is not null) as is_dated,
+  list(distinct run order by run) as runs,
+  flatten(list(steps order by run, t_from_ns, power_on)) as steps
+from scoped
+group by unit, signal, position, earth_rate, scope
+having scope is not null or count(distinct run) > 1
+order by unit, signal, position, earth_rate, scope

@@ -1,0 +1,17 @@
+-- id:        fitted_zero
+-- en:        Fitted zero
+-- zh:        拟合零位
+-- unit:      deg/h
+-- better:    neither
+-- grain:     unit, signal, run, position, temperature, repeat
+-- parameters: procedure, repeat, temperature_command, room, position, axis, phase, temperature, output, output_unit
+-- source:    GJB 2426A-2004 5.8.1 (6); JJF 2014-2022 7.2.1 (5); JJF 1536-2015 7.1 (15)
+-- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
+-- limits:    t
+-- equation:  F0 = mean(F_j) - K mean(Omega_j), reported as F0/K
+-- python:    analytics.metrics.fitted_zero:compute
+select unit, signal, run, steps, standard,
+  case standard when 'GJB2426A' then '5.8.1 (6)' when 'JJF2014' then '7.2.1 (5)' else '7.1 (15)' end as clause,
+  n, words, lack as reason, k, zero, rest_zero, points, rests, rest_before, rest_after,
+  zero_weights, slope_weights, temperature, output_unit
+from scale_results('internal.scale_fits')

@@ -1,0 +1,45 @@
+-- id:        scale_factor_repeatability
+-- en:        Scale-factor repeatability
+-- zh:        标度因数重复性
+-- unit:      ppm
+-- better:    lower
+-- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
+-- parameters: kind, scale_factors, mean, days
+-- source:    GJB 2426A-2004 5.8.4 (12); JJF 2014-2022 7.2.4 (10)
+-- needs:     Q scale factors, the unit off and cooled in between; GJB: Q >= 6
+-- limits:    given
+-- equation:  K_r = sqrt(sum((K_i - mean(K))^2)/(Q - 1))/mean(K)
+-- python:    analytics.metrics.scale_factor_repeatability:compute
+-- A run is a test by itself if its procedure is one or it holds several scale factors; all runs of a unit together are
+-- another. Left out are those that were measured under several conditions on purpose.
+with conditioned as (
+  select *,
+    count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
+    count(distinct coalesce(position, '')) over test as positions,
+    case when date_known then strftime(timezone(time_zone, make_timestamptz(t_from_ns // 1000)), '%Y-%m-%d') end as day
+  from scale_results('internal.scale_fits')
+  where standard <> 'JJF1536' and phase is null and axis is null
+    and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(temp|acc|shock|vib)|threshold|resolution)')
+  window test as (partition by run, unit, signal, "procedure", standard)
+), counted as (
+  select *,
+    count(*) over own as in_run,
+    bool_or(starts_with("procedure", 'scale_factor_repeatability')) over own as is_test
+  from conditioned where temperatures = 1 and positions = 1
+  window own as (partition by unit, signal, output_unit, standard, run)
+), scoped as (
+  select *, run as scope from counted where is_test or in_run > 1
+  union all
+  select *, null as scope from counted
+)
+select unit, signal, scope as run, standard, if(standard = 'GJB2426A', '5.8.4 (12)', '7.2.4 (10)') as clause,
+  list(k order by t_from_ns, run, steps) filter (lack is null) as scales,
+  list(coalesce(day, 'run ' || run) order by t_from_ns, run, steps) filter (lack is null) as days,
+  bool_and(day is not null) as is_dated,
+  list(distinct run order by run) as runs,
+  flatten(list(steps order by run, t_from_ns, steps)) as steps,
+  min('run ' || run || ': ' || lack) as lack
+from scoped
+group by unit, signal, output_unit, scope, standard
+having scope is not null or count(distinct run) > 1
+order by unit, signal, output_unit, scope, standard
