@@ -36,12 +36,14 @@ class StationBounds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def of_runs(cls, runs: Sequence[RunBlocks], **given: Any) -> "StationBounds":
         """What the unit has been through in its runs, as far as it is not given."""
         known: dict[str, float] = {}
-        if (temperatures := _range(runs, THERMAL[::-1])) is not None and np.ptp(temperatures) > _LEAST_SWING_DEG_C:
+        if (temperatures := _range(runs, THERMAL[::-1], "degC")) is not None and np.ptp(
+            temperatures
+        ) > _LEAST_SWING_DEG_C:
             known["least_deg_c"], known["most_deg_c"] = (float(np.round(each)) for each in temperatures)
-        rates = _range(runs, ("input_rate", "table_rate"))
+        rates = _range(runs, ("input_rate", "table_rate"), "deg/s")
         if rates is not None and (most := float(f"{np.abs(rates).max():.2g}")) > _LEAST_RATE_DEG_PER_S:
             known["rate_deg_per_s"] = most
-        volts = _range(runs, ("supply_voltage",))
+        volts = _range(runs, ("supply_voltage",), "V")
         if volts is not None and np.ptp(volts) > 0.01 * abs(float(np.mean(volts))):
             known["least_v"], known["most_v"] = (float(np.round(each, 1)) for each in volts)
         return cls(**{**known, **{name: value for name, value in given.items() if value is not None}})
@@ -52,10 +54,10 @@ class StationBounds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return 25.0 if self.least_deg_c is None or self.most_deg_c is None else (self.least_deg_c + self.most_deg_c) / 2
 
 
-def _range(runs: Sequence[RunBlocks], names: Sequence[str]) -> tuple[float, float] | None:
-    """Range of the first of these channels that every run has."""
+def _range(runs: Sequence[RunBlocks], names: Sequence[str], unit: str) -> tuple[float, float] | None:
+    """Range of the first of these channels that every run has in the unit in which stations are set."""
     for name in names:
-        if all(name in run.channels for run in runs):
+        if all(name in run.channels and run.channels[name].unit_of_measure == unit for run in runs):
             values = np.concatenate([run.mean(name) for run in runs])
             if np.isfinite(values).any():
                 return float(np.nanmin(values)), float(np.nanmax(values))

@@ -1,5 +1,6 @@
 """The next test: what a station can run, what it would record, and how surely it decides."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from analytics.loop.next_test.candidate_tests import candidate_tests
 from analytics.loop.next_test.next_test import next_test
 from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run
 from analytics.loop.next_test.separation import DRAWS, Rival, RivalFit, inseparable
-from analytics.loop.next_test.station_bounds import StationBounds
+from analytics.loop.next_test.station_bounds import THERMAL, StationBounds
 from analytics.loop.next_test.test_plan import TestPlan
 from analytics.loop.next_test.timeline import STEP_S, timeline
 from analytics.loop.tracing.case import case_of
@@ -78,6 +79,18 @@ def test_a_station_may_do_what_the_unit_has_been_through_unless_told_otherwise()
     assert own.rate_deg_per_s is None
     assert own.least_v is not None
     assert 10.0 <= own.least_v < 11.0
+
+
+def test_a_temperature_in_counts_bounds_no_chamber() -> None:
+    counted = [
+        replace(
+            run,
+            channels=run.channels | {name: replace(run.channels[name], unit_of_measure="count") for name in THERMAL},
+        )
+        for run in runs()
+    ]
+    assert StationBounds.of_runs(counted).least_deg_c is None
+    assert StationBounds.of_runs(counted).least_v is not None
 
 
 def test_lags_between_temperatures_come_from_the_units_own_runs() -> None:
