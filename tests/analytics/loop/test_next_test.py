@@ -85,7 +85,10 @@ def test_a_temperature_in_counts_bounds_no_chamber() -> None:
     counted = [
         replace(
             run,
-            channels=run.channels | {name: replace(run.channels[name], unit_of_measure="count") for name in THERMAL},
+            channels={
+                **run.channels,
+                **{name: replace(run.channels[name], unit_of_measure="count") for name in THERMAL},
+            },
         )
         for run in runs()
     ]

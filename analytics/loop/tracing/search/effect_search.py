@@ -101,7 +101,7 @@ def search(candidates: Candidates, rng: np.random.Generator) -> Search:
     for _ in range(MOST_EFFECTS):
         found = fitted_candidates(candidates, joint, rng, [each.name for each in selected])
         if not selected:
-            unreplicated = tuple(each for each in found if not each.replicates and each.evidence > 0)
+            unreplicated = tuple(each for each in found if not (each.replicates or each.is_rival) and each.evidence > 0)
         best = _chosen(found)
         if best is None:
             break
@@ -138,12 +138,13 @@ def _with_pair(
 def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
     """The best candidate that replicates; a proxy or an alias only if no cause explains the data."""
     usable = [each for each in found if each.replicates]
-    if not usable or usable[0].evidence <= 0:
+    significant = [each for each in usable if not each.is_rival]
+    if not significant or significant[0].evidence <= 0:
         return None
-    best, leading = usable[0], None
+    best, leading = significant[0], None
     if best.effect.kind is EffectKind.EVENT and _has_rivals(best, found):
         return None
-    causes = [each for each in usable if each.effect.role is Role.CAUSE and each.is_common and each.evidence > 0]
+    causes = [each for each in significant if each.effect.role is Role.CAUSE and each.is_common and each.evidence > 0]
     if best.effect.role is Role.PROXY and causes:
         leading = best.name if best.evidence - causes[0].evidence > best.lead else None
         best = causes[0]
@@ -170,7 +171,7 @@ def _by_design(first: FittedCandidate, second: FittedCandidate) -> bool:
 def _has_rivals(jump: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
     """Whether an effect explains the one run as well as a jump, though it does not replicate."""
     near = max(0.0, jump.evidence - PRICE)
-    return any(not each.replicates and each.evidence > near for each in found)
+    return any(not (each.replicates or each.is_rival) and each.evidence > near for each in found)
 
 
 def _contains(function: FittedCandidate, other: FittedCandidate) -> bool:

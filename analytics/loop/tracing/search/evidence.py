@@ -63,10 +63,14 @@ def needed_lead(best: FloatArray | float) -> FloatArray:
 def leads(best: FloatArray | float, effect: Effect, other: FloatArray | float, its_effect: Effect) -> BoolArray:
     """Whether the data separate the best candidate from another, by the evidence of both."""
     lead = needed_lead(best)
-    is_alias = its_effect.name in _aliases(effect) or effect.name in _aliases(its_effect)
-    if is_alias and effect.role is its_effect.role is Role.CAUSE:
+    if look_alike(effect, its_effect) and effect.role is its_effect.role is Role.CAUSE:
         lead = np.maximum(lead, ALIAS_SHARE_OF_LEAD * np.asarray(best))
     return np.subtract(best, other) >= lead
+
+
+def look_alike(effect: Effect, other: Effect) -> bool:
+    """Whether one is among the aliases of the other."""
+    return other.name in _aliases(effect) or effect.name in _aliases(other)
 
 
 def is_common(effect: Effect) -> bool:

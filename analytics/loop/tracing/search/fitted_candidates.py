@@ -18,6 +18,7 @@ from analytics.loop.tracing.search.evidence import (
     is_common,
     leads,
     leave_one_out,
+    look_alike,
     needed_lead,
     noise_inflation,
     one_degree,
@@ -33,6 +34,7 @@ SCREENED, SCREENED_FROM_FEW = 1e-3, 2.0  # p-value for a fit; with few tests twi
 MOST_FITTED, MOST_FITTED_IN_FLEET = 10, 5
 UNMASKED = 1e-4
 MOST_UNMASKED = 8
+RIVAL = 0.05  # p-value from which an effect that looks like a chosen one is fitted as well
 SWALLOWED = 0.25  # excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect
 EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0  # ratio to the declared variance at which the noise model is not trusted
 _SAME_EVIDENCE = 6  # decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine
@@ -54,6 +56,7 @@ class FittedCandidate:
     evidence: float
     replication: Replication | None = None  # None for a line or a jump
     replicates: bool = True
+    is_rival: bool = False  # not significant by itself; it looks like another that is
     at_most: float | None = None  # evidence before the noise inflation; None where that was not taken into account
 
     @property
@@ -95,8 +98,10 @@ def fitted_candidates(
     """
     first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
     found = []
-    for group in _worth_fitting(candidates, base, rng, taken, first):
-        fitted = _fitted(candidates, base, group, first)
+    chosen = _worth_fitting(candidates, base, rng, taken, first)
+    rivals = _rivals(chosen, first)
+    for group in (*chosen, *rivals):
+        fitted = _fitted(candidates, base, group, first, is_rival=group in rivals)
         if fitted is not None and fitted.evidence > -PRICE:
             discounted = _discounted(fitted)
             # the cached columns of a fleet would fill the memory
@@ -126,6 +131,19 @@ def _worth_fitting(
     return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
 
 
+def _rivals(chosen: Sequence[list[Screened]], first: Screen) -> list[list[Screened]]:
+    """Effects that look like a chosen one and just missed the screening: without them it would be the only name."""
+    effects = [group[0].candidate.effect for group in chosen]
+    names = {each.name for each in effects}
+    return [
+        group
+        for group in first.by_effect()
+        if (other := group[0].candidate.effect).name not in names
+        and group[0].p_value < RIVAL
+        and any(look_alike(each, other) for each in effects)
+    ]
+
+
 def least_noises(base: JointFit) -> Sequence[ModelNoise] | None:
     """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect."""
     least = [_least(noise, record) for noise, record in zip(base.noises, base.records, strict=True)]
@@ -150,20 +168,23 @@ def beside(base: JointFit, hypothesis: Hypothesis) -> tuple[JointFit, float]:
 
 
 def _fitted(
-    candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen
+    candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen, *, is_rival: bool = False
 ) -> FittedCandidate | None:
-    """The better fit of the two best shapes of an effect; None if it fails the family-wise test."""
+    """The better fit of the two best shapes of an effect; None if it fails the family-wise test, unless a rival."""
     best: FittedCandidate | None = None
     for result in group[: 2 if len(base.records) == 1 else 1]:
         item = result.candidate
         columns = candidates.of_all(item)
         joint, ratio = beside(base, base.hypothesis.with_common(columns))
         p_value = float(stats.chi2.sf(max(ratio, 0.0), result.degrees))
-        if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
+        is_by_chance = family_p_value(p_value, screened.tests) >= ALPHA
+        if (is_by_chance and not is_rival) or (best and ratio <= best.likelihood_ratio):
             continue
         degrees = result.degrees + (len(group) > 1)
         evidence = _evidence(joint, ratio, degrees, item.effect)
-        best = FittedCandidate(item.effect, dict(item.shape), columns, joint, ratio, degrees, evidence)
+        best = FittedCandidate(
+            item.effect, dict(item.shape), columns, joint, ratio, degrees, evidence, is_rival=is_by_chance
+        )
     return best
 
 
