@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         right += name in sets
         named += names == [name]
         wrong += bool(names) and name not in sets
-        rows = found.by_unit.get(name, ())
+        rows = next(iter(found.by_unit.values()), ())  # of the effect found, or one that the data cannot separate
         absent = [each.unit for each in rows if each.presence < 0.05]
         told += sum(each in {f"U{unit}" for unit in range(given.units - given.without, given.units)} for each in absent)
         over = found.over_units.get(name)
