@@ -16,7 +16,7 @@ from stream.errors import BadInput, GyrofleetError
 
 if TYPE_CHECKING:
     from analytics.loop.model.declared_noise import GivenNoise
-    from analytics.loop.next_test.next_test import NextTest
+    from analytics.loop.next_test.recommendation import NextTest
     from analytics.loop.report.wording import Language
     from analytics.loop.unit_diagnosis import UnitsDiagnosis
 

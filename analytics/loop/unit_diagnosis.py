@@ -11,7 +11,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence
 from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.next_test.next_test import NextTest, next_test
+from analytics.loop.next_test.recommendation import NextTest, next_test
 from analytics.loop.next_test.station_bounds import StationBounds
 from analytics.loop.provenance import provenance
 from analytics.loop.recovery import Recovery, recovered

@@ -10,7 +10,8 @@ from storage.check.verify import checkpoint_findings, kept_findings, lake_findin
 from storage.check.verify_lake import repair_lake
 from storage.check.verify_log import LogState, stretch_id, verify_log
 from storage.findings import KEPT_DAMAGED
-from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
+from storage.lake.lake import Lake
 from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
 from storage.log.files import quarantine_unknown

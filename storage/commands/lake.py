@@ -40,7 +40,7 @@ def lake(
     The parts of a finished day (UTC) are merged into one, small parts of the present day into few. With --older-than or
     --max-size raw rows are dropped as by `gyrofleet retain`.
     """
-    from storage.lake.lake import builder_lock
+    from storage.lake.builder import builder_lock
     from storage.store import Store
     from storage.upkeep.service import LakeService
     from stream.errors import StoreError
@@ -106,7 +106,8 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
 
 
 def _restore(folder: Path, *, as_json: bool) -> None:
-    from storage.lake.lake import Lake, build_missing
+    from storage.lake.builder import build_missing
+    from storage.lake.lake import Lake
     from storage.store import Store
     from storage.upkeep.retention import restore_raw
 
@@ -141,7 +142,8 @@ def retain(
     A document in the log lists what is dropped, beforehand. After a leap of the clock nothing is dropped by age without
     --trust-clock. `gyrofleet rebuild --raw` restores what the log still has.
     """
-    from storage.lake.lake import Lake, build_missing
+    from storage.lake.builder import build_missing
+    from storage.lake.lake import Lake
     from storage.manifests.lake import read_manifest
     from storage.store import Store
     from storage.upkeep.retention import apply_rule, would_drop
@@ -167,7 +169,7 @@ def retain(
 
 
 def _patient_lock(store: "Store", *, as_json: bool) -> AbstractContextManager[None]:
-    from storage.lake.lake import builder_lock
+    from storage.lake.builder import builder_lock
 
     if not as_json:
         notes().print(f"waiting up to {_PATIENCE_S:g} s for another builder of the lake")

@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from storage.lake.lake import LakeBusy, build_missing, builder_lock
+from storage.lake.builder import LakeBusy, build_missing, builder_lock
 from storage.store import Store
 from stream.errors import StoreError
 

@@ -19,7 +19,7 @@ from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.verdict.conclusion import conclude
 from analytics.metric_registry.registry import metrics
 from analytics.step_records.step_table import step_means
-from storage.lake.lake import build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.log.sequence import place_of
 from storage.segments.records import EVENTS, SAMPLES, LogRecord

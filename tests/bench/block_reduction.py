@@ -22,8 +22,9 @@ from uuid import UUID
 import numpy as np
 
 from analytics.loop.blocks.block_reducer import BlockReducer
+from storage.lake.builder import build_missing, builder_lock
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.lake import Lake
 from storage.log.event_log import EventLog
 from storage.log.sequence import place_of
 from storage.segments.records import SAMPLES, LogRecord

@@ -15,8 +15,9 @@ import pyarrow as pa
 from analytics.step_records import step_table
 from analytics.step_records.reduction import COLUMNS
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
+from storage.lake.builder import builder_lock
 from storage.lake.channel_buffer import ChannelBuffer
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.lake import Lake
 from storage.lake.part import BuiltPart, Drops, channel_id
 from storage.lake.rollups import merge, rollup_table
 from storage.lake.tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers

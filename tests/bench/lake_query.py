@@ -20,8 +20,9 @@ from uuid import UUID
 
 import numpy as np
 
+from storage.lake.builder import build_missing, builder_lock
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.lake import Lake
 from storage.log.event_log import EventLog
 from storage.log.sequence import place_of
 from storage.manifests.lake import read_manifest

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.next_test.next_test import next_test
+from analytics.loop.next_test.plans import TestPlan
+from analytics.loop.next_test.recommendation import next_test
 from analytics.loop.next_test.station_bounds import StationBounds
-from analytics.loop.next_test.test_plan import TestPlan
 from analytics.loop.next_test.timeline import Timeline, timeline
 from analytics.loop.tracing.diagnosis import diagnose
 from tests.bench.loop_campaign import Campaign, Planted

@@ -21,7 +21,7 @@ import numpy as np
 
 from storage.check.recover import recover
 from storage.check.verify import CHECKPOINT, verify
-from storage.lake.lake import build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.log.tail import LogTail
 from storage.recording.recorder import Recorder

@@ -31,7 +31,7 @@ from uuid import UUID
 import numpy as np
 
 from storage.check.verify import verify
-from storage.lake.lake import build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.log.tail import LogTail
 from storage.recording.intake import MAX_REJECT_BYTES

@@ -7,7 +7,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.lake.lake import build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.log.sequence import place_of
 from storage.segments.records import EVENTS, SAMPLES, LogRecord

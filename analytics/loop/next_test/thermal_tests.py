@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.next_test.candidate_test import CandidateTest, loop
+from analytics.loop.next_test.candidate import CandidateTest, loop
 from analytics.loop.next_test.station_bounds import StationBounds
 from stream.batch import FloatArray
 

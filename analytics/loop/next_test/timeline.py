@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.next_test.candidate_test import CandidateTest
+from analytics.loop.next_test.candidate import CandidateTest
 from analytics.loop.next_test.station_bounds import StationBounds
 from stream.batch import BoolArray, FloatArray
 

@@ -1,6 +1,6 @@
 """The next test as a sentence and a table."""
 
-from analytics.loop.next_test.next_test import NextTest
+from analytics.loop.next_test.recommendation import NextTest
 from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import Wording
 

@@ -8,7 +8,8 @@ import pytest
 
 from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
 from analytics.loop.model.error_model import ErrorModel
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.builder import builder_lock
+from storage.lake.lake import Lake
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from storage.upkeep.retention import Rule, apply_rule

@@ -10,13 +10,13 @@ import pytest
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect
-from analytics.loop.next_test.candidate_test import CandidateTest
-from analytics.loop.next_test.candidate_tests import candidate_tests
-from analytics.loop.next_test.next_test import next_test
+from analytics.loop.next_test.candidate import CandidateTest
+from analytics.loop.next_test.candidates import candidate_tests
+from analytics.loop.next_test.plans import TestPlan
 from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run
+from analytics.loop.next_test.recommendation import next_test
 from analytics.loop.next_test.separation import DRAWS, Rival, RivalFit, inseparable
 from analytics.loop.next_test.station_bounds import THERMAL, StationBounds
-from analytics.loop.next_test.test_plan import TestPlan
 from analytics.loop.next_test.timeline import STEP_S, timeline
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.diagnosis import diagnose

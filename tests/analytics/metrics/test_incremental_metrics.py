@@ -14,8 +14,9 @@ from analytics.evaluation.selection import Selection, selected
 from analytics.step_records import step_table
 from analytics.step_records.reduction import reduce_run
 from analytics.step_records.step_table import write_kept
+from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.lake import Lake
 from stream.events import CheckEntered, Verdict
 
 START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC

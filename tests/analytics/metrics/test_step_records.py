@@ -18,7 +18,8 @@ from scipy import stats
 from analytics.step_records.reduction import MOST_RAW
 from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.builder import builder_lock
+from storage.lake.lake import Lake
 from storage.segments.records import SAMPLES, LogRecord
 from storage.store import Store
 from stream.batch import SampleBatch

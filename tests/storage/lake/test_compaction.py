@@ -13,8 +13,9 @@ import pytest
 
 from storage.check.verify_lake import lake_problems
 from storage.lake import compaction
+from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact, due
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.lake import Lake
 from storage.lake.rebuild import rebuild
 from storage.manifests.lake import Manifest, Part, PartFile, left_aside, read_manifest
 from storage.sql.catalog import Catalog

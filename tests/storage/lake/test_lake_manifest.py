@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from storage.check.verify_lake import lake_problems, repair_lake
-from storage.lake.lake import Lake, LakeBusy, build_missing, builder_lock
+from storage.lake.builder import LakeBusy, build_missing, builder_lock
+from storage.lake.lake import Lake
 from storage.lake.part import build_part
 from storage.manifests.lake import MANIFEST, PART, LakeManifestDamaged, read_manifest, write_manifest
 from storage.sql.catalog import Catalog

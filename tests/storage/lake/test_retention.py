@@ -14,8 +14,9 @@ import pytest
 from storage.check.recover import recover
 from storage.check.verify import verify
 from storage.check.verify_lake import lake_problems
+from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.lake import Lake
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
 from storage.log.store_documents import is_own, store_document

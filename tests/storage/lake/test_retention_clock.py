@@ -8,8 +8,9 @@ import pytest
 
 from storage.check.verify import verify
 from storage.check.verify_lake import lake_problems
+from storage.lake.builder import build_missing, builder_lock
 from storage.lake.compaction import compact
-from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.lake import Lake
 from storage.lake.rebuild import rebuild
 from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog

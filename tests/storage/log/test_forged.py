@@ -6,7 +6,8 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.builder import builder_lock
+from storage.lake.lake import Lake
 from storage.log.event_log import EventLog
 from storage.log.store_documents import forgery, signed, store_document
 from storage.manifests.lake import read_manifest

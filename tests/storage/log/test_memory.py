@@ -10,7 +10,7 @@ import zstandard
 
 from storage.check.recover import recover
 from storage.check.verify import verify
-from storage.lake.lake import build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.recording.intake import MAX_REJECT_BYTES
 from storage.recording.recorder import Recorder

@@ -12,7 +12,8 @@ import pytest
 from storage.check.recover import recover
 from storage.check.verify import lake_findings, verify
 from storage.check.verify_log import verify_log
-from storage.lake.lake import Lake, builder_lock
+from storage.lake.builder import builder_lock
+from storage.lake.lake import Lake
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
 from storage.manifests.lake import read_manifest

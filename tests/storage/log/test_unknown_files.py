@@ -13,7 +13,8 @@ import pytest
 
 from storage.check.recover import recover
 from storage.check.verify import verify
-from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.builder import build_missing, builder_lock
+from storage.lake.lake import Lake
 from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments, unknown_files
 from storage.manifests.lake import MANIFEST, LakeManifestDamaged, Replaced, read_manifest

@@ -10,7 +10,7 @@ import pytest
 
 from storage.check.recover import recover
 from storage.check.verify import verify
-from storage.lake.lake import builder_lock
+from storage.lake.builder import builder_lock
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
 from storage.manifests.log import read_log_manifest

@@ -8,8 +8,8 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect
-from analytics.loop.next_test.candidate_test import CandidateTest
-from analytics.loop.next_test.candidate_tests import candidate_tests
+from analytics.loop.next_test.candidate import CandidateTest
+from analytics.loop.next_test.candidates import candidate_tests
 from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run, repeated_run
 from analytics.loop.next_test.separation import Separation
 from analytics.loop.next_test.station_bounds import StationBounds

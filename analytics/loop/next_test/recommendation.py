@@ -12,9 +12,9 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.next_test.plans import Decides, TestPlan, cheapest_plans
 from analytics.loop.next_test.separation import RivalFit, Separation, inseparable, rival
 from analytics.loop.next_test.station_bounds import StationBounds
-from analytics.loop.next_test.test_plan import Decides, TestPlan, cheapest_plans
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect
 from analytics.loop.tracing.whitening.stack import UnitRecord

@@ -7,7 +7,7 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.next_test.candidate_test import CandidateTest, loop
+from analytics.loop.next_test.candidate import CandidateTest, loop
 from analytics.loop.next_test.station_bounds import THERMAL, StationBounds
 from analytics.loop.next_test.thermal_tests import thermal_tests
 
