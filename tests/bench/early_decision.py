@@ -19,7 +19,7 @@ import scipy.stats
 from stream.batch import FloatArray
 from stream.estimators.decision.decision import BiasStabilityDecision, Decision, DecisionPlan, Outcome
 from tests.bench.decision_calibration import table
-from tests.stream.estimators.test_decision import KINDS, R, a_point, hourly, judged, noise, squares
+from tests.stream.estimators.decision_records import KINDS, R, a_point, hourly, judged, noise, squares
 
 HOURS = 24.0
 RATIOS = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)

@@ -1,4 +1,4 @@
-"""Short forms of the trials of malformed messages: `python tests/crash/fuzz.py --count 100000` is the long one."""
+"""Short forms of the trials of malformed messages: `python -m tests.crash.fuzz --count 100000` is the long one."""
 
 import json
 import subprocess
@@ -8,13 +8,16 @@ from typing import Any
 
 import pytest
 
+ROOT = Path(__file__).parents[2]
+
 
 @pytest.mark.in_gate("over Zenoh")
 @pytest.mark.parametrize(("count", "how"), [(5000, ()), (2000, ("--process",))], ids=["in this process", "over Zenoh"])
 def test_what_is_malformed_is_kept_aside_and_hinders_nobody(count: int, how: tuple[str, ...]) -> None:
-    program = str(Path(__file__).with_name("fuzz.py"))
-    command = [sys.executable, program, "--count", str(count), "--oversize", "1", *how]
-    done = subprocess.run([*command, "--seed", "20261121", "--json"], capture_output=True, text=True, timeout=300)
+    command = [sys.executable, "-m", "tests.crash.fuzz", "--count", str(count), "--oversize", "1", *how]
+    done = subprocess.run(
+        [*command, "--seed", "20261121", "--json"], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
     assert done.stdout, done.stderr
     result: dict[str, Any] = json.loads(done.stdout)
     assert result["wrong"] == []

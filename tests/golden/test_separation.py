@@ -14,34 +14,7 @@ from analytics.methods.separation import (
     gyro_separation,
 )
 from stream.errors import BadInput
-
-GYRO_SCALE = -2.9222  # V/(deg/s)
-ACCELEROMETER_SCALE = 1.299  # V/g
-POSITIONS = ((0.0, 0.0), (0.0, 180.0), (180.0, 180.0), (90.0, 180.0), (0.0, 90.0))
-# table 1: rate -> voltages forwards, backwards, and y0, x0, y1, y2, z2, gamma in arcsec
-TABLE_1 = {
-    20.0: (
-        (-0.0614, -0.0576, 0.0350, -0.0290, -0.0600),
-        (0.0654, 0.0606, -0.0306, 0.0287, 0.0638),
-        (-7.6, 2.3, -54.0, -162.2, 55.4, 171.4),
-    ),
-    30.0: (
-        (-0.0929, -0.0869, 0.0517, -0.0433, -0.0908),
-        (0.0969, 0.0903, -0.0468, 0.0435, 0.0947),
-        (-7.4, 2.4, -53.7, -162.2, 55.8, 171.5),
-    ),
-    40.0: (
-        (-0.1246, -0.1164, 0.0679, -0.0580, -0.1217),
-        (0.1284, 0.1197, -0.0632, 0.0583, 0.1256),
-        (-7.5, 2.4, -53.8, -162.0, 56.3, 171.5),
-    ),
-}
-# table 2: outputs at 0, 180, 90, 270 deg in V, and y2, z2, gamma in arcsec
-TABLE_2 = (
-    ((-0.001845, -0.001911, -0.001912, -0.002175), (-5.2, 20.9, 21.5)),
-    ((-0.001846, -0.001914, -0.001921, -0.002177), (-5.4, 20.3, 21.0)),
-    ((-0.001845, -0.001912, -0.001921, -0.002176), (-5.3, 20.2, 20.9)),
-)
+from tests.hit2012_separation import ACCELEROMETER_SCALE, GYRO_SCALE, POSITIONS, TABLE_1, TABLE_2
 
 
 def gyro_readings(rate: float) -> list[GyroReading]:
@@ -49,8 +22,13 @@ def gyro_readings(rate: float) -> list[GyroReading]:
     return [
         GyroReading(alpha, beta, sign * rate, volts)
         for sign, outputs in ((1, forwards), (-1, backwards))
-        for (alpha, beta), volts in zip(POSITIONS, outputs, strict=True)
+        for (alpha, beta), volts in zip(POSITIONS.values(), outputs, strict=True)
     ]
+
+
+def accelerometer_angles(outputs: tuple[float, ...]) -> Separation:
+    readings = [AccelerometerReading(90.0 * i, volts) for i, volts in enumerate(outputs)]
+    return accelerometer_separation(readings, ACCELEROMETER_SCALE)
 
 
 def reported(found: Separation, *names: str) -> list[float]:
@@ -65,19 +43,11 @@ def test_gyro_table_is_reproduced(rate: float) -> None:
 
 @pytest.mark.parametrize(("outputs", "printed"), TABLE_2)
 def test_accelerometer_table_is_reproduced(outputs: tuple[float, ...], printed: tuple[float, ...]) -> None:
-    readings = [AccelerometerReading(*each) for each in zip((0.0, 180.0, 90.0, 270.0), outputs, strict=True)]
-    found = accelerometer_separation(readings, ACCELEROMETER_SCALE)
-    np.testing.assert_allclose(reported(found, "y2", "z2"), printed, atol=0.1)
+    np.testing.assert_allclose(reported(accelerometer_angles(outputs), "y2", "z2"), printed, atol=0.1)
 
 
 def test_mean_gamma_of_the_accelerometer_is_21_1() -> None:
-    gammas = [
-        accelerometer_separation(
-            [AccelerometerReading(*each) for each in zip((0.0, 180.0, 90.0, 270.0), outputs, strict=True)],
-            ACCELEROMETER_SCALE,
-        ).gamma.value
-        for outputs, _ in TABLE_2
-    ]
+    gammas = [accelerometer_angles(outputs).gamma.value for outputs, _ in TABLE_2]
     assert np.mean(gammas) == pytest.approx(21.1, abs=0.1)
 
 
@@ -104,7 +74,7 @@ def test_one_least_squares_over_all_speeds_is_the_closed_form_weighted_by_rate()
 def test_offsets_that_differ_between_positions_are_no_error_of_the_angles() -> None:
     readings = [reading for rate in TABLE_1 for reading in gyro_readings(rate)]
     plain = gyro_separation(readings, GYRO_SCALE)
-    shift = {place: 0.01 * at for at, place in enumerate(POSITIONS)}
+    shift = {place: 0.01 * at for at, place in enumerate(POSITIONS.values())}
     moved = [each._replace(output=each.output + shift[each.alpha_deg, each.beta_deg]) for each in readings]
     found = gyro_separation(moved, GYRO_SCALE)
     assert found.gamma == pytest.approx(plain.gamma, rel=1e-9)
@@ -119,7 +89,7 @@ def test_limits_hold_the_truth_as_often_as_they_say() -> None:
     for _ in range(500):
         readings = []
         for rate in (-40.0, -30.0, -20.0, 20.0, 30.0, 40.0):
-            for alpha, beta in POSITIONS:
+            for alpha, beta in POSITIONS.values():
                 a, b = math.radians(alpha), math.radians(beta)
                 angle = -y0 * math.cos(b) + x0 * math.sin(b) - y1 + z2 * math.sin(a) - y2 * math.cos(a)
                 readings.append(GyroReading(alpha, beta, rate, GYRO_SCALE * rate * angle + rng.normal(0, 1e-4)))

@@ -7,7 +7,7 @@ and one whose output is in mV and for which no scale factor is known.
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +21,6 @@ from analytics.metric_registry.registry import metrics
 from analytics.specifications.entering import add_specification
 from storage.store import Store
 from stream.quantities import check_unit
-from tests.bench.metric_coverage import CHECKS, covered
 from tests.bench.metric_steps import DAY_NS, Unit, metrics_of, records_of
 
 NAMES = tuple(metrics())
@@ -45,12 +44,16 @@ ELSEWHERE = {
 }  # fmt: skip
 # what a doubled output doubles: all that is in deg/h, and these
 DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability"}
+# what a measured scale factor is itself
+SCALE_FACTORS = {
+    "scale_factor", "scale_factor_acceleration_sensitivity", "scale_factor_shock_change",
+    "scale_factor_vibration_change",
+}  # fmt: skip
 # Their points are tested inputs, their differences those of the input and the output.
 ON_A_GRID = {"threshold", "resolution"}
 PRODUCT = (
     '[product."FOG-70"]\nmax_rate_deg_per_s = 100.0\nnonlinearity_ppm = 500.0\nexpected_threshold_deg_per_h = 3.0\n'
 )
-
 Records = list[dict[str, Any]]
 Rows = list[dict[str, Any]]
 
@@ -225,6 +228,20 @@ def paired(simulated: Simulated, factor: float, records: Records) -> Iterator[tu
     yield from zip(rows(records), rows(scaled(records, factor)), strict=True)
 
 
+def metrics_scaled(
+    pairs: Iterator[tuple[dict[str, Any], dict[str, Any]]], factor_of: Callable[[dict[str, Any]], float]
+) -> set[str]:
+    """Metrics whose values and limits are so many times as large in the second row of each pair."""
+    seen = set()
+    for before, after in pairs:
+        for each in ("value", "lo", "hi", "standard_uncertainty"):
+            if before[each] is not None:
+                expected = before[each] * factor_of(before)
+                assert after[each] == pytest.approx(expected, rel=1e-6, abs=1e-6), (before, after)
+        seen.add(before["metric"])
+    return seen
+
+
 def is_scale_factor(record: dict[str, Any]) -> bool:
     return bool(record["procedure"].startswith("scale_factor"))
 
@@ -235,47 +252,27 @@ def of_whole_unit(simulated: Simulated) -> Records:
 
 
 def test_an_output_twice_as_large_doubles_what_is_an_output_and_leaves_what_is_relative(simulated: Simulated) -> None:
-    seen = set()
+    def factor_of(row: dict[str, Any]) -> float:
+        is_output = row["unit_of_measure"].startswith(("deg/h", "deg/sqrt(h)"))
+        return 2.0 if is_output or row["metric"] in DOUBLED else 1.0
+
     without = [each for each in of_whole_unit(simulated) if not is_scale_factor(each)]
-    for before, after in paired(simulated, 2.0, without):
-        name = before["metric"]
-        is_output = before["unit_of_measure"].startswith(("deg/h", "deg/sqrt(h)"))
-        factor = 2.0 if is_output or name in DOUBLED else 1.0
-        for each in ("value", "lo", "hi", "standard_uncertainty"):
-            if before[each] is not None:
-                assert after[each] == pytest.approx(before[each] * factor, rel=1e-6, abs=1e-6), (before, after)
-        seen.add(name)
-    assert len(seen) > 10
+    assert len(metrics_scaled(paired(simulated, 2.0, without), factor_of)) > 10
 
 
 def test_a_scale_factor_that_was_measured_before_leaves_only_itself_to_be_scaled(simulated: Simulated) -> None:
-    seen = set()
     times = ("t_start_ns", "t_from_ns", "t_to_ns")
     later = [
         each if is_scale_factor(each) else each | {name: each[name] + 100 * DAY_NS for name in times}
         for each in of_whole_unit(simulated)
     ]
-    for before, after in paired(simulated, 1.25, later):
-        name = before["metric"]
-        is_scale = name in {
-            "scale_factor", "scale_factor_acceleration_sensitivity", "scale_factor_shock_change",
-            "scale_factor_vibration_change",
-        }  # fmt: skip
-        factor = 1.25 if is_scale else 1.0
-        for each in ("value", "lo", "hi", "standard_uncertainty"):
-            if before[each] is not None:
-                assert after[each] == pytest.approx(before[each] * factor, rel=1e-6, abs=1e-6), (before, after)
-        seen.add(name)
-    assert len(seen) > 15
+    found = metrics_scaled(paired(simulated, 1.25, later), lambda row: 1.25 if row["metric"] in SCALE_FACTORS else 1.0)
+    assert len(found) > 15
 
 
 def test_a_reversed_output_reverses_what_has_a_sign_and_nothing_else(simulated: Simulated) -> None:
     signed = {"bias", "polarity"}
-    whole = [
-        each | {"latitude_deg": None}
-        for each in simulated.records
-        if each["unit"] == "U1" and each["procedure"] in {"static_bias", "polarity"}
-    ]
+    whole = [each for each in of_whole_unit(simulated) if each["procedure"] in {"static_bias", "polarity"}]
 
     def rows(records: Records) -> Rows:
         found: Rows = metrics_of(simulated.store, records).to_pylist()
@@ -290,13 +287,3 @@ def test_a_reversed_output_reverses_what_has_a_sign_and_nothing_else(simulated: 
         factor = -1.0 if before["metric"] in signed else 1.0
         if before["value"] is not None:
             assert after["value"] == pytest.approx(before["value"] * factor, rel=1e-9), before
-
-
-@pytest.mark.long
-def test_limits_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None:
-    """The short form of ``tests/bench/metric_coverage.py``: the tests of few steps, few units."""
-    few = {"static_bias", "bias_acceleration_sensitivity", "scale_factor", "misalignment_repeatability"}
-    checks = [each for each in CHECKS if each.procedure in few]
-    found = list(covered(Store.create(tmp_path / "store"), 25, 7, checks))
-    assert [each for each in found if each.outside] == []
-    assert {each.rows for each in found} == {25}

@@ -1,6 +1,6 @@
 """Compensated samples in one process, and by a worker beside a recorder."""
 
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 
@@ -34,8 +34,17 @@ from tests.live_runs import (
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.create(tmp_path / "S")
+def recording(store: Store) -> Iterator[tuple[LocalBus, DurablePublisher]]:
+    """A recorder of a store in which a model is live, and a source that sends to it."""
+    written = ModelRegistry(store).add(version(TEXT, COEFFICIENTS))
+    activate(store, written, Stage.LIVE, reason="", by="Li")
+    with (
+        LocalBus() as bus,
+        WriterLock(store, "a test"),
+        Recorder(store, bus, EventLog(store), sync_interval_s=0.01),
+        DurablePublisher(bus) as source,
+    ):
+        yield bus, source
 
 
 class _Kept:
@@ -67,63 +76,53 @@ def test_in_one_process_the_end_of_a_run_counts_what_was_compensated(store: Stor
     assert samples([(PLACE, batch) for key, batch in kept.batches if key.endswith("_compensated")]).size == RUN_S * 10
 
 
-def test_a_worker_that_is_killed_goes_on_and_nothing_is_lost_or_twice(store: Store) -> None:
-    written = ModelRegistry(store).add(version(TEXT, COEFFICIENTS))
-    activate(store, written, Stage.LIVE, reason="", by="Li")
+def test_a_worker_that_is_killed_goes_on_and_nothing_is_lost_or_twice(
+    store: Store, recording: tuple[LocalBus, DurablePublisher]
+) -> None:
+    bus, source = recording
     everything = list(in_time(batches("rate", 100), batches("temperature", 10)))
     expected, _ = live(Store.create(store.folder.parent / "E"), TEXT, COEFFICIENTS)
     out = compensated(expected, iter(everything), ended())
-    with (
-        LocalBus() as bus,
-        WriterLock(store, "a test"),
-        Recorder(store, bus, EventLog(store), sync_interval_s=0.01),
-        DurablePublisher(bus) as source,
-    ):
-        for part in range(4):
-            size = len(everything) // 4 + 1
-            for batch in everything[part * size : (part + 1) * size]:
-                source.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
-            if part == 3:
-                source.send_event(event_key(PLACE), ended())
-            source.drain()
-            own = DurablePublisher(bus)
-            worker = CompensationWorker(store, own)
-            worker.look()
-            if part == 3:
-                own.drain()
-            own.abandon()  # killed with what was not acknowledged
-        again = DurablePublisher(bus)
-        last = CompensationWorker(store, again)
-        last.look()
-        assert last.samples == 0  # the log has it all
-        again.abandon()
-        found = [
-            decode_batch(message.payload)
-            for message in LogTail(store).since({})
-            if message.stream.key.endswith("_compensated")
-        ]
+    for part in range(4):
+        size = len(everything) // 4 + 1
+        for batch in everything[part * size : (part + 1) * size]:
+            source.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
+        if part == 3:
+            source.send_event(event_key(PLACE), ended())
+        source.drain()
+        own = DurablePublisher(bus)
+        worker = CompensationWorker(store, own)
+        worker.look()
+        if part == 3:
+            own.drain()
+        own.abandon()  # killed with what was not acknowledged
+    again = DurablePublisher(bus)
+    last = CompensationWorker(store, again)
+    last.look()
+    assert last.samples == 0  # the log has it all
+    again.abandon()
+    found = [
+        decode_batch(message.payload)
+        for message in LogTail(store).since({})
+        if message.stream.key.endswith("_compensated")
+    ]
     assert samples([(PLACE, batch) for batch in found]).tobytes() == samples(out).tobytes()
 
 
-def test_what_cannot_be_compensated_is_told_once_however_often_the_worker_starts(store: Store) -> None:
-    written = ModelRegistry(store).add(version(TEXT, COEFFICIENTS))
-    activate(store, written, Stage.LIVE, reason="", by="Li")
+def test_what_cannot_be_compensated_is_told_once_however_often_the_worker_starts(
+    store: Store, recording: tuple[LocalBus, DurablePublisher]
+) -> None:
+    bus, source = recording
     said: list[list[str]] = []
-    with (
-        LocalBus() as bus,
-        WriterLock(store, "a test"),
-        Recorder(store, bus, EventLog(store), sync_interval_s=0.01),
-        DurablePublisher(bus) as source,
-    ):
-        for batch in batches("rate", 1000):
-            source.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
-        for part in range(3):
-            if part == 1:
-                source.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=T0_NS))
-            source.drain()
-            heard: list[str] = []
-            with DurablePublisher(bus) as own:
-                worker = CompensationWorker(store, own, on_document=lambda each: heard.append(type(each).__name__))  # noqa: B023
-                worker.look()
-            said.append(heard)
+    for batch in batches("rate", 1000):
+        source.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
+    for part in range(3):
+        if part == 1:
+            source.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=T0_NS))
+        source.drain()
+        heard: list[str] = []
+        with DurablePublisher(bus) as own:
+            worker = CompensationWorker(store, own, on_document=lambda each: heard.append(type(each).__name__))  # noqa: B023
+            worker.look()
+        said.append(heard)
     assert said == [["CompensationStarted"], ["NoteAdded"], []]

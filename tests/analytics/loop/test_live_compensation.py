@@ -33,11 +33,6 @@ from tests.live_runs import (
 )
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.create(tmp_path / "S")
-
-
 def test_what_the_model_predicts_is_gone_and_the_bias_stays(store: Store) -> None:
     compensator, written = live(store, "rate = bias + temperature", [100.0, 0.5])
     out = compensated(compensator, in_time(batches("rate", 100), batches("temperature", 10)), ended())

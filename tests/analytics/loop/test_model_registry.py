@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -33,11 +32,6 @@ def version(**changes: Any) -> ModelVersion:
         added=("temperature",), holdout={"accepted": True}, made_ns=1, by="Li",
     )  # fmt: skip
     return msgspec.structs.replace(made, **changes)
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.create(tmp_path / "S")
 
 
 def test_a_version_is_read_as_it_was_written(store: Store) -> None:

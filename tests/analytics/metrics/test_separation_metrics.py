@@ -9,40 +9,11 @@ import pytest
 
 from analytics.specifications.entering import add_specification
 from storage.store import Store
+from tests.analytics.conftest import START_NS
+from tests.hit2012_separation import ACCELEROMETER_SCALE, GYRO_SCALE, POSITIONS, TABLE_1, TABLE_2
 
-T0_NS = 1_763_683_200 * 10**9
 ARCSEC = math.pi / 180 / 3600
-POSITIONS = {
-    "alpha0_beta0": (0, 0),
-    "alpha0_beta180": (0, 180),
-    "alpha180_beta180": (180, 180),
-    "alpha90_beta180": (90, 180),
-    "alpha0_beta90": (0, 90),
-}
-# HIT 2012 table 1: rate -> voltages forwards and backwards in these positions; y0, x0, y1, y2, z2, gamma in arcsec
-TABLE_1 = {
-    20.0: (
-        (-0.0614, -0.0576, 0.0350, -0.0290, -0.0600),
-        (0.0654, 0.0606, -0.0306, 0.0287, 0.0638),
-        (-7.6, 2.3, -54.0, -162.2, 55.4, 171.4),
-    ),
-    30.0: (
-        (-0.0929, -0.0869, 0.0517, -0.0433, -0.0908),
-        (0.0969, 0.0903, -0.0468, 0.0435, 0.0947),
-        (-7.4, 2.4, -53.7, -162.2, 55.8, 171.5),
-    ),
-    40.0: (
-        (-0.1246, -0.1164, 0.0679, -0.0580, -0.1217),
-        (0.1284, 0.1197, -0.0632, 0.0583, 0.1256),
-        (-7.5, 2.4, -53.8, -162.0, 56.3, 171.5),
-    ),
-}
-# table 2: outputs at 0, 90, 180, 270 deg in V; y2, z2, gamma in arcsec
-TABLE_2 = (
-    ((-0.001845, -0.001912, -0.001911, -0.002175), (-5.2, 20.9, 21.5)),
-    ((-0.001846, -0.001921, -0.001914, -0.002177), (-5.4, 20.3, 21.0)),
-    ((-0.001845, -0.001921, -0.001912, -0.002176), (-5.3, 20.2, 20.9)),
-)
+GYRO = f'[product.GYRO]\nscale_factor = {GYRO_SCALE}\nscale_factor_unit = "V"\n'
 
 
 @pytest.fixture
@@ -86,7 +57,7 @@ GYRO_ANGLES = ("y0", "x0", "y1", "y2", "z2", "gamma")
 
 
 def test_the_published_gyro_table_comes_out(recorded: Any, product: Any) -> None:
-    product('[product.GYRO]\nscale_factor = -2.9222\nscale_factor_unit = "V"\n')
+    product(GYRO)
     rows = recorded([step for rate in TABLE_1 for step in turnings(rate, run=f"r{rate:.0f}")], "gyro_separation")
     for rate, (_, _, printed) in TABLE_1.items():
         found = angles(rows, *GYRO_ANGLES, run=f"r{rate:.0f}")
@@ -100,13 +71,13 @@ def test_the_published_gyro_table_comes_out(recorded: Any, product: Any) -> None
 
 
 def test_one_least_squares_over_all_speeds(recorded: Any, product: Any) -> None:
-    product('[product.GYRO]\nscale_factor = -2.9222\nscale_factor_unit = "V"\n')
+    product(GYRO)
     steps = turnings(20.0, 30.0, 40.0)
     rows = recorded(steps, "gyro_separation")
     design, outputs = [], []
     for step in steps:
         a, b = (math.radians(each) for each in POSITIONS[step["position"]])
-        kw = -2.9222 * step["input_rate"]
+        kw = GYRO_SCALE * step["input_rate"]
         offsets = [float(step["position"] == place) for place in POSITIONS]
         design.append([*offsets, -kw * math.cos(b), kw * math.sin(b), -kw, -kw * math.cos(a), kw * math.sin(a)])
         outputs.append(step["mean"])
@@ -121,7 +92,7 @@ def test_one_least_squares_over_all_speeds(recorded: Any, product: Any) -> None:
 
 
 def test_the_published_accelerometer_table_comes_out(recorded: Any, product: Any) -> None:
-    product('[product.ACC]\nscale_factor = 1.299\nscale_factor_unit = "V"\n')
+    product(f'[product.ACC]\nscale_factor = {ACCELEROMETER_SCALE}\nscale_factor_unit = "V"\n')
     steps = [step for i, (outputs, _) in enumerate(TABLE_2) for step in tumbles(outputs, run=f"r{i}")]
     rows = recorded(steps, "accelerometer_separation")
     for i, (_, printed) in enumerate(TABLE_2):
@@ -144,7 +115,7 @@ def test_a_simulated_run_gives_what_was_planted(tested: Any) -> None:
     y0, x0, y1, y2, z2 = (each * ARCSEC for each in truth.values())
     rng = np.random.default_rng(8)
     tested.run("r1", procedure="gyro_separation")
-    t_ns = T0_NS
+    t_ns = START_NS
     for position, (alpha, beta) in POSITIONS.items():
         a, b = math.radians(alpha), math.radians(beta)
         seen = -y0 * math.cos(b) + x0 * math.sin(b) - y1 + z2 * math.sin(a) - y2 * math.cos(a)
@@ -163,7 +134,7 @@ def test_a_simulated_run_gives_what_was_planted(tested: Any) -> None:
 
 
 def test_what_is_missing_is_said_once(recorded: Any, product: Any) -> None:
-    product('[product.GYRO]\nscale_factor = -2.9222\nscale_factor_unit = "V"\n')
+    product(GYRO)
     (row,) = recorded(turnings(20.0, without="alpha90_beta180"), "gyro_separation")
     assert row["reason"] == "position alpha90_beta180 was not measured"
     forwards = [step for step in turnings(20.0) if step["input_rate"] > 0 or step["position"] != "alpha0_beta0"]

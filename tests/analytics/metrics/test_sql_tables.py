@@ -24,10 +24,9 @@ from storage.sql.tables import column_texts, columns_of, described_tables, examp
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid
+from tests.analytics.conftest import SECOND_NS, START_NS
 
 GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "sql.md"
-T0_NS = 1_763_683_200 * 10**9
-SECOND_NS = 10**9
 SPECIFICATION = """
 name = "FOG"
 revision = "A"
@@ -61,7 +60,7 @@ def fill(tested: Any) -> None:
     rng = np.random.default_rng(1)
     tested.product(SPECIFICATION)
     for day in range(2):
-        run, t_ns = f"d{day}", T0_NS + day * 86_400 * SECOND_NS
+        run, t_ns = f"d{day}", START_NS + day * 86_400 * SECOND_NS
         tested.run(run, t_ns=t_ns, procedure="static_bias")
         for i, unit in enumerate(("FOG-0231", "FOG-0232")):
             tested.mount(run, unit, t_ns=t_ns, product="FOG-70", lot="L7", slot=f"S{i}", fixture="F1")
@@ -69,7 +68,7 @@ def fill(tested: Any) -> None:
             values = 0.3 + i + 0.1 * rng.standard_normal(3600)
             tested.step(run, unit, {"rate": (values, "deg/h"), "temperature": (np.full(60, 296.15), "K")}, t0_ns=t_ns,
                         dt_ns=SECOND_NS, procedure="static_bias", position="IRA_east")  # fmt: skip
-    t_ns = T0_NS + 3 * 86_400 * SECOND_NS
+    t_ns = START_NS + 3 * 86_400 * SECOND_NS
     tested.run("t", t_ns=t_ns, procedure="bias_temperature_sensitivity")
     for degrees in (-40.0, 0.0, 20.0, 60.0):
         t_ns = tested.step("t", "FOG-0231", 0.01 * degrees + 0.1 * rng.standard_normal(600), t0_ns=t_ns,
@@ -81,7 +80,7 @@ def fill(tested: Any) -> None:
     for final, n in ((False, 1800), (True, 3600)):
         tested.document(
             EstimatePublished(
-                run="d0", t_ns=T0_NS + n * SECOND_NS, unit="FOG-0231", signal="rate", estimator="allan_deviation",
+                run="d0", t_ns=START_NS + n * SECOND_NS, unit="FOG-0231", signal="rate", estimator="allan_deviation",
                 unit_of_measure="deg/h", confidence=0.95, samples=n, missing=0, sample_interval_s=1.0, final=final,
                 points=points if final else points[:1],
             )
@@ -140,32 +139,6 @@ def test_the_examples_of_the_views_answer(store: Store) -> None:
         ]
         fleet = catalog.rows(examples()["The fleet's 100 s bias stability"])
         assert {unit for unit, _ in fleet} == {"FOG-0231", "FOG-0232"}
-
-
-def test_the_bias_of_a_day_keeps_temperatures_positions_and_tests_apart(tested: Any) -> None:
-    """What a unit gives at -40 degC, with its axis up, or at rest between two rates is not its bias of the day."""
-    tested.run("r", t_ns=T0_NS)
-    t_ns = T0_NS
-    for procedure, position, temperature, rate, deg_per_h, count in (
-        ("static_bias", "IRA_east", None, 0.0, 1.0, 300),
-        ("static_bias", "IRA_east", None, 0.0, 4.0, 100),
-        ("static_bias", "IRA_up", None, 0.0, 11.0, 100),
-        ("bias_temperature_sensitivity", "IRA_east", -40.0, 0.0, -3.0, 100),
-        ("scale_factor", "IRA_east", None, 0.0, 900.0, 100),
-        ("scale_factor", "IRA_east", None, 10.0, 36000.0, 100),
-    ):
-        t_ns = tested.step("r", "FOG-0231", np.full(count, deg_per_h) + np.arange(count) % 2, t0_ns=t_ns,
-                           dt_ns=SECOND_NS, procedure=procedure, position=position,
-                           temperature_command_deg_c=temperature, rate_command_deg_per_s=rate)  # fmt: skip
-    with tested.catalog() as catalog:
-        rows = catalog.rows(
-            "select position, temperature_command, bias, steps from bias_by_day order by position, temperature_command"
-        )
-    assert [(row[0], row[1], row[3]) for row in rows] == [
-        ("IRA_east", -40.0, 1), ("IRA_east", None, 2), ("IRA_up", None, 1),
-    ]  # fmt: skip
-    # of the two static steps the longer counts three times: (3 * 1.5 + 4.5) / 4
-    assert [row[2] for row in rows] == pytest.approx([-2.5, 2.25, 11.5], abs=1e-9)
 
 
 def test_a_table_that_is_not_there_is_told(store: Store) -> None:
@@ -275,7 +248,7 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
     shutil.copytree(store.folder, tmp_path / "broken")
     store = Store.open(tmp_path / "broken")
     broken = SpecificationEntered(
-        run="", t_ns=T0_NS, action=SpecificationAction.ADDED, name="broken", revision="A", by="Li",
+        run="", t_ns=START_NS, action=SpecificationAction.ADDED, name="broken", revision="A", by="Li",
         previous=read_chain(store).head,
         content="revision = 'A'\n[product.FOG-70]\nmax_rate_deg_per_s = 'fast'\n",
     )  # fmt: skip

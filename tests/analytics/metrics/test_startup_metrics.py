@@ -7,24 +7,16 @@ import numpy as np
 import pytest
 
 from stream.events import CheckEntered, Verdict
+from tests.analytics.conftest import SECOND_NS, START_NS
+from tests.analytics.metrics.metric_rows import EARTH_DEG_PER_H, one
 
-START_NS = 1_763_683_200 * 10**9
-SECOND_NS = 10**9
-EARTH_DEG_PER_H = 15.041067
 UP = EARTH_DEG_PER_H * math.sin(math.radians(40.0))
 DT_NS = 10**7
 N = 6000
 AFTER_NS = SECOND_NS // 2  # the first sample comes so long after power-on
 TAU_S = 2.0
 BIAS = 3.0
-Row = dict[str, Any]
 SPECIFICATION = '[product."FOG-70"]\nstartup_band_deg_per_h = 5.0\n'
-
-
-def one(rows: list[Row], **words: Any) -> Row:
-    found = [row for row in rows if all(row.get(name) == value for name, value in words.items())]
-    assert len(found) == 1, (words, rows)
-    return found[0]
 
 
 def starting(rng: np.random.Generator, transient: float, level: float) -> np.ndarray:

@@ -1,78 +1,27 @@
-"""From values in a store to charts and sentences: which values are charted, and what is said of them."""
+"""From values in a store to charts, sentences and pictures."""
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from scipy.stats import binom
 from scipy.stats import t as student
 
-from analytics.evaluation.evaluation import COLUMNS, define_views
 from analytics.plots.trend_plot import plot_trend
 from analytics.specifications.entering import add_specification
-from analytics.step_records.step_table import step_means
 from analytics.trends.capability import Capability, SpecifiedLimits, specified_limits
 from analytics.trends.document import document
 from analytics.trends.report import sentences, stands_out
 from analytics.trends.series import Choice, MetricSeries, Variant, read_series
 from analytics.trends.trend import Trend, trend_of
 from analytics.trends.words import NotComputed
-from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.console import json_text
-from stream.errors import BadInput, NotFound
-
-HOUR_NS = 3600 * 10**9
-START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
-
-Reported = Callable[[Sequence[Mapping[str, Any]]], Catalog]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.create(tmp_path / "store")
-
-
-@pytest.fixture
-def reported(store: Store) -> Iterator[Reported]:
-    """A catalogue with these values, each of a step of a run of its own unless it says otherwise."""
-    catalogs: list[Catalog] = []
-
-    def fill(rows: Sequence[Mapping[str, Any]]) -> Catalog:
-        catalog = Catalog(store)
-        catalogs.append(catalog)
-        catalog._unfilled.clear()  # what it would compute is what the test says
-        steps: list[dict[str, Any]] = []
-        values: list[dict[str, Any]] = []
-        for at, row in enumerate(rows):
-            run = row.get("run", f"r{at:05}")
-            step = {"run": run, "unit": row["unit"], "signal": row.get("signal", "rate"), "index": row.get("step", 1)}
-            t_ns = START_NS + row.get("hour", at) * HOUR_NS
-            about = {name: row.get(name) for name in ("station", "lot", "fixture", "product")}
-            if step not in [{name: each[name] for name in step} for each in steps[-3:]]:
-                about |= {"t_start_ns": t_ns, "t_to_ns": t_ns, "date_known": row.get("dated", True)}
-                steps.append(step | about | {"unit_of_measure": "deg/h"})
-            values.append(
-                {
-                    "metric": row.get("metric", "bias"), "unit": row["unit"], "signal": step["signal"], "run": run,
-                    "value": row.get("value"), "unit_of_measure": "deg/h", "standard_uncertainty": 0.01, "n": 100,
-                    "parameters": json.dumps(row.get("parameters", {})), "runs": [run], "steps": [step["index"]],
-                    "standard": row.get("standard", "JJF2014"), "clause": "7", "reason": row.get("reason"),
-                }
-            )  # fmt: skip
-        table = pa.Table.from_pylist(steps, schema=step_means(catalog).schema)
-        define_views(catalog, table)
-        catalog.put("unit_metrics", pa.Table.from_pylist(values, schema=COLUMNS))
-        return catalog
-
-    yield fill
-    for each in catalogs:
-        each.close()
+from stream.errors import BadInput
+from tests.analytics.trends.reported_values import HOUR_NS, START_NS, Reported
 
 
 def _rows(values: np.ndarray, **words: Any) -> list[dict[str, Any]]:
@@ -83,81 +32,6 @@ def _english(trend: Trend) -> str:
     found = sentences(trend)
     assert all(each.zh and not any("{" in text for text in each) for each in found)
     return "\n".join(each.en for each in found)
-
-
-def test_values_come_in_order_of_time_with_their_groups(reported: Reported) -> None:
-    rows = [
-        {"unit": "U2", "value": 2.0, "hour": 5, "station": "B", "lot": "L1"},
-        {"unit": "U1", "value": 1.0, "hour": 3, "station": "A", "lot": "L1", "fixture": "F9"},
-        {"unit": "U1", "value": 1.5, "hour": 9, "station": "B"},
-        {"unit": "U3", "reason": "the record is 600 s long", "hour": 1},
-    ]
-    series = read_series(reported(rows), "bias")
-    assert list(series.value) == [1.0, 2.0, 1.5]
-    assert series.groups["station"] == ["A", "B", "B"]
-    assert series.groups["fixture"] == ["F9", "(not given)", "(not given)"]
-    assert list(series.t_ns) == [START_NS + hour * HOUR_NS for hour in (3, 5, 9)]
-    assert series.without_value == 1
-    assert series.first_of_units().unit == ["U1", "U2"]
-    assert {name: series.where(at).unit for name, at in series.places("station").items()} == {
-        "A": ["U1"],
-        "B": ["U2", "U1"],
-    }
-
-
-def test_kinds_of_values_are_told_apart(reported: Reported) -> None:
-    rows = [
-        {"unit": f"U{at}", "run": f"r{at}", "value": at + average / 1000, "metric": "bias_stability_averaged",
-         "parameters": {"average_s": average, "duration_s": 3600 + at, "n_effective": 7.1 * at, "repeat": at}}
-        for at in range(5) for average in (1.0, 10.0, 100.0)
-    ]  # fmt: skip
-    catalog = reported(rows[:-1])
-    series = read_series(catalog, "bias_stability_averaged")
-    # of two kinds with as many values the first; the third lacks one
-    assert dict(series.variant.parameters) == {"average_s": "1"}
-    assert series.value.size == 5
-    assert [dict(each.parameters)["average_s"] for each in series.others] == ["10", "100"]
-    chosen = read_series(catalog, "bias_stability_averaged", Choice(parameters={"average_s": "100"}))
-    assert list(chosen.value) == pytest.approx([0.1, 1.1, 2.1, 3.1])
-    with pytest.raises(NotFound, match="average_s=100"):
-        read_series(catalog, "bias_stability_averaged", Choice(parameters={"average_s": "7"}))
-
-
-def test_temperatures_are_kinds_but_their_scatter_is_not(reported: Reported) -> None:
-    rng = np.random.default_rng(5)
-    rows = [
-        {"unit": f"U{at}", "run": f"r{at}", "step": step, "value": 1.0, "metric": "scale_factor",
-         "parameters": {"temperature": round(command + rng.normal(0, 0.3), 2), "room": command == 25}}
-        for at in range(20) for step, command in enumerate((-40, 25, 60), 1)
-    ]  # fmt: skip
-    series = read_series(reported(rows), "scale_factor")
-    assert dict(series.variant.parameters) == {"room": "True", "temperature": "25"}
-    assert len(series.others) == 2
-    assert series.value.size == 20
-
-
-def test_choices(reported: Reported) -> None:
-    rows = [
-        {"unit": f"U{at % 4}", "value": float(at), "station": "AB"[at % 2], "lot": f"L{at // 6}", "signal": "rate_x"}
-        for at in range(12)
-    ]
-    catalog = reported(rows)
-    assert list(read_series(catalog, "bias", Choice(units=("U1", "U3"))).value) == [1, 3, 5, 7, 9, 11]
-    assert list(read_series(catalog, "bias", Choice(station="A", lot="L1")).value) == [6, 8, 10]
-    assert list(read_series(catalog, "bias", Choice(since_ns=START_NS + 10 * HOUR_NS)).value) == [10, 11]
-    for choice, word in ((Choice(signal="rate_z"), "rate_z"), (Choice(standard="GJB2426A"), "GJB2426A")):
-        with pytest.raises(NotFound, match=word):
-            read_series(catalog, "bias", choice)
-
-
-def test_what_is_not_there_is_said(reported: Reported) -> None:
-    catalog = reported([{"unit": "U1", "reason": "the record is 600 s long"}])
-    with pytest.raises(BadInput, match="did you mean bias"):
-        read_series(catalog, "biass")
-    with pytest.raises(NotFound, match="no unit of this store"):
-        read_series(catalog, "polarity")
-    with pytest.raises(NotFound, match="600 s long"):
-        read_series(catalog, "bias")
 
 
 def test_a_station_with_an_offset_is_named_and_sized(reported: Reported) -> None:

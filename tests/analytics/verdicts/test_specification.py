@@ -31,11 +31,6 @@ def limit(**keys: object) -> str:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.create(tmp_path / "store")
-
-
-@pytest.fixture
 def add(store: Store, tmp_path: Path) -> Add:
     def run(name: str, content: bytes) -> bool:
         path = tmp_path / name

@@ -19,8 +19,8 @@ Spawn = Callable[..., subprocess.Popen[str]]
 TWO_CHUNKS_BYTES = 2 * CHUNK_BYTES  # of a log: a kill may cut the chunk that is being written, not the one before
 
 
-def recorder(spawn: Spawn, endpoint: str) -> subprocess.Popen[str]:
-    process = spawn("record", "--listen", endpoint, "--json")
+def recorder(spawn: Spawn, endpoint: str, *more: str) -> subprocess.Popen[str]:
+    process = spawn("record", "--listen", endpoint, "--json", *more)
     assert process.stdout is not None
     assert json.loads(process.stdout.readline())["event"] == "recording"
     return process
@@ -49,6 +49,11 @@ def until_chunks_are_written(log: Path) -> None:
     while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")):
         assert time.monotonic() < deadline, "nothing was recorded"
         time.sleep(0.005)
+
+
+def assert_each_is_there_once(gyrofleet: Callable[..., Any], samples: int) -> None:
+    ask = "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples"
+    assert gyrofleet("sql", ask, "--json").json == [{"n": samples, "moments": samples}]
 
 
 def listening_addresses(pid: int) -> set[str]:
@@ -119,10 +124,7 @@ def test_a_source_survives_the_recorder_being_killed(
     _, err = source.communicate(timeout=120)
     assert source.returncode == 0, err
     stopped(second)
-    (row,) = gyrofleet(
-        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
-    ).json
-    assert row == {"n": 3_000_000, "moments": 3_000_000}
+    assert_each_is_there_once(gyrofleet, 3_000_000)
     reported = "select document->>'$.what' as what from events where kind = 'StoreNoted'"
     assert {"what": "segment_recovered"} in gyrofleet("sql", reported, "--json").json
 
@@ -143,10 +145,7 @@ def test_an_interrupted_import_is_completed_by_giving_it_again(
     signals = done.json["files"][0]["signals"]
     assert 0 < sum(each["already_stored"] for each in signals) < 3_000_000
     assert [each["in_lake"] for each in signals] == [1_000_000] * 3
-    (row,) = gyrofleet(
-        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
-    ).json
-    assert row == {"n": 3_000_000, "moments": 3_000_000}
+    assert_each_is_there_once(gyrofleet, 3_000_000)
 
 
 def test_nobody_to_connect_to_and_an_address_in_use_are_said_so(
@@ -202,19 +201,14 @@ def test_a_recorder_that_is_stopped_while_samples_come_ends_at_once_and_goes_on_
     _, err = source.communicate(timeout=120)
     assert source.returncode == 0, err
     stopped(second)
-    (row,) = gyrofleet(
-        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
-    ).json
-    assert row == {"n": 4_500_000, "moments": 4_500_000}
+    assert_each_is_there_once(gyrofleet, 4_500_000)
 
 
 @pytest.mark.long
 def test_a_source_killed_beside_a_running_recorder_is_completed_by_giving_it_again(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
 ) -> None:
-    record = spawn("record", "--listen", endpoint, "--json", "--rotate-mb", "4")
-    assert record.stdout is not None
-    record.stdout.readline()
+    record = recorder(spawn, endpoint, "--rotate-mb", "4")
     path = table(tmp_path / "a.parquet", 2_000_000)
     source = spawn("import", path, "--unit", "U1", "--connect", endpoint)
     log = tmp_path / "gyrofleet-data" / "log"
@@ -227,10 +221,7 @@ def test_a_source_killed_beside_a_running_recorder_is_completed_by_giving_it_aga
     assert again.code == 0, again.err
     assert [each["in_lake"] for each in again.json["files"][0]["signals"]] == [2_000_000] * 3
     stopped(record)
-    (row,) = gyrofleet(
-        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
-    ).json
-    assert row == {"n": 6_000_000, "moments": 6_000_000}
+    assert_each_is_there_once(gyrofleet, 6_000_000)
 
 
 @pytest.mark.long
@@ -239,9 +230,7 @@ def test_an_estimator_killed_again_and_again_gives_what_one_that_lived_gives(
 ) -> None:
     path = table(tmp_path / "a.parquet", 2_000_000)
     assert gyrofleet("import", path, "--unit", "U1", "--store", "undisturbed").code == 0
-    record = spawn("record", "--listen", endpoint, "--json", "--rotate-mb", "8")
-    assert record.stdout is not None
-    record.stdout.readline()
+    record = recorder(spawn, endpoint, "--rotate-mb", "8")
 
     def start() -> subprocess.Popen[str]:
         process = spawn("estimate", "--every", "3600", "--checkpoint-every", "0.1", "--json")

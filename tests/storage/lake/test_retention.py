@@ -34,7 +34,7 @@ from stream.identity import event_key
 from stream.transport.bus import LocalBus
 from tests.conftest import Outcome
 from tests.storage.conftest import DAY_NS, PLACE, START_NS, Filler
-from tests.storage.lake.test_compaction import LATER_NS, assert_same, export
+from tests.storage.lake.exported_views import LATER_NS, assert_same, export
 
 AFTER_TWO_DAYS = Rule(older_than_s=86_400.0)
 NOW_NS = START_NS + 2 * DAY_NS + 10**9

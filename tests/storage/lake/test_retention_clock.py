@@ -19,7 +19,7 @@ from storage.upkeep.retention import Rule, apply_rule, restore_raw
 from storage.upkeep.retention_clock import RetentionPaused, trust_clock
 from tests.conftest import Outcome
 from tests.storage.conftest import DAY_NS, START_NS, Filler
-from tests.storage.lake.test_compaction import LATER_NS, export
+from tests.storage.lake.exported_views import LATER_NS, export
 
 RULE = Rule(older_than_s=86_400.0)
 NOW_NS = START_NS + 2 * DAY_NS + 10**9

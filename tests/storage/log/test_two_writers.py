@@ -1,34 +1,22 @@
 """Two processes at one store: the second is refused, and whatever happens no sealed segment is overwritten."""
 
 from pathlib import Path
-from uuid import UUID
 
-import numpy as np
 import pytest
 
 from storage.check.recover import recover
 from storage.check.verify import verify
 from storage.log.event_log import EventLog
-from storage.log.sequence import place_of
 from storage.segments.disk import DISK
 from storage.segments.reader import read_segment
-from storage.segments.records import SAMPLES, LogRecord
 from storage.store import Store, WriterLock, writer_is_active
-from stream.batch import SampleBatch
 from stream.errors import StoreError
-from stream.identity import Place, sample_key
-from stream.wire.batches import decode_batch, encode_batch
-
-PLACE = Place("plant", "bench")
+from stream.wire.batches import decode_batch
+from tests.storage import log_records
 
 
 def append(log: EventLog, unit: str, seq: int, n: int = 50) -> None:
-    values = np.arange(seq, seq + n, dtype=np.float64)
-    batch = SampleBatch(unit, "rate", "r1", UUID(int=1), seq, seq * 10**6, 10**6, "deg/s", values=values)
-    record = LogRecord(sample_key(PLACE, unit, "rate"), SAMPLES, 10**18, batch.t0_ns, encode_batch(batch))
-    place = place_of(record)
-    assert place is not None
-    log.append(place, record)
+    log_records.append(log, log_records.samples(unit, seq, n))
 
 
 def recorded(store: Store) -> dict[str, list[int]]:

@@ -1,0 +1,71 @@
+"""Yield of lots, stations, fixtures and days, and what units fail by."""
+
+from typing import Any
+
+import pytest
+from scipy import stats
+
+from analytics.specifications.verdicts import verdicts_of, yield_by
+from tests.analytics.verdicts.judged_store import BIAS, DAY_NS, JANUARY_NS, Judged, Rows, limits
+
+
+def test_yield_by_lot_station_fixture_and_day_with_wilsons_interval(judged: Judged) -> None:
+    judged.specify(limits(BIAS))
+    runs: list[dict[str, Any]] = []
+    values: list[dict[str, Any]] = []
+    for i in range(40):
+        place = {"lot": "L1" if i < 30 else None, "station": f"S{i % 2}", "fixture": f"F{i % 4}"}
+        runs.append({"unit": f"U{i:02}", "run": "r1", "t_start_ns": JANUARY_NS + (i % 5) * DAY_NS, **place})
+        level = 2.0 if i < 6 else 1.0 if i < 8 else 0.0
+        value = (
+            {"value": None, "reason": "cut short"} if i == 8 else {"value": level, "lo": level - 0.1, "hi": level + 0.1}
+        )
+        values.append({"unit": f"U{i:02}", "run": "r1", **value})
+    catalog = judged.catalog(runs, values)
+    first, rest = yield_by(catalog, "lot")
+    assert [first[name] for name in ("name", "units", "passed", "failed", "marginal", "no_data")] == [
+        "L1",
+        30,
+        21,
+        6,
+        2,
+        1,
+    ]
+    assert (rest["name"], rest["units"], rest["passed"]) == (None, 10, 10)
+    interval = stats.binomtest(21, 29).proportion_ci(method="wilson")
+    assert (first["yield"], first["yield_lo"], first["yield_hi"]) == pytest.approx((21 / 29, *interval), rel=1e-12)
+    assert [row["name"] for row in yield_by(catalog, "station")] == ["S0", "S1"]
+    assert [row["units"] for row in yield_by(catalog, "fixture")] == [10] * 4
+    assert [row["name"] for row in yield_by(catalog, "day")] == [f"2026-01-0{day}" for day in range(1, 6)]
+    assert sum(row["failed"] for row in yield_by(catalog, "day")) == 6
+
+
+def test_a_unit_is_judged_in_each_station_by_what_was_measured_there(judged: Judged) -> None:
+    judged.specify(limits(BIAS))
+    runs = [{"unit": "U1", "run": "r1", "station": "S1"}, {"unit": "U1", "run": "r2", "station": "S2"}]
+    values: Rows = [{"value": 0.0, "lo": -0.1, "hi": 0.1}, {"run": "r2", "value": 2.0, "lo": 1.9, "hi": 2.1}]
+    catalog = judged.catalog(runs, values)
+    assert [(row["name"], row["passed"], row["failed"]) for row in yield_by(catalog, "station")] == [
+        ("S1", 1, 0), ("S2", 0, 1),
+    ]  # fmt: skip
+    assert verdicts_of(catalog).units[0]["verdict"] == "FAIL"
+
+
+def test_the_most_frequent_failure_comes_first(judged: Judged) -> None:
+    judged.specify(limits(BIAS, 'metric = "bias_stability"\nupper = 1.0\nunit_of_measure = "deg/h"'))
+    runs = [{"unit": f"U{i}", "run": "r1"} for i in range(10)]
+    bad, good = {"value": 2.0, "lo": 1.9, "hi": 2.1}, {"value": 0.5, "lo": 0.4, "hi": 0.6}
+    values: list[dict[str, Any]] = [{"unit": f"U{i}", **(bad if i < 2 else good)} for i in range(10)]
+    values += [{"unit": f"U{i}", "metric": "bias_stability", **(bad if i < 6 else good)} for i in range(10)]
+    pareto = verdicts_of(judged.catalog(runs, values)).pareto
+    assert [(row["place"], row["metric"], row["failed"], row["judged"]) for row in pareto] == [
+        (1, "bias_stability", 6, 10), (2, "bias", 2, 10),
+    ]  # fmt: skip
+    assert [(row["share"], row["cumulative_share"]) for row in pareto] == [(0.75, 0.75), (0.25, 1.0)]
+    assert pareto[1]["zh"] == "零偏"
+
+
+def test_without_specifications_there_is_nothing_to_judge_by(judged: Judged) -> None:
+    catalog = judged.catalog([], [])
+    assert verdicts_of(catalog) == ([], [], [], [])
+    assert yield_by(catalog, "lot") == []
