@@ -197,7 +197,8 @@ def _write_procedure(found: "NextTest | None", path: Path) -> None:
         write_durably(path, msgspec.toml.encode(plan.test.document))
     except OSError as error:
         raise BadInput(f"cannot write {path}: {error}; name a file in a folder you can write") from error
-    notes().print(f"procedure: {path}, {plan.test.repeats} x {plan.hours / plan.test.repeats:.2g} h", soft_wrap=True)
+    hours = f"{plan.test.repeats} x {plan.hours / plan.test.repeats:.2g} h"
+    notes().print(f"procedure: {path}, {hours}, decides with a power of {plan.power:.0%}", soft_wrap=True)
 
 
 def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:

@@ -35,7 +35,8 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    at_least: Estimate of the share.
+    at_least: Lower bound of the share, `lo` or 0.
+    value: Estimate of the share; negative if the prediction is worse than none.
     lo, hi: Its 95 % confidence bounds over runs; None with a single run.
     averaging_s: Averaging time of the error.
     p_value: Of no dependence on the channels.
@@ -43,6 +44,7 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     at_least: float
+    value: float
     lo: float | None
     hi: float | None
     averaging_s: float
@@ -52,7 +54,7 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def is_significant(self) -> bool:
         """Whether the residual depends on the channels."""
-        return self.p_value < MOST_P_VALUE and self.at_least > 0
+        return self.p_value < MOST_P_VALUE and self.value > 0
 
     @property
     def sentence(self) -> Bilingual:
@@ -62,20 +64,29 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
                 "a black box explains no more of the error from the recorded channels",
                 "黑箱回归未能由所记录的通道再解释误差",
             )
-        share, seconds = f"{self.at_least:.0%}", f"{self.averaging_s:g} s"
+        names, seconds = list(self.channels), f"{self.averaging_s:g} s"
+        estimate = f"{self.value:.0%}"
         if self.lo is not None and self.hi is not None:
-            share += f" (95 %: {self.lo:.0%} … {self.hi:.0%})"
-        names = list(self.channels)
+            estimate += f", 95 %: {self.lo:.0%} … {self.hi:.0%}"
+        if not self.at_least > 0:
+            return Bilingual(
+                f"the error follows a function of {', '.join(names)}, learned from other runs (p = {self.p_value:.2g}); "
+                f"how much of it that explains is not settled ({estimate})",
+                f"误差随{'、'.join(names)}的某一函数变化（由其他试验学得，p = {self.p_value:.2g}）；"
+                f"可解释的份额尚不能确定（{estimate}）",
+            )
         return Bilingual(
-            f"at least {share} more of the squared error about the mean of each run, at {seconds}, is explained by a "
-            f"function of {', '.join(names)}, learned from other runs",
-            f"去除各次试验均值后，{seconds}平均时间上的误差平方至少还有{share}可由{'、'.join(names)}的函数解释（由其他试验学得）",
+            f"at least {self.at_least:.0%} more of the squared error about the mean of each run, at {seconds}, is "
+            f"explained by a function of {', '.join(names)}, learned from other runs (estimate {estimate})",
+            f"去除各次试验均值后，{seconds}平均时间上的误差平方至少还有{self.at_least:.0%}可由"
+            f"{'、'.join(names)}的函数解释（由其他试验学得；估计值{estimate}）",
         )
 
     def document(self) -> dict[str, Any]:
         """JSON form."""
         return {
             "at_least": self.at_least,
+            "value": self.value,
             "lo": self.lo,
             "hi": self.hi,
             "averaging_s": self.averaging_s,
@@ -177,9 +188,10 @@ def _share(residuals: Residuals, left: FloatArray, predicted: FloatArray) -> Exp
     before, explained = averages.of(left), averages.of(predicted)
     gain = error_gain(before, before - explained, np.array([replicate[each[0]] for each in averages.rows]))
     if gain is None:
-        return Explainable(at_least=0.0, lo=None, hi=None, averaging_s=seconds, p_value=1.0)
+        return Explainable(at_least=0.0, value=0.0, lo=None, hi=None, averaging_s=seconds, p_value=1.0)
     return Explainable(
-        at_least=max(gain.fraction, 0.0),
+        at_least=max(gain.lo or 0.0, 0.0),
+        value=gain.fraction,
         lo=gain.lo,
         hi=None if gain.hi is None else min(gain.hi, 1.0),
         averaging_s=seconds,

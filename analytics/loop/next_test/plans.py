@@ -97,7 +97,7 @@ def cheapest_plans(
             repeat = plan
         (good if plan.power >= WANTED_POWER else weak).append(plan)
         good.sort(key=lambda each: each.hours)
-    chosen = good or sorted(weak, key=lambda each: -each.power)
+    chosen = good or sorted(weak, key=lambda each: (-round(each.power, 2), each.hours))
     return tuple(each for each in chosen[:_MOST_PLANS] if each.power > _LEAST_POWER), repeat
 
 

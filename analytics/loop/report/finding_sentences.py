@@ -50,7 +50,10 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
         )
     if found.error_share is not None:
         share = f"{found.error_share:.1%}"
-        yield words.of(f"It explains {share} of the squared error.", f"它解释误差平方的{share}。")
+        yield words.of(
+            f"Of the squared error about the mean of each run it takes away {share}.",
+            f"它使去除各次试验均值后的误差平方减少{share}。",
+        )
     if found.companions:
         names = words.listed([words.name(name) for name in found.companions])
         yield words.of(f"Proxies that follow it: {names}.", f"随其变化的代理量：{names}。")

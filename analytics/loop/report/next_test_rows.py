@@ -1,5 +1,6 @@
 """The next test as a sentence and a table."""
 
+from analytics.loop.next_test.plans import WANTED_POWER
 from analytics.loop.next_test.recommendation import NextTest
 from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import Wording
@@ -20,10 +21,17 @@ def next_test_sentence(found: NextTest, words: Wording) -> str:
     hours, power = f"{first.hours:.3g} h", f"{first.power:.0%}"
     times = f"{first.test.repeats} x " if first.test.repeats > 1 else ""
     what = words.text(first.test.what)
-    answer = words.of(
-        f"The cheapest: {times}{what}: {hours}, decides with a power of {power}.",
-        f"耗时最短者：{times}{what}：{hours}，判别功效{power}。",
-    )
+    if first.power < WANTED_POWER:
+        answer = words.of(
+            f"No test within the bounds of the station reaches a power of {WANTED_POWER:.0%}. The most powerful: "
+            f"{times}{what}: {hours}, power {power}.",
+            f"台站能力范围内没有试验能达到{WANTED_POWER:.0%}的判别功效。功效最高者：{times}{what}：{hours}，功效{power}。",
+        )
+    else:
+        answer = words.of(
+            f"The cheapest: {times}{what}: {hours}, decides with a power of {power}.",
+            f"耗时最短者：{times}{what}：{hours}，判别功效{power}。",
+        )
     if found.repeat is None:
         more = words.of("No repetition of a run decides it.", "重复已做的试验均不能判别。")
     else:

@@ -142,7 +142,10 @@ def absent_rows(diagnosis: Diagnosis, words: Wording) -> TextTable:
     ]
     limits = ("absent above (95 %)", "不高于（95 %）"), ("detection limit (90 %)", "检出限（90 %）")
     head = words.each(("effect", "效应"), *limits, _UNIT)
-    return TextTable(words.of("Tested and not found", "已检验而未发现"), head, tuple(rows))
+    title = words.of(
+        "Tested and not found, each alone beside the model found", "已检验而未发现（各自单独加入所得模型）"
+    )
+    return TextTable(title, head, tuple(rows))
 
 
 def _seconds(value: float) -> str:

@@ -42,7 +42,7 @@ def test_what_no_effect_explains_is_named_with_its_channels(gyrofleet: Command, 
     assert found["verdict"] == "unexplained"
     left = found["explainable"]
     assert sorted(left["channels"]) == ["supply_voltage", "temperature"]
-    assert 0.3 < left["lo"] < left["at_least"] < left["hi"] <= 1.0
+    assert 0.3 < left["lo"] == left["at_least"] < left["value"] < left["hi"] <= 1.0
     report = tmp_path / "report.html"
     out = gyrofleet(*ask, "--report", report, "--lang", "zh").out
     assert "temperature、supply_voltage" in out or "supply_voltage、temperature" in out

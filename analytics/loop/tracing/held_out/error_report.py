@@ -81,18 +81,25 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
 
 
 def error_shares(box: HeldOutSet, found: Search) -> dict[str, float]:
-    """Share of the squared error before that each common effect explains, at the reference averaging time.
+    """Share of the squared error about the mean of each run that each common effect takes away.
 
-    sum(p * s) / sum(b**2) with the prediction p of the effect, the sum s of all predictions, and the error b before.
-    The shares add up to sum(s**2) / sum(b**2). The error after is noise, and is left out.
+    (2 sum(b * p) - sum(s * p)) / sum(b**2) with the prediction p of the effect, the sum s of all predictions, and the
+    error b before, of averages over the longest time up to 1800 s of which the runs have several. The shares add up to
+    the decrease of the error, which is at most 1; an effect that makes predictions worse has a negative share.
     """
-    tables = [averages for seconds, averages in _averages(box) if seconds <= REFERENCE_S]
-    if not tables:
-        return {}
-    whole = max(float(np.sum(tables[-1].of(box.before) ** 2)), 1e-300)
-    predictions = tables[-1].of(box.predictions)
-    shares = predictions.T @ predictions.sum(axis=1) / whole
-    return {each.name: float(share) for each, share in zip(found.common, shares, strict=True)}
+    for _, averages in reversed([each for each in _averages(box) if each[0] <= REFERENCE_S]):
+        run = np.array([box.record.stack.run_number[rows[0]] for rows in averages.rows])
+        before = less_run_means(averages.of(box.before), run)
+        whole = float(before @ before)
+        if run.size == np.unique(run).size or not whole > 0:
+            continue
+        predictions = averages.of(box.predictions)
+        predictions = np.column_stack(
+            [less_run_means(each, run) for each in predictions.T] or [np.empty((run.size, 0))]
+        )
+        shares = predictions.T @ (2.0 * before - predictions.sum(axis=1)) / whole
+        return {each.name: float(share) for each, share in zip(found.common, shares, strict=True)}
+    return {}
 
 
 def _averages(box: HeldOutSet) -> list[tuple[float, Averages]]:

@@ -75,7 +75,8 @@ class FoundEffect(msgspec.Struct, frozen=True):
     replicates: bool = True  # whether it improves the prediction of runs that it was not fitted to
     confirmed: bool | None = None  # by the held-out runs; None if they cannot answer
     by_run: dict[str, tuple[float, float]] = {}  # first coefficient and its standard error in each run that excites it
-    error_share: float | None = None  # of the squared held-out error that it explains; None if it predicts nothing
+    # share of the squared held-out error about the mean of each run that it takes away; None if it predicts nothing
+    error_share: float | None = None
 
     def document(self) -> dict[str, Any]:
         """JSON form: one coefficient as a number, several as lists in the order of `columns`."""
