@@ -70,8 +70,8 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
             estimate += f", 95 %: {self.lo:.0%} … {self.hi:.0%}"
         if not self.at_least > 0:
             return Bilingual(
-                f"the error follows a function of {', '.join(names)}, learned from other runs (p = {self.p_value:.2g}); "
-                f"how much of it that explains is not settled ({estimate})",
+                f"the error follows a function of {', '.join(names)}, learned from others (p = {self.p_value:.2g}), "
+                f"but how much of it that explains is not settled ({estimate})",
                 f"误差随{'、'.join(names)}的某一函数变化（由其他试验学得，p = {self.p_value:.2g}）；"
                 f"可解释的份额尚不能确定（{estimate}）",
             )
