@@ -15,6 +15,7 @@ from analytics.loop.report.report_tables import TextTable, absent_rows, achieved
 from analytics.loop.report.scrutiny_rows import recovery_sentences
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.console import notes, results, styled
 from stream.result_table import ResultTable
@@ -67,7 +68,11 @@ def _print_next_test(found: UnitDiagnosis, words: Wording) -> None:
     console, asked = results(), found.next_test
     if asked is None:
         if found.is_planned:
-            console.print(words.of("Next test: nothing is open.", "下一项试验：没有待判别的问题。"))
+            is_settled = found.diagnosis.verdict in (ModelVerdict.NOTHING_MISSING, ModelVerdict.EFFECT_FOUND)
+            why = words.of("no effects are left to decide between", "没有可供判别的效应")
+            if is_settled:
+                why = words.of("nothing is open", "没有待判别的问题")
+            console.print(words.of(f"Next test: {why}.", f"下一项试验：{why}。"))
         return
     console.print(f"\n{next_test_sentence(asked, words)}")
     if asked.plans:

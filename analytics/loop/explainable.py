@@ -35,7 +35,7 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    at_least: Lower bound of the share, `lo` or 0.
+    at_least: Lower bound of the share, `lo` or 0; 0 where it is not significant.
     value: Estimate of the share; negative if the prediction is worse than none.
     lo, hi: Its 95 % confidence bounds over runs; None with a single run.
     averaging_s: Averaging time of the error.
@@ -189,13 +189,14 @@ def _share(residuals: Residuals, left: FloatArray, predicted: FloatArray) -> Exp
     gain = error_gain(before, before - explained, np.array([replicate[each[0]] for each in averages.rows]))
     if gain is None:
         return Explainable(at_least=0.0, value=0.0, lo=None, hi=None, averaging_s=seconds, p_value=1.0)
+    p_value = _p_value(along, squares)
     return Explainable(
-        at_least=max(gain.lo or 0.0, 0.0),
+        at_least=max(gain.lo or 0.0, 0.0) if p_value < MOST_P_VALUE else 0.0,
         value=gain.fraction,
         lo=gain.lo,
         hi=None if gain.hi is None else min(gain.hi, 1.0),
         averaging_s=seconds,
-        p_value=_p_value(along, squares),
+        p_value=p_value,
     )
 
 

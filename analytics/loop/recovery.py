@@ -49,6 +49,8 @@ def recovered(
 ) -> dict[str, Recovery]:
     """Plant the model found in noise of the fitted coefficients, on the channels of the data, and diagnose again.
 
+    Lines, jumps and turn-on scatter are no terms of the model, and are not planted.
+
     Parameters
     ----------
     model, declared_noise: As they were diagnosed.
@@ -59,21 +61,24 @@ def recovered(
     whitener = residuals.record.whitener(residuals.noise)
     rng = np.random.default_rng(seed)
     held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
+    # the segments of a single run are not runs to name
+    names_held_out = None if diagnosis.replication == "within_run" else held_out
+    names = [name for name in diagnosis.names if name in diagnosis.model.effects]
     planted = stack.column(diagnosis.model.predict)
-    alone = dict.fromkeys(diagnosis.names, 0)
-    in_set = dict.fromkeys(diagnosis.names, 0)
+    alone = dict.fromkeys(names, 0)
+    in_set = dict.fromkeys(names, 0)
     for number in range(tries):
         on_progress(f"planting what was found ({number + 1} of {tries})")
         noise = whitener.colour(rng.standard_normal((len(stack), 1)))[:, 0]
         runs = _with_values(stack.runs, stack.rows, planted + noise)
-        found = diagnose(runs, model, declared_noise=declared_noise, holdout=held_out, seed=seed)
-        for name in diagnosis.names:
+        found = diagnose(runs, model, declared_noise=declared_noise, holdout=names_held_out, seed=seed)
+        for name in names:
             alone[name] += any(each.name == name and not each.confounded for each in found.effects)
             sets = [
                 {each.name, *(other.name for other in each.confounded)} for each in found.effects if each.confounded
             ]
             in_set[name] += any(name in each for each in sets)
-    return {name: _recovery(tries, alone[name], in_set[name]) for name in diagnosis.names}
+    return {name: _recovery(tries, alone[name], in_set[name]) for name in names}
 
 
 def _recovery(tries: int, alone: int, in_set: int) -> Recovery:

@@ -31,7 +31,8 @@ _PATH = click.Path(path_type=Path)
 @click.option("--sample-rate", "sample_rate_hz", type=float, help="Hz, for a file without a time column.")
 @click.option(
     "--rename", "renames", metavar="TITLE=SIGNAL", multiple=True,
-    help="Name of the signal of a column, as 'Gyro X=gyro_x'; with a unit of measure as 'Status=status[1]'.",
+    help="Name of the signal of a column, as 'Gyro X=gyro_x'; with a unit of measure as 'Status=status[1]'; 'Note=' "
+    "leaves a column out.",
 )  # fmt: skip
 @click.option("--dbc", "databases", multiple=True, type=_PATH, help="CAN database of a CAN log.")
 @click.option("--mapping", type=_PATH, help="Names and units of the signals of the database (TOML file).")
@@ -98,7 +99,8 @@ def import_files(
     options = TableOptions(
         unit=unit, run=run, start_ns=None if start is None else moment_ns(start), sample_rate_hz=sample_rate_hz,
         skip_bad=skip_bad, words=words if procedure or position else None,
-        renames=tuple(_pair(each, "--rename", "'Gyro X=gyro_x'") for each in renames), time_zone=about.get("time_zone"),
+        renames=tuple(_pair(each, "--rename", "'Gyro X=gyro_x'", may_be_empty=True) for each in renames),
+        time_zone=about.get("time_zone"),
     )  # fmt: skip
     _warn_of_words(procedure, position)
     plan = _can_mapping(files, unit, databases, mapping, variants)
@@ -217,9 +219,9 @@ def _can_mapping(
     return CanMapping(databases, mapping, unit=unit, variants=chosen)
 
 
-def _pair(text: str, option: str, example: str) -> tuple[str, str]:
+def _pair(text: str, option: str, example: str, *, may_be_empty: bool = False) -> tuple[str, str]:
     left, mark, right = text.rpartition("=")
-    if not mark or not left.strip() or not right.strip():
+    if not mark or not left.strip() or not (right.strip() or may_be_empty):
         raise BadInput(f"{option} {text!r}: write it like {example}")
     return left.strip(), right.strip()
 

@@ -131,6 +131,9 @@ class _HeaderReader:
     def add(self, title: str, number: int) -> None:
         if not title.strip():
             raise BadInput(f"column {number} has no title; {_SQUARE} or remove it")
+        if self._renames.get(title) == "":
+            self.columns.remarks.append(f"column {title!r} is left out, as --rename says")
+            return
         name, unit, is_foreign = _parts(title)
         if title in self._renames:
             name, new_unit, _ = _parts(self._renames[title])
@@ -145,7 +148,7 @@ class _HeaderReader:
         elif name in WORD_NAMES:
             self.columns.words.append(word_column(title, name, unit))
         elif unit is None or not name:
-            raise BadInput(_how_to_name(title, name))
+            raise BadInput(_how_to_name(title, name, is_stamp=title in self._stamps))
         else:
             self._add_signal(title, name, unit, is_foreign=is_foreign)
 
@@ -180,7 +183,7 @@ class _HeaderReader:
                 signal = check_name("signal", name)
             measure, remark = column_unit(unit, signal)
         except BadInput as error:
-            hint = "" if _is_usable(name) else f"; or give --rename {title}={re.sub('[^a-zA-Z0-9_]+', '_', name)}"
+            hint = "" if _is_usable(name) else f"; or give --rename '{title}={re.sub('[^a-zA-Z0-9_]+', '_', name)}'"
             raise type(error)(f"column {title!r}: {error}{hint}") from error
         if remark:
             is_warning = remark.startswith("warning: ")
@@ -220,7 +223,9 @@ def _is_usable(name: str) -> bool:
     return True
 
 
-def _how_to_name(title: str, name: str) -> str:
+def _how_to_name(title: str, name: str, *, is_stamp: bool = False) -> str:
+    if is_stamp:
+        return f"column {title!r} holds time stamps: give --rename '{title}=time', or leave it out: --rename '{title}='"
     if not name:
         return f"column {title!r} cannot be read; {_SQUARE}"
     if _is_number(name):
@@ -234,7 +239,8 @@ def _how_to_name(title: str, name: str) -> str:
     hint = f" (or did you mean {near[0]!r}?)" if near else ""
     return (
         f"column {title!r} has no unit; name it like '{name}[deg/s]', or '{name}[1]' if it has none{hint}; "
-        f"without changing the file: --rename '{title.strip()}={_plain_letters(name)}[1]'"
+        f"without changing the file: --rename '{title.strip()}={_plain_letters(name)}[1]'; "
+        f"to leave it out: --rename '{title.strip()}='"
     )
 
 

@@ -80,9 +80,11 @@ def cheapest_plans(
     for test in candidate_tests(needed, bounds, runs):
         if test.like:
             run = repeated_run(of_name[test.like], test.name, last_ns)
+            hours = float(run.slot[-1] + 1 - run.slot[0]) * run.block_s / 3600.0
         else:
-            run = predicted_run(timeline(test, bounds), runs, chain, test.name)
-        timed.append((_hours(run), run, test))
+            played = timeline(test, bounds)
+            run, hours = predicted_run(played, runs, chain, test.name), played.hours
+        timed.append((hours + _PREPARATION_H, run, test))
     timed.sort(key=lambda each: each[0])
     good: list[TestPlan] = []
     weak: list[TestPlan] = []
@@ -118,7 +120,3 @@ def _cheapest(decides: Decides, run: RunBlocks, hours: float, test: CandidateTes
         if found.power >= WANTED_POWER or found.power < _HOPELESS_POWER:
             break
     return best
-
-
-def _hours(run: RunBlocks) -> float:
-    return float(run.slot[-1] + 1 - run.slot[0]) * run.block_s / 3600.0 + _PREPARATION_H

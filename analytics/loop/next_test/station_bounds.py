@@ -7,9 +7,11 @@ import msgspec
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
+from stream.errors import BadInput
 
 THERMAL = ("temperature", "case_temperature", "chamber_temperature", "chamber_setpoint")
 _LEAST_SWING_DEG_C = 1.0
+_LEAST_OF_ANY = 1e-3  # of a slope, an acceleration or a rate
 _LEAST_RATE_DEG_PER_S = 1e-3  # less is the noise of a table at rest
 
 
@@ -31,6 +33,24 @@ class StationBounds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rate_deg_per_s: float | None = None
     least_v: float | None = None
     most_v: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse bounds that no station has."""
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise BadInput(f"bound {name}={value:g} is no finite number")
+        for name in ("slope_deg_c_per_min", "acceleration_deg_per_s2", "rate_deg_per_s"):
+            value = getattr(self, name)
+            if value is not None and not value >= _LEAST_OF_ANY:
+                raise BadInput(f"bound {name}={value:g}: give a positive number, {_LEAST_OF_ANY:g} or more")
+        for least, most in (("least_deg_c", "most_deg_c"), ("least_v", "most_v")):
+            low, high = getattr(self, least), getattr(self, most)
+            if low is not None and high is not None and not low < high:
+                raise BadInput(
+                    f"bounds {least}={low:g} and {most}={high:g}: the first must be below the second; give both (what "
+                    "is not given is what the unit has been through)"
+                )
 
     @classmethod
     def of_runs(cls, runs: Sequence[RunBlocks], **given: Any) -> "StationBounds":

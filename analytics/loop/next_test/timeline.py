@@ -9,6 +9,7 @@ from analytics.loop.next_test.station_bounds import StationBounds
 from stream.batch import BoolArray, FloatArray
 
 STEP_S = 5.0
+_PROMPT_S = 300.0  # as `gyrofleet procedure estimate-time` has it
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Timeline:
     rate_deg_per_s: Of the table.
     since_power_on_s: NaN without power.
     position, volts: Of the step, empty or NaN where it says nothing.
+    prompts: Actions of an operator.
     """
 
     setpoint_deg_c: FloatArray
@@ -30,11 +32,17 @@ class Timeline:
     since_power_on_s: FloatArray
     position: tuple[str, ...]
     volts: FloatArray
+    prompts: int = 0
 
     @property
     def time_s(self) -> FloatArray:
         """Instants from the start."""
         return np.asarray((np.arange(self.rate_deg_per_s.size) + 0.5) * STEP_S)
+
+    @property
+    def hours(self) -> float:
+        """Duration, with the time of the operator."""
+        return (self.rate_deg_per_s.size * STEP_S + self.prompts * _PROMPT_S) / 3600.0
 
     @property
     def is_powered(self) -> BoolArray:
@@ -64,7 +72,8 @@ def timeline(test: CandidateTest, bounds: StationBounds) -> Timeline:
         positions.extend([position] * count.size)
         air, moving, since = (heated[-1] if known else air), turned[-1], (on[-1] if powered else -STEP_S)
 
-    for number, step in enumerate(test.planned()):
+    steps = test.planned()
+    for number, step in enumerate(steps):
         if step.power in ("off", "cycle"):
             play(step.off_s, powered=False)
         setpoint = step.settings.get("temperature", setpoint)
@@ -75,7 +84,8 @@ def timeline(test: CandidateTest, bounds: StationBounds) -> Timeline:
             play(abs(setpoint - air) / (bounds.slope_deg_c_per_min / 60.0))
         play(step.warm_up_s + step.settle_s + step.record_s)
     setpoints, airs, rates, powered, supplied = map(np.concatenate, zip(*parts, strict=True))
-    return Timeline(setpoints, airs, rates, powered, tuple(positions), supplied)
+    prompts = sum(step.prompt is not None for step in steps)
+    return Timeline(setpoints, airs, rates, powered, tuple(positions), supplied, prompts)
 
 
 def _towards(start: float, target: float, most: FloatArray) -> FloatArray:

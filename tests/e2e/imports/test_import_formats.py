@@ -51,6 +51,8 @@ def test_rename_gives_names_and_units_and_is_never_in_vain(gyrofleet: Run, tmp_p
     assert gyrofleet("import", path, "--run", "r", *options).code == 0
     assert signals(gyrofleet) == {"rate": ("deg/s", 2), "status": ("1", 2)}
     assert gyrofleet("sql", "select distinct unit from samples", "--json").json == [{"unit": "FOG-1"}]
+    left_out = [*options[:4], "--rename", "Status=", *options[6:]]
+    assert "column 'Status' is left out" in gyrofleet("import", path, "--run", "s", *left_out).err
     for wrong, text in (("Speed=rate", "--rename 'Speed': the columns are Elapsed"), ("rate", "write it like")):
         refused = gyrofleet("import", path, "--run", "r", *options, "--rename", wrong)
         assert refused.code == 1

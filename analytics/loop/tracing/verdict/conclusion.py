@@ -27,6 +27,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_clock_bounds,
 )
 
+FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
 FUNCTION = "function_of_"  # prefix of the names of free functions
 _COLLINEAR = Bilingual("these runs cannot separate it from the terms of the model", "这些试验无法将其与模型的项区分")
 
@@ -50,6 +51,8 @@ def conclude(
         holdout = judge([box], found, case.held_out)
     if holdout is not None:
         every = [msgspec.structs.replace(each, confirmed=holdout.confirms(each.name)) for each in every]
+        if _makes_worse(case, found.without([each.name for each in every if each.confirmed is False])):
+            every = [msgspec.structs.replace(each, confirmed=False) for each in every]
     refused = [each for each in every if each.confirmed is False]
     kept = found.without([each.name for each in refused])
     noises, designs = kept.joint.noises, kept.joint.hypothesis.designs
@@ -121,6 +124,18 @@ def conclude(
             noise=msgspec.structs.asdict(noise),
         ),
     )
+
+
+def _makes_worse(case: Case, kept: Search) -> bool:
+    """Whether the effects raise the held-out error at the reference averaging time, raw and about the mean of each run.
+
+    The slope of whitened blocks alone does not see a slow error that the noise model allows for.
+    """
+    box = open_held_out_set(case.stack, case.held_out_blocks, case.training, kept)
+    row = error_table(box, kept, case.held_out, is_held_out=True).reference
+    if row is None or not kept.common:
+        return False
+    return row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
 
 
 def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:
