@@ -104,8 +104,10 @@ def test_a_voltmeter_dates_a_reading_at_the_middle_of_its_averaging() -> None:
     with ScpiServer({"V": device}) as server:
         options = VoltmeterOptions(resource=server.resource("V"), range_v=100.0, nplc=10.0)
         with Voltmeter("V", options, clock) as voltmeter:
-            reading = voltmeter.sample()[0]
-    assert (reading.t_ns - clock.start_ns) / SECOND == pytest.approx(reading.value, abs=0.03)
+            readings = [voltmeter.sample()[0] for _ in range(5)]
+    # the best of five: a busy machine delays an answer; dated at its end each would be 0.1 s late
+    late_s = [(reading.t_ns - clock.start_ns) / SECOND - reading.value for reading in readings]
+    assert min(map(abs, late_s)) < 0.03
 
 
 def test_an_overload_is_an_error() -> None:
