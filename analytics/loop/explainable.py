@@ -111,7 +111,7 @@ def explainable(residuals: Residuals, seed: int = 0) -> Explainable | None:
     Needs scikit-learn, the extra ``explain``.
     """
     # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+    from threadpoolctl import threadpool_limits
 
     record = residuals.record
     replicate = record.stack.replicate
@@ -144,7 +144,7 @@ class _Forest:
 
     @classmethod
     def grown(cls, features: _Features, left: FloatArray, replicate: IntArray, seed: int) -> "_Forest":
-        from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
+        from sklearn.ensemble import HistGradientBoostingRegressor
 
         fold = replicate % _MOST_FOLDS
         trees = []

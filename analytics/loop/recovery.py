@@ -60,9 +60,8 @@ def recovered(
     stack = residuals.record.stack
     whitener = residuals.record.whitener(residuals.noise)
     rng = np.random.default_rng(seed)
-    held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
     # the segments of a single run are not runs to name
-    names_held_out = None if diagnosis.replication == "within_run" else held_out
+    held_out = None if diagnosis.replication == "within_run" else diagnosis.held_out_runs
     names = [name for name in diagnosis.names if name in diagnosis.model.effects]
     planted = stack.column(diagnosis.model.predict)
     alone = dict.fromkeys(names, 0)
@@ -71,7 +70,7 @@ def recovered(
         on_progress(f"planting what was found ({number + 1} of {tries})")
         noise = whitener.colour(rng.standard_normal((len(stack), 1)))[:, 0]
         runs = _with_values(stack.runs, stack.rows, planted + noise)
-        found = diagnose(runs, model, declared_noise=declared_noise, holdout=names_held_out, seed=seed)
+        found = diagnose(runs, model, declared_noise=declared_noise, holdout=held_out, seed=seed)
         for name in names:
             alone[name] += any(each.name == name and not each.confounded for each in found.effects)
             sets = [

@@ -66,7 +66,7 @@ def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals |
     """Residuals of a diagnosed unit; None if there was not enough data for a diagnosis."""
     if diagnosis.judged is None or diagnosis.model is None or diagnosis.noise is None:
         return None
-    held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
+    held_out = diagnosis.held_out_runs
     used = [run for run in runs if run.run in diagnosis.runs]
     stack = case_of(used or runs, diagnosis.judged, diagnosis.noise, held_out).stack
     return Residuals(

@@ -13,7 +13,7 @@ from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.next_test.recommendation import NextTest, next_test
 from analytics.loop.next_test.station_bounds import StationBounds
-from analytics.loop.provenance import provenance
+from analytics.loop.provenance import Provenance, provenance
 from analytics.loop.recovery import Recovery, recovered
 from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor_diagnostics
 from analytics.loop.residuals import Residuals, residuals_of
@@ -46,17 +46,22 @@ class UnitDiagnosis:
         """Residuals of the model found; None if there was not enough data for a diagnosis."""
         return residuals_of(self.data.runs, self.diagnosis)
 
-    @property
+    @cached_property
     def regressors(self) -> RegressorDiagnostics | None:
         """Collinearity and leverage of the columns of the model found."""
         if self.residuals is None or self.diagnosis.model is None:
             return None
         return regressor_diagnostics(self.residuals, self.diagnosis.model)
 
-    @property
+    @cached_property
     def coherence(self) -> tuple[ChannelCoherence, ...]:
         """Coherence of the remaining residual with the channels."""
         return () if self.residuals is None else channel_coherence(self.residuals)
+
+    @cached_property
+    def provenance(self) -> Provenance:
+        """Who asked, when, of which data."""
+        return provenance(self.data.runs)
 
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
@@ -67,7 +72,7 @@ class UnitDiagnosis:
             "recovery": msgspec.to_builtins(self.recovery),
             "regressors": msgspec.to_builtins(self.regressors),
             "coherence": msgspec.to_builtins(self.coherence),
-            "provenance": msgspec.to_builtins(provenance(self.data.runs)),
+            "provenance": msgspec.to_builtins(self.provenance),
             "noise_source": str(self.data.noise_source),
             "reduction": notes,
         }

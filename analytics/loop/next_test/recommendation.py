@@ -90,7 +90,7 @@ def next_test(
     """
     if diagnosis.noise is None:
         return None
-    held_out = tuple(run for run in diagnosis.runs if run not in diagnosis.training_runs)
+    held_out = diagnosis.held_out_runs
     shaped = model.shaped(runs)
     record = case_of(runs, shaped, declared_noise, held_out).training
     subject = next((each for each in diagnosis.effects if _recorded_rivals(each)), None)

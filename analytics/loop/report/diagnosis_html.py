@@ -10,7 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from analytics.loop.effects.registry import effect
-from analytics.loop.provenance import provenance
 from analytics.loop.report import finding_sentences as sentences
 from analytics.loop.report import report_tables as tables
 from analytics.loop.report.diagnosis_plots import figures_of
@@ -86,7 +85,7 @@ def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, An
         "scrutiny": [
             *([regressor_rows(found.regressors, words)] if found.regressors else []),
             *([coherence_rows(found.coherence, words)] if found.coherence else []),
-            provenance_rows(provenance(found.data.runs), words),
+            provenance_rows(found.provenance, words),
         ],
         "recovery": recovery_sentences(found.recovery or {}, words),
         "left": found.left and words.clause(found.left.sentence),

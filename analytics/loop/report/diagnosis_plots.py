@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 
 from analytics.loop.report.drivers import Drawn, drawn
 from analytics.loop.report.wording import Wording
-from analytics.loop.residuals import DeviationAt, WhitenedSpectrum, residual_allan, residuals_of, whitened_spectrum
+from analytics.loop.residuals import DeviationAt, WhitenedSpectrum, residual_allan, whitened_spectrum
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.result.holdout import HoldoutSlope
 from analytics.loop.unit_diagnosis import UnitDiagnosis
@@ -32,7 +32,7 @@ _FEW_DECADES = 300.0
 
 def figures_of(found: UnitDiagnosis, words: Wording) -> dict[str, Figure]:
     """Figures of a diagnosed unit by name; none without enough data; Chinese labels need a Chinese font."""
-    residuals = residuals_of(found.data.runs, found.diagnosis)
+    residuals = found.residuals
     if residuals is None:
         return {}
     if words.language == "zh" and chinese_font() is None:

@@ -120,9 +120,9 @@ def test_what_cannot_be_compensated_is_told_once_however_often_the_worker_starts
         if part == 1:
             source.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=T0_NS))
         source.drain()
-        heard: list[str] = []
+        heard: list[AnyDocument] = []
         with DurablePublisher(bus) as own:
-            worker = CompensationWorker(store, own, on_document=lambda each: heard.append(type(each).__name__))  # noqa: B023
+            worker = CompensationWorker(store, own, on_document=heard.append)
             worker.look()
-        said.append(heard)
+        said.append([type(each).__name__ for each in heard])
     assert said == [["CompensationStarted"], ["NoteAdded"], []]

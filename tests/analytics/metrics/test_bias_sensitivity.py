@@ -1,4 +1,4 @@
-"""What temperature, acceleration, shock and vibration do to the bias, and what is said of tests that were cut short."""
+"""Sensitivity of the bias to temperature and acceleration, its change by shock and vibration, and incomplete tests."""
 
 import math
 from collections.abc import Mapping

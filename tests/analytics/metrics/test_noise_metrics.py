@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import NormalisedRandomWalk, angle_random_walk_normalised
 from stream.events import NoiseFitted
 from tests.analytics.conftest import START_NS
 from tests.analytics.metrics.metric_rows import DAY_NS, DT_NS, HOUR, exact, one
@@ -46,7 +46,9 @@ def test_noise_coefficients(tested: Any) -> None:
     seconds = fast.reshape(60, 200).mean(axis=1)
     halves = np.median([seconds[:30].std(ddof=1), seconds[30:].std(ddof=1)]) / 60
     assert short["value"] == exact(halves)
-    assert short["hi"] == exact(angle_random_walk_normalised(fast, 0.005).coefficient.hi)  # type: ignore[union-attr]
+    alone = angle_random_walk_normalised(fast, 0.005)
+    assert isinstance(alone, NormalisedRandomWalk)
+    assert short["hi"] == exact(alone.coefficient.hi)
     assert "less than 0.01 s" in one(walks, unit="U2", method="normalised")["reason"]
 
     assert one(tested.metric("bias_instability"), unit="U1")["value"] == 3.0

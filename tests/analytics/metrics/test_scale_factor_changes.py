@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 
 from tests.analytics.conftest import SECOND_NS, START_NS
-from tests.analytics.metrics.rate_table import Table, cubic
+from tests.analytics.metrics.rate_table import Gyro, Table, cubic
+
+
+def scaled(gyro: Gyro, factor: float) -> Gyro:
+    """A gyro with an output so many times as large."""
+    return lambda rate: factor * gyro(rate)
 
 
 def test_temperature_sensitivity(tested: Any, table: Callable[..., Table]) -> None:
     rig = table(gyro=cubic, unit="V")
     slopes: dict[float, float] = {}
     for temperature in (23.0, -40.0, 0.0, 60.0):
-        rig.gyro = lambda rate, t=temperature: cubic(rate) * (1 + 5e-6 * (t - 23))  # type: ignore[misc]
+        rig.gyro = scaled(cubic, 1 + 5e-6 * (temperature - 23))
         words: dict[str, Any] = {"room": True} if temperature == 23.0 else {}
         rate, mean = rig.rates(
             procedure="scale_factor_temperature_sensitivity", temperature_command_deg_c=temperature, **words
@@ -44,7 +49,7 @@ def test_acceleration_sensitivity(tested: Any, table: Callable[..., Table], sign
     rig = table(unit="V")
     slopes = []
     for position, k, direction in (("IRA_up", 0.02 * (1 + 3e-6), 1), ("IRA_down", 0.02 * (1 - 3e-6), sign)):
-        rig.gyro = lambda rate, k=k, s=direction: s * k * rate  # type: ignore[misc]
+        rig.gyro = scaled(lambda rate: rate, direction * k)
         rate, mean = rig.rates(
             rests=False, noise=1e-5, procedure="scale_factor_acceleration_sensitivity", position=position
         )
@@ -69,7 +74,7 @@ def test_changes_by_shock_and_vibration(tested: Any, table: Callable[..., Table]
     slopes: dict[tuple[str, str], float] = {}
     for axis, change in (("X", 1e-6), ("Y", -20e-6), ("Z", 5e-6)):
         for phase in ("before", "after"):
-            rig.gyro = lambda rate, c=change * (phase == "after"): cubic(rate) * (1 + c)  # type: ignore[misc]
+            rig.gyro = scaled(cubic, 1 + change * (phase == "after"))
             rate, mean = rig.rates(rests=False, procedure=f"scale_factor_{kind}", axis=axis, phase=phase)
             slopes[axis, phase] = np.polyfit(rate, mean, 1)[0]
     found = {row["axis"]: row for row in tested.metric(f"scale_factor_{kind}_change")}

@@ -153,6 +153,11 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     unexplained: Bilingual | None = None  # by how much the held-out error exceeds the noise, if it is far above
 
     @property
+    def held_out_runs(self) -> tuple[str, ...]:
+        """Runs, or segments, that were held out of the fit."""
+        return tuple(run for run in self.runs if run not in self.training_runs)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects found."""
         return tuple(effect.name for effect in self.effects)

@@ -23,7 +23,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     Accepted if 1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of
     a large effect, the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2.
     Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, or if 2.48*SE > 1 and the slope agrees
-    with zero and with one; else refused.
+    with zero and with one; else refused. An effect that raises the error far is refused whatever its slope.
     """
 
     effect: str  # name; ``all`` for the sum of all
@@ -32,6 +32,10 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     training_se: float  # relative standard error of the frozen coefficient
     accepted: bool
     answer: HeldOutAnswer = HeldOutAnswer.REFUSED
+
+
+def _refused(slope: HoldoutSlope) -> HoldoutSlope:
+    return msgspec.structs.replace(slope, accepted=False, answer=HeldOutAnswer.REFUSED)
 
 
 class Holdout(msgspec.Struct, frozen=True):
@@ -62,6 +66,14 @@ class Holdout(msgspec.Struct, frozen=True):
         """The answer on an effect; None if it was not tested."""
         slope = self.slope(name)
         return None if slope is None else slope.answer
+
+    def refusing(self, name: str) -> "Holdout":
+        """The answers with this effect, and so the sum of all, refused."""
+        return msgspec.structs.replace(
+            self,
+            total=_refused(self.total),
+            effects=tuple(_refused(e) if e.effect == name else e for e in self.effects),
+        )
 
     def confirms(self, name: str) -> bool | None:
         """Whether an effect is confirmed; None without power or test."""

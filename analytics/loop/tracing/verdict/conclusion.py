@@ -1,6 +1,7 @@
 """From the search of one unit to its diagnosis: findings, held-out runs, errors, caveats, verdict."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -12,8 +13,9 @@ from analytics.loop.effects.registry import effects_for, unavailable_effects
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
-from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open_held_out_set
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
+from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.effect_search import Search
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
@@ -43,24 +45,17 @@ def conclude(
     turn_on_is_declared: bool,
 ) -> Diagnosis:
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
-    training, held_out = case.training, case.held_out_blocks
+    training = case.training
     every = [with_causes(each, case.stack.runs, model.effects) for each in findings(candidates, found)]
-    holdout = None
-    if case.held_out and found.selected:
-        box = open_held_out_set(case.stack, held_out, training, found)
-        holdout = judge([box], found, case.held_out)
+    answered = _answered(case, found)
+    holdout, kept, box, error = answered.holdout, answered.kept, answered.box, answered.error
     if holdout is not None:
         every = [msgspec.structs.replace(each, confirmed=holdout.confirms(each.name)) for each in every]
-        if _makes_worse(case, found.without([each.name for each in every if each.confirmed is False])):
-            every = [msgspec.structs.replace(each, confirmed=False) for each in every]
     refused = [each for each in every if each.confirmed is False]
-    kept = found.without([each.name for each in refused])
     noises, designs = kept.joint.noises, kept.joint.hypothesis.designs
     excess = agreement.noise_excess(training, kept.joint)
     noise = agreement.measured_noise(training, noises[0])
     tests = screen(candidates, designs, noises, rng).tests
-    box = open_held_out_set(case.stack, held_out, training, kept)
-    error = error_table(box, kept, case.held_out or case.stack.replicates, is_held_out=bool(case.held_out))
     shares = error_shares(box, kept)
     effects = tuple(
         msgspec.structs.replace(_of_open_form(each, refused), error_share=shares.get(each.name))
@@ -70,7 +65,7 @@ def conclude(
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     undetermined = undetermined_terms(case, model.labels())
     scatter = agreement.run_scatter(box.record, noises[0])
-    remarks: list[Bilingual] = []
+    remarks = list(answered.worse)
     if declared is not None:
         remarks += agreement.disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
     if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= agreement.FAR:
@@ -126,16 +121,50 @@ def conclude(
     )
 
 
-def _makes_worse(case: Case, kept: Search) -> bool:
-    """Whether the effects raise the held-out error at the reference averaging time, raw and about the mean of each run.
+class _Answered(NamedTuple):
+    """The answer of the held-out runs, the effects that they leave, the error with these, and what made it worse."""
+
+    holdout: Holdout | None
+    kept: Search
+    box: HeldOutSet
+    error: ErrorTable
+    worse: tuple[Bilingual, ...]
+
+
+def _answered(case: Case, found: Search) -> _Answered:
+    """Judge each effect by its slope; then refuse effects, the worst first, until the error is not far above before.
 
     The slope of whitened blocks alone does not see a slow error that the noise model allows for.
     """
-    box = open_held_out_set(case.stack, case.held_out_blocks, case.training, kept)
-    row = error_table(box, kept, case.held_out, is_held_out=True).reference
-    if row is None or not kept.common:
-        return False
-    return row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
+    holdout = None
+    if case.held_out and found.selected:
+        whole = open_held_out_set(case.stack, case.held_out_blocks, case.training, found)
+        holdout = judge([whole], found, case.held_out)
+    worse: list[Bilingual] = []
+    while True:
+        kept = (
+            found
+            if holdout is None
+            else found.without([e.name for e in found.selected if holdout.confirms(e.name) is False])
+        )
+        box = open_held_out_set(case.stack, case.held_out_blocks, case.training, kept)
+        error = error_table(box, kept, case.held_out or case.stack.replicates, is_held_out=bool(case.held_out))
+        row, shares = error.reference, error_shares(box, kept)
+        is_worse = (
+            row is not None and row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
+        )
+        if holdout is None or row is None or not shares or not is_worse:
+            return _Answered(holdout, kept, box, error, tuple(worse))
+        worst = min(shares, key=lambda name: shares[name])
+        holdout = holdout.refusing(worst)
+        sizes = f"{row.before:.3g}", f"{row.after:.3g} {error.unit_of_measure}", f"{row.averaging_s:g} s"
+        worse.append(
+            Bilingual(
+                f"{worst} is refused whatever its slope: with it the RMS error of the held-out runs over {sizes[2]} "
+                f"rises from {sizes[0]} to {sizes[1]}",
+                f"{worst}不论斜率如何均予否定：加入后留出试验在{sizes[2]}平均时间上的均方根误差由{sizes[0]}升至{sizes[1]}",
+            )
+        )
 
 
 def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:
