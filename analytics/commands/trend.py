@@ -70,8 +70,8 @@ def trend(
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.evaluation.selection import dated, standard_named
     from analytics.plots.figure_file import check_suffix
-    from analytics.trends.capability import specified_limits
-    from analytics.trends.control_chart import Spread
+    from analytics.trends.charts.capability import specified_limits
+    from analytics.trends.charts.control_chart import Spread
     from analytics.trends.document import document
     from analytics.trends.report import sentences
     from analytics.trends.series import Choice, read_series

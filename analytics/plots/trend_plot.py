@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.figure_file import check_suffix, in_both, write_figure
 from analytics.plots.plot_fonts import set_fonts
-from analytics.trends.change_points import Changes
-from analytics.trends.control_chart import IndividualsChart
+from analytics.trends.charts.control_chart import IndividualsChart
+from analytics.trends.levels.change_points import Changes
+from analytics.trends.levels.sessions import NS_PER_DAY
 from analytics.trends.series import MetricSeries
-from analytics.trends.sessions import NS_PER_DAY
 from analytics.trends.trend import Chart, Trend
 
 _MOST_CHARTS = 8

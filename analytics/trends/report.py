@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from analytics.trends.between_stations import Difference, GroupComparison
-from analytics.trends.capability import Capability
-from analytics.trends.change_points import Changes, Drift
-from analytics.trends.control_chart import IndividualsChart
-from analytics.trends.level_shifts import LevelShift, LevelShifts
-from analytics.trends.nelson_rules import RULES, wild_point_chance
+from analytics.trends.charts.capability import Capability
+from analytics.trends.charts.control_chart import IndividualsChart
+from analytics.trends.charts.nelson_rules import RULES, wild_point_chance
+from analytics.trends.groups.between_stations import Difference, GroupComparison
+from analytics.trends.levels.change_points import Changes, Drift
+from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
+from analytics.trends.levels.sessions import LEAST_UNITS, NS_PER_DAY
 from analytics.trends.series import MetricSeries
-from analytics.trends.sessions import LEAST_UNITS, NS_PER_DAY
 from analytics.trends.trend import FALSE_ALARM, Chart, Trend
 from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
 

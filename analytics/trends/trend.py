@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.between_stations import GroupComparison, compare_groups, components
-from analytics.trends.capability import Capability, SpecifiedLimits, capability
-from analytics.trends.change_points import ChangePoint, Changes, Drift, change_points, drift
-from analytics.trends.control_chart import EwmaChart, IndividualsChart, Spread, ewma_chart, individuals_chart
-from analytics.trends.level_shifts import LevelShift, LevelShifts, level_shifts
-from analytics.trends.mixed_model import ComponentDeviation
-from analytics.trends.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
+from analytics.trends.charts.capability import Capability, SpecifiedLimits, capability
+from analytics.trends.charts.control_chart import EwmaChart, IndividualsChart, Spread, ewma_chart, individuals_chart
+from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
+from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components
+from analytics.trends.groups.mixed_model import ComponentDeviation
+from analytics.trends.levels.change_points import ChangePoint, Changes, Drift, change_points, drift
+from analytics.trends.levels.level_shifts import LevelShift, LevelShifts, level_shifts
+from analytics.trends.levels.sessions import NS_PER_DAY
 from analytics.trends.series import GROUPS, MetricSeries
-from analytics.trends.sessions import NS_PER_DAY
 from analytics.trends.words import NotComputed, Words, joined, not_computed, words
 from stream.batch import FloatArray, IntArray
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from analytics.trends.level_shifts import LevelShifts, level_shifts
+from analytics.trends.levels.level_shifts import LevelShifts, level_shifts
 from analytics.trends.series import MetricSeries, Variant
 
 START_NS = 1_767_600_000 * 10**9  # Monday 2026-01-05 08:00 UTC

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from analytics.trends.capability import Capability, capability, cp_index, cpk_index
-from analytics.trends.control_chart import (
+from analytics.trends.charts.capability import Capability, capability, cp_index, cpk_index
+from analytics.trends.charts.control_chart import (
     D2,
     D3,
     EWMA_WEIGHT,
@@ -16,8 +16,8 @@ from analytics.trends.control_chart import (
     ewma_chart,
     individuals_chart,
 )
-from analytics.trends.mixed_model import MixedModel
-from analytics.trends.nelson_rules import rule_flags
+from analytics.trends.charts.nelson_rules import rule_flags
+from analytics.trends.groups.mixed_model import MixedModel
 
 
 def average_run_length(weight: float, width: float, shift: float = 0.0, states: int = 201) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from analytics.trends.change_points import (
+from analytics.trends.levels.change_points import (
     LEAST_SEGMENT,
     Changes,
     Drift,

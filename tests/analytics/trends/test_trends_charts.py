@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from analytics.trends.capability import Capability, capability
-from analytics.trends.control_chart import IndividualsChart, Spread, ewma_chart, individuals_chart
-from analytics.trends.nelson_rules import chart_chance, points_of, rule_flags, wild_point_chance
+from analytics.trends.charts.capability import Capability, capability
+from analytics.trends.charts.control_chart import IndividualsChart, Spread, ewma_chart, individuals_chart
+from analytics.trends.charts.nelson_rules import chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.words import NotComputed, Words
 
 

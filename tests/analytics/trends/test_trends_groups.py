@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import binom, f_oneway, ttest_ind, ttest_rel
 
-from analytics.trends.between_stations import GroupComparison, compare_groups, components
-from analytics.trends.mixed_model import MixedModel, holm
+from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components
+from analytics.trends.groups.mixed_model import MixedModel, holm
 from analytics.trends.series import MetricSeries, Variant
 from analytics.trends.words import NotComputed
 

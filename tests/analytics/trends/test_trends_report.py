@@ -12,7 +12,7 @@ from scipy.stats import t as student
 
 from analytics.plots.trend_plot import plot_trend
 from analytics.specifications.entering import add_specification
-from analytics.trends.capability import Capability, SpecifiedLimits, specified_limits
+from analytics.trends.charts.capability import Capability, SpecifiedLimits, specified_limits
 from analytics.trends.document import document
 from analytics.trends.report import sentences, stands_out
 from analytics.trends.series import Choice, MetricSeries, Variant, read_series

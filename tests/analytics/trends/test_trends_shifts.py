@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from scipy.stats import binom
 
 from analytics.plots import trend_plot
-from analytics.trends.level_shifts import LevelShifts, level_shifts
+from analytics.trends.levels.level_shifts import LevelShifts, level_shifts
+from analytics.trends.levels.sessions import SessionModel, SessionNoise, unit_ratio
 from analytics.trends.report import sentences, stands_out
-from analytics.trends.sessions import SessionModel, SessionNoise, unit_ratio
 from analytics.trends.trend import trend_of
 from analytics.trends.words import NotComputed
 from tests.bench.trend_shifts import STATION, Plan, counted, is_outside, simulated
@@ -137,8 +137,8 @@ def dense(series: Any, noise: SessionNoise, ratio: float, model: SessionModel) -
 
 
 def test_sums_over_sessions_give_the_dense_likelihood() -> None:
-    from analytics.trends.sessions import layout_of, station_columns
-    from analytics.trends.step_search import StepSearch
+    from analytics.trends.levels.sessions import layout_of, station_columns
+    from analytics.trends.levels.step_search import StepSearch
 
     series = simulated(np.random.default_rng(11), SMALL)
     layout = layout_of(series)
@@ -153,7 +153,7 @@ def test_sums_over_sessions_give_the_dense_likelihood() -> None:
 
 
 def test_simulated_sums_have_the_moments_of_simulated_values() -> None:
-    from analytics.trends.sessions import layout_of
+    from analytics.trends.levels.sessions import layout_of
 
     layout = layout_of(simulated(np.random.default_rng(12), SMALL))
     model = SessionModel(layout.session, layout.unit, layout.station, 4.0)

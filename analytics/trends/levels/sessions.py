@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from analytics.trends.mixed_model import MixedModel
+from analytics.trends.groups.mixed_model import MixedModel
 from analytics.trends.series import MetricSeries
 from stream.batch import FloatArray, IntArray
 

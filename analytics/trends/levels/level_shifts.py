@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends import sessions
-from analytics.trends.change_points import clipped
+from analytics.trends.levels import sessions
+from analytics.trends.levels.change_points import clipped
+from analytics.trends.levels.step_search import BestStep, StepSearch
 from analytics.trends.series import MetricSeries
-from analytics.trends.step_search import BestStep, StepSearch
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
 

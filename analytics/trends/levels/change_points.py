@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.special import stdtr
 from scipy.stats import t as student
 
-from analytics.trends.control_chart import MEDIAN_RANGE
+from analytics.trends.charts.control_chart import MEDIAN_RANGE
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
 

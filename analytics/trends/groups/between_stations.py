@@ -7,7 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from analytics.trends.mixed_model import ComponentDeviation, ContrastEstimate, MixedModel, holm, paired_difference
+from analytics.trends.groups.mixed_model import (
+    ComponentDeviation,
+    ContrastEstimate,
+    MixedModel,
+    holm,
+    paired_difference,
+)
 from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.words import NotComputed, Words, group_name, not_computed, words
 from stream.batch import FloatArray, IntArray

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
-from analytics.trends.sessions import LevelStep, SessionModel, SessionNoise, Sums, Whitened
+from analytics.trends.levels.sessions import LevelStep, SessionModel, SessionNoise, Sums, Whitened
 from stream.batch import FloatArray, IntArray
 
 _SIMULATED = 500

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from analytics.trends.control_chart import Spread, centre_and_sigma
+from analytics.trends.charts.control_chart import Spread, centre_and_sigma
 from analytics.trends.words import words
 from stream.batch import FloatArray, IntArray
 

@@ -1,0 +1,1 @@
+"""Control charts, the rules on them, and capability against a specification."""

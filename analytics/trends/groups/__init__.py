@@ -1,0 +1,1 @@
+"""Comparison of stations, fixtures and lots by a mixed model."""

@@ -1,0 +1,1 @@
+"""Changes of level: of one series, and of all units of a session at once."""
