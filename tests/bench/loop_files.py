@@ -119,6 +119,7 @@ def traced(which: FileCase) -> dict[str, Any]:
         "refused": [each["name"] for each in said["unreplicated"]],
         "limits": said["limits"][:_TOLD_LEFT_OUT],
         "left_out": said.get("left_out", [])[:_TOLD_LEFT_OUT],
+        "gain": (said.get("error") or {}).get("gain"),
         "seconds": round(time.perf_counter() - began, 1),
     }
 

@@ -66,18 +66,30 @@ def gain_rows(table: ErrorTable, words: Wording) -> TextTable:
 
 
 def achieved(table: ErrorTable, words: Wording) -> str | None:
-    """The share of the achievable decrease of the error; None if nothing is achievable."""
+    """The achieved and the expected decrease of the error; None if nothing is achievable or expected."""
     whole, excited = table.achievable_fraction, table.achievable_fraction_excited
-    if whole is None and excited is None:
-        return None
-    parts = [] if whole is None else [f"{whole:.0%}"]
-    if excited is not None:
-        parts.append(words.of(f"{excited:.0%} where the effect is excited", f"效应被激励处为{excited:.0%}"))
-    shares = words.of(", ", "，").join(parts)
-    return words.of(
-        f"Achieved share of the possible decrease of the squared error at 1800 s: {shares}.",
-        f"1800 s处可消除的平方误差中已消除：{shares}。",
-    )
+    sentences = []
+    if whole is not None or excited is not None:
+        parts = [] if whole is None else [f"{whole:.0%}"]
+        if excited is not None:
+            parts.append(words.of(f"{excited:.0%} where the effect is excited", f"效应被激励处为{excited:.0%}"))
+        shares = words.of(", ", "，").join(parts)
+        sentences.append(
+            words.of(
+                f"Achieved share of the possible decrease of the squared error at 1800 s: {shares}.",
+                f"1800 s处可消除的平方误差中已消除：{shares}。",
+            )
+        )
+    if table.gain is not None and table.is_held_out and table.reference is not None:
+        seconds, gain = f"{table.reference.averaging_s:g} s", _gain(table.gain)
+        sentences.append(
+            words.of(
+                f"New runs like these: squared error about the mean of each run, over {seconds}, expected to fall by "
+                f"{gain}.",
+                f"对同类新试验，{seconds}平均值去除各次均值后的平方误差预期下降{gain}。",
+            )
+        )
+    return words.of(" ", "").join(sentences) or None
 
 
 def driver_rows(over: ErrorOverDriver, title: str, words: Wording) -> TextTable:
@@ -159,5 +171,9 @@ def _excited(before: float | None, after: float | None, floor: float | None) -> 
 def _gain(gain: ErrorGain | None) -> str:
     if gain is None:
         return ""
-    bounds = "" if gain.lo is None or gain.hi is None else f" ({gain.lo:.0%} .. {gain.hi:.0%})"
-    return f"{gain.fraction:.0%}{bounds}"
+    bounds = "" if gain.lo is None or gain.hi is None else f" ({_percent(gain.lo)} .. {_percent(gain.hi)})"
+    return f"{_percent(gain.fraction)}{bounds}"
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if abs(share) >= 0.1 else f"{100 * share:.2g}%"

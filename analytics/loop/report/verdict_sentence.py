@@ -238,9 +238,17 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
         return text
     before, after, noise = (number(each) for each in (row.before_within, row.after_within, row.floor_within))
     mark = _significance(row.gain_within, words)
-    return text + words.of(
+    text += words.of(
         f"; about the mean of each run from {before} to {after}{mark} (noise alone {noise})",
         f"；去除各次试验均值后由{before}变为{after}{mark}（仅噪声{noise}）",
+    )
+    expected = table.gain
+    if expected is None or expected.lo is None or expected.hi is None or not mark or not table.is_held_out:
+        return text
+    falls, lo, hi = (f"{100 * each:.2g} %" for each in (expected.fraction, expected.lo, expected.hi))
+    return text + words.of(
+        f"; in new runs like these its square is expected to fall by {falls} ({lo} to {hi})",
+        f"；对同类新试验，预期其平方下降{falls}（{lo}至{hi}）",
     )
 
 

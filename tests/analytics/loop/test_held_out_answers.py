@@ -146,7 +146,14 @@ def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Cam
     assert not row.gain.is_significant
     assert "(not significant)" in sentence(found, runs[0])
     assert found.document()["error"]["gain_within_at"]["rms_1800s"]["runs"] == 5
-    assert set(found.document()["error"]["gain"]) == {"value", "lo", "hi", "runs", "significant"}
+    expected = found.document()["error"]["gain"]
+    assert set(expected) == {"value", "lo", "hi", "runs", "significant"}
+    assert expected["value"] > 0
+    assert row.gain_within is not None
+    assert row.gain_within.lo is not None
+    assert row.gain_within.hi is not None
+    assert expected["hi"] - expected["lo"] < 0.7 * (row.gain_within.hi - row.gain_within.lo)
+    assert "in new runs like these its square is expected to fall by" in sentence(found, runs[0])
 
 
 @pytest.mark.long

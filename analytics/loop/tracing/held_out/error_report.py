@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from scipy import stats
 
-from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, information
+from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fitted_error, information
 from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
 from analytics.loop.tracing.search.effect_search import Search
 from analytics.loop.tracing.whitening.least_squares import solve
@@ -14,6 +16,7 @@ from analytics.loop.tracing.whitening.noise_variance import (
     Averages,
     averages_of,
     expected_variance,
+    squares_spread,
     within_run_variance,
 )
 from stream.batch import FloatArray, IntArray
@@ -24,6 +27,7 @@ LEAST_TO_GAIN = 0.02  # excess of the squared error over the floor, relative to 
 LEAST_SPANNED = 0.9  # share of an averaging time that the longest run must span: a run may begin within a block
 EXCITED = 0.25  # an average excites the effect if the prediction exceeds this part of its maximum
 _CONFIDENCE = 0.975  # two-sided 95 %
+_NORMAL = float(stats.norm.ppf(_CONFIDENCE))
 
 
 class _Squares(NamedTuple):
@@ -77,7 +81,42 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
         table.append(row)
         fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
     whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if has_effect else (None, None)
-    return ErrorTable(tuple(names), is_held_out, record.stack.runs[0].unit_of_measure, tuple(table), whole, on_excited)
+    unit_of_measure = record.stack.runs[0].unit_of_measure
+    table_of = ErrorTable(tuple(names), is_held_out, unit_of_measure, tuple(table), whole, on_excited)
+    reference = table_of.reference
+    if not has_effect or reference is None:
+        return table_of
+    averages = dict(_averages(box))[reference.averaging_s]
+    return msgspec.structs.replace(table_of, gain=expected_gain(box, averages, noise))
+
+
+def expected_gain(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> ErrorGain | None:
+    """Relative decrease of the mean squared error about the mean of each run, expected of new runs like these.
+
+    The systematic error is Z u with the declared model alone and Z v with the effects; Z are the averages, about the
+    mean of each run, of the predictions and of the declared columns. Generalised least squares in the held-out runs
+    finds u and v, the errors of the declared coefficients having their covariance of the training. With the squares N
+    of what is left, the gain is (u'Z'Z u - v'Z'Z v) / (u'Z'Z u + N); the bounds propagate the covariance and the
+    scatter of N under the noise model. As each frequency is weighted by its noise, they are far closer than those of a
+    difference of squared errors, which drift dominates (`error_gain`). None where the effects predict nothing within
+    runs.
+    """
+    run = np.array([box.record.stack.run_number[rows[0]] for rows in averages.rows])
+    columns = np.column_stack([box.predictions, box.record.design])
+    within = np.column_stack([less_run_means(each, run) for each in averages.of(columns).T])
+    width = box.predictions.shape[1]
+    if not within[:, :width].any():
+        return None
+    power, fitted = within.T @ within, fitted_error(box)
+    left = less_run_means(averages.of(box.before), run) - within @ fitted.coefficients
+    alone = fitted.coefficients + np.concatenate([np.zeros(width), box.declared - box.declared_alone.coefficients])
+    effects = fitted.coefficients - np.concatenate([np.ones(width), np.zeros(box.declared.size)])
+    before = float(alone @ power @ alone + left @ left)
+    gain = float(alone @ power @ alone - effects @ power @ effects) / before
+    by_size = 2 * power @ (alone - effects - gain * alone) / before
+    by_noise = gain * float(left @ left) / before * squares_spread(box.record, noise, averages)
+    half = _NORMAL * float(np.sqrt(by_size @ fitted.covariance @ by_size + by_noise**2))
+    return ErrorGain(gain, gain - half, min(1.0, gain + half), np.unique(run).size)
 
 
 def error_shares(box: HeldOutSet, found: Search) -> dict[str, float]:
@@ -118,7 +157,7 @@ def _noise_alone(box: HeldOutSet, found: Search) -> tuple[FloatArray, FloatArray
     width = box.predictions.shape[1]
     whitened = box.whitened[:, 1:]
     known = np.zeros((whitened.shape[1], whitened.shape[1]))
-    known[width:, width:] = np.linalg.pinv(box.covariance)
+    known[width:, width:] = box.information
     for number, each in enumerate(found.common):
         known[number, number] = information(found, each)
     solution = solve(known + whitened.T @ whitened, whitened.T @ box.whitened_after)
@@ -165,7 +204,7 @@ def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGai
     left = gained - fraction * np.bincount(of_run, before**2)
     se = float(np.sqrt(count / (count - 1) * np.sum(left**2))) / squares
     half = float(stats.t.ppf(_CONFIDENCE, count - 1)) * se
-    return ErrorGain(fraction, fraction - half, fraction + half, count)
+    return ErrorGain(fraction, fraction - half, min(1.0, fraction + half), count)
 
 
 def less_run_means(values: FloatArray, run: IntArray) -> FloatArray:

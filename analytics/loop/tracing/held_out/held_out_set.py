@@ -46,6 +46,17 @@ class HeldOutSet:
         return np.asarray(self.before - self.predictions.sum(axis=1))
 
     @property
+    def information(self) -> FloatArray:
+        """Inverse of the covariance of the declared coefficients, whose units differ by orders of magnitude.
+
+        Zero for what the training does not excite: nothing is known of it.
+        """
+        size = np.sqrt(np.diag(self.covariance))
+        size[size == 0] = 1.0
+        scale = np.outer(size, size)
+        return np.asarray(np.linalg.pinv(self.covariance / scale, hermitian=True) / scale)
+
+    @property
     def whitened_after(self) -> FloatArray:
         """The same, whitened, of the held-out blocks."""
         return np.asarray(self.whitened[:, 0] - self.whitened[:, 1 : 1 + self.predictions.shape[1]].sum(axis=1))
@@ -125,6 +136,21 @@ def judge(boxes: Sequence[HeldOutSet], found: Search, names: Sequence[str]) -> H
         return Holdout(tuple(names), judged[0], tuple(judged))
     (total,) = _slopes(boxes, found, common, np.ones((len(common), 1)), ["all"])
     return Holdout(tuple(names), total, tuple(judged))
+
+
+def fitted_error(box: HeldOutSet) -> Solution:
+    """Slopes of the effects and errors of the declared coefficients in the held-out blocks, with their covariance.
+
+    The errors of the declared coefficients have their covariance of the training; slopes are free.
+    """
+    width = box.predictions.shape[1]
+    columns = box.whitened[:, 1:]
+    known = np.zeros((columns.shape[1], columns.shape[1]))
+    known[width:, width:] = box.information
+    solution = solve(known + columns.T @ columns, columns.T @ box.whitened[:, 0])
+    left = box.whitened[:, 0] - columns @ solution.coefficients
+    excess = redness([columns[:, :width]], [left], [box.record.stack.run_number[box.held_out]])
+    return Solution(solution.coefficients, solution.covariance * excess)
 
 
 def _slopes(

@@ -93,7 +93,7 @@ class Holdout(msgspec.Struct, frozen=True):
 
 
 class ErrorGain(msgspec.Struct, frozen=True):
-    """Relative decrease of the squared error, with its 95 % confidence bounds over runs."""
+    """Relative decrease of the squared error, with its 95 % confidence bounds."""
 
     fraction: float  # 1 - MSE after / MSE before; negative if the error rises
     lo: float | None  # bounds; None for a single run
@@ -125,7 +125,7 @@ class ErrorAt(msgspec.Struct, frozen=True):
     before_within: float = 0.0  # the same about the mean of each run, without turn-on scatter
     after_within: float = 0.0
     floor_within: float = 0.0
-    gain: ErrorGain | None = None  # None if nothing was found
+    gain: ErrorGain | None = None  # observed, bounds over runs; None if nothing was found
     gain_within: ErrorGain | None = None  # of the error within runs
 
 
@@ -139,6 +139,8 @@ class ErrorTable(msgspec.Struct, frozen=True):
     # (MSE before - after) / (before - floor) at 1800 s; None if nothing exceeds the floor
     achievable_fraction: float | None = None
     achievable_fraction_excited: float | None = None  # over averages that excite the effect
+    # of the error within runs at the averaging time of `reference`, expected of new runs like these
+    gain: ErrorGain | None = None
 
     @property
     def reference(self) -> ErrorAt | None:
@@ -149,11 +151,10 @@ class ErrorTable(msgspec.Struct, frozen=True):
 
     def document(self) -> dict[str, Any]:
         """JSON form."""
-        reference = self.reference
         by_time = {f"rms_{row.averaging_s:g}s": row for row in self.rows}
         return {
             **{part: {key: getattr(row, part) for key, row in by_time.items()} for part in _PARTS},
-            "gain": None if reference is None else _gain(reference.gain),
+            "gain": _gain(self.gain),
             "gain_at": {key: _gain(row.gain) for key, row in by_time.items()},
             "gain_within_at": {key: _gain(row.gain_within) for key, row in by_time.items()},
             "achievable_fraction": self.achievable_fraction,

@@ -1,6 +1,7 @@
 """Variance of averages of blocks that the noise model predicts."""
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import msgspec
@@ -13,6 +14,7 @@ from analytics.loop.tracing.whitening.white_variance import LEAST_RATIO, OUTLIER
 from stream.batch import BoolArray, FloatArray, IntArray
 
 _SQUARED_OUTLIER = 20.0  # variance of an outlier relative to its neighbours: it is at least 4.5 standard deviations off
+MOST_COVARIANCES = 48  # averages of a run whose covariance is computed
 LEAST_FILLED = 0.5  # least share of its blocks that an average needs
 
 
@@ -46,21 +48,56 @@ def averages_of(record: UnitRecord, blocks: int, within: IntArray) -> Averages:
 
 
 def correlated_variance(record: UnitRecord, noise: ModelNoise, of_run: BoolArray, weights: FloatArray) -> float:
-    """Variance of a weighted sum of the blocks of one run due to flicker, random walk and turn-on scatter.
+    """Variance of a weighted sum of the blocks of one run, see `correlated_covariance`."""
+    return float(correlated_covariance(record, noise, of_run, weights[:, None])[0, 0])
 
-    `of_run` marks these blocks; `weights` has all blocks of the record.
+
+def correlated_covariance(record: UnitRecord, noise: ModelNoise, of_run: BoolArray, weights: FloatArray) -> FloatArray:
+    """Covariance of weighted sums of the blocks of one run due to flicker, random walk and turn-on scatter.
+
+    `of_run` marks these blocks; `weights` has all blocks of the record, and a column for each sum.
     """
     space = record.noise_model.space(noise)
     slot = record.stack.slot[of_run]
-    on_grid = np.zeros(slot[-1] + 1 - slot[0])
+    on_grid = np.zeros((slot[-1] + 1 - slot[0], weights.shape[1]))
     on_grid[slot - slot[0]] = weights[of_run]
-    total = space.start * on_grid.sum() ** 2
-    later = np.cumsum(on_grid[::-1])[::-1]
-    total += space.walk * np.sum(later[1:] ** 2)
+    sums = on_grid.sum(axis=0)
+    later = np.cumsum(on_grid[::-1], axis=0)[::-1][1:]
+    total = space.start * np.outer(sums, sums) + space.walk * (later.T @ later)
     for decay, variance in zip(space.decay, space.variance, strict=True):
-        faded = lfilter([0.0, decay], [1.0, -decay], on_grid)  # of earlier blocks
-        total += variance * (np.sum(on_grid**2) + 2 * np.sum(on_grid * faded))
-    return float(total)
+        faded = on_grid.T @ lfilter([0.0, decay], [1.0, -decay], on_grid, axis=0)  # of earlier blocks
+        total += variance * (on_grid.T @ on_grid + faded + faded.T)
+    return np.asarray(total)
+
+
+def squares_spread(record: UnitRecord, noise: ModelNoise, averages: Averages) -> float:
+    """Relative standard deviation of the sum of squares of averages about the mean of their run.
+
+    sqrt(2 tr(C^2))/tr(C) with the covariance C of the averages; of a long run the first `MOST_COVARIANCES` stand for
+    the others.
+    """
+    trace = squares = 0.0
+    quiet = msgspec.structs.replace(noise, turn_on=0.0)
+    for of_run, own in _by_run(record, averages):
+        weights = np.zeros((len(record), min(len(own), MOST_COVARIANCES)))
+        for column, rows in enumerate(own[:MOST_COVARIANCES]):
+            weights[rows, column] = 1 / rows.size
+        covariance = correlated_covariance(record, quiet, of_run, weights)
+        covariance += record.noise_model.space(quiet).white * (weights.T * _white(record)) @ weights
+        centred = covariance - covariance.mean(axis=0)
+        centred -= centred.mean(axis=1, keepdims=True)
+        scale = len(own) / weights.shape[1]
+        trace += scale * float(np.trace(centred))
+        squares += scale * float(np.sum(centred**2))
+    return float(np.sqrt(2 * squares)) / trace if trace > 0 else 0.0
+
+
+def _by_run(record: UnitRecord, averages: Averages) -> Iterator[tuple[BoolArray, list[IntArray]]]:
+    """The blocks of each run with averages, and the rows of each of these."""
+    number = record.stack.run_number
+    run_of = np.array([number[rows[0]] for rows in averages.rows])
+    for run in np.unique(run_of):
+        yield number == run, [rows for rows, of in zip(averages.rows, run_of, strict=True) if of == run]
 
 
 def _white(record: UnitRecord) -> FloatArray:
@@ -72,19 +109,14 @@ def _white(record: UnitRecord) -> FloatArray:
 def within_run_variance(record: UnitRecord, noise: ModelNoise, averages: Averages) -> float:
     """Mean variance of averages about the mean of their run, without turn-on scatter."""
     quiet = msgspec.structs.replace(noise, turn_on=0.0)
-    variance = expected_variance(record, quiet, averages)
-    number = record.stack.run_number
-    run_of = np.array([number[rows[0]] for rows in averages.rows])
-    space = record.noise_model.space(quiet)
-    total = 0.0
-    for run in np.unique(run_of):
-        own = [rows for rows, of in zip(averages.rows, run_of, strict=True) if of == run]
+    total = float(expected_variance(record, quiet, averages).sum())
+    for of_run, own in _by_run(record, averages):
         weights = np.zeros(len(record))
         for rows in own:
             weights[rows] += 1 / rows.size / len(own)
-        of_mean = correlated_variance(record, quiet, number == run, weights)
-        of_mean += space.white * float(np.sum(_white(record) * weights**2))
-        total += float(variance[run_of == run].sum()) - len(own) * of_mean
+        of_mean = correlated_variance(record, quiet, of_run, weights)
+        of_mean += record.noise_model.space(quiet).white * float(np.sum(_white(record) * weights**2))
+        total -= len(own) * of_mean
     return max(total, 0.0) / len(averages.rows)
 
 
