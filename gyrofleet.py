@@ -33,7 +33,7 @@ from stream.command_group import CommandGroup  # noqa: E402  after the check abo
 if TYPE_CHECKING:
     from analytics.api.arrays import DeviationCurve, allan_deviation, noise_fit
     from analytics.api.store import FleetStore, open_store
-    from stream.errors import BadInput, GyrofleetError, NotEnoughData, NotFound, QueryError, StoreError
+    from stream.errors import BadInput, GyrofleetError, NotEnoughData, NotFound, QueryError, StoreError, UnknownUnit
 
 _OFFERED = {
     "DeviationCurve": "analytics.api.arrays",
@@ -47,6 +47,7 @@ _OFFERED = {
     "NotFound": "stream.errors",
     "QueryError": "stream.errors",
     "StoreError": "stream.errors",
+    "UnknownUnit": "stream.errors",
 }
 __all__ = [
     "BadInput",
@@ -57,6 +58,7 @@ __all__ = [
     "NotFound",
     "QueryError",
     "StoreError",
+    "UnknownUnit",
     "allan_deviation",
     "main",
     "noise_fit",

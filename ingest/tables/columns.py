@@ -27,6 +27,7 @@ _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\])?\s*")
 _ROUND_TITLE = re.compile(r"\s*([^\[\]]*?)\s*\(((?:[^()\[\]]|\([^()\[\]]*\))*)\)\s*")
 _LOOKS_LIKE_TIME = frozenset({"t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime"})
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
+_MOST_PROBLEMS = 8  # in one error
 _SQUARE = "name it like 'rate[deg/s]'"
 
 
@@ -100,8 +101,7 @@ def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps
     try:
         _refuse_repeated("column", titles)
         reader = _HeaderReader(titles, options, stamps)
-        for number, title in enumerate(titles, 1):
-            reader.add(title, number)
+        _add_all(reader, titles)
         columns = reader.columns
         _refuse_repeated("signal", [signal.name for signal in columns.signals])
         _refuse_repeated("column", [word.word for word in columns.words])
@@ -109,6 +109,21 @@ def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps
     except BadInput as error:
         raise type(error)(f"{path}: {error}") from error
     return columns
+
+
+def _add_all(reader: "_HeaderReader", titles: Sequence[str]) -> None:
+    """Read every title, and report all that cannot be read in one error."""
+    problems: list[BadInput] = []
+    for number, title in enumerate(titles, 1):
+        try:
+            reader.add(title, number)
+        except BadInput as error:
+            problems.append(error)
+    if problems:
+        texts = [str(error) for error in problems[:_MOST_PROBLEMS]]
+        if more := len(problems) - len(texts):
+            texts.append(f"and {more} more columns")
+        raise type(problems[0])("; ".join(texts))
 
 
 def _refuse_repeated(kind: str, names: Sequence[str]) -> None:
@@ -140,9 +155,9 @@ class _HeaderReader:
             unit, is_foreign = unit if new_unit is None else new_unit, False
             unit = None if name in {"unit", "run"} | WORD_NAMES and new_unit is None else unit
         is_time = _is_time_name(name)
-        is_stamp = title in self._stamps and (unit is None or is_foreign or _plain_letters(unit) in _STAMP_UNITS)
+        is_stamp = title in self._stamps
         if name == "time" or (is_time and (is_stamp or (is_foreign and _is_of_time(unit)))):
-            self._add_time(title, unit, is_stamp=is_stamp)
+            self._add_time(title, unit, is_stamp=is_stamp, is_foreign=is_foreign)
         elif name in {"unit", "run"}:
             self._add_owner(title, name, unit)
         elif name in WORD_NAMES:
@@ -152,11 +167,15 @@ class _HeaderReader:
         else:
             self._add_signal(title, name, unit, is_foreign=is_foreign)
 
-    def _add_time(self, title: str, unit: str | None, *, is_stamp: bool) -> None:
+    def _add_time(self, title: str, unit: str | None, *, is_stamp: bool, is_foreign: bool) -> None:
         if self.columns.time is not None:
             raise BadInput(f"columns {self.columns.time.title!r} and {title!r} are both times; keep one")
         if is_stamp:
             self.columns.time = TimeColumn(title, 1, is_stamp=True)
+            if unit is not None and _plain_letters(unit) not in _STAMP_UNITS and not is_foreign:
+                self.columns.remarks.append(
+                    f"column {title!r} holds ISO 8601 time stamps; its unit [{unit}] is ignored"
+                )
             return
         if unit is None:
             raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")

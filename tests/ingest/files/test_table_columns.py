@@ -56,6 +56,19 @@ def test_a_header_that_breaks_the_contract_is_refused(titles: list[str], message
     assert str(caught.value).startswith("a.csv: ")
 
 
+def test_all_columns_that_cannot_be_read_are_named_at_once() -> None:
+    with pytest.raises(BadInput) as caught:
+        read_header(Path("a.csv"), ["time[s]", "rate", "temp", "Note"], G1)
+    assert all(f"--rename '{name}=" in str(caught.value) for name in ("rate", "temp", "Note"))
+
+
+def test_time_stamps_named_in_seconds_are_read_as_stamps_and_reported() -> None:
+    columns = read_header(Path("a.csv"), ["time[s]", "rate[deg/s]"], G1, stamps=["time[s]"])
+    assert columns.time is not None
+    assert columns.time.is_stamp
+    assert columns.remarks == ["column 'time[s]' holds ISO 8601 time stamps; its unit [s] is ignored"]
+
+
 def test_an_unknown_unit_of_measure_names_column_and_likely_unit() -> None:
     with pytest.raises(UnknownUnit, match=r"column 'rate\[dge/s\]'.*did you mean deg/s"):
         read_header(Path("a.csv"), ["time[s]", "rate[dge/s]"], G1)

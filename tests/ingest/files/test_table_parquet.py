@@ -1,7 +1,6 @@
 """Parquet files by the contract, good and bad."""
 
 from collections.abc import Callable
-from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -99,7 +98,6 @@ def test_bad_rows_are_named_by_row(write: Tool, said: Tool) -> None:
         ({"time[s]": [0.0], "rate[deg/s]": ["1"]}, "column 'rate[deg/s]' holds large_string, expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [True]}, "holds bool, expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [[1.0]]}, "expected numbers"),
-        ({"time[s]": [datetime(2026, 1, 1)], "rate[deg/s]": [1.0]}, "holds timestamp"),
         ({"time[s]": [0.0], "rate[deg/s]": [1.0], "step": [[1]]}, "expected text"),
         ({"time[s]": [], "rate[deg/s]": []}, "no rows"),
         ({"time[s]": [0.0], "rate[deg/s]": pl.Series([None], dtype=pl.Null)}, "not one sample"),
