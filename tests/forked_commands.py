@@ -25,15 +25,26 @@ _PR_SET_CHILD_SUBREAPER = 36
 _MOST_BYTES = 1 << 20
 _FILES = (None, subprocess.PIPE)
 _PARTS = 23
-# what commands import when they come to it
+# what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
-    "analytics.evaluation.evaluation",
+    "analytics.evaluation.selection",
+    "analytics.evaluation.table",
     "analytics.loop.tracing.diagnosis",
     "analytics.metric_registry.registry",
+    "ingest.can.bus.interface",
     "ingest.importing.importer",
+    "ingest.procedures.run_steps",
+    "ingest.tables.file",
     "matplotlib.pyplot",
+    "pandas",
+    "polars",
+    "pyarrow.dataset",
+    "pyarrow.pandas_compat",
+    "rich._emoji_codes",
+    "rich.status",
     "scipy.signal",
     "scipy.stats",
+    "storage.sql.reading",
 )
 
 

@@ -90,7 +90,7 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
         found = _of_units(evaluate(catalog, [metrics()[name] for name in sorted(needed)]), stale)
         replaced = pc.and_(_is_in(table["unit"], stale), _is_in(table["metric"], needed))
         catalog.put("unit_metrics", pa.concat_tables([table.filter(pc.invert(replaced)), found]))
-        table = catalog.reader(_SORTED).read_all().cast(COLUMNS)
+        table = catalog.table(_SORTED).cast(COLUMNS)
         if is_partial:
             catalog.put("step_means", steps)
     if stale or not is_same:
@@ -127,7 +127,16 @@ def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue; `COLUMNS`."""
     keep_scale_factors(catalog)
-    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric) for metric in chosen)])
+    able = _with_rows(catalog, list(chosen))
+    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric) for metric in able)])
+
+
+def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
+    """Those with rows in what they are made of: planning a statement takes much longer than running it."""
+    sources = {metric.header.of for metric in chosen} - {""}
+    sql = ", ".join(f'exists (from {source}) as "{source}"' for source in sorted(sources))
+    found = catalog.table(f"select {sql}").to_pylist()[0] if sources else {}
+    return [metric for metric in chosen if found.get(metric.header.of, True)]
 
 
 def keep_scale_factors(catalog: Catalog) -> None:
@@ -156,8 +165,7 @@ def _values(catalog: Catalog, metric: Metric) -> pa.Table:
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric's statement or function, before the columns that all metrics share are filled in."""
     if not metric.header.python:
-        body = f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})"  # noqa: S608
-        return catalog.reader(body).read_all()
+        return catalog.table(f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})")  # noqa: S608
     rows = resolve_name(metric.header.python)(catalog, metric.sql)
     if isinstance(rows, pa.Table):
         return rows

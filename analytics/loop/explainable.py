@@ -110,7 +110,9 @@ def explainable(residuals: Residuals, seed: int = 0) -> Explainable | None:
 
     Needs scikit-learn, the extra ``explain``.
     """
-    # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine
+    # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine; a limit
+    # holds only for libraries that are loaded by then
+    import sklearn.ensemble  # noqa: F401
     from threadpoolctl import threadpool_limits
 
     record = residuals.record

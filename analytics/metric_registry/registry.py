@@ -50,6 +50,7 @@ class MetricHeader(NamedTuple):
     equation: str  # as in the clause
     # `module:function` that makes the rows where SQL cannot say all of it; it takes the catalogue and the statement
     python: str = ""
+    of: str = ""  # table or view that its statement reads: without rows there, it is not run
 
     @property
     def standard(self) -> str:
@@ -92,6 +93,7 @@ def parse_header(text: str, where: str) -> MetricHeader:
     return MetricHeader(
         **{name: lines[name] for name in texts},
         python=lines.get("python", ""),
+        of=lines.get("of", ""),
         sources=tuple(sources),
         limits=BoundsSource(lines["limits"]),
         parameters=tuple(parameters),

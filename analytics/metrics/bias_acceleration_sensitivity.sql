@@ -10,6 +10,7 @@
 -- limits:    given
 -- equation:  (mean(+1 g) - mean(-1 g))/(2 g); of the unit the largest in magnitude
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
+-- of:        internal.bias_flips
 with shown as (
   select *, axis as shown from internal.bias_flips
   where earth_rate = 'none' or not coalesce(list_contains(level, axis), false)

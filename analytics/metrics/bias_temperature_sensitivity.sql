@@ -11,6 +11,7 @@
 -- limits:    given
 -- equation:  Bt = max_i abs((B0_i - B0_room)/(T_i - T_room))
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
+-- of:        internal.bias_temperature_points
 -- A maximum has no symmetric error: the limits are those of `largest_magnitudes`, over all points together. Standard
 -- uncertainty and freedom are those of the steepest point. The thermometer's own error is not in it.
 select unit, signal, run, all_n as n, all_steps as steps, lack as reason, slope as difference, u, freedom,

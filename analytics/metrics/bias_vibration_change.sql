@@ -10,4 +10,5 @@
 -- limits:    given
 -- equation:  abs(B_after - B_before) along each axis; of the unit the largest
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
+-- of:        internal.bias_changes
 from bias_axis_changes('vibration') order by test, axis

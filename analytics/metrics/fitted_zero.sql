@@ -10,6 +10,7 @@
 -- limits:    t
 -- equation:  F0 = mean(F_j) - K mean(Omega_j), reported as F0/K
 -- python:    analytics.metrics.fitted_zero:compute
+-- of:        internal.scale_fits
 select unit, signal, run, steps, standard,
   case standard when 'GJB2426A' then '5.8.1 (6)' when 'JJF2014' then '7.2.1 (5)' else '7.1 (15)' end as clause,
   n, words, lack as reason, k, zero, rest_zero, points, rests, rest_before, rest_after,

@@ -9,6 +9,7 @@
 -- needs:     the misalignment in four positions, Q >= 7 times
 -- limits:    chi_square
 -- equation:  gamma_mr = sqrt(sum((gamma_i - mean(gamma))^2)/(Q - 1))
+-- of:        internal.misalignment_angles
 with counted as (
   select *, count(*) over (partition by unit, signal, run) as in_run,
     bool_or(coalesce(starts_with("procedure", 'misalignment_repeat'), false)) over (partition by unit, signal, run)

@@ -9,6 +9,7 @@
 -- needs:     a run of one static step whose Allan curve was fitted when it ended (procedure allan_variance)
 -- limits:    given
 -- equation:  K = sqrt(3 A_1), sigma^2(tau) = sum A_m tau^m
+-- of:        internal.noise_coefficients
 -- Erratum: the print's polynomial by plain least squares gives negative variances; here coefficients are not negative,
 -- weighted by the degrees of freedom of the Allan variance, and reported as not observable where the record shows none.
 from fitted_coefficient('rate_random_walk')

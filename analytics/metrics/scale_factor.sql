@@ -10,6 +10,7 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
 -- equation:  K from the least-squares line F_j = K Omega_j + F0 + v_j
+-- of:        internal.scale_fits
 -- The unit of a value is that of the output over deg/s, and 1 where the output is a rate.
 -- Subtracting the rests changes F0 and not K: the standards differ only in what they ask for.
 -- Where a measurement satisfies none of them, a row of the standard `informative` has the value of the line, and its

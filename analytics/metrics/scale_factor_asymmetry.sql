@@ -9,6 +9,7 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
 -- equation:  K_a = |K+ - K-|/((K+ + K-)/2); JJF 2014: over K of the line through all rates
+-- of:        internal.scale_fits
 -- K+ and K- are slopes of lines with zeros of their own. The rates are the same in both directions, so that what bends
 -- both lines alike (v+ = -v-) drops out of the difference and out of its uncertainty.
 with sides as (

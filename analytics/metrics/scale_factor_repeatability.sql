@@ -10,6 +10,7 @@
 -- limits:    given
 -- equation:  K_r = sqrt(sum((K_i - mean(K))^2)/(Q - 1))/mean(K)
 -- python:    analytics.metrics.scale_factor_repeatability:compute
+-- of:        internal.scale_fits
 -- A run is a test by itself if its procedure is one or it holds several scale factors; all runs of a unit together are
 -- another. Left out are those that were measured under several conditions on purpose.
 with conditioned as (

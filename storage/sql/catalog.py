@@ -216,6 +216,16 @@ class Catalog(Closing):
         """The batches of a statement's result."""
         yield from self.guarded(self.reader(sql, parameters, rows))
 
+    def table(self, sql: str) -> pa.Table:
+        """The whole result of a statement of many views and macros: it is planned once, a reader's twice."""
+        self._fill(sql)
+        try:
+            cursor = self._connection.cursor()
+            cursor.execute(f"create temporary table whole as {sql}")
+            return cursor.table("whole").to_arrow_table()
+        except duckdb.Error as error:
+            raise _failed(error) from error
+
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
         """All rows of a statement's result."""
         return [tuple(row.values()) for batch in self.batches(sql, parameters) for row in batch.to_pylist()]
