@@ -37,7 +37,8 @@ def run(*command: str | Path, cwd: Path = ROOT) -> None:
     # tests start hundreds of processes, each of which would compile the project anew
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     # more tests run than there are processors: threads of the linear algebra would only wait for each other
-    env.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for library in ("OPENBLAS", "OMP"):
+        env.setdefault(f"{library}_NUM_THREADS", "1")
     code = subprocess.run([str(part) for part in command], cwd=cwd, env=env, check=False).returncode
     if code != 0:
         sys.exit(f"failed with exit code {code}: {' '.join(str(part) for part in command)}")
