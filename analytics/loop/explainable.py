@@ -9,11 +9,10 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from scipy import stats
-from scipy.signal import lfilter
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import normal_sf, student_sf
 from analytics.loop.residuals import Residuals
 from analytics.loop.tracing.held_out.error_report import error_gain, less_run_means
 from analytics.loop.tracing.result.holdout import REFERENCE_S
@@ -223,7 +222,7 @@ def _p_value(along: FloatArray, squares: FloatArray) -> float:
     slope = total / float(squares.sum())
     by_model = np.sqrt(2.0 * squares.sum())
     by_scatter = np.sqrt(2.0 * count / (count - 1) * np.sum((along - slope * squares) ** 2))
-    return float(max(stats.norm.sf(total / by_model), stats.t.sf(total / max(by_scatter, 1e-300), count - 1)))
+    return float(max(normal_sf(total / by_model), student_sf(total / max(by_scatter, 1e-300), count - 1)))
 
 
 def _features(residuals: Residuals) -> _Features:
@@ -242,6 +241,8 @@ def _features(residuals: Residuals) -> _Features:
 
 
 def _of_channel(run: RunBlocks, name: str) -> tuple[FloatArray, ...]:
+    from scipy.signal import lfilter  # slow to import
+
     mean = run.mean(name)
     time_s = run.time_s
     slope = np.gradient(mean, time_s) if len(run) > 1 else np.zeros(len(run))

@@ -5,11 +5,11 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import chi_square_sf, normal_sf
 from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
@@ -188,7 +188,7 @@ def _unlike_others(number: int, information: FloatArray, product: FloatArray) ->
         return 1.0
     mean = float(product.sum() - product[number]) / others
     apart = product[number] / information[number] - mean
-    return float(2 * stats.norm.sf(abs(apart) / np.sqrt(1 / information[number] + 1 / others)))
+    return float(2 * normal_sf(abs(apart) / np.sqrt(1 / information[number] + 1 / others)))
 
 
 def significant_findings(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str, ...]]:
@@ -197,7 +197,7 @@ def significant_findings(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str,
     for unit, found in alone.items():
         if found.effects:
             largest = max(each.significance for each in found.effects)
-            p_values[unit] = min(1.0, TESTS_IN_A_SEARCH * float(stats.chi2.sf(largest**2, 1)))
+            p_values[unit] = min(1.0, TESTS_IN_A_SEARCH * float(chi_square_sf(largest**2, 1)))
     return {unit: alone[unit].names for unit in benjamini_hochberg(p_values)}
 
 

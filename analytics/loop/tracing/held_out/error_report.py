@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
+from analytics.loop.distributions import f_quantile, student_quantile
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, information
 from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
 from analytics.loop.tracing.search.effect_search import Search
@@ -130,7 +130,7 @@ def _floor(
 ) -> FloatArray:
     predictions = averages.of(box.predictions)
     present = averages.of(left) ** 2 + np.einsum("ij,jk,ik->i", predictions, error, predictions)
-    most = float(stats.f.ppf(MOST_BY_CHANCE, *runs))
+    most = f_quantile(MOST_BY_CHANCE, *runs)
     return np.asarray(present * min(1.0, most * allowed.sum() / max(float(present.sum()), 1e-300)))
 
 
@@ -164,7 +164,7 @@ def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGai
         return ErrorGain(fraction, None, None, count)
     left = gained - fraction * np.bincount(of_run, before**2)
     se = float(np.sqrt(count / (count - 1) * np.sum(left**2))) / squares
-    half = float(stats.t.ppf(_CONFIDENCE, count - 1)) * se
+    half = student_quantile(_CONFIDENCE, count - 1) * se
     return ErrorGain(fraction, fraction - half, fraction + half, count)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.signal import lfilter
+from numba import njit
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.stack import UnitRecord
@@ -58,9 +58,20 @@ def correlated_variance(record: UnitRecord, noise: ModelNoise, of_run: BoolArray
     later = np.cumsum(on_grid[::-1])[::-1]
     total += space.walk * np.sum(later[1:] ** 2)
     for decay, variance in zip(space.decay, space.variance, strict=True):
-        faded = lfilter([0.0, decay], [1.0, -decay], on_grid)  # of earlier blocks
+        faded = _faded(on_grid, decay)
         total += variance * (np.sum(on_grid**2) + 2 * np.sum(on_grid * faded))
     return float(total)
+
+
+@njit(cache=True, nogil=True)
+def _faded(values, decay):  # type: ignore[no-untyped-def]
+    """Sum of the earlier values, each faded by `decay` for every block since."""
+    out = np.empty(values.size)
+    total = 0.0
+    for t in range(values.size):
+        out[t] = total
+        total = decay * values[t] + decay * total
+    return out
 
 
 def _white(record: UnitRecord) -> FloatArray:
