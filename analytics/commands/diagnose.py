@@ -97,6 +97,7 @@ def diagnose(
     gyrofleet diagnose --unit FOG-1 --model 'rate = bias + temperature'
     gyrofleet diagnose --fleet --signal rate --model bias --report nov.html
     """  # noqa: D301  \b keeps the lines apart
+    from analytics.loop.tracing.processors import processors
     from analytics.loop.unit_diagnosis import trace_units, with_explainable, with_next_tests, with_recovery
     from analytics.loop.unit_reduction import Question, reduce_units, units_with
 
@@ -116,7 +117,7 @@ def diagnose(
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
             read = reduce_units(catalog, chosen, question, on_progress=report)
         # the catalogue is closed to free its memory for the trace
-        found = trace_units(read, question, is_pooled=fleet, on_progress=report)
+        found = trace_units(read, question, is_pooled=fleet, processes=processors(), on_progress=report)
         if asks_explainable is not False:
             found = with_explainable(found, report, is_asked=asks_explainable is not None)
         if tries is not None:

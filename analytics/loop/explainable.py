@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
@@ -109,15 +110,13 @@ def explainable(residuals: Residuals, seed: int = 0) -> Explainable | None:
 
     Needs scikit-learn, the extra ``explain``.
     """
-    # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine
-    from threadpoolctl import threadpool_limits
-
     record = residuals.record
     replicate = record.stack.replicate
     features = _features(residuals)
     if len(record.stack.replicates) < _FEWEST_REPLICATES or not features.channel:
         return None
     left = less_run_means(residuals.after, replicate)
+    # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine
     with threadpool_limits(1, "openmp"):
         forest = _Forest.grown(features, left, replicate, seed)
         predicted = forest.predicted()

@@ -14,8 +14,9 @@ from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
-from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
+from analytics.loop.tracing.diagnosis import FIRST_TIER, Asked, diagnosed
 from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.processors import by_processes
 from analytics.loop.tracing.random_effect import RandomEffect, presence, random_effect
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import Holdout
@@ -80,21 +81,28 @@ def diagnose_fleet(
     holdout: Mapping[str, Sequence[str]] | None = None,
     left_out: Mapping[str, Sequence[LeftOut]] | None = None,
     seed: int = 0,
+    processes: int = 1,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> FleetDiagnosis:
     """Find effects that a declared error model lacks in all units together, and in each.
 
     Each unit has its own coefficients of the declared model; the effects to test are by default all whose channels are
-    recorded in all units. For `declared_noise`, `holdout` and `left_out`, by unit, see `diagnose`.
+    recorded in all units. The units alone are traced by several `processes`. For `declared_noise`, `holdout` and
+    `left_out`, by unit, see `diagnose`.
     """
     noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
-    alone: dict[str, Diagnosis] = {}
-    for number, (unit, runs) in enumerate(units.items(), start=1):
-        on_progress(f"tracing {unit} ({number} of {len(units)})")
-        noise, own, losing = noises.get(unit), held_out.get(unit), losses.get(unit, ())
-        alone[unit] = diagnose(
-            runs, model, effects=effects, declared_noise=noise, holdout=own, left_out=losing, seed=seed
+    asked = [
+        Asked(
+            runs, model, effects=effects, declared_noise=noises.get(unit), holdout=held_out.get(unit),
+            left_out=losses.get(unit, ()), seed=seed,
         )
+        for unit, runs in units.items()
+    ]  # fmt: skip
+    alone: dict[str, Diagnosis] = {}
+    answers = by_processes(diagnosed, asked, processes)
+    for number, unit in enumerate(units, start=1):
+        on_progress(f"tracing {unit} ({number} of {len(units)})")
+        alone[unit] = next(answers)
     own_findings = significant_findings(alone)
     enough = [unit for unit in units if alone[unit].model is not None]
     lacking = [(unit, each) for unit in units for each in alone[unit].missing[:1]]
