@@ -32,7 +32,7 @@ from stream.batch import BoolArray, FloatArray, IntArray
 _DENSE = 4  # readings a block from which on block means are taken
 _BESIDE = 4  # blocks beside a time range from which readings are taken, too
 _MOST_EXTREMES = 30
-_MOST_READINGS = 2_000_000  # of the signals that are read together
+_MOST_READINGS = 500_000  # of the signals that are read together
 _TOLERATED = 1.05  # of the interval between readings
 
 
