@@ -35,7 +35,7 @@ _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u2
 _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 _EXTRAS = {
     "asammdf": "mf4",
-    **dict.fromkeys(("sklearn", "threadpoolctl"), "explain"),
+    "sklearn": "explain",
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")

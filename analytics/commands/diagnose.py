@@ -97,7 +97,7 @@ def diagnose(
     gyrofleet diagnose --unit FOG-1 --model 'rate = bias + temperature'
     gyrofleet diagnose --fleet --signal rate --model bias --report nov.html
     """  # noqa: D301  \b keeps the lines apart
-    from analytics.evaluation.selection import dated
+    from analytics.loop.tracing.processors import processors
     from analytics.loop.unit_diagnosis import trace_units, with_explainable, with_next_tests, with_recovery
     from analytics.loop.unit_reduction import Question, reduce_units, units_with
 
@@ -110,14 +110,14 @@ def diagnose(
     question = Question(
         model=model, signal=signal, block_s=None if block is None else block_seconds(block),
         noise=None if noise is None else noise_of(noise), holdout=holdout_of(holdout), runs=runs or None,
-        since_ns=None if since is None else dated(since),
+        since_ns=None if since is None else _since_ns(since),
     )  # fmt: skip
     with status_line() as report:
         with opened_catalog(folder, quiet=as_json) as catalog:
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
             read = reduce_units(catalog, chosen, question, on_progress=report)
         # the catalogue is closed to free its memory for the trace
-        found = trace_units(read, question, is_pooled=fleet, on_progress=report)
+        found = trace_units(read, question, is_pooled=fleet, processes=processors(), on_progress=report)
         if asks_explainable is not False:
             found = with_explainable(found, report, is_asked=asks_explainable is not None)
         if tries is not None:
@@ -145,6 +145,12 @@ def diagnose(
         notes().print(f"error: the model of unit {unit} is not saved: {why}", soft_wrap=True)
     if found.failed or unsaved:
         sys.exit(1)
+
+
+def _since_ns(since: str) -> int:
+    from analytics.evaluation.selection import dated  # slow to import
+
+    return dated(since)
 
 
 def _check_suffixes(report_path: Path | None, procedure_path: Path | None) -> None:

@@ -2,7 +2,6 @@
 
 import msgspec
 import numpy as np
-from scipy import signal
 
 from analytics.loop.residuals import Residuals
 from stream.batch import FloatArray
@@ -72,6 +71,8 @@ def _segments(run: FloatArray) -> int:
 
 def _pooled(runs: list[FloatArray], block_s: float) -> tuple[FloatArray, FloatArray]:
     """Frequencies without zero, and the squared coherence of the two columns over runs."""
+    from scipy import signal  # slow to import
+
     options = {"fs": 1.0 / block_s, "nperseg": _SEGMENT_BLOCKS, "detrend": "constant"}
     spectra = np.zeros((3, _SEGMENT_BLOCKS // 2 + 1), dtype=np.complex128)
     for run in runs:
@@ -85,6 +86,8 @@ def _pooled(runs: list[FloatArray], block_s: float) -> tuple[FloatArray, FloatAr
 
 def _lag(runs: list[FloatArray]) -> tuple[int, float]:
     """Lag in blocks of the first column behind the second, and the correlation there."""
+    from scipy import signal  # slow to import
+
     lags = np.arange(-_MOST_LAG_BLOCKS, _MOST_LAG_BLOCKS + 1)
     products = np.zeros(lags.size)
     squares = np.zeros(2)

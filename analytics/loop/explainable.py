@@ -4,16 +4,17 @@ Gradient boosting of regression trees learns the residual of a diagnosed unit fr
 lags, and predicts each run from the other runs. What it predicts is a lower bound: another function may explain more.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
-from scipy import stats
-from scipy.signal import lfilter
+from threadpoolctl import threadpool_limits
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import normal_sf, student_sf
 from analytics.loop.residuals import Residuals
 from analytics.loop.tracing.held_out.error_report import error_gain, less_run_means
 from analytics.loop.tracing.result.holdout import REFERENCE_S
@@ -110,10 +111,7 @@ def explainable(residuals: Residuals, seed: int = 0) -> Explainable | None:
 
     Needs scikit-learn, the extra ``explain``.
     """
-    # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine; a limit
-    # holds only for libraries that are loaded by then
-    import sklearn.ensemble  # noqa: F401
-    from threadpoolctl import threadpool_limits
+    from sklearn.ensemble import HistGradientBoostingRegressor
 
     record = residuals.record
     replicate = record.stack.replicate
@@ -121,8 +119,10 @@ def explainable(residuals: Residuals, seed: int = 0) -> Explainable | None:
     if len(record.stack.replicates) < _FEWEST_REPLICATES or not features.channel:
         return None
     left = less_run_means(residuals.after, replicate)
+    # threads of the trees that wait for each other cost more than they save, twentyfold on a busy machine; the limit
+    # holds for libraries that are loaded by now
     with threadpool_limits(1, "openmp"):
-        forest = _Forest.grown(features, left, replicate, seed)
+        forest = _Forest.grown(HistGradientBoostingRegressor, features, left, replicate, seed)
         predicted = forest.predicted()
         found = _share(residuals, left, predicted)
         if not found.is_significant:
@@ -145,15 +145,15 @@ class _Forest:
     trees: tuple[Any, ...]
 
     @classmethod
-    def grown(cls, features: _Features, left: FloatArray, replicate: IntArray, seed: int) -> "_Forest":
-        from sklearn.ensemble import HistGradientBoostingRegressor
-
+    def grown(
+        cls, regressor: Callable[..., Any], features: _Features, left: FloatArray, replicate: IntArray, seed: int
+    ) -> "_Forest":
         fold = replicate % _MOST_FOLDS
         trees = []
         for number in np.unique(fold):
             rest = fold != number
             leaf = max(_FEWEST_IN_LEAF, int(_LEAST_OF_ALL_IN_LEAF * np.count_nonzero(rest)))
-            each = HistGradientBoostingRegressor(**_TREES, min_samples_leaf=leaf, random_state=seed)
+            each = regressor(**_TREES, min_samples_leaf=leaf, random_state=seed)
             trees.append(each.fit(features.columns[rest], left[rest]))
         return cls(features, replicate, fold, tuple(trees))
 
@@ -225,7 +225,7 @@ def _p_value(along: FloatArray, squares: FloatArray) -> float:
     slope = total / float(squares.sum())
     by_model = np.sqrt(2.0 * squares.sum())
     by_scatter = np.sqrt(2.0 * count / (count - 1) * np.sum((along - slope * squares) ** 2))
-    return float(max(stats.norm.sf(total / by_model), stats.t.sf(total / max(by_scatter, 1e-300), count - 1)))
+    return float(max(normal_sf(total / by_model), student_sf(total / max(by_scatter, 1e-300), count - 1)))
 
 
 def _features(residuals: Residuals) -> _Features:
@@ -244,6 +244,8 @@ def _features(residuals: Residuals) -> _Features:
 
 
 def _of_channel(run: RunBlocks, name: str) -> tuple[FloatArray, ...]:
+    from scipy.signal import lfilter  # slow to import
+
     mean = run.mean(name)
     time_s = run.time_s
     slope = np.gradient(mean, time_s) if len(run) > 1 else np.zeros(len(run))

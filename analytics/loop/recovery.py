@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
@@ -81,7 +80,9 @@ def recovered(
 
 
 def _recovery(tries: int, alone: int, in_set: int) -> Recovery:
-    bounds = stats.binomtest(alone + in_set, tries).proportion_ci(0.95)
+    from scipy.stats import binomtest  # slow to import
+
+    bounds = binomtest(alone + in_set, tries).proportion_ci(0.95)
     return Recovery(tries=tries, alone=alone, in_set=in_set, lo=float(bounds.low), hi=float(bounds.high))
 
 

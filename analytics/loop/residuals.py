@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import chi_square_quantile
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
@@ -175,5 +175,5 @@ def _binned(frequency_hz: FloatArray, power: FloatArray) -> WhitenedSpectrum:
     mean = np.stack([power[number == each].mean(axis=0) for each in bins])
     middle = np.array([np.exp(np.log(frequency_hz[number == each]).mean()) for each in bins])
     tail = (1 - CONFIDENCE) / 2
-    lo, hi = (stats.chi2.ppf(p, 2 * count) / (2 * count) for p in (tail, 1 - tail))
+    lo, hi = (chi_square_quantile(p, 2 * count) / (2 * count) for p in (tail, 1 - tail))
     return WhitenedSpectrum(middle, mean[:, 0], mean[:, 1], lo, hi)

@@ -17,12 +17,13 @@ from analytics.loop.provenance import Provenance, provenance
 from analytics.loop.recovery import Recovery, recovered
 from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor_diagnostics
 from analytics.loop.residuals import Residuals, residuals_of
-from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.diagnosis import Asked, diagnosed, diagnosed_or_why_not
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
+from analytics.loop.tracing.processors import by_processes, single_blas
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.unit_reduction import Progress, Question, ReducedUnit, ReducedUnits, model_on, reduce_units, silent
 from storage.sql.catalog import Catalog
-from stream.errors import BadInput, GyrofleetError, NotFound
+from stream.errors import BadInput, NotFound
 
 
 @dataclass(frozen=True)
@@ -173,34 +174,41 @@ def diagnose_units(
 
 
 def trace_units(
-    read: ReducedUnits, question: Question, *, is_pooled: bool = False, on_progress: Progress = silent
+    read: ReducedUnits,
+    question: Question,
+    *,
+    is_pooled: bool = False,
+    processes: int = 1,
+    on_progress: Progress = silent,
 ) -> UnitsDiagnosis:
-    """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises."""
+    """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises.
+
+    Many units are traced by several `processes`, with the same results.
+    """
     failed = dict(read.failed)
     is_one = len(read.units) + len(failed) == 1
     held_out, all_held = _held_out_of_each(question.holdout, read.units, is_one=is_one)
     failed |= dict.fromkeys(all_held, "all its runs are to be held out: leave some that the model is fitted to")
     units = {unit: data for unit, data in read.units.items() if unit not in all_held or is_one}
     if is_pooled and units:
-        return _pooled(units, question, failed, held_out, on_progress)
+        with single_blas():
+            return _pooled(units, question, failed, held_out, processes, on_progress)
+    asked = [
+        Asked(
+            data.runs, read.models[unit], declared_noise=data.noise, holdout=held_out.get(unit),
+            left_out=data.left_out, turn_on_is_declared=data.turn_on_is_declared,
+        )
+        for unit, data in units.items()
+    ]  # fmt: skip
     done: dict[str, UnitDiagnosis] = {}
+    answers = by_processes(diagnosed if is_one else diagnosed_or_why_not, asked, processes)
     for number, (unit, data) in enumerate(units.items(), start=1):
         on_progress(f"tracing {unit} ({number} of {len(units)})")
-        try:
-            found_in = diagnose(
-                data.runs,
-                read.models[unit],
-                declared_noise=data.noise,
-                holdout=held_out.get(unit),
-                left_out=data.left_out,
-                turn_on_is_declared=data.turn_on_is_declared,
-            )
-        except GyrofleetError as error:
-            if is_one:
-                raise
-            failed[unit] = str(error)
-            continue
-        done[unit] = UnitDiagnosis(data, found_in)
+        answer = next(answers)
+        if isinstance(answer, str):
+            failed[unit] = answer
+        else:
+            done[unit] = UnitDiagnosis(data, answer)
     if not done:
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
@@ -213,6 +221,7 @@ def _pooled(
     question: Question,
     failed: Mapping[str, str],
     held_out: Mapping[str, Sequence[str]],
+    processes: int,
     on_progress: Progress,
 ) -> UnitsDiagnosis:
     runs = {unit: data.runs for unit, data in units.items()}
@@ -222,6 +231,7 @@ def _pooled(
         declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
         holdout=held_out,
         left_out={unit: data.left_out for unit, data in units.items()},
+        processes=processes,
         on_progress=on_progress,
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}

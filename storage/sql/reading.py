@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 
 from storage.lake.tables import SAMPLES_FILE, damaged, open_table
 from storage.sql.catalog import Catalog
+from storage.sql.columns import numbers
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
 
@@ -74,8 +75,8 @@ def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]
     )
     for channel, epoch, dt_ns, is_counts, scale, offset, irregular in channels:
         for table in _channel_rows(catalog, channel, "counts" if is_counts else "value"):
-            t_ns = table.column(1).to_numpy()
-            data = table.column(2).to_numpy()
+            t_ns = numbers(table.column(1))
+            data = numbers(table.column(2))
             is_exact = not irregular and bool(np.all(np.diff(t_ns) == dt_ns))
             yield SampleBatch(
                 unit=record.unit, signal=record.signal, run=record.run, epoch=UUID(epoch),
@@ -152,4 +153,4 @@ def stored_between(
         "order by s.t_ns",
         where,
     ).read_all()
-    return table.column(0).to_numpy(), table.column(1).to_numpy()
+    return numbers(table.column(0)), numbers(table.column(1))

@@ -12,10 +12,11 @@ from analytics.loop.blocks.derived import unresolved
 from analytics.loop.blocks.join import ChannelJoiner
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.outliers import RateSeries
+from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.record_checks import check_channels, check_labels, check_runs, clock_offsets
 from analytics.loop.blocks.reduction_notes import LEAST_SHARE, Note
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.blocks.signal_blocks import Grid, SignalBlocks, block_means
+from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
 from analytics.loop.blocks.step_channels import position_numbers, read_steps
 from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal, reach, records_of, sources_of
 from analytics.loop.blocks.unit_run import UnitRun, left_out_of, notes_on_samples
@@ -124,7 +125,9 @@ class BlockReducer:
         found: dict[str, SignalBlocks] = {}
         for rolled_up in (False, True):
             grids = {run: self._grid(each) for run, each in records.items() if each.is_rolled_up is rolled_up}
-            found |= block_means(self.catalog, unit, self.signal, grids, self.block_s, rolled_up=rolled_up)
+            of_signal = {SignalKey(unit, self.signal, run): grid for run, grid in grids.items()}
+            means = block_means(self.catalog, of_signal, self.block_s, rolled_up=rolled_up)
+            found |= {key.run: blocks for key, blocks in means.items()}
         return found
 
     def _grid(self, record: RecordedSignal) -> Grid:

@@ -6,8 +6,10 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from analytics.loop.blocks.pieces import Grid
 from analytics.loop.blocks.run_blocks import HARMONICS, SECOND_NS, Channel, ComplexArray
-from analytics.loop.blocks.signal_blocks import Grid, SignalBlocks
+from analytics.loop.blocks.signal_blocks import SignalBlocks
+from storage.sql.columns import numbers
 from stream.batch import FloatArray, IntArray
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
@@ -125,7 +127,7 @@ def ranges(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: 
 
 def readings_of(batches: Iterable[pa.RecordBatch], grid: Grid) -> Readings:
     """Readings from stored batches."""
-    parts = [(batch.column("t_ns").to_numpy(), batch.column("value").to_numpy()) for batch in batches]
+    parts = [(numbers(batch.column("t_ns")), numbers(batch.column("value"))) for batch in batches]
     if not parts:
         return Readings(np.empty(0), np.empty(0))
     t_ns, value = (np.concatenate(column) for column in zip(*parts, strict=True))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -20,15 +21,18 @@ from analytics.loop.blocks.channels import (
     without_aliases,
 )
 from analytics.loop.blocks.outliers import RateSeries, is_far_outside, motion, moves
+from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel
-from analytics.loop.blocks.signal_blocks import Grid, SignalBlocks, block_means
+from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
 from analytics.loop.blocks.stored_signals import ChannelSource
 from storage.sql.catalog import Catalog
+from storage.sql.columns import numbers
 from stream.batch import BoolArray, FloatArray, IntArray
 
 _DENSE = 4  # readings a block from which on block means are taken
 _BESIDE = 4  # blocks beside a time range from which readings are taken, too
 _MOST_EXTREMES = 30
+_MOST_READINGS = 500_000  # of the signals that are read together
 _TOLERATED = 1.05  # of the interval between readings
 
 
@@ -57,7 +61,7 @@ class ChannelJoiner:
         self._block_s = block_s
         self._block_ns = max(1, round(block_s * SECOND_NS))
         self._tolerance_s = tolerance_s
-        self._known: dict[tuple[str, str, str, Grid], SignalBlocks | None] = {}
+        self._known: dict[tuple[SignalKey, Grid], SignalBlocks | None] = {}
         self._sampled: dict[str, tuple[float, int]] = {}
         self._extremes: dict[tuple[str, str, str, int], tuple[FloatArray, ...]] = {}
 
@@ -67,24 +71,25 @@ class ChannelJoiner:
         grids: Mapping[str, Grid],
         sampled: Mapping[str, tuple[float, int]],
     ) -> None:
-        """Reduce the channels of several runs, each channel in one query for all runs.
+        """Reduce the channels of several runs, many in one query.
 
         `sampled` is the interval of the signal's samples in seconds and the time of the first, by run.
         """
         self._sampled.update(sampled)
-        wanted: dict[tuple[str, str, bool], dict[str, Grid]] = {}
-        for run, own in sources.items():
-            for each in own:
-                if self._is_dense(each) and not each.is_angle and _key(each, grids[run]) not in self._known:
-                    wanted.setdefault((each.unit, each.signal, each.is_rolled_up), {})[run] = grids[run]
-        for (unit, signal, rolled_up), of_runs in wanted.items():
-            wide = {run: self._wide(grid) for run, grid in of_runs.items()}
-            found = block_means(self._catalog, unit, signal, wide, self._block_s, rolled_up=rolled_up)
-            self._known |= {(unit, signal, run, grid): found.get(run) for run, grid in of_runs.items()}
+        wanted = [
+            each
+            for run, own in sources.items()
+            for each in own
+            if self._is_dense(each) and not each.is_angle and (each.key, grids[run]) not in self._known
+        ]
+        for group in _groups(wanted):
+            wide = {each.key: self._wide(grids[each.run]) for each in group}
+            found = block_means(self._catalog, wide, self._block_s, rolled_up=group[0].is_rolled_up)
+            self._known |= {(each.key, grids[each.run]): found.get(each.key) for each in group}
 
     def forget(self, unit: str) -> None:
         """Drop the blocks of a unit, which no other unit needs."""
-        self._known = {key: each for key, each in self._known.items() if key[0] != unit}
+        self._known = {key: each for key, each in self._known.items() if key[0].unit != unit}
 
     def channels(
         self, sources: Sequence[ChannelSource], signal: SignalBlocks, grid: Grid, own: RateSeries | None
@@ -123,7 +128,7 @@ class ChannelJoiner:
             ).read_all()
             while len(self._extremes) >= _MOST_EXTREMES:
                 self._extremes.pop(next(iter(self._extremes)))
-            self._extremes[key] = tuple(table.column(name).to_numpy() for name in ("t_s", "lo", "hi"))
+            self._extremes[key] = tuple(numbers(table.column(name)) for name in ("t_s", "lo", "hi"))
         factor = standard_unit(source.name, source.unit_of_measure).factor
         return ranges(slot, self._block_s, *self._extremes[key]) * abs(factor)
 
@@ -138,12 +143,12 @@ class ChannelJoiner:
             return _empty(signal, unit.name)
         angle = AngleBlocks(grid, self._block_ns, unit.factor)
         for batch in self._batches(source, grid):
-            angle.update(batch.column("t_ns").to_numpy(), batch.column("value").to_numpy())
+            angle.update(numbers(batch.column("t_ns")), numbers(batch.column("value")))
         return angle.channel(signal.slot)
 
     def _means(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         """A channel by the means of its own blocks."""
-        unit, blocks = standard_unit(source.name, source.unit_of_measure), self._known.get(_key(source, grid))
+        unit, blocks = standard_unit(source.name, source.unit_of_measure), self._known.get((source.key, grid))
         if blocks is None:
             return _plain(_empty(signal, unit.name))
         tolerance_s = self._tolerance(source.interval_s)
@@ -259,5 +264,18 @@ def _at(slot: IntArray, known: IntArray, value: FloatArray) -> FloatArray:
     return found
 
 
-def _key(source: ChannelSource, grid: Grid) -> tuple[str, str, str, Grid]:
-    return source.unit, source.signal, source.run, grid
+def _groups(sources: Sequence[ChannelSource]) -> list[list[ChannelSource]]:
+    """Channels that are read together: all runs of a signal, and several signals that have few readings."""
+    ordered = sorted(sources, key=lambda each: (each.is_rolled_up, each.unit, each.signal))
+    groups: list[list[ChannelSource]] = []
+    readings = 0
+    for (rolled_up, *_), signal in groupby(ordered, key=lambda each: (each.is_rolled_up, each.unit, each.signal)):
+        own = list(signal)
+        more = sum(each.samples for each in own)
+        if groups and groups[-1][0].is_rolled_up is rolled_up and readings + more <= _MOST_READINGS:
+            groups[-1] += own
+            readings += more
+        else:
+            groups.append(own)
+            readings = more
+    return groups

@@ -1,10 +1,11 @@
-"""Blocks of a stored signal, computed in SQL from the rollups, or from the samples where rollups do not fit."""
+"""Blocks of a stored signal, computed from the rollups, or from the samples where rollups do not fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from analytics.loop.blocks.pieces import Grid, Pieces, SignalKey, pieces_of
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
@@ -13,7 +14,7 @@ LEAST_PAIRS = 8
 FAR = 100.0  # an outlier leaves the readings of the seconds beside it by more than this many times their usual range
 CALM = 0.1  # an outlier is not motion if the three readings on either side differ by less than this part of it
 FEW, ALONE = 3.0, 0.6  # outliers of a second, at most, and the part by which one leaves the mean: motion has more
-_PLAIN = ("mean", "spread", "centre_s", "first_s", "last_s", "far_reading")
+_BESIDE = 3  # pieces on either side whose range tells motion
 _MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 
 
@@ -37,85 +38,10 @@ class SignalBlocks:
     farthest: float = 0.0  # outlier of the run; 0 where there is none
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Blocks of a run: block b begins at t0_ns + b*block_ns; samples from first_ns to last_ns count."""
-
-    t0_ns: int
-    first_ns: int
-    last_ns: int
-
-
-_PIECES = {
-    True: """
-      select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.t_ns + 1000000000 * (r.n - 1) // r.n as end_ns,
-        r.n, r.mean, r.m2, r.lo, r.hi, g.t0_ns
-      from rollup_1s r join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
-        unnest($last) as last_ns) g on r.run = g.run
-      where r.unit = $unit and r.signal = $signal and list_contains($runs, r.run)
-        and r.t_ns + 1000000000 > g.first_ns and r.t_ns <= g.last_ns and $piece_ns > 0""",
-    False: """
-      select s.run, avg(s.t_ns - g.t0_ns)::bigint + any_value(g.t0_ns) as t_ns, min(s.t_ns) as start_ns,
-        max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
-        min(s.value) as lo, max(s.value) as hi, any_value(g.t0_ns) as t0_ns
-      from samples s join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
-        unnest($last) as last_ns) g on s.run = g.run
-      where s.unit = $unit and s.signal = $signal and list_contains($runs, s.run)
-        and s.t_ns between g.first_ns and g.last_ns and isfinite(s.value)
-      group by s.run, (s.t_ns - g.t0_ns) // $piece_ns""",
-}
-
-# The white part from successive differences of the pieces: a drift within the block does not count.
-_BLOCKS = """
-with read as (
-  {pieces}
-), neighbours as (
-  select *, mean - lag(mean) over own as move,
-    hi - greatest(lag(hi) over own, lead(hi) over own) as above,
-    least(lag(lo) over own, lead(lo) over own) - lo as below,
-    greatest(max(hi) over before, max(hi) over after) - least(min(lo) over before, min(lo) over after) as unrest
-  from read window own as (partition by run order by start_ns),
-    before as (own rows between 3 preceding and 1 preceding),
-    after as (own rows between 1 following and 3 following)
-), beside as (
-  select *, greatest(above, below) as beyond, case when above >= below then hi else lo end as extreme from neighbours
-), usual as (
-  select run, median(hi - lo) + median(abs(move)) as width, median(abs(move)) filter (move <> 0) as step
-  from beside group by run
-), piece as (
-  select b.*, coalesce(
-      beyond > $far * case when width > 0 then width else step end
-      and case when n < 4 then coalesce(unrest, 0.0) <= $calm * beyond else abs(extreme - mean) >= $alone * beyond end
-      and (n < 16 or m2 <= $few * (extreme - mean) ** 2),
-      false) as is_far
-  from beside b join usual u using (run)
-), gone as (
-  select run, arg_max(extreme, beyond) as farthest from piece where is_far group by run
-), stepped as (
-  select *, (start_ns - t0_ns) // $block_ns as slot,
-    mean - lag(mean) over own as step, 1.0 / n + 1.0 / lag(n) over own as pair
-  from piece window own as (partition by run, (start_ns - t0_ns) // $block_ns order by start_ns)
-), block as (
-  select run, slot, sum(n)::bigint as n, sum(n * mean) / sum(n) as mean,
-    sqrt(sum(m2) / sum(n) + var_pop(mean)) as spread,
-    sum(n * ((t_ns - t0_ns) / 1e9)) / sum(n) as centre_s,
-    min(start_ns - t0_ns) / 1e9 as first_s, max(end_ns - t0_ns) / 1e9 as last_s,
-    avg(step * step / pair) as sample_variance, count(step) as pairs, bool_or(is_far) as is_far,
-    arg_max(extreme, beyond) filter (is_far) as far_reading
-  from stepped group by run, slot
-), typical as (
-  select run, median(step * step / pair) as middle, avg(step * step / pair) as average from stepped group by run
-)
-select run, slot, n, mean, spread, centre_s, first_s, last_s, sample_variance, pairs, middle, average,
-  is_far, far_reading, coalesce(farthest, 0.0) as farthest
-from block join typical using (run) left join gone using (run) order by run, slot
-"""
-
-
 def block_means(
-    catalog: Catalog, unit: str, signal: str, grids: Mapping[str, Grid], block_s: float, *, rolled_up: bool = True
-) -> dict[str, SignalBlocks]:
-    """Block means of a signal in several runs, by run; runs without any are not in the result.
+    catalog: Catalog, grids: Mapping[SignalKey, Grid], block_s: float, *, rolled_up: bool = True
+) -> dict[SignalKey, SignalBlocks]:
+    """Block means of signals of runs, each on its grid; those without any are not in the result.
 
     From the rollups where blocks are whole seconds, unless `rolled_up` is false: their times have an uncertainty of
     half a second, which is negligible only for a signal of several samples a second.
@@ -133,46 +59,80 @@ def block_means(
     if not grids:
         return {}
     block_ns = round(block_s * SECOND_NS)
-    runs = list(grids)
-    whole = rolled_up and block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
-    table = catalog.reader(
-        _BLOCKS.format(pieces=_PIECES[whole]),
-        {
-            "unit": unit,
-            "signal": signal,
-            "runs": runs,
-            "t0": [grids[run].t0_ns for run in runs],
-            "first": [grids[run].first_ns for run in runs],
-            "last": [grids[run].last_ns for run in runs],
-            "block_ns": block_ns,
-            "piece_ns": max(1, block_ns // 32),
-            "far": FAR,
-            "calm": CALM,
-            "few": FEW,
-            "alone": ALONE,
-        },
-    ).read_all()
-    names = np.array(table.column("run").to_pylist(), dtype=object)
-    columns = {name: table.column(name).to_numpy() for name in table.column_names if name != "run"}
-    found = {}
-    for run in runs:
-        rows = names == run
-        if rows.any():
-            found[run] = _blocks({name: column[rows] for name, column in columns.items()})
-    return found
+    found = pieces_of(catalog, grids, block_ns, rolled_up=rolled_up)
+    with np.errstate(over="ignore", invalid="ignore"):  # the square of a fill value
+        return {key: _blocks(pieces, grids[key].t0_ns, block_ns) for key, pieces in found}
 
 
-def _blocks(columns: Mapping[str, FloatArray]) -> SignalBlocks:
-    n = columns["n"].astype(np.int64)
-    middle, average = float(columns["middle"][0] or 0.0), float(columns["average"][0] or 0.0)
-    typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
-    pairs, own = columns["pairs"], columns["sample_variance"].astype(np.float64)
-    variance = np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
+def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
+    since_ns = pieces.start_ns - t0_ns
+    slot = np.sign(since_ns) * (np.abs(since_ns) // block_ns)  # towards slot 0 before it
+    first = np.flatnonzero(np.diff(slot, prepend=slot[0] - 1))
+    weight = np.add.reduceat(pieces.n, first)
+    count = np.diff(first, append=slot.size)
+    number = np.repeat(np.arange(first.size), count)
+
+    def total(value: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(number, value), np.float64)  # one after the other: what is equal stays equal
+
+    means = total(pieces.mean) / count
+    between = total((pieces.mean - means[number]) ** 2) / count
+    far, extreme, beyond = _far(pieces)
+    far_reading = np.full(first.size, np.nan)
+    for at in np.flatnonzero(far)[np.argsort(beyond[far], kind="stable")]:  # the farthest of a block comes last
+        far_reading[number[at]] = extreme[at]
+    is_far = np.isfinite(far_reading)
     return SignalBlocks(
-        slot=columns["slot"].astype(np.int64),
-        n=n,
-        white_variance=variance / n,
-        is_far=columns["is_far"].astype(np.bool_),
-        farthest=float(columns["farthest"][0]),
-        **{name: columns[name].astype(np.float64) for name in _PLAIN},
+        slot=slot[first],
+        n=weight,
+        mean=total(pieces.n * pieces.mean) / weight,
+        spread=np.sqrt(total(pieces.m2) / weight + between),
+        centre_s=total(pieces.n * ((pieces.t_ns - t0_ns) / 1e9)) / weight,
+        first_s=np.minimum.reduceat(since_ns, first) / 1e9,
+        last_s=np.maximum.reduceat(pieces.end_ns - t0_ns, first) / 1e9,
+        white_variance=_sample_variance(pieces, number) / weight,
+        is_far=is_far,
+        far_reading=far_reading,
+        farthest=float(extreme[np.where(far, beyond, -np.inf).argmax()]) if is_far.any() else 0.0,
     )
+
+
+def _sample_variance(pieces: Pieces, number: IntArray) -> FloatArray:
+    """The white part of the variance of a sample in each block; NaN where it is unknown.
+
+    It is from successive differences of the pieces: a drift within the block does not count.
+    """
+    within = np.diff(number) == 0
+    steps = np.diff(pieces.mean)[within]
+    variance = steps * steps / (1.0 / pieces.n[1:] + 1.0 / pieces.n[:-1])[within]
+    block, blocks = number[1:][within], int(number[-1]) + 1
+    pairs = np.bincount(block, minlength=blocks)
+    own = np.bincount(block, variance, minlength=blocks) / np.maximum(pairs, 1)
+    middle, average = (float(np.median(variance)), float(variance.mean())) if variance.size else (0.0, 0.0)
+    typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
+    return np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
+
+
+def _far(pieces: Pieces) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Marks the pieces with an outlier; the extreme reading of each piece, and how far it is beyond those beside it."""
+    n, mean, lo, hi = pieces.n, pieces.mean, pieces.lo, pieces.hi
+    moves = np.abs(np.diff(mean))
+    if not moves.size:
+        return np.zeros(1, np.bool_), hi, np.zeros(1)
+    above = hi - _extreme_beside(hi, 1)
+    below = -_extreme_beside(-lo, 1) - lo
+    beyond, extreme = np.maximum(above, below), np.where(above >= below, hi, lo)
+    width = float(np.median(hi - lo)) + float(np.median(moves))
+    usual = width if width > 0 else float(np.median(moves[moves > 0])) if (moves > 0).any() else np.inf
+    unrest = _extreme_beside(hi, _BESIDE) + _extreme_beside(-lo, _BESIDE)
+    off = np.abs(extreme - mean)
+    is_single = np.where(n < 4, unrest <= CALM * beyond, off >= ALONE * beyond)
+    has_few = (n < 16) | (pieces.m2 <= FEW * off**2)
+    return np.asarray((beyond > FAR * usual) & is_single & has_few), extreme, beyond
+
+
+def _extreme_beside(value: FloatArray, pieces: int) -> FloatArray:
+    """Largest value of some pieces before and after each."""
+    padded = np.concatenate([np.full(pieces, -np.inf), value, np.full(pieces, -np.inf)])
+    beside = [padded[at : at + value.size] for at in range(2 * pieces + 1) if at != pieces]
+    return np.asarray(np.max(beside, axis=0))

@@ -8,9 +8,9 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.channels import standard_unit
+from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.blocks.run_blocks import SECOND_NS, STANDARD_CHANNELS
-from analytics.loop.blocks.signal_blocks import Grid
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal
 from stream.errors import BadInput, NotFound, UnknownUnit
@@ -33,6 +33,7 @@ class RecordedSignal(NamedTuple):
     interval_s: float
     unit_of_measure: str
     is_date_known: bool
+    irregular: bool
     run_first_ns: int
 
     @property
@@ -61,6 +62,11 @@ class ChannelSource(NamedTuple):
     samples: int
     kept_raw: int
     first_ns: int
+
+    @property
+    def key(self) -> SignalKey:
+        """Its unit, signal and run."""
+        return SignalKey(self.unit, self.signal, self.run)
 
     def is_in_step(self, interval_s: float, first_ns: int) -> bool:
         """Whether its readings are taken at the times of a signal of this interval and first sample."""
@@ -93,7 +99,7 @@ def records_of(catalog: Catalog, unit: str, signal: str, runs: Iterable[str] | N
     """Records of a signal by run, in the order of time."""
     rows = catalog.rows(
         "select s.run, s.t_first_ns, s.t_last_ns, s.samples, s.kept_raw, coalesce(s.sample_interval_s, 0), "
-        "s.unit_of_measure, coalesce(r.date_known, true), "
+        "s.unit_of_measure, coalesce(r.date_known, true), s.irregular, "
         "(select min(o.t_first_ns) from signals o where o.run = s.run and o.signal = s.signal) "
         "from signals s left join runs r using (run) where s.unit = $unit and s.signal = $signal "
         "order by s.t_first_ns, s.run",

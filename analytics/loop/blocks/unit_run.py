@@ -16,7 +16,7 @@ from analytics.loop.blocks.signal_blocks import SignalBlocks
 from analytics.loop.blocks.step_channels import Step, step_rows
 from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal
 from storage.sql.catalog import Catalog
-from storage.sql.reading import find_signal
+from storage.sql.reading import SignalRecord
 from stream.batch import BoolArray
 
 
@@ -48,6 +48,13 @@ class UnitRun:
         return by_name.get("input_rate", by_name.get("table_rate"))
 
     @property
+    def stored_signal(self) -> SignalRecord:
+        """The signal as it is stored."""
+        unit, signal, record = self.blocks.unit, self.blocks.signal, self.record
+        measure = record.unit_of_measure
+        return SignalRecord(unit, signal, self.name, measure, record.samples, record.irregular, record.kept_raw)
+
+    @property
     def has_power_on(self) -> bool:
         """Whether the time since power-on is known, or has no meaning."""
         return bool(self.power_on_ns) or "time_since_power_on" in self.blocks.channels or self.blocks.is_table
@@ -68,7 +75,7 @@ def notes_on_samples(
         run.name: found
         for run in runs
         if not run.record.is_rolled_up  # else a sample hardly changes its block
-        and (found := isolated_outliers(catalog, find_signal(catalog, unit, signal, run.name))).is_worth_a_word
+        and (found := isolated_outliers(catalog, run.stored_signal)).is_worth_a_word
     }
     notes += notes_on.isolated(signal, isolated, len(runs))
     notes += notes_on.apart({run.name: run.record.interval_s for run in runs}, block_s)

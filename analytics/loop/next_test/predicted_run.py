@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from analytics.loop.blocks.run_blocks import HARMONICS, SECOND_NS, Channel, RunBlocks
 from analytics.loop.blocks.step_channels import input_axis_up
@@ -51,6 +50,8 @@ class ThermalChain:
 
 
 def _lagged(values: FloatArray, lag_s: float) -> FloatArray:
+    from scipy.signal import lfilter  # slow to import
+
     share = -np.expm1(-STEP_S / lag_s)
     return np.asarray(lfilter([share], [1.0, share - 1.0], values, zi=[(1.0 - share) * values[0]])[0])
 

@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import normal_cdf
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.next_test.plans import Decides, TestPlan, cheapest_plans
@@ -150,7 +150,7 @@ def _again(found: FoundEffect, record: UnitRecord, noise: ModelNoise) -> Decides
         scatter = float(np.hypot(se, training_se))
         lo = max(_ONE_SIDED * se, 1.0 - _TWO_SIDED * scatter)
         hi = 1.0 + _TWO_SIDED * scatter
-        power = float(stats.norm.cdf((hi - 1.0) / scatter) - stats.norm.cdf((lo - 1.0) / scatter))
+        power = float(normal_cdf((hi - 1.0) / scatter) - normal_cdf((lo - 1.0) / scatter))
         return Separation(power, {found.name: power}, information)
 
     def decides(run: RunBlocks) -> Callable[[int], Separation] | None:

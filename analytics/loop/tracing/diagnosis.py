@@ -12,6 +12,7 @@ from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, check_runs, missing_data, split
 from analytics.loop.tracing.partial_channels import gapped_channels, partial_channels, with_gapped, with_rest
+from analytics.loop.tracing.processors import single_blas
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.search.effect_search import Search, search
 from analytics.loop.tracing.search.screening import Candidates, candidates_for
@@ -20,6 +21,7 @@ from analytics.loop.tracing.verdict.effect_findings import findings
 from analytics.loop.tracing.verdict.noise_agreement import noise_excess
 from analytics.loop.tracing.whitening.stack import stacked
 from analytics.loop.tracing.whitening.white_variance import has_outliers, record_of
+from stream.errors import GyrofleetError
 
 FIRST_TIER = (EffectKind.LIBRARY, EffectKind.FUNCTION)
 SECOND_TIER = (*FIRST_TIER, EffectKind.SECOND_TIER)
@@ -62,6 +64,43 @@ def diagnose(
         found = with_gapped(found, runs, whole, gapped, trace.of)
     some = partial_channels(whole, holdout)
     return found if some is None else with_rest(found, trace.of(some.runs), some)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The arguments of `diagnose` for one unit, to hand them to another process."""
+
+    runs: Sequence[RunBlocks]
+    model: ErrorModel
+    effects: Mapping[str, Effect] | None = None
+    declared_noise: ModelNoise | None = None
+    holdout: Sequence[str] | None = None
+    left_out: Sequence[LeftOut] = ()
+    seed: int = 0
+    turn_on_is_declared: bool | None = None
+
+
+def diagnosed(asked: Asked) -> Diagnosis:
+    """The diagnosis of one unit, see `diagnose`."""
+    with single_blas():
+        return diagnose(
+            asked.runs,
+            asked.model,
+            effects=asked.effects,
+            declared_noise=asked.declared_noise,
+            holdout=asked.holdout,
+            left_out=asked.left_out,
+            seed=asked.seed,
+            turn_on_is_declared=asked.turn_on_is_declared,
+        )
+
+
+def diagnosed_or_why_not(asked: Asked) -> Diagnosis | str:
+    """The diagnosis of one unit, or why there is none."""
+    try:
+        return diagnosed(asked)
+    except GyrofleetError as error:
+        return str(error)
 
 
 @dataclass(frozen=True)

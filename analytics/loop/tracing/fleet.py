@@ -5,17 +5,18 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import chi_square_sf, normal_sf
 from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
-from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
+from analytics.loop.tracing.diagnosis import FIRST_TIER, Asked, diagnosed
 from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.processors import by_processes
 from analytics.loop.tracing.random_effect import RandomEffect, presence, random_effect
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import Holdout
@@ -80,21 +81,28 @@ def diagnose_fleet(
     holdout: Mapping[str, Sequence[str]] | None = None,
     left_out: Mapping[str, Sequence[LeftOut]] | None = None,
     seed: int = 0,
+    processes: int = 1,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> FleetDiagnosis:
     """Find effects that a declared error model lacks in all units together, and in each.
 
     Each unit has its own coefficients of the declared model; the effects to test are by default all whose channels are
-    recorded in all units. For `declared_noise`, `holdout` and `left_out`, by unit, see `diagnose`.
+    recorded in all units. The units alone are traced by several `processes`. For `declared_noise`, `holdout` and
+    `left_out`, by unit, see `diagnose`.
     """
     noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
-    alone: dict[str, Diagnosis] = {}
-    for number, (unit, runs) in enumerate(units.items(), start=1):
-        on_progress(f"tracing {unit} ({number} of {len(units)})")
-        noise, own, losing = noises.get(unit), held_out.get(unit), losses.get(unit, ())
-        alone[unit] = diagnose(
-            runs, model, effects=effects, declared_noise=noise, holdout=own, left_out=losing, seed=seed
+    asked = [
+        Asked(
+            runs, model, effects=effects, declared_noise=noises.get(unit), holdout=held_out.get(unit),
+            left_out=losses.get(unit, ()), seed=seed,
         )
+        for unit, runs in units.items()
+    ]  # fmt: skip
+    alone: dict[str, Diagnosis] = {}
+    answers = by_processes(diagnosed, asked, processes)
+    for number, unit in enumerate(units, start=1):
+        on_progress(f"tracing {unit} ({number} of {len(units)})")
+        alone[unit] = next(answers)
     own_findings = significant_findings(alone)
     enough = [unit for unit in units if alone[unit].model is not None]
     lacking = [(unit, each) for unit in units for each in alone[unit].missing[:1]]
@@ -188,7 +196,7 @@ def _unlike_others(number: int, information: FloatArray, product: FloatArray) ->
         return 1.0
     mean = float(product.sum() - product[number]) / others
     apart = product[number] / information[number] - mean
-    return float(2 * stats.norm.sf(abs(apart) / np.sqrt(1 / information[number] + 1 / others)))
+    return float(2 * normal_sf(abs(apart) / np.sqrt(1 / information[number] + 1 / others)))
 
 
 def significant_findings(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str, ...]]:
@@ -197,7 +205,7 @@ def significant_findings(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str,
     for unit, found in alone.items():
         if found.effects:
             largest = max(each.significance for each in found.effects)
-            p_values[unit] = min(1.0, TESTS_IN_A_SEARCH * float(stats.chi2.sf(largest**2, 1)))
+            p_values[unit] = min(1.0, TESTS_IN_A_SEARCH * float(chi_square_sf(largest**2, 1)))
     return {unit: alone[unit].names for unit in benjamini_hochberg(p_values)}
 
 

@@ -2,8 +2,9 @@
 
 import msgspec
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize
 
+from analytics.loop.distributions import chi_square_quantile, normal_log_density, student_quantile
 from stream.batch import FloatArray
 
 _CONFIDENCE = 0.95
@@ -43,12 +44,12 @@ def random_effect(values: FloatArray, errors: FloatArray) -> RandomEffect | None
         return None
     variance = _variance_at(values, errors, float(count - 1))
     tail = (1.0 - _CONFIDENCE) / 2
-    lowest = _variance_at(values, errors, float(stats.chi2.ppf(1.0 - tail, count - 1)))
-    highest = _variance_at(values, errors, float(stats.chi2.ppf(tail, count - 1)))
+    lowest = _variance_at(values, errors, float(chi_square_quantile(1.0 - tail, count - 1)))
+    highest = _variance_at(values, errors, float(chi_square_quantile(tail, count - 1)))
     weights = 1.0 / (errors**2 + variance)
     mean = float(weights @ values / weights.sum())
     scale = max(1.0, _weighted_squares(values, errors, variance) / (count - 1))  # never narrower than the errors say
-    half = float(stats.t.ppf(1.0 - tail, count - 1) * np.sqrt(scale / weights.sum()))
+    half = float(student_quantile(1.0 - tail, count - 1) * np.sqrt(scale / weights.sum()))
     spread, spread_lo, spread_hi = (float(np.sqrt(each)) for each in (variance, lowest, highest))
     return RandomEffect(
         mean=mean, lo=mean - half, hi=mean + half, spread=spread, spread_lo=spread_lo, spread_hi=spread_hi, units=count
@@ -64,8 +65,8 @@ def presence(number: int, values: FloatArray, errors: FloatArray) -> float:
     weights = 1.0 / (errors[others] ** 2 + found.spread**2)
     of_mean = 1.0 / float(weights.sum())
     value, error = float(values[number]), float(errors[number])
-    has_it = stats.norm.logpdf(value, found.mean, np.sqrt(error**2 + found.spread**2 + of_mean))
-    has_none = stats.norm.logpdf(value, 0.0, error)
+    has_it = normal_log_density(value, found.mean, np.sqrt(error**2 + found.spread**2 + of_mean))
+    has_none = normal_log_density(value, 0.0, error)
     return float(1.0 / (1.0 + np.exp(np.clip(has_none - has_it, -700, 700))))
 
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from scipy import stats
 
+from analytics.loop.distributions import f_quantile, normal_isf, student_quantile
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fitted_error, information
 from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
@@ -27,7 +27,7 @@ LEAST_TO_GAIN = 0.02  # excess of the squared error over the floor, relative to 
 LEAST_SPANNED = 0.9  # share of an averaging time that the longest run must span: a run may begin within a block
 EXCITED = 0.25  # an average excites the effect if the prediction exceeds this part of its maximum
 _CONFIDENCE = 0.975  # two-sided 95 %
-_NORMAL = float(stats.norm.ppf(_CONFIDENCE))
+_NORMAL = normal_isf(1 - _CONFIDENCE)
 
 
 class _Squares(NamedTuple):
@@ -169,7 +169,7 @@ def _floor(
 ) -> FloatArray:
     predictions = averages.of(box.predictions)
     present = averages.of(left) ** 2 + np.einsum("ij,jk,ik->i", predictions, error, predictions)
-    most = float(stats.f.ppf(MOST_BY_CHANCE, *runs))
+    most = f_quantile(MOST_BY_CHANCE, *runs)
     return np.asarray(present * min(1.0, most * allowed.sum() / max(float(present.sum()), 1e-300)))
 
 
@@ -203,7 +203,7 @@ def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGai
         return ErrorGain(fraction, None, None, count)
     left = gained - fraction * np.bincount(of_run, before**2)
     se = float(np.sqrt(count / (count - 1) * np.sum(left**2))) / squares
-    half = float(stats.t.ppf(_CONFIDENCE, count - 1)) * se
+    half = student_quantile(_CONFIDENCE, count - 1) * se
     return ErrorGain(fraction, fraction - half, min(1.0, fraction + half), count)
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
 
+from analytics.loop.distributions import chi_square_sf
 from analytics.loop.effects.base import EffectKind
 from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -230,7 +230,7 @@ def _line_slope(boxes: Sequence[HeldOutSet], found: Search, which: Selected) -> 
     amplitude, error = amplitude_of(*_line_on(boxes, found, frequency_hz))
     trained, trained_error = amplitude_of(*found.own_fit(which, range(len(found.joint.records))))
     trained = max(trained, trained_error, 1e-300)
-    accepted = float(stats.chi2.sf(powers.sum(), 2 * powers.size)) < LINE_P_VALUE
+    accepted = float(chi_square_sf(powers.sum(), 2 * powers.size)) < LINE_P_VALUE
     slope, slope_se, training_se = amplitude / trained, error / trained, trained_error / trained
     answer = HeldOutAnswer.CONFIRMED
     if not accepted:

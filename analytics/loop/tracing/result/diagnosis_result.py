@@ -5,10 +5,10 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.distributions import chi_square_sf
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 
@@ -164,7 +164,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
     def false_alarm(self, found: FoundEffect) -> float:
         """Probability that noise of the fitted model shows an effect as significant in any of the tests."""
-        p_value = float(stats.chi2.sf(found.significance**2, 1))
+        p_value = float(chi_square_sf(found.significance**2, 1))
         return float(-np.expm1(self.tests * np.log1p(-min(p_value, 1.0 - 1e-15))))
 
     @property

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, ndimage, stats
+from scipy import fft, ndimage
 
+from analytics.loop.distributions import chi_square_quantile, chi_square_sf, normal_sf
 from analytics.loop.tracing.search.screening import family_p_value
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal
@@ -51,10 +52,10 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
     spectra = np.array([np.abs(fft.rfft(piece, size)[band]) ** 2 * 2 / blocks for piece, blocks in pieces])
     degrees = 2 * len(pieces)
     total = spectra.sum(axis=0)
-    local = ndimage.median_filter(total, _WINDOW, mode="nearest") / stats.chi2.median(degrees)
+    local = ndimage.median_filter(total, _WINDOW, mode="nearest") / chi_square_quantile(0.5, degrees)
     level = total / np.maximum(local, 1.0)
     best = int(np.argmax(level))
-    p_value = float(stats.chi2.sf(level[best], degrees))
+    p_value = float(chi_square_sf(level[best], degrees))
     block_s = records[0].noise_model.block_s
     frequency_hz = float(per_block[band][best] / block_s)
     return StrongestLine(frequency_hz, p_value, min(1.0, p_value * level.size), spectra[:, best])
@@ -120,7 +121,7 @@ def scan_jumps(records: Sequence[UnitRecord], joint: JointFit) -> StrongestJump 
     if z == 0:
         return None
     tests = max(1.0, _INDEPENDENT * sum(map(np.count_nonzero, ratios)))
-    p_value = family_p_value(float(2 * stats.norm.sf(abs(z))), tests)
+    p_value = family_p_value(float(2 * normal_sf(abs(z))), tests)
     return StrongestJump(number, int(records[number].stack.run_number[row]), row, z, p_value)
 
 

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft
 
+from analytics.loop.distributions import chi_square_isf, chi_square_log_sf
 from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal, project, solve
@@ -35,8 +36,8 @@ def one_degree(likelihood_ratio: FloatArray | float, degrees: int) -> FloatArray
     ratio = np.maximum(likelihood_ratio, 0.0)
     if degrees == 1:
         return ratio
-    log_p = stats.chi2.logsf(ratio, degrees)
-    exact = stats.chi2.isf(np.exp(np.maximum(log_p, _LEAST_LOG_P)), 1)
+    log_p = chi_square_log_sf(ratio, degrees)
+    exact = chi_square_isf(np.exp(np.maximum(log_p, _LEAST_LOG_P)), 1)
     return np.where(log_p > _LEAST_LOG_P, exact, ratio - 2 * (degrees - 1))[()]
 
 
@@ -232,6 +233,6 @@ def _power(values: FloatArray) -> FloatArray:
 
 def _excess(chi_square: float, degrees: int) -> float:
     """Chi-square over degrees of freedom if significant, else 1; the noise model counts as `TRUST` agreeing degrees."""
-    if degrees < 1 or chi_square < float(stats.chi2.isf(BY_CHANCE, degrees)):
+    if degrees < 1 or chi_square < float(chi_square_isf(BY_CHANCE, degrees)):
         return 1.0
     return (chi_square + TRUST) / (degrees + TRUST)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from analytics.loop.distributions import chi_square_isf, chi_square_sf
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
@@ -176,7 +176,7 @@ def _fitted(
         item = result.candidate
         columns = candidates.of_all(item)
         joint, ratio = beside(base, base.hypothesis.with_common(columns))
-        p_value = float(stats.chi2.sf(max(ratio, 0.0), result.degrees))
+        p_value = float(chi_square_sf(max(ratio, 0.0), result.degrees))
         is_by_chance = family_p_value(p_value, screened.tests) >= ALPHA
         if (is_by_chance and not is_rival) or (best and ratio <= best.likelihood_ratio):
             continue
@@ -219,8 +219,8 @@ def _line(base: JointFit) -> FittedCandidate | None:
         return None
     columns = tuple(line_columns(record, line.frequency_hz) for record in records)
     joint, ratio = beside(base, base.hypothesis.with_own(columns))
-    fitted_p_value = float(stats.chi2.sf(max(ratio, 0.0), 2 * line.powers.size))
-    strength = float(stats.chi2.isf(max(line.p_value, fitted_p_value, 1e-300), 1))
+    fitted_p_value = float(chi_square_sf(max(ratio, 0.0), 2 * line.powers.size))
+    strength = float(chi_square_isf(max(line.p_value, fitted_p_value, 1e-300), 1))
     gain = strength - 2 * np.log(sum(map(len, records)))
     if gain <= 0:
         return None

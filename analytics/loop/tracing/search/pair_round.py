@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from itertools import count
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
+from analytics.loop.distributions import chi_square_sf
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, noise_inflation, one_degree
@@ -105,7 +106,7 @@ def _fitted(
     if not leave_one_out(joint, replicates, degrees).replicates:
         return []
     ratio /= noise_inflation(joint, replicates, [stack.run_number for stack in stacks], degrees)
-    p_value = float(stats.chi2.sf(max(ratio, 0.0), degrees))
+    p_value = float(chi_square_sf(max(ratio, 0.0), degrees))
     gain = float(one_degree(ratio, degrees)) - PAIR_PRICE
     if gain <= 0 or family_p_value(p_value, max(tests, tests**2 / 2)) >= PAIR_ALPHA:
         return []

@@ -11,6 +11,7 @@ from scipy import special
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.effects.base import Effect, EffectKind, Shape
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.tracing.processors import of_records
 from analytics.loop.tracing.whitening.joint_fit import Recomputed
 from analytics.loop.tracing.whitening.least_squares import Projected, project
 from analytics.loop.tracing.whitening.stack import Stack, UnitRecord
@@ -56,7 +57,7 @@ class Candidates:
         stack = self.records[number].stack
         each = [effect_columns(stack, item.effect, item.shape) for item in self.items]
         columns = np.column_stack(each or [np.empty((len(stack), 0))]) / self.scale
-        if sum(each.nbytes for each in self._cache.values()) + columns.nbytes <= _CACHE_BYTES:
+        if sum(each.nbytes for each in list(self._cache.values())) + columns.nbytes <= _CACHE_BYTES:
             self._cache[number] = columns
         return columns
 
@@ -238,11 +239,14 @@ def _test(item: Candidate, total: Projected, left: BoolArray) -> _Test | None:
 
 def pooled(candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[ModelNoise]) -> Projected:
     """Normal equations of all candidates beside the model, summed over records."""
-    parts = []
-    for number, (record, design, noise) in enumerate(zip(candidates.records, designs, noises, strict=True)):
+
+    def of(number: int) -> Projected:
+        record, design = candidates.records[number], designs[number]
         data = np.column_stack([record.value, design, candidates.columns(number)])
-        whitened = record.whitener(noise)(data)
-        parts.append(project(whitened.T @ whitened, design.shape[1]))
+        whitened = record.whitener(noises[number])(data)
+        return project(whitened.T @ whitened, design.shape[1])
+
+    parts = of_records(of, len(candidates.records))
     return Projected(
         np.sum([each.normal for each in parts], axis=0),
         np.sum([each.right for each in parts], axis=0),

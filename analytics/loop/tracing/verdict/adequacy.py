@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
+from analytics.loop.distributions import chi_square_sf, normal_isf
 from analytics.loop.effects.base import EffectKind, coefficient_unit
 from analytics.loop.tracing.result.diagnosis_result import DetectionLimit
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -54,7 +54,7 @@ def homogeneity(found: Search, which: Selected) -> tuple[float, dict[str, tuple[
         if np.count_nonzero(excited) > 1:
             mean = product.sum() / information.sum()
             q = np.sum((product[excited] - information[excited] * mean) ** 2 / information[excited])
-            p_values.append(float(stats.chi2.sf(q, np.count_nonzero(excited) - 1)))
+            p_values.append(float(chi_square_sf(q, int(np.count_nonzero(excited)) - 1)))
     tested = max(1, len(p_values) - 1)
     return min(1.0, min(p_values) * tested), table
 
@@ -68,7 +68,7 @@ def detection_limits(
     columns the norm of the coefficients.
     """
     normal, right, before = pooled(candidates, joint.hypothesis.designs, joint.noises)
-    least_z = max(float(np.sqrt(PRICE)), float(stats.norm.isf(ALPHA / tests / 2)))
+    least_z = max(float(np.sqrt(PRICE)), normal_isf(ALPHA / tests / 2))
     run = candidates.records[0].stack.runs[0]
     limits: dict[str, DetectionLimit] = {}
     blind: set[str] = set()

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.distributions import chi_square_cdf, chi_square_isf, chi_square_sf
 from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effects
@@ -61,7 +61,7 @@ class RunScatter:
         """95 % confidence bounds of the scatter."""
         degrees = self.means.size - 1
         squares = degrees * self.scatter**2
-        return math.sqrt(squares / stats.chi2.isf(0.025, degrees)), math.sqrt(squares / stats.chi2.isf(0.975, degrees))
+        return math.sqrt(squares / chi_square_isf(0.025, degrees)), math.sqrt(squares / chi_square_isf(0.975, degrees))
 
     def disagrees_with(self, turn_on: float) -> bool:
         """Whether the means contradict a declared turn-on scatter at 1 in 1000."""
@@ -70,7 +70,7 @@ class RunScatter:
             return False
         expected = turn_on**2 + float(np.mean(self.within**2))
         chi_square = degrees * self.scatter**2 / max(expected, 1e-300)
-        p_value = min(float(stats.chi2.sf(chi_square, degrees)), float(stats.chi2.cdf(chi_square, degrees)))
+        p_value = min(float(chi_square_sf(chi_square, degrees)), float(chi_square_cdf(chi_square, degrees)))
         return p_value < _P_VALUE / 2
 
 
@@ -198,7 +198,7 @@ def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
         for seconds in NOISE_AVERAGES_S
     ]
     degrees = int(np.count_nonzero(as_array(declared)))
-    return NoiseExcess(max(ratios), float(stats.chi2.sf(max(0.0, 2 * gain), degrees)), min(ratios))
+    return NoiseExcess(max(ratios), float(chi_square_sf(max(0.0, 2 * gain), degrees)), min(ratios))
 
 
 def measured_noise(record: UnitRecord, noise: ModelNoise) -> ModelNoise:

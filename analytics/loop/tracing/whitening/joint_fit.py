@@ -8,9 +8,10 @@ from typing import overload
 import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.processors import of_records
 from analytics.loop.tracing.whitening.least_squares import Solution, project, solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
-from analytics.loop.tracing.whitening.whitened_fit import fit_noise
+from analytics.loop.tracing.whitening.whitened_fit import WhitenedFit, fit_noise
 from stream.batch import FloatArray
 
 _ALTERNATIONS = 3
@@ -122,20 +123,37 @@ def fit_jointly(
     has_common = hypothesis.common[0].shape[1] > 0
     for _ in range(_ALTERNATIONS if has_common else 1):
         theta = _common(_whitened(records, hypothesis, noises), hypothesis).coefficients
-        fits = [
-            fit_noise(replace(record, value=record.value - columns @ theta), own, noise, restricted=restricted)
-            for record, columns, own, noise in zip(records, hypothesis.common, hypothesis.own, noises, strict=True)
-        ]
+        fits = _fits(records, hypothesis, theta, noises, restricted=restricted)
         noises = [each.noise for each in fits]
     whitened = _whitened(records, hypothesis, noises)
     return _joined(records, hypothesis, noises, sum(each.log_likelihood for each in fits), whitened)
 
 
+def _fits(
+    records: Sequence[UnitRecord],
+    hypothesis: Hypothesis,
+    theta: FloatArray,
+    noises: Sequence[ModelNoise],
+    *,
+    restricted: bool,
+) -> list[WhitenedFit]:
+    """The noise of each record, and its own coefficients, with given common coefficients."""
+
+    def of(number: int) -> WhitenedFit:
+        value = records[number].value - hypothesis.common[number] @ theta
+        record = replace(records[number], value=value)
+        return fit_noise(record, hypothesis.own[number], noises[number], restricted=restricted)
+
+    return of_records(of, len(records))
+
+
 def _whitened(records: Sequence[UnitRecord], hypothesis: Hypothesis, noises: Sequence[ModelNoise]) -> list[FloatArray]:
-    return [
-        record.whitener(noise)(np.column_stack([record.value, design]))
-        for record, design, noise in zip(records, hypothesis.designs, noises, strict=True)
-    ]
+    designs = hypothesis.designs
+
+    def of(number: int) -> FloatArray:
+        return records[number].whitener(noises[number])(np.column_stack([records[number].value, designs[number]]))
+
+    return of_records(of, len(records))
 
 
 def _common(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> Solution:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.signal import lfilter
+from numba import njit
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.stack import UnitRecord
@@ -65,7 +65,7 @@ def correlated_covariance(record: UnitRecord, noise: ModelNoise, of_run: BoolArr
     later = np.cumsum(on_grid[::-1], axis=0)[::-1][1:]
     total = space.start * np.outer(sums, sums) + space.walk * (later.T @ later)
     for decay, variance in zip(space.decay, space.variance, strict=True):
-        faded = on_grid.T @ lfilter([0.0, decay], [1.0, -decay], on_grid, axis=0)  # of earlier blocks
+        faded = on_grid.T @ _faded(on_grid, decay)  # of earlier blocks
         total += variance * (on_grid.T @ on_grid + faded + faded.T)
     return np.asarray(total)
 
@@ -98,6 +98,17 @@ def _by_run(record: UnitRecord, averages: Averages) -> Iterator[tuple[BoolArray,
     run_of = np.array([number[rows[0]] for rows in averages.rows])
     for run in np.unique(run_of):
         yield number == run, [rows for rows, of in zip(averages.rows, run_of, strict=True) if of == run]
+
+
+@njit(cache=True, nogil=True)
+def _faded(values, decay):  # type: ignore[no-untyped-def]
+    """Sum of the earlier rows, each faded by `decay` for every block since."""
+    out = np.empty(values.shape)
+    total = np.zeros(values.shape[1])
+    for t in range(len(values)):
+        out[t] = total
+        total = decay * values[t] + decay * total
+    return out
 
 
 def _white(record: UnitRecord) -> FloatArray:

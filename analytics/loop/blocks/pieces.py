@@ -1,0 +1,94 @@
+"""Pieces of stored signals, of which blocks consist: a second of a rollup, or a thirty-second part of a block."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import SECOND_NS
+from storage.sql.catalog import Catalog
+from storage.sql.columns import numbers
+from stream.batch import FloatArray, IntArray
+
+
+class SignalKey(NamedTuple):
+    """A stored signal of one run."""
+
+    unit: str
+    signal: str
+    run: str
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Blocks of a run: block b begins at t0_ns + b*block_ns; samples from first_ns to last_ns count."""
+
+    t0_ns: int
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces of a signal of one run in the order of time; each shape (pieces,), times in ns."""
+
+    start_ns: IntArray  # of the piece, or its first sample
+    t_ns: IntArray  # mean time of its samples
+    end_ns: IntArray  # its last sample
+    n: IntArray  # samples in each
+    mean: FloatArray
+    m2: FloatArray  # sum of squares about the mean
+    lo: FloatArray
+    hi: FloatArray
+
+
+_WANTED = """(
+    select unnest($units) as unit, unnest($signals) as signal, unnest($runs) as run, unnest($numbers) as number,
+      unnest($t0) as t0_ns, unnest($first) as first_ns, unnest($last) as last_ns
+  ) w on s.unit = w.unit and s.signal = w.signal and s.run = w.run
+where list_contains($units, s.unit) and list_contains($signals, s.signal) and list_contains($runs, s.run)"""
+"""The conditions on the lists repeat what the join says, so that only the files that have these signals are read."""
+
+_ROLLED_UP = f"""
+select w.number, s.t_ns as start_ns, s.t_ns + 500000000 as t_ns, s.t_ns + 1000000000 * (s.n - 1) // s.n as end_ns,
+  s.n, s.mean, s.m2, s.lo, s.hi
+from rollup_1s s join {_WANTED} and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns and $piece_ns > 0
+"""  # noqa: S608  only the parts above
+_FROM_SAMPLES = f"""
+select w.number, min(s.t_ns) as start_ns, avg(s.t_ns - w.t0_ns)::bigint + any_value(w.t0_ns) as t_ns,
+  max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
+  min(s.value) as lo, max(s.value) as hi
+from samples s join {_WANTED} and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
+group by w.number, (s.t_ns - w.t0_ns) // $piece_ns
+"""  # noqa: S608
+
+
+def pieces_of(
+    catalog: Catalog, grids: Mapping[SignalKey, Grid], block_ns: int, *, rolled_up: bool
+) -> Iterator[tuple[SignalKey, Pieces]]:
+    """Pieces of several signals, read by one statement; signals without any are left out."""
+    keys = list(grids)
+    whole = rolled_up and block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
+    table = catalog.reader(
+        _ROLLED_UP if whole else _FROM_SAMPLES,
+        {
+            "units": [key.unit for key in keys],
+            "signals": [key.signal for key in keys],
+            "runs": [key.run for key in keys],
+            "numbers": list(range(len(keys))),
+            "t0": [grids[key].t0_ns for key in keys],
+            "first": [grids[key].first_ns for key in keys],
+            "last": [grids[key].last_ns for key in keys],
+            "piece_ns": max(1, block_ns // 32),
+        },
+    ).read_all()
+    columns = {name: numbers(table.column(name)) for name in table.column_names}
+    number = columns.pop("number")
+    order = np.argsort(number, kind="stable")
+    edges = np.searchsorted(number[order], np.arange(len(keys) + 1))
+    for at, key in enumerate(keys):
+        rows = order[edges[at] : edges[at + 1]]
+        if rows.size:
+            rows = rows[np.argsort(columns["start_ns"][rows], kind="stable")]  # quick on what is nearly in order
+            yield key, Pieces(**{name: column[rows] for name, column in columns.items()})

@@ -1,0 +1,25 @@
+"""Columns of a result as NumPy arrays."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+
+def numbers(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
+    """Values of a column of numbers; where there are nulls, as floats with NaN in their place.
+
+    `to_numpy` of pyarrow gives the same, but imports pandas first if that is installed.
+
+    >>> numbers(pa.array([1.5, None])), numbers(pa.chunked_array([[1], [2]]))
+    (array([1.5, nan]), array([1, 2]))
+    """
+    chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+    if column.null_count:
+        chunks = [pc.fill_null(pc.cast(each, pa.float64()), np.nan) for each in chunks]
+    parts = [np.from_dlpack(each) for each in chunks]
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate(parts) if parts else np.empty(0, column.type.to_pandas_dtype())
