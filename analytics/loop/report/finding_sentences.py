@@ -15,7 +15,7 @@ from analytics.loop.unit_diagnosis import UnitsDiagnosis
 _ANSWERS = {
     HeldOutAnswer.CONFIRMED: ("confirmed", "予以证实"),
     HeldOutAnswer.REFUSED: ("refused", "予以否定"),
-    HeldOutAnswer.NO_POWER: ("these runs do not excite it and cannot tell", "这些试验未激励该效应，无法判别"),
+    HeldOutAnswer.NO_POWER: ("these runs excite it too little to tell", "这些试验对该效应激励不足，无法判别"),
 }
 _ZH_VERDICTS = {
     ModelVerdict.NOTHING_MISSING: "无缺项",

@@ -177,8 +177,8 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
     if diagnosis.holdout is None:
         return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
     return words.of(
-        f"{sized}; the held-out runs do not excite it and can neither confirm nor refuse it",
-        f"{sized}；留出试验未激励该效应，既不能证实也不能否定",
+        f"{sized}; the held-out runs excite it too little and can neither confirm nor refuse it",
+        f"{sized}；留出试验对该效应激励不足，既不能证实也不能否定",
     )
 
 
@@ -209,8 +209,8 @@ def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
     count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
         return words.of(
-            f"; the held-out runs do not excite {them} and cannot confirm {them} (slope {slope})",
-            f"；留出试验未激励该效应，不能证实（斜率{slope}）",
+            f"; the held-out runs excite {them} too little to confirm {them} (slope {slope})",
+            f"；留出试验对该效应激励不足，不能证实（斜率{slope}）",
         )
     if diagnosis.replication == "within_run":
         return words.of(

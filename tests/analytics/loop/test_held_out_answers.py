@@ -92,7 +92,7 @@ def test_held_out_runs_that_do_not_excite_an_effect_neither_confirm_nor_refuse_i
     assert effect.confirmed is None
     limit = next(each for each in found.limits if "neither confirm nor refuse" in each)
     assert "neither confirm nor refuse" in sentence(found, runs[0])
-    assert any("cannot tell" in each for each in evidence(effect, found, Wording("en", runs[0])))
+    assert any("too little to tell" in each for each in evidence(effect, found, Wording("en", runs[0])))
     # the advice is one that helps
     advised = re.search(r"--holdout runs=(\S+)", limit)
     assert advised is not None

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from analytics.loop.distributions import chi_square_sf
+from analytics.loop.distributions import chi_square_sf, normal_log_density
 from analytics.loop.effects.base import EffectKind
 from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -21,8 +21,7 @@ from stream.batch import BoolArray, FloatArray
 
 IS_PRESENT = 1.64  # standard errors by which the slope has to exceed zero: 5 % one-sided
 SAME_SIZE = 3.29  # standard errors by which the slope may differ from one: refuses 1 in 1000 true effects
-AGREES = 1.96  # standard errors within which a slope that does not differ from zero agrees with one
-FOUR_OF_FIVE = 0.84  # additional standard errors for 80 % power; with less power an absent effect is not refused
+ODDS = 3.0  # likelihood of a slope if the effect is absent, over that if it is right, from which it is refused
 LEAST_GAIN = 0.9  # gain of a prediction relative to its gain at the right size that is sufficient
 LINE_P_VALUE = 0.005
 
@@ -195,22 +194,21 @@ def _slope(name: str, slope: float, slope_se: float, training_se: float) -> Hold
 
 
 def answer_of(*, is_right: bool, slope: float, slope_se: float, training_se: float) -> HeldOutAnswer:
-    """The answer of a slope; one that is too uncertain to separate 1 from 0 has no power.
+    """The answer of a slope: it confirms, it speaks against the effect, or it leaves both possible.
 
     >>> answer_of(is_right=True, slope=2.0, slope_se=0.9, training_se=0.1)
     <HeldOutAnswer.NO_POWER: 'no_power'>
-    >>> answer_of(is_right=False, slope=0.43, slope_se=0.47, training_se=0.1)
+    >>> answer_of(is_right=False, slope=0.43, slope_se=0.35, training_se=0.1)
     <HeldOutAnswer.NO_POWER: 'no_power'>
-    >>> answer_of(is_right=False, slope=-6.0, slope_se=0.9, training_se=0.1)
+    >>> answer_of(is_right=False, slope=0.1, slope_se=0.35, training_se=0.1)
     <HeldOutAnswer.REFUSED: 'refused'>
     """
-    if slope_se * IS_PRESENT > 1:
-        return HeldOutAnswer.REFUSED if differs(slope, slope_se, training_se) else HeldOutAnswer.NO_POWER
-    if is_right:
+    if is_right and slope_se * IS_PRESENT <= 1:
         return HeldOutAnswer.CONFIRMED
-    agrees = slope > 0 and abs(slope - 1) < AGREES * math.hypot(slope_se, training_se)
-    has_no_power = agrees and slope_se * (IS_PRESENT + FOUR_OF_FIVE) > 1
-    return HeldOutAnswer.NO_POWER if has_no_power else HeldOutAnswer.REFUSED
+    absent = normal_log_density(slope, 0.0, slope_se)
+    right = normal_log_density(slope, 1.0, math.hypot(slope_se, training_se))
+    is_refused = absent - right >= math.log(ODDS) or differs(slope, slope_se, training_se)
+    return HeldOutAnswer.REFUSED if is_refused else HeldOutAnswer.NO_POWER
 
 
 def differs(slope: float, slope_se: float, training_se: float) -> bool:

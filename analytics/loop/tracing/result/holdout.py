@@ -14,16 +14,16 @@ class HeldOutAnswer(StrEnum):
 
     CONFIRMED = "confirmed"
     REFUSED = "refused"
-    NO_POWER = "no_power"  # they hardly excite the effect: they would miss a true effect of this size too often
+    NO_POWER = "no_power"  # they excite the effect too little to tell whether it is there
 
 
 class HoldoutSlope(msgspec.Struct, frozen=True):
     """Whitened regression of the held-out residual on the prediction; 1 if the prediction is right.
 
-    Accepted if 1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of
-    a large effect, the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2.
-    Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, or if 2.48*SE > 1 and the slope agrees
-    with zero and with one; else refused. An effect that raises the error far is refused whatever its slope.
+    Accepted if slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large effect,
+    the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2. Confirmed if accepted
+    and 1.64*SE <= 1. Refused if the slope is three times as likely without the effect as with it, or differs from one
+    by 3.29 standard errors; else no power. An effect that raises the error far is refused whatever its slope.
     """
 
     effect: str  # name; ``all`` for the sum of all

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analytics.loop.effects.base import EffectKind, Role
-from analytics.loop.tracing.search.evidence import PRICE
+from analytics.loop.tracing.search.evidence import PRICE, look_alike
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, fitted_candidates
 from analytics.loop.tracing.search.pair_round import best_pair
 from analytics.loop.tracing.search.screening import Candidates, screen
@@ -150,7 +150,9 @@ def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
         best = causes[0]
     elif best.effect.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < best.lead:
         best = causes[0]
-    near = [each for each in usable if each is not best and (each.is_near(best) or _by_design(each, best))]
+    # the truth may fail to replicate where one run excites it most; then its look-alike must not be the only name
+    others = [each for each in found if each.replicates or look_alike(each.effect, best.effect)]
+    near = [each for each in others if each is not best and (each.is_near(best) or _by_design(each, best))]
     return Selected(
         fitted=best,
         confounded=tuple(each for each in near if each.effect.role is not Role.PROXY and not _contains(each, best)),

@@ -99,9 +99,10 @@ def fitted_candidates(
     first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
     found = []
     chosen = _worth_fitting(candidates, base, rng, taken, first)
-    rivals = _rivals(chosen, first)
-    for group in (*chosen, *rivals):
-        fitted = _fitted(candidates, base, group, first, is_rival=group in rivals)
+    effects = [group[0].candidate.effect for group in chosen]
+    for group in (*chosen, *_rivals(effects, first)):
+        may_be_rival = any(look_alike(each, group[0].candidate.effect) for each in effects)
+        fitted = _fitted(candidates, base, group, first, may_be_rival=may_be_rival)
         if fitted is not None and fitted.evidence > -PRICE:
             discounted = _discounted(fitted)
             # the cached columns of a fleet would fill the memory
@@ -131,9 +132,8 @@ def _worth_fitting(
     return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
 
 
-def _rivals(chosen: Sequence[list[Screened]], first: Screen) -> list[list[Screened]]:
+def _rivals(effects: Sequence[Effect], first: Screen) -> list[list[Screened]]:
     """Effects that look like a chosen one and just missed the screening: without them it would be the only name."""
-    effects = [group[0].candidate.effect for group in chosen]
     names = {each.name for each in effects}
     return [
         group
@@ -168,7 +168,7 @@ def beside(base: JointFit, hypothesis: Hypothesis) -> tuple[JointFit, float]:
 
 
 def _fitted(
-    candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen, *, is_rival: bool = False
+    candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen, *, may_be_rival: bool
 ) -> FittedCandidate | None:
     """The better fit of the two best shapes of an effect; None if it fails the family-wise test, unless a rival."""
     best: FittedCandidate | None = None
@@ -178,7 +178,7 @@ def _fitted(
         joint, ratio = beside(base, base.hypothesis.with_common(columns))
         p_value = float(chi_square_sf(max(ratio, 0.0), result.degrees))
         is_by_chance = family_p_value(p_value, screened.tests) >= ALPHA
-        if (is_by_chance and not is_rival) or (best and ratio <= best.likelihood_ratio):
+        if (is_by_chance and not may_be_rival) or (best and ratio <= best.likelihood_ratio):
             continue
         degrees = result.degrees + (len(group) > 1)
         evidence = _evidence(joint, ratio, degrees, item.effect)

@@ -179,7 +179,7 @@ def unexplained_error(table: ErrorTable) -> Bilingual | None:
 
 
 def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
-    """Effects that the held-out runs do not excite, or show with another size."""
+    """Effects that the held-out runs excite too little, or show with another size."""
     for effect in effects:
         slope = None if holdout is None else holdout.slope(effect.name)
         if slope is None:
@@ -188,9 +188,9 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
         if slope.answer is HeldOutAnswer.NO_POWER:
             advice = _better_holdout(effect)
             yield Bilingual(
-                f"{effect.name}: the held-out runs do not excite it and can neither confirm nor refuse it (slope "
+                f"{effect.name}: the held-out runs excite it too little and can neither confirm nor refuse it (slope "
                 f"{size}); {advice}",
-                f"{effect.name}：留出试验未激励该效应，既不能证实也不能否定（斜率{size}）；{advice.zh}",
+                f"{effect.name}：留出试验对该效应激励不足，既不能证实也不能否定（斜率{size}）；{advice.zh}",
             )
         elif effect.name != LINE and (why := _wrong_size(slope)) is not None:
             yield Bilingual(
