@@ -11,7 +11,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence
 from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.next_test.recommendation import NextTest, next_test
+from analytics.loop.next_test.recommendation import NextTest, fleet_next_test, next_test
 from analytics.loop.next_test.station_bounds import StationBounds
 from analytics.loop.provenance import Provenance, provenance
 from analytics.loop.recovery import Recovery, recovered
@@ -89,10 +89,13 @@ class UnitsDiagnosis:
     failed: Mapping[str, str]  # why units could not be diagnosed
     own_findings: Mapping[str, tuple[str, ...]]  # significant among so many units (Benjamini and Hochberg)
     fleet: FleetDiagnosis | None = None  # all units pooled, if requested
+    next_test: NextTest | None = None  # of what the pooled search leaves open, if it was asked for
 
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
         whole = {} if self.fleet is None else self.fleet.document()
+        if self.next_test is not None:
+            whole["next_test"] = self.next_test.document()
         return whole | {
             "units": {unit: each.document() for unit, each in self.units.items()},
             "own_findings": {unit: list(names) for unit, names in self.own_findings.items()},
@@ -101,19 +104,39 @@ class UnitsDiagnosis:
 
 
 def with_next_tests(
-    found: UnitsDiagnosis, models: Mapping[str, ErrorModel], bounds: Mapping[str, float], on_progress: Progress = silent
+    found: UnitsDiagnosis,
+    models: Mapping[str, ErrorModel],
+    bounds: Mapping[str, float],
+    on_progress: Progress = silent,
+    station: Mapping[str, float] | None = None,
 ) -> UnitsDiagnosis:
-    """The diagnoses with the next test of each unit, see `next_test`; `bounds` are fields of `StationBounds`."""
+    """The diagnoses with the next test of each unit, and of the fleet; see `next_test`.
+
+    Parameters
+    ----------
+    bounds: Fields of `StationBounds`.
+    station: The same of the station file.
+    """
     units = {}
     for unit, each in found.units.items():
         on_progress(f"planning the next test of {unit}")
         runs = each.data.runs
         planned = next_test(
-            each.diagnosis, runs, models[unit], declared_noise=each.data.noise,
-            bounds=StationBounds.of_runs(runs, **bounds), on_progress=on_progress,
+            each.diagnosis, runs, models[unit], declared_noise=each.data.noise, positions=each.data.positions,
+            bounds=StationBounds.of_runs(runs, station, **dict(bounds)), on_progress=on_progress,
         )  # fmt: skip
         units[unit] = replace(each, next_test=planned, is_planned=True)
-    return replace(found, units=units)
+    if found.fleet is None:
+        return replace(found, units=units)
+    on_progress("planning the next test of the fleet")
+    first = next(iter(found.units.values())).data
+    of_all = fleet_next_test(
+        found.fleet, {unit: each.data.runs for unit, each in found.units.items()}, next(iter(models.values())),
+        declared_noise={unit: each.data.noise for unit, each in found.units.items() if each.data.noise is not None},
+        bounds=StationBounds.of_runs(first.runs, station, **dict(bounds)), positions=first.positions,
+        on_progress=on_progress,
+    )  # fmt: skip
+    return replace(found, units=units, next_test=of_all)
 
 
 def with_recovery(
