@@ -7,8 +7,10 @@ from importlib.util import find_spec
 
 import msgspec
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence
+from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence, copies_of_signal
+from analytics.loop.effects.registry import effect
 from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.next_test.recommendation import NextTest, fleet_next_test, next_test
@@ -223,12 +225,31 @@ def trace_units(
                 raise
             failed[unit] = str(error)
             continue
-        done[unit] = UnitDiagnosis(data, found_in)
+        done[unit] = with_copies_named(UnitDiagnosis(data, found_in))
     if not done:
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
         raise NotFound(f"none of {count} units can be diagnosed; {why}")
     return UnitsDiagnosis(done, failed, significant_findings({unit: each.diagnosis for unit, each in done.items()}))
+
+
+def with_copies_named(found: UnitDiagnosis) -> UnitDiagnosis:
+    """The diagnosis, with a caveat on effects whose channel is a copy of the signal."""
+    named = (*found.diagnosis.effects, *found.diagnosis.unreplicated)
+    channels = sorted({channel for each in named for channel in effect(each.name).needs})
+    copies = () if found.residuals is None or not channels else copies_of_signal(found.residuals, channels)
+    caveats = tuple(
+        Bilingual(
+            f"channel {name} follows the signal at every frequency without a lag, its noise included: it is a copy (a "
+            "leak) of the signal rather than a cause; what is named from it is no effect",
+            f"通道{name}在所有频率上无滞后地跟随信号（包括其噪声）：它是信号的复制（串扰）而非成因，由其得出的效应不成立",
+        )
+        for name in copies
+    )
+    if not caveats:
+        return found
+    diagnosis = msgspec.structs.replace(found.diagnosis, limits=(*caveats, *found.diagnosis.limits))
+    return replace(found, diagnosis=diagnosis)
 
 
 def _pooled(
@@ -247,7 +268,7 @@ def _pooled(
         left_out={unit: data.left_out for unit, data in units.items()},
         on_progress=on_progress,
     )
-    done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
+    done = {unit: with_copies_named(UnitDiagnosis(data, fleet.units[unit])) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
 
 
