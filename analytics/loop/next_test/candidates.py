@@ -51,8 +51,9 @@ def candidate_tests(
     if "table_angle" in needed:
         found += headings(bounds, has_other_axes=has_others)
     if needed.intersection(STANDING):
-        found += _tumbles(has_others=has_others)
-        found += _remountings(_mounted_words(runs, positions or {}), has_others=has_others)
+        # a bias of each position repeats or not in the same positions only
+        words = _mounted_words(runs, positions or {}) if "position" in needed else []
+        found += list(_remountings(words, has_others=has_others)) or _tumbles(has_others=has_others)
     if needed.intersection(SUPPLY) and bounds.least_v is not None and bounds.most_v is not None:
         found += _supply(bounds.least_v, bounds.most_v)
     if POWER_ON in needed:
@@ -111,7 +112,7 @@ def _remountings(words: Sequence[str], *, has_others: bool) -> Iterator[Candidat
     """Each position of the unit's runs mounted again, with a power-on each, without and with the positions of axes."""
     axes = (*_INPUT_AXIS, *_OTHER_AXES) if has_others else _INPUT_AXIS
     for added in ((), tuple(each for each in axes if each not in words)) if 1 < len(words) <= _MOST_WORDS else ():
-        for times in (1, 2, 3):
+        for times in (2, 3):
             steps = [
                 {
                     "name": "static",
