@@ -44,8 +44,8 @@ def which(
 def again(found: FoundEffect, records: Sequence[FittedRecord], model: ErrorModel) -> Decides:
     """Whether held-out runs confirm an effect of the size that was found."""
     theta = np.array([each.value for each in found.coefficients])
-    spread = np.array([(each.hi - each.lo) / 3.92 for each in found.coefficients])
-    training_se = float(np.linalg.norm(spread) / max(float(np.linalg.norm(theta)), 1e-300))
+    # of the size as a whole: coefficients of one curve err together
+    training_se = 1.0 / max(found.significance, 1.0)
 
     def confirmed(information: float) -> Separation:
         if information <= _ONE_SIDED**2:

@@ -111,7 +111,7 @@ def predicted_runs(
     """The run as it would be reduced, its signal zero; each power-on is a run of its own.
 
     Channels that the settings decide follow them; the supply current follows voltage and temperature as in the unit's
-    runs; the others are as in the calmest run, repeated, but other rates than those of the library are 0 at rest.
+    runs; the others stay at their median in the calmest run, and other rates than those of the library at 0 at rest.
     `positions` are the numbers of the words in the channel ``position``.
     """
     like = min(runs, key=_unrest)
@@ -133,10 +133,10 @@ def predicted_runs(
         elif channel in moved:
             channels[channel] = _reduced(moved[channel], slot, of_block, own.unit_of_measure, channel)
         else:
-            rows = np.arange(slot.size) % len(like)
-            phasors = None if own.phasors is None else own.phasors[:, rows]
+            # what no setting moves is not counted on to move
             share = float(is_turning) if own.unit_of_measure == _RATE_UNIT else 1.0
-            channels[channel] = Channel(share * own.mean[rows], own.spread[rows], own.unit_of_measure, phasors)
+            held = np.full(slot.size, share * float(np.nanmedian(own.mean)))
+            channels[channel] = Channel(held, np.full(slot.size, float(np.nanmedian(own.spread))), own.unit_of_measure)
     whole = RunBlocks(
         unit=like.unit,
         run=name,
@@ -170,11 +170,11 @@ def _following(runs: Sequence[RunBlocks], like: RunBlocks, played: Mapping[str, 
     middle, scale = design[known].mean(axis=0), design[known].std(axis=0) + 1e-12
     slopes = np.linalg.lstsq((design[known] - middle) / scale, current[known] - current[known].mean(), rcond=1e-6)[0]
     own = like.channels["supply_current"]
-    rows = np.arange(played[drivers[0]].mean.size) % len(like)
-    before = np.column_stack([like.mean(name) for name in drivers])[rows]
+    before = np.array([np.nanmedian(like.mean(name)) for name in drivers])
     after = np.column_stack([played[name].mean for name in drivers])
-    mean = own.mean[rows] + (after - before) / scale @ slopes
-    return {"supply_current": Channel(mean, own.spread[rows], own.unit_of_measure)}
+    mean = float(np.nanmedian(own.mean)) + (after - before) / scale @ slopes
+    spread = np.full(mean.size, float(np.nanmedian(own.spread)))
+    return {"supply_current": Channel(mean, spread, own.unit_of_measure)}
 
 
 def repeated_run(run: RunBlocks, name: str, last_ns: int) -> RunBlocks:
