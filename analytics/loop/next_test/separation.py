@@ -26,6 +26,7 @@ DRAWS = 400
 LIKELY = 0.05
 """Least posterior weight of a rival whose power counts."""
 _RIDGE = 1e-12
+_FREE = 1e4  # size of a column in a test relative to that in the runs so far
 _SAME = 1.0 - 1e-9  # cosine of columns that are one
 
 
@@ -168,8 +169,11 @@ class RivalFit:
         powers, least = {}, np.inf
         rng = np.random.default_rng(self._seed)
         noise = white.T @ rng.standard_normal((repeats, len(white), DRAWS)).sum(axis=0)
+        # a declared term that the runs so far hardly show is free in them, and large only by its rounding
+        is_free = (np.linalg.norm(white, axis=0) > _FREE) & (np.arange(white.shape[1]) < self._known)
         for number, rival in enumerate(self.rivals):
             at, draws = self._posterior(number, rng)
+            draws[is_free[at]] = 0.0
             right = self._right[:, None] + repeats * (white.T @ (white[:, at] @ draws)) + noise
             evidences = np.array([self._evidence(each, gram, right) for each in range(len(self.rivals))])
             powers[rival.effect.name] = float(np.mean(self._is_single(number, evidences)))
@@ -196,8 +200,6 @@ class RivalFit:
         sizes = (mean / self._scale[seen])[seen >= self._known]
         usual = float(np.sqrt(np.mean(sizes**2))) if sizes.size else 0.0
         draws[~is_seen] = usual * rng.standard_normal((np.count_nonzero(~is_seen), DRAWS))
-        # every rival is fitted with the declared terms, so that their coefficients change no evidence
-        draws[at < self._known] = 0.0
         return at, draws
 
     def _is_single(self, number: int, evidences: FloatArray) -> BoolArray:
