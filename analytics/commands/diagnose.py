@@ -58,7 +58,13 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     "--bounds",
     metavar="NAME=VALUE,..",
     help="What a test may use: least_deg_c, most_deg_c, slope_deg_c_per_min, rate_deg_per_s, acceleration_deg_per_s2, "
-    "least_v, most_v; by default what the unit has been through.",
+    "least_angle_deg, most_angle_deg, least_v, most_v; by default what the unit has been through.",
+)
+@click.option(
+    "--station",
+    "station_path",
+    type=click.Path(path_type=Path),
+    help="Station file: a test keeps to the limits of its chamber, rate table and power supply as well.",
 )
 @click.option(
     "--write-procedure",
@@ -85,8 +91,8 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
 def diagnose(
     folder: Path, units: tuple[str, ...], signal: str | None, model: str, block: str | None, noise: str | None,
     holdout: str, runs: tuple[str, ...], since: str | None, report_path: Path | None, plot_folder: Path | None,
-    bounds: str | None, procedure_path: Path | None, language: "Language", *, fleet: bool, save: bool,
-    tries: int | None, asks_next_test: bool, asks_explainable: bool | None, as_json: bool,
+    bounds: str | None, station_path: Path | None, procedure_path: Path | None, language: "Language", *,
+    fleet: bool, save: bool, tries: int | None, asks_next_test: bool, asks_explainable: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Find effects that a declared error model lacks, or report that none is missing or that the data cannot tell.
 
@@ -106,7 +112,8 @@ def diagnose(
     if procedure_path is not None and (len(units) != 1 or fleet):
         raise BadInput("a procedure is written for one unit: give one --unit with --write-procedure")
     _check_suffixes(report_path, procedure_path)
-    asks_next_test = asks_next_test or procedure_path is not None or bounds is not None
+    asks_next_test = asks_next_test or procedure_path is not None or bounds is not None or station_path is not None
+    limits = station_limits(station_path)
     question = Question(
         model=model, signal=signal, block_s=None if block is None else block_seconds(block),
         noise=None if noise is None else noise_of(noise), holdout=holdout_of(holdout), runs=runs or None,
@@ -123,7 +130,7 @@ def diagnose(
         if tries is not None:
             found = with_recovery(found, read.models, tries, report)
         if asks_next_test:
-            found = with_next_tests(found, read.models, bounds_of(bounds or ""), report)
+            found = with_next_tests(found, read.models, bounds_of(bounds or ""), report, limits)
     saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
@@ -204,7 +211,10 @@ def _write_procedure(found: "NextTest | None", path: Path) -> None:
     except OSError as error:
         raise BadInput(f"cannot write {path}: {error}; name a file in a folder you can write") from error
     hours = f"{plan.test.repeats} x {plan.hours / plan.test.repeats:.2g} h"
-    notes().print(f"procedure: {path}, {hours}, decides with a power of {plan.power:.0%}", soft_wrap=True)
+    notes().print(
+        f"procedure: {path}, {hours}, decides with a power of {plan.power:.0%}, {plan.assured:.0%} for the least sure",
+        soft_wrap=True,
+    )
 
 
 def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:
@@ -272,9 +282,9 @@ def bounds_of(text: str) -> dict[str, float]:
     >>> bounds_of("least_deg_c=-20, slope_deg_c_per_min=1")
     {'least_deg_c': -20.0, 'slope_deg_c_per_min': 1.0}
     """
-    from analytics.loop.next_test.station_bounds import StationBounds
+    from analytics.loop.next_test.station_bounds import UNITS
 
-    names = StationBounds.__struct_fields__
+    names = tuple(UNITS)
     found: dict[str, float] = {}
     for part in filter(None, (each.strip() for each in text.split(","))):
         name, _, value = (each.strip() for each in part.partition("="))
@@ -285,6 +295,13 @@ def bounds_of(text: str) -> dict[str, float]:
         if name not in names:
             raise BadInput(f"--bounds {part}: {name} is not known; names are {', '.join(names)}")
     return found
+
+
+def station_limits(path: Path | None) -> dict[str, float]:
+    """Limits of the instruments in a station file; none without one."""
+    from analytics.loop.next_test.station_bounds import limits_of_station
+
+    return {} if path is None else limits_of_station(path)
 
 
 def holdout_of(text: str) -> tuple[str, ...] | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from analytics.loop.next_test.recommendation import NextTest
 from analytics.loop.report.finding_sentences import (
     alternative,
     evidence,
@@ -10,12 +11,11 @@ from analytics.loop.report.finding_sentences import (
     separating_test,
     unit_rows,
 )
-from analytics.loop.report.next_test_rows import afterwards, next_test_rows, next_test_sentence
+from analytics.loop.report.next_test_rows import afterwards, bounds_sentence, next_test_rows, next_test_sentence
 from analytics.loop.report.report_tables import TextTable, absent_rows, achieved, error_rows, gain_rows, noise_rows
 from analytics.loop.report.scrutiny_rows import recovery_sentences
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
-from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.console import notes, results, styled
 from stream.result_table import ResultTable
@@ -65,19 +65,20 @@ def _print_noise(found: UnitDiagnosis, words: Wording) -> None:
 
 
 def _print_next_test(found: UnitDiagnosis, words: Wording) -> None:
-    console, asked = results(), found.next_test
-    if asked is None:
-        if found.is_planned:
-            is_settled = found.diagnosis.verdict in (ModelVerdict.NOTHING_MISSING, ModelVerdict.EFFECT_FOUND)
-            why = words.of("no effects are left to decide between", "没有可供判别的效应")
-            if is_settled:
-                why = words.of("nothing is open", "没有待判别的问题")
-            console.print(words.of(f"Next test: {why}.", f"下一项试验：{why}。"))
-        return
+    if found.next_test is not None:
+        _print_plans(found.next_test, words)
+    elif found.is_planned:
+        results().print(words.of("Next test: nothing is open.", "下一项试验：没有待判别的问题。"))
+
+
+def _print_plans(asked: NextTest, words: Wording) -> None:
+    console = results()
     console.print(f"\n{next_test_sentence(asked, words)}")
     if asked.plans:
         console.print(_rich(next_test_rows(asked, words)))
         console.print(afterwards(asked, words))
+    if (bounds := bounds_sentence(asked, words)) is not None:
+        console.print(bounds)
 
 
 def print_units(found: UnitsDiagnosis, language: Language) -> None:
@@ -91,6 +92,8 @@ def print_units(found: UnitsDiagnosis, language: Language) -> None:
         console.print(styled(fleet_sentence(found.fleet, words), "bold"))
         for name, rows in found.fleet.by_unit.items():
             console.print(_rich(fleet_rows(name, rows, words)))
+        if found.next_test is not None:
+            _print_plans(found.next_test, words)
         for text in found.fleet.limits:
             notes().print(f"{caveat}: {words.text(text)}", soft_wrap=True)
     console.print(_rich(unit_rows(found, words)))

@@ -1,5 +1,7 @@
 """Coherence of the residual with each channel, over frequency, and the lag at which they agree most."""
 
+from collections.abc import Sequence
+
 import msgspec
 import numpy as np
 
@@ -11,6 +13,9 @@ _OVERLAP_COST = (
     1.056  # variance of a Hann-windowed spectrum with half-overlapping segments, relative to independent ones
 )
 _MOST_LAG_BLOCKS = 20
+_COPIED = 0.95
+"""Squared coherence at every frequency from which a channel is a copy: a cause does not follow the gyro's noise."""
+_LEAST_OWN = 1e-6  # share of a channel that the declared terms leave, for it to be compared
 
 
 class ChannelCoherence(msgspec.Struct, frozen=True, kw_only=True):
@@ -63,6 +68,29 @@ def channel_coherence(residuals: Residuals) -> tuple[ChannelCoherence, ...]:
             )
         )
     return tuple(sorted(found, key=lambda each: (each.p_value, -each.coherence)))
+
+
+def copies_of_signal(residuals: Residuals, channels: Sequence[str]) -> tuple[str, ...]:
+    """Channels that follow the signal at every frequency without a lag, its noise included.
+
+    Both are compared beside the declared model, so that a reference that the signal measures is no copy of it.
+    """
+    record, stack = residuals.record, residuals.record.stack
+    names = [name for name in channels if name in residuals.channels]
+    columns = np.column_stack([stack.value, *(residuals.channel(name) for name in names)])
+    columns = columns - columns.mean(axis=0)
+    if not names or not np.isfinite(columns).all():
+        return ()
+    left = columns - record.design @ np.linalg.lstsq(record.design, columns, rcond=None)[0]
+    is_own = np.linalg.norm(left, axis=0) > _LEAST_OWN * np.linalg.norm(columns, axis=0)
+    whole = record.whitener(residuals.noise)(left)
+    runs = [whole[stack.run_number == number] for number in range(len(stack.runs))]
+    runs = [run - run.mean(axis=0) for run in runs if len(run) >= _SEGMENT_BLOCKS]
+    if sum(map(_segments, runs)) < _FEWEST_SEGMENTS:
+        return ()
+    pairs = {name: [run[:, [0, at]] for run in runs] for at, name in enumerate(names, 1) if is_own[at]}
+    block_s = record.noise_model.block_s
+    return tuple(name for name, own in pairs.items() if _pooled(own, block_s)[1].min() > _COPIED and _lag(own)[0] == 0)
 
 
 def _segments(run: FloatArray) -> int:

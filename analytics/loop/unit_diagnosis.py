@@ -7,11 +7,13 @@ from importlib.util import find_spec
 
 import msgspec
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence
+from analytics.loop.channel_coherence import ChannelCoherence, channel_coherence, copies_of_signal
+from analytics.loop.effects.registry import effect
 from analytics.loop.explainable import Explainable, explainable
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.next_test.recommendation import NextTest, next_test
+from analytics.loop.next_test.recommendation import NextTest, fleet_next_test, next_test
 from analytics.loop.next_test.station_bounds import StationBounds
 from analytics.loop.provenance import Provenance, provenance
 from analytics.loop.recovery import Recovery, recovered
@@ -90,10 +92,13 @@ class UnitsDiagnosis:
     failed: Mapping[str, str]  # why units could not be diagnosed
     own_findings: Mapping[str, tuple[str, ...]]  # significant among so many units (Benjamini and Hochberg)
     fleet: FleetDiagnosis | None = None  # all units pooled, if requested
+    next_test: NextTest | None = None  # of what the pooled search leaves open, if it was asked for
 
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
         whole = {} if self.fleet is None else self.fleet.document()
+        if self.next_test is not None:
+            whole["next_test"] = self.next_test.document()
         return whole | {
             "units": {unit: each.document() for unit, each in self.units.items()},
             "own_findings": {unit: list(names) for unit, names in self.own_findings.items()},
@@ -102,19 +107,39 @@ class UnitsDiagnosis:
 
 
 def with_next_tests(
-    found: UnitsDiagnosis, models: Mapping[str, ErrorModel], bounds: Mapping[str, float], on_progress: Progress = silent
+    found: UnitsDiagnosis,
+    models: Mapping[str, ErrorModel],
+    bounds: Mapping[str, float],
+    on_progress: Progress = silent,
+    station: Mapping[str, float] | None = None,
 ) -> UnitsDiagnosis:
-    """The diagnoses with the next test of each unit, see `next_test`; `bounds` are fields of `StationBounds`."""
+    """The diagnoses with the next test of each unit, and of the fleet; see `next_test`.
+
+    Parameters
+    ----------
+    bounds: Fields of `StationBounds`.
+    station: The same of the station file.
+    """
     units = {}
     for unit, each in found.units.items():
         on_progress(f"planning the next test of {unit}")
         runs = each.data.runs
         planned = next_test(
-            each.diagnosis, runs, models[unit], declared_noise=each.data.noise,
-            bounds=StationBounds.of_runs(runs, **bounds), on_progress=on_progress,
+            each.diagnosis, runs, models[unit], declared_noise=each.data.noise, positions=each.data.positions,
+            bounds=StationBounds.of_runs(runs, station, **dict(bounds)), on_progress=on_progress,
         )  # fmt: skip
         units[unit] = replace(each, next_test=planned, is_planned=True)
-    return replace(found, units=units)
+    if found.fleet is None:
+        return replace(found, units=units)
+    on_progress("planning the next test of the fleet")
+    first = next(iter(found.units.values())).data
+    of_all = fleet_next_test(
+        found.fleet, {unit: each.data.runs for unit, each in found.units.items()}, next(iter(models.values())),
+        declared_noise={unit: each.data.noise for unit, each in found.units.items() if each.data.noise is not None},
+        bounds=StationBounds.of_runs(first.runs, station, **dict(bounds)), positions=first.positions,
+        on_progress=on_progress,
+    )  # fmt: skip
+    return replace(found, units=units, next_test=of_all)
 
 
 def with_recovery(
@@ -208,12 +233,31 @@ def trace_units(
         if isinstance(answer, str):
             failed[unit] = answer
         else:
-            done[unit] = UnitDiagnosis(data, answer)
+            done[unit] = with_copies_named(UnitDiagnosis(data, answer))
     if not done:
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
         raise NotFound(f"none of {count} units can be diagnosed; {why}")
     return UnitsDiagnosis(done, failed, significant_findings({unit: each.diagnosis for unit, each in done.items()}))
+
+
+def with_copies_named(found: UnitDiagnosis) -> UnitDiagnosis:
+    """The diagnosis, with a caveat on effects whose channel is a copy of the signal."""
+    named = (*found.diagnosis.effects, *found.diagnosis.unreplicated)
+    channels = sorted({channel for each in named for channel in effect(each.name).needs})
+    copies = () if found.residuals is None or not channels else copies_of_signal(found.residuals, channels)
+    caveats = tuple(
+        Bilingual(
+            f"channel {name} follows the signal at every frequency without a lag, its noise included: it is a copy (a "
+            "leak) of the signal rather than a cause; what is named from it is no effect",
+            f"通道{name}在所有频率上无滞后地跟随信号（包括其噪声）：它是信号的复制（串扰）而非成因，由其得出的效应不成立",
+        )
+        for name in copies
+    )
+    if not caveats:
+        return found
+    diagnosis = msgspec.structs.replace(found.diagnosis, limits=(*caveats, *found.diagnosis.limits))
+    return replace(found, diagnosis=diagnosis)
 
 
 def _pooled(
@@ -234,7 +278,7 @@ def _pooled(
         processes=processes,
         on_progress=on_progress,
     )
-    done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
+    done = {unit: with_copies_named(UnitDiagnosis(data, fleet.units[unit])) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
 
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.blocks.step_channels import position_numbers
 from analytics.loop.blocks.stored_signals import usual_block_s
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
@@ -63,6 +64,7 @@ class ReducedUnit:
     noise_source: str  # where the noise is from, or why there is none
     left_out: tuple[LeftOut, ...] = ()  # of the record, with its share
     turn_on_is_declared: bool = False  # else it was estimated from these runs
+    positions: Mapping[str, float] = field(default_factory=dict)  # number of each word in the channel ``position``
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ def reduce_units(
     reducer = BlockReducer(
         catalog, signal, block_s=block_s, runs=question.runs, since_ns=question.since_ns, channels=channels
     )
+    positions = position_numbers(catalog)
     reduced: dict[str, ReducedUnit] = {}
     models: dict[str, ErrorModel] = {}
     failed: dict[str, str] = {}
@@ -105,7 +108,7 @@ def reduce_units(
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
             _check_values(runs)
             noise, source, is_declared = _noise(catalog, runs, models[unit], question)
-            reduced[unit] = ReducedUnit(runs, notes, noise, source, found.left_out, is_declared)
+            reduced[unit] = ReducedUnit(runs, notes, noise, source, found.left_out, is_declared, positions)
         except GyrofleetError as error:
             if len(units) == 1:
                 raise

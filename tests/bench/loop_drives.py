@@ -57,7 +57,8 @@ class Drive:
     Parameters
     ----------
     kind : str
-        One of `TYPES`, or ``ramp``: at rest, one temperature ramp.
+        One of `TYPES`, or of the few things that leave effects confounded: ``ramp``, one temperature ramp at rest;
+        ``two_rates``, ``one_way``, ``three_positions``, ``supply_ramp``, ``power_on``, ``two_headings``.
     time_s : array of shape (instants,)
         From the run's start, evenly spaced.
     day : float
@@ -116,7 +117,8 @@ def drive(kind: str, number: int, rng: np.random.Generator, duration_s: float, s
     day = 0.9 * number + float(rng.uniform(0.0, 0.2))
     asked = _at_rest(bench, rng)
     asked |= _PLANS[kind](bench, number)
-    since_s: FloatArray = time_s + float(rng.choice([0.0, 300.0, 1800.0, 9000.0]))
+    before_s = float(rng.choice([0.0, 300.0, 1800.0, 9000.0]))
+    since_s: FloatArray = time_s + (0.0 if kind == "power_on" else before_s)
     true = _physics(bench, asked, since_s) | {"day": day + time_s / 86400.0}
     read = {
         name: values + SENSOR_NOISE.get(name, 0.0) * rng.standard_normal(time_s.size) for name, values in true.items()
@@ -231,9 +233,34 @@ def _environment(bench: _Bench, number: int) -> dict[str, FloatArray]:
     }
 
 
+def _turning(bench: _Bench, rates: tuple[float, ...], orientation: FloatArray) -> dict[str, FloatArray]:
+    return {
+        "table_rate": bench.limited(bench.levels(np.array(rates), 240.0), 4.0),
+        "orientation": np.tile(orientation, (bench.time_s.size, 1)),
+    }
+
+
+def _two_headings(bench: _Bench, number: int) -> dict[str, FloatArray]:
+    angle = bench.limited(bench.levels(np.array([0.0, 90.0]), 900.0), 4.0)
+    return {
+        "table_rate": np.gradient(angle, bench.step_s),
+        "angle0": np.zeros(angle.size),
+        "orientation": np.tile(_AXES[1], (angle.size, 1)),
+    }
+
+
 _PLANS: Mapping[str, Callable[[_Bench, int], dict[str, FloatArray]]] = {
     "static": lambda bench, number: {},
     "ramp": lambda bench, number: {"setpoint": np.linspace(-20.0, 55.0, bench.time_s.size)},
+    "two_rates": lambda bench, number: _turning(bench, (0.0, 15.0, 0.0, -15.0), _TILTS[0]),
+    "one_way": lambda bench, number: _turning(bench, (0.0, 5.0, 10.0, 20.0), _AXES[0]),
+    "three_positions": lambda bench, number: {"orientation": bench.levels(_AXES, 1200.0)},
+    "supply_ramp": lambda bench, number: {
+        "setpoint": np.linspace(0.0, 40.0, bench.time_s.size),
+        "supply_voltage": np.linspace(11.0, 13.0, bench.time_s.size),
+    },
+    "power_on": lambda bench, number: {},
+    "two_headings": _two_headings,
     "temperature": _temperature,
     "rate": _rate,
     "positions": _positions,

@@ -13,6 +13,7 @@ _OF_INPUT_AXIS = {"up": 1.0, "down": -1.0}
 _HORIZONTAL = frozenset({"east_west", "east", "west", "north", "south", "horizontal"})
 _FAR_NS = 2**62
 _AXES = frozenset("XYZ")
+_OTHERS_OF_GYRO = frozenset({"OA", "SA"})
 _RATE_WORDS = "rate|gyro|gyr|omega|velocity|vel|spin|turn"
 _LETTER_APART = re.compile(r"(?:^|_)([xyz])(?=_|$)")
 _LETTER_JOINED = re.compile(rf"(?:(?:{_RATE_WORDS}|^w|_w)([xyz])(?=_|$))|(?:(?:^|_)([xyz])(?={_RATE_WORDS}))")
@@ -88,14 +89,17 @@ def input_axis_up(position: str | None, signal: str) -> float | None:
     """Vertical component of the input axis in a position: 1, -1, 0 where it is horizontal, None where unknown.
 
     Known are the words of the procedures of the standards: ``IRA_up``, ``IRA_down``, ``IRA_east_west`` and the like,
-    and ``X_up`` to ``Z_down`` for the signals of an axis, ``rate_x`` to ``rate_z``.
+    and ``X_up`` to ``Z_down`` for the signals of an axis, ``rate_x`` to ``rate_z``; with ``OA_up`` to ``SA_down``, the
+    output or spin axis vertical, it is horizontal.
 
     >>> [input_axis_up(word, "rate") for word in ("IRA_up", "IRA_down", "IRA_east_west", "X_up", None)]
     [1.0, -1.0, 0.0, None, None]
-    >>> input_axis_up("X_down", "rate_x"), input_axis_up("X_down", "rate_y")
-    (-1.0, 0.0)
+    >>> input_axis_up("X_down", "rate_x"), input_axis_up("X_down", "rate_y"), input_axis_up("OA_up", "rate")
+    (-1.0, 0.0, 0.0)
     """
     axis, _, towards = (position or "").partition("_")
+    if axis in _OTHERS_OF_GYRO and towards in _OF_INPUT_AXIS:
+        return 0.0
     if axis == "IRA":
         return 0.0 if towards in _HORIZONTAL else _OF_INPUT_AXIS.get(towards)
     own = signal_axis(signal)

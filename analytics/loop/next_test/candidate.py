@@ -1,6 +1,6 @@
 """Candidate test: a procedure that may decide between rival effects."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -48,12 +48,29 @@ class CandidateTest(msgspec.Struct, frozen=True, kw_only=True):
         return Planner(self.name).plan(Used(file.items, self.name, {}), {})
 
 
-def loop(setting: str, values: Sequence[float], record_s: float) -> dict[str, Any]:
+def loop(setting: str, values: Iterable[float], record_s: float) -> dict[str, Any]:
     """A loop over the values of a setting, each recorded for a time."""
     name = setting.partition("_")[0]
     return {
         "for": name,
-        "values": [float(np.round(each, 3)) for each in values],
+        "values": [float(np.round(each, 4)) for each in values],
         setting: f"${name}",
         "step": [{"name": name, "record_s": float(np.round(record_s, 1))}],
     }
+
+
+def mounting(position: str) -> dict[str, Any]:
+    """An operator mounts the units; the next step has the position."""
+    axis, _, towards = position.partition("_")
+    way, way_zh = _WAYS[towards]
+    return {
+        "name": "mount",
+        "prompt": {"en": f"Mount the units with {axis} {way}.", "zh": f"将陀螺仪安装为{axis}{way_zh}。"},
+    }
+
+
+_WAYS = {
+    "up": ("up, along the table's axis", "向上，沿转台轴"),
+    "down": ("down", "向下"),
+    "horizontal": ("horizontal", "水平"),
+}

@@ -1,16 +1,15 @@
 """Test plans: candidate tests with as many repeats as they need, and the cheapest of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.registry import effect
 from analytics.loop.next_test.candidate import CandidateTest
-from analytics.loop.next_test.candidates import candidate_tests
-from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run, repeated_run
+from analytics.loop.next_test.predicted_run import ThermalChain, predicted_runs, repeated_run
 from analytics.loop.next_test.separation import Separation
 from analytics.loop.next_test.station_bounds import StationBounds
 from analytics.loop.next_test.timeline import timeline
@@ -21,8 +20,8 @@ _MOST_PLANS = 5
 _MOST_REPEATS = 3
 _PREPARATION_H = 0.25  # to mount and warm up, for each run
 
-Decides = Callable[[RunBlocks], Callable[[int], Separation] | None]
-"""What a test decides if it is run a number of times; None if a channel that it needs has no value."""
+Decides = Callable[[Sequence[RunBlocks]], Callable[[int], Separation] | None]
+"""What a test, by its power-ons, decides if it is run a number of times; None if a channel has no value in it."""
 
 
 class TestPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -34,6 +33,7 @@ class TestPlan(msgspec.Struct, frozen=True, kw_only=True):
     power: Probability that it decides.
     separation: Least expected difference of evidence between a true effect and another, chi-square.
     by_truth: Power if each of the rivals is the true one.
+    assured: The least of these over the rivals that the data so far leave likely.
     """
 
     __test__ = False
@@ -43,6 +43,12 @@ class TestPlan(msgspec.Struct, frozen=True, kw_only=True):
     power: float
     separation: float
     by_truth: dict[str, float]
+    assured: float = 0.0
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether it decides with the wanted power whichever of the likely rivals is true."""
+        return self.assured >= WANTED_POWER
 
     def document(self) -> dict[str, Any]:
         """JSON form."""
@@ -54,58 +60,73 @@ class TestPlan(msgspec.Struct, frozen=True, kw_only=True):
             "hours": round(self.hours, 2),
             "power": round(self.power, 3),
             "separation": round(self.separation, 1),
+            "least_power": round(self.assured, 3),
             "by_truth": {name: round(power, 3) for name, power in self.by_truth.items()},
             "steps": list(self.test.steps),
         }
 
 
-def cheapest_plans(
-    decides: Decides,
-    names: Sequence[str],
+@dataclass(frozen=True)
+class TimedTest:
+    """A candidate test with its hours and the runs that it would leave, one for each power-on."""
+
+    hours: float
+    runs: list[RunBlocks]
+    test: CandidateTest
+
+
+def timed_tests(
+    tests: Sequence[CandidateTest],
     runs: Sequence[RunBlocks],
     bounds: StationBounds,
-    on_progress: Callable[[str], None],
+    positions: Mapping[str, float] | None = None,
+) -> list[TimedTest]:
+    """Candidate tests with what they would record, the shortest first; `positions` are the numbers of the words."""
+    chain, last_ns = ThermalChain.of_runs(runs), max(run.t0_ns for run in runs)
+    of_name = {run.run: run for run in runs}
+    timed = []
+    for test in tests:
+        if test.like:
+            own = [repeated_run(of_name[test.like], test.name, last_ns)]
+            hours = float(own[0].slot[-1] + 1 - own[0].slot[0]) * own[0].block_s / 3600.0
+        else:
+            played = timeline(test, bounds)
+            own, hours = predicted_runs(played, runs, chain, test.name, positions or {}), played.hours
+        if own and all(len(each) for each in own):
+            timed.append(TimedTest(hours + _PREPARATION_H, own, test))
+    return sorted(timed, key=lambda each: each.hours)
+
+
+def cheapest_plans(
+    decides: Decides, timed: Sequence[TimedTest], on_progress: Callable[[str], None]
 ) -> tuple[tuple[TestPlan, ...], TestPlan | None]:
     """Plans that reach the power, the cheapest first, else the most powerful; and the cheapest repetition.
 
     Parameters
     ----------
-    names: Of the rivals, which the tests are to move.
-    runs: Of the unit.
+    timed: The shortest first.
     """
-    needed = {channel for name in names for channel in effect(name).needs}
-    chain, last_ns = ThermalChain.of_runs(runs), max(run.t0_ns for run in runs)
-    of_name = {run.run: run for run in runs}
-    timed = []
-    for test in candidate_tests(needed, bounds, runs):
-        if test.like:
-            run = repeated_run(of_name[test.like], test.name, last_ns)
-            hours = float(run.slot[-1] + 1 - run.slot[0]) * run.block_s / 3600.0
-        else:
-            played = timeline(test, bounds)
-            run, hours = predicted_run(played, runs, chain, test.name), played.hours
-        timed.append((hours + _PREPARATION_H, run, test))
-    timed.sort(key=lambda each: each[0])
     good: list[TestPlan] = []
     weak: list[TestPlan] = []
     repeat: TestPlan | None = None
-    for number, (hours, run, test) in enumerate(timed, start=1):
+    for number, each in enumerate(timed, start=1):
         on_progress(f"planning the next test ({number} of {len(timed)})")
         most = good[_MOST_PLANS - 1].hours if len(good) >= _MOST_PLANS else np.inf
-        plan = _cheapest(decides, run, hours, test, np.inf if test.like and repeat is None else most)
+        plan = _cheapest(decides, each, np.inf if each.test.like and repeat is None else most)
         if plan is None:
             continue
-        if test.like and plan.power >= WANTED_POWER and (repeat is None or plan.hours < repeat.hours):
+        if each.test.like and plan.is_enough and (repeat is None or plan.hours < repeat.hours):
             repeat = plan
-        (good if plan.power >= WANTED_POWER else weak).append(plan)
+        (good if plan.is_enough else weak).append(plan)
         good.sort(key=lambda each: each.hours)
-    chosen = good or sorted(weak, key=lambda each: (-round(each.power, 2), each.hours))
+    chosen = good or sorted(weak, key=lambda each: (-round(each.assured, 2), -round(each.power, 2), each.hours))
     return tuple(each for each in chosen[:_MOST_PLANS] if each.power > _LEAST_POWER), repeat
 
 
-def _cheapest(decides: Decides, run: RunBlocks, hours: float, test: CandidateTest, most_h: float) -> TestPlan | None:
+def _cheapest(decides: Decides, timed: TimedTest, most_h: float) -> TestPlan | None:
     """The test with as many repeats as its power needs; None if it does not fit or has no hope."""
-    if hours > most_h or (of_repeats := decides(run)) is None:
+    hours, test = timed.hours, timed.test
+    if hours > most_h or (of_repeats := decides(timed.runs)) is None:
         return None
     best: TestPlan | None = None
     for repeats in range(1, min(_MOST_REPEATS, int(most_h / hours) if np.isfinite(most_h) else _MOST_REPEATS) + 1):
@@ -116,7 +137,8 @@ def _cheapest(decides: Decides, run: RunBlocks, hours: float, test: CandidateTes
             power=found.power,
             separation=found.least,
             by_truth=found.by_truth,
+            assured=found.assured,
         )
-        if found.power >= WANTED_POWER or found.power < _HOPELESS_POWER:
+        if best.is_enough or found.power < _HOPELESS_POWER:
             break
     return best

@@ -9,6 +9,7 @@ test anew. Box and Hill, Technometrics 9(1), 1967, 57-71; Atkinson and Fedorov, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -22,7 +23,10 @@ from analytics.loop.tracing.whitening.whitener import Whitener
 from stream.batch import BoolArray, FloatArray, IntArray
 
 DRAWS = 400
+LIKELY = 0.05
+"""Least posterior weight of a rival whose power counts."""
 _RIDGE = 1e-12
+_FREE = 1e4  # size of a column in a test relative to that in the runs so far
 _SAME = 1.0 - 1e-9  # cosine of columns that are one
 
 
@@ -52,11 +56,22 @@ class Separation:
     power: Probability that the true rival is left as the single name, over the rivals by their posterior weights.
     by_truth: The same if each rival is the true one.
     least: Least expected difference of evidence between a true rival and another, chi-square.
+    assured: The least power over the rivals that the data so far leave likely.
     """
 
     power: float
     by_truth: dict[str, float]
     least: float
+    assured: float
+
+
+@dataclass(frozen=True)
+class FittedRecord:
+    """The runs of a unit that the search is given, with its fitted noise and the relative white variance of blocks."""
+
+    stack: Stack
+    noise: ModelNoise
+    white: FloatArray
 
 
 class RivalFit:
@@ -64,29 +79,33 @@ class RivalFit:
 
     Parameters
     ----------
-    stack: The runs that the search is given, their used blocks.
+    records: Of one unit, or of several, which share the rivals and have a declared model each.
     others: Effects found beside the rivals, which every rival is fitted with.
     """
 
     def __init__(
         self,
-        stack: Stack,
+        records: Sequence[FittedRecord],
         model: ErrorModel,
-        noise: ModelNoise,
-        white: FloatArray,
         rivals: Sequence[Rival],
-        others: Sequence[tuple[Effect, Shape]],
+        others: Sequence[tuple[Effect, Shape]] = (),
         seed: int = 0,
     ) -> None:
-        self._model, self._noise, self.rivals, self._others = model, noise, tuple(rivals), tuple(others)
-        self._noise_model = stack.noise_model
+        self._records, self._model, self.rivals, self._others = tuple(records), model, tuple(rivals), tuple(others)
         self._seed = seed
-        columns = stack.column(self._columns)
-        whitener = Whitener.of(self._noise_model, noise, stack.steps, white)
-        whole = whitener(np.column_stack([stack.value, columns]))
-        self._scale = np.maximum(np.linalg.norm(whole[:, 1:], axis=0), 1e-300)
+        parts = []
+        for number, each in enumerate(self._records):
+            columns = each.stack.column(partial(self._columns, record=number))
+            whitener = Whitener.of(each.stack.noise_model, each.noise, each.stack.steps, each.white)
+            parts.append(whitener(np.column_stack([each.stack.value, columns])))
+        whole = np.concatenate(parts)
+        norms = np.linalg.norm(whole[:, 1:], axis=0)
+        self._scale = np.where(norms > 0.0, norms, 1.0)
         scaled = whole[:, 1:] / self._scale
-        self._gram, self._right = scaled.T @ scaled, scaled.T @ whole[:, 0]
+        # what the declared terms explain is taken off: beside the turn of the table an effect is lost in the rounding
+        known = scaled[:, : self._known]
+        value = whole[:, 0] - known @ np.linalg.lstsq(known, whole[:, 0], rcond=None)[0]
+        self._gram, self._right = scaled.T @ scaled, scaled.T @ value
         self._places = self._located()
         weights = np.array(
             [0.5 * self._evidence(each, self._gram, self._right[:, None])[0] for each in range(len(self.rivals))]
@@ -96,10 +115,13 @@ class RivalFit:
 
     @property
     def _known(self) -> int:
-        return len(self._model.labels()) + sum(len(one.columns(shape)) for one, shape in self._others)
+        own = len(self._model.labels()) * len(self._records)
+        return own + sum(len(one.columns(shape)) for one, shape in self._others)
 
-    def _columns(self, run: RunBlocks) -> FloatArray:
-        parts = [self._model.columns(run)]
+    def _columns(self, run: RunBlocks, record: int) -> FloatArray:
+        own = self._model.columns(run)
+        none = np.zeros_like(own)
+        parts = [own if number == record else none for number in range(len(self._records))]
         parts += [one.regressors(run, shape) for one, shape in self._others]
         for rival in self.rivals:
             parts += rival.columns(run)
@@ -118,8 +140,9 @@ class RivalFit:
     def _explained(self, at: IntArray, gram: FloatArray, right: FloatArray) -> FloatArray:
         """Sum of squares that columns explain, for each draw."""
         own = gram[np.ix_(at, at)]
-        factor = np.linalg.cholesky(own + _RIDGE * np.trace(own) * np.eye(at.size))
-        return np.asarray(np.sum(np.linalg.solve(factor, right[at]) ** 2, axis=0))
+        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        factor = np.linalg.cholesky(own / np.outer(scale, scale) + _RIDGE * at.size * np.eye(at.size))
+        return np.asarray(np.sum(np.linalg.solve(factor, right[at] / scale[:, None]) ** 2, axis=0))
 
     def _evidence(self, number: int, gram: FloatArray, right: FloatArray) -> FloatArray:
         rival = self.rivals[number]
@@ -127,40 +150,57 @@ class RivalFit:
         best = np.max([self._explained(at, gram, right) for at in self._places[number]], axis=0)
         return one_degree(best - without, rival.degrees) - penalty(rival.effect)
 
-    def whitened(self, run: RunBlocks) -> FloatArray | None:
-        """The columns of a test, for `separation`; None if a channel has no value in it."""
-        columns = self._columns(run)
-        if not np.isfinite(columns).all():
-            return None
-        steps = np.diff(run.slot, prepend=run.slot[0])
-        whitener = Whitener.of(self._noise_model, self._noise, steps, np.ones(len(run)))
-        return np.asarray(whitener(columns) / self._scale)
+    def whitened(self, runs: Sequence[RunBlocks]) -> FloatArray | None:
+        """The columns of a test of every unit, for `separation`; None if a channel has no value in it."""
+        parts = []
+        for number, each in enumerate(self._records):
+            for run in runs:
+                columns = self._columns(run, number)
+                if not np.isfinite(columns).all():
+                    return None
+                steps = np.diff(run.slot, prepend=run.slot[0])
+                whitener = Whitener.of(each.stack.noise_model, each.noise, steps, np.ones(len(run)))
+                parts.append(whitener(columns) / self._scale)
+        return np.concatenate(parts)
 
-    def separation(self, white: FloatArray, repeats: int) -> Separation:
-        """What `repeats` runs with these whitened columns would decide."""
+    def separation(self, white: FloatArray, repeats: int, weights: FloatArray | None = None) -> Separation:
+        """What `repeats` runs with these whitened columns would decide, over the rivals by `weights`."""
         gram = self._gram + repeats * (white.T @ white)
         powers, least = {}, np.inf
         rng = np.random.default_rng(self._seed)
         noise = white.T @ rng.standard_normal((repeats, len(white), DRAWS)).sum(axis=0)
+        # a declared term that the runs so far hardly show is free in them, and large only by its rounding
+        is_free = (np.linalg.norm(white, axis=0) > _FREE) & (np.arange(white.shape[1]) < self._known)
         for number, rival in enumerate(self.rivals):
             at, draws = self._posterior(number, rng)
+            draws[is_free[at]] = 0.0
             right = self._right[:, None] + repeats * (white.T @ (white[:, at] @ draws)) + noise
             evidences = np.array([self._evidence(each, gram, right) for each in range(len(self.rivals))])
             powers[rival.effect.name] = float(np.mean(self._is_single(number, evidences)))
             apart = evidences[number] - np.delete(evidences, number, axis=0)
             least = min(least, float(apart.mean(axis=1).min()))
-        power = float(np.dot(self.weights, list(powers.values())))
-        return Separation(power, powers, least)
+        shares = self.weights if weights is None else weights
+        power = float(np.dot(shares, list(powers.values())))
+        assured = min(each for each, share in zip(powers.values(), shares, strict=True) if share >= LIKELY)
+        return Separation(power, powers, least, assured)
 
     def _posterior(self, number: int, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
         """The columns of the best shape of a rival, and draws of their coefficients; shape (columns, draws)."""
         places = self._places[number]
         at = max(places, key=lambda each: float(self._explained(each, self._gram, self._right[:, None])[0]))
-        own = self._gram[np.ix_(at, at)]
-        own = own + _RIDGE * np.trace(own) * np.eye(at.size)
+        is_seen = np.diag(self._gram)[at] > 0.0
+        seen = at[is_seen]
+        own = self._gram[np.ix_(seen, seen)]
+        own = own + _RIDGE * np.trace(own) * np.eye(seen.size)
         factor = np.linalg.cholesky(own)
-        mean = np.linalg.solve(own, self._right[at])
-        return at, mean[:, None] + np.linalg.solve(factor.T, rng.standard_normal((at.size, DRAWS)))
+        mean = np.linalg.solve(own, self._right[seen])
+        draws = np.zeros((at.size, DRAWS))
+        draws[is_seen] = mean[:, None] + np.linalg.solve(factor.T, rng.standard_normal((seen.size, DRAWS)))
+        # an offset of a position that was never mounted is as large as the others
+        sizes = (mean / self._scale[seen])[seen >= self._known]
+        usual = float(np.sqrt(np.mean(sizes**2))) if sizes.size else 0.0
+        draws[~is_seen] = usual * rng.standard_normal((np.count_nonzero(~is_seen), DRAWS))
+        return at, draws
 
     def _is_single(self, number: int, evidences: FloatArray) -> BoolArray:
         """Whether a rival leads all others, by the rules of the search."""
@@ -180,11 +220,20 @@ def rival(name: str, runs: Sequence[RunBlocks]) -> Rival:
 
 
 def inseparable(names: Sequence[str], runs: Sequence[RunBlocks]) -> dict[str, tuple[str, ...]]:
-    """By rival: others with the same columns whatever is run, such as an effect of a slope and a sensor's clock."""
-    columns = {name: _direction(name, runs) for name in names}
+    """By rival: others with the same column in all of these runs, such as an effect of a slope and a sensor's clock.
+
+    Parameters
+    ----------
+    runs: Those of the unit and those of every test: alike in a few runs is not alike whatever is run.
+    """
+    shapes = {name: effect(name).shapes(runs) for name in names}
+    single = [name for name in names if len(shapes[name]) == 1 and len(effect(name).columns(shapes[name][0])) == 1]
+    columns = {
+        name: np.concatenate([effect(name).regressors(run, shapes[name][0])[:, 0] for run in runs]) for name in single
+    }
     found: dict[str, tuple[str, ...]] = {}
-    for name, own in columns.items():
-        first = next((each for each in found if _is_same(columns[each], own)), None)
+    for name in names:
+        first = next((each for each in found if _is_same(columns.get(each), columns.get(name))), None)
         if first is None:
             found[name] = ()
         else:
@@ -192,15 +241,11 @@ def inseparable(names: Sequence[str], runs: Sequence[RunBlocks]) -> dict[str, tu
     return found
 
 
-def _direction(name: str, runs: Sequence[RunBlocks]) -> FloatArray | None:
-    """The one column of a rival without parameters, of length one."""
-    shapes = effect(name).shapes(runs)
-    if len(shapes) != 1 or len(effect(name).columns(shapes[0])) != 1:
-        return None
-    column = np.concatenate([effect(name).regressors(run, shapes[0])[:, 0] for run in runs])
-    column = column[np.isfinite(column)]
-    return np.asarray(column / max(float(np.linalg.norm(column)), 1e-300))
-
-
 def _is_same(one: FloatArray | None, other: FloatArray | None) -> bool:
-    return one is not None and other is not None and one.size == other.size and abs(float(one @ other)) > _SAME
+    if one is None or other is None:
+        return False
+    known = np.isfinite(one)
+    if not np.array_equal(known, np.isfinite(other)):
+        return False
+    norms = float(np.linalg.norm(one[known]) * np.linalg.norm(other[known]))
+    return abs(float(one[known] @ other[known])) > _SAME * norms > 0.0

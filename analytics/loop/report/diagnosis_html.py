@@ -14,7 +14,7 @@ from analytics.loop.report import finding_sentences as sentences
 from analytics.loop.report import report_tables as tables
 from analytics.loop.report.diagnosis_plots import figures_of
 from analytics.loop.report.drivers import bias_over_temperature, scale_factor_over_rate
-from analytics.loop.report.next_test_rows import next_test_rows, next_test_sentence
+from analytics.loop.report.next_test_rows import bounds_sentence, next_test_rows, next_test_sentence
 from analytics.loop.report.scrutiny_rows import coherence_rows, provenance_rows, recovery_sentences, regressor_rows
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
@@ -91,6 +91,7 @@ def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, An
         "left": found.left and words.clause(found.left.sentence),
         "next_test": found.next_test and next_test_sentence(found.next_test, words),
         "plans": found.next_test and found.next_test.plans and next_test_rows(found.next_test, words),
+        "bounds": found.next_test and bounds_sentence(found.next_test, words),
     }
 
 

@@ -13,9 +13,9 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.next_test.candidate import CandidateTest
 from analytics.loop.next_test.candidates import candidate_tests
 from analytics.loop.next_test.plans import TestPlan
-from analytics.loop.next_test.predicted_run import ThermalChain, predicted_run
+from analytics.loop.next_test.predicted_run import ThermalChain, predicted_runs
 from analytics.loop.next_test.recommendation import next_test
-from analytics.loop.next_test.separation import DRAWS, Rival, RivalFit, inseparable
+from analytics.loop.next_test.separation import DRAWS, FittedRecord, Rival, RivalFit, inseparable
 from analytics.loop.next_test.station_bounds import THERMAL, StationBounds
 from analytics.loop.next_test.timeline import STEP_S, timeline
 from analytics.loop.tracing.case import case_of
@@ -25,8 +25,11 @@ from tests.bench.loop_campaign import Campaign, DenseWhitener, Planted
 from tests.bench.next_test import planned_runs, tried
 from tests.bench.tracing_cases import DECLARED, MODEL, planted_in
 
-BOUNDS = StationBounds(least_deg_c=-20.0, most_deg_c=55.0, rate_deg_per_s=50.0, least_v=10.0, most_v=13.0)
-EVERYTHING = ("temperature", "input_rate", "gravity_o", "supply_voltage", "time_since_power_on")
+BOUNDS = StationBounds(
+    least_deg_c=-20.0, most_deg_c=55.0, rate_deg_per_s=50.0, least_angle_deg=0.0, most_angle_deg=360.0, least_v=10.0,
+    most_v=13.0,
+)  # fmt: skip
+EVERYTHING = ("temperature", "input_rate", "table_angle", "gravity_o", "supply_voltage", "time_since_power_on")
 
 
 @cache
@@ -44,7 +47,8 @@ def plans_for(*channels: str) -> list[CandidateTest]:
 
 
 def planned(test: CandidateTest) -> RunBlocks:
-    return predicted_run(timeline(test, BOUNDS), runs(), ThermalChain.of_runs(runs()), "next")
+    (run,) = predicted_runs(timeline(test, BOUNDS), runs(), ThermalChain.of_runs(runs()), "next", {})
+    return run
 
 
 @pytest.mark.parametrize("test", plans_for(), ids=lambda test: test.name)
@@ -62,11 +66,12 @@ def test_every_plan_is_a_procedure_that_a_station_runs(test: CandidateTest, tmp_
 
 
 def test_plans_move_only_what_rivals_depend_on() -> None:
-    assert {each.name.partition("_")[0] for each in plans_for("temperature")} == {"temperature"}
-    assert {each.name.partition("_")[0] for each in plans_for("input_rate")} == {"rate"}
-    assert {each.name.partition("_")[0] for each in plans_for("gravity_s")} == {"tumble"}
-    assert plans_for("humidity") == []
-    repeated = [each.like for each in candidate_tests(["humidity"], BOUNDS, runs())]
+    assert {each.name.partition("_")[0] for each in plans_for("temperature")} == {"temperature", "rest"}
+    assert {each.name.partition("_")[0] for each in plans_for("input_rate")} == {"rate", "rates", "rest"}
+    assert {each.name.partition("_")[0] for each in plans_for("gravity_s")} == {"tumble", "rest"}
+    assert {each.name.partition("_")[0] for each in plans_for("table_angle")} == {"headings", "rest"}
+    assert {each.name.partition("_")[0] for each in plans_for("humidity")} == {"rest"}
+    repeated = [each.like for each in candidate_tests(["humidity"], BOUNDS, runs()) if each.like]
     assert repeated == [run.run for run in runs()]
 
 
@@ -118,7 +123,7 @@ def test_the_predicted_temperature_is_that_of_the_physics() -> None:
 def rival_fit(*names: str) -> RivalFit:
     case = case_of(runs(), MODEL, DECLARED, ())
     rivals = [Rival(effect(name), ({},)) for name in names]
-    return RivalFit(case.training.stack, MODEL, DECLARED, np.ones(len(case.training)), rivals, [])
+    return RivalFit([FittedRecord(case.training.stack, DECLARED, np.ones(len(case.training)))], MODEL, rivals)
 
 
 def test_the_power_is_that_of_simulated_tests() -> None:
@@ -127,7 +132,7 @@ def test_the_power_is_that_of_simulated_tests() -> None:
     fit = rival_fit(*names)
     (test,) = [each for each in plans_for("supply_voltage") if each.name == "supply_steps_5_min"]
     run = planned(test)
-    white = fit.whitened(run)
+    white = fit.whitened([run])
     assert white is not None
     found = fit.separation(white, 1)
     every = [*runs(), run]
@@ -164,7 +169,7 @@ def test_what_has_the_same_columns_is_never_separated() -> None:
     fit = rival_fit("temperature_rate", "temperature_time_offset")
     for test in plans_for("temperature")[:3]:
         run = planned(test)
-        white = fit.whitened(run)
+        white = fit.whitened([run])
         assert white is not None
         assert fit.separation(white, 1).power == 0.0
 
@@ -208,6 +213,5 @@ def test_the_power_of_a_repetition_is_that_of_the_held_out_answer() -> None:
 @pytest.mark.parametrize("name", ["thermal_hysteresis", "thermal_lag"])
 def test_the_recommended_test_closes_the_case(name: str) -> None:
     line = tried("ramp", name, 0)
-    assert line is not None
     assert name in line["rivals"]
     assert line["decided"], line

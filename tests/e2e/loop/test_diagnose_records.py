@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from ingest.procedures.procedure import load_procedure
+
 HIT_2012 = Path(__file__).resolve().parents[2] / "golden" / "hit2012_table1.csv"
 HIT_MODEL = "rate = bias + channel:table_rate + cross_axis_o + cross_axis_s + fixture_cos + fixture_sin"
 
@@ -25,6 +27,25 @@ def test_hit_2012_lacks_something_that_the_table_cannot_name(gyrofleet: Callable
     assert before == pytest.approx(0.82e-3, rel=0.1)  # V, the speed that was held out
     assert after < 0.5 * before
     assert any("remounted" in note["text"] for note in found["reduction"])
+
+
+def test_the_next_test_of_hit_2012_mounts_each_position_several_times(
+    gyrofleet: Callable[..., Any], tmp_path: Path
+) -> None:
+    gyrofleet("import", HIT_2012, "--unit", "HRG", "--store", "S")
+    path = tmp_path / "next.toml"
+    ask = ("diagnose", "--unit", "HRG", "--model", HIT_MODEL, "--store", "S", "--block", "60s")
+    asked = gyrofleet(*ask, "--write-procedure", path, "--json").json["next_test"]
+    assert "function_of_position" in asked["rivals"]
+    first = asked["plans"][0]
+    assert first["procedure"].startswith("remounting_")
+    # five positions, twice or more, ten minutes each
+    assert first["hours"] > 2 * 5 / 6
+    assert first["power"] >= 0.9
+    assert set(first["by_truth"]) == set(asked["rivals"])
+    mounted = [step.words.position for step in load_procedure(path).steps()]
+    words = {"alpha0_beta0", "alpha0_beta180", "alpha0_beta90", "alpha180_beta180", "alpha90_beta180"}
+    assert min(mounted.count(word) for word in words) >= 2
 
 
 @pytest.mark.long

@@ -22,6 +22,8 @@ LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03  # evidence, and share of a large e
 ALIAS_SHARE_OF_LEAD = 0.25
 """The same between causes that are aliases of each other, such as the rate of temperature and a temperature gradient:
 both follow one cause, and the noise of their channels must not decide."""
+_EXACT_CHANNELS = frozenset({"input_rate", "rate_o", "rate_s", "time_since_power_on"})
+"""Set by a table to parts in a million, or counted: no noise of theirs decides between two functions of them."""
 _LEAST_LOG_P = -600.0  # exp of less is 0
 TRUST = 4
 _LEAST_SHARE = 0.01  # least share of the information that a replicate needs to count
@@ -64,7 +66,8 @@ def needed_lead(best: FloatArray | float) -> FloatArray:
 def leads(best: FloatArray | float, effect: Effect, other: FloatArray | float, its_effect: Effect) -> BoolArray:
     """Whether the data separate the best candidate from another, by the evidence of both."""
     lead = needed_lead(best)
-    if look_alike(effect, its_effect) and effect.role is its_effect.role is Role.CAUSE:
+    is_exact = _EXACT_CHANNELS.issuperset((*effect.needs, *its_effect.needs))
+    if look_alike(effect, its_effect) and effect.role is its_effect.role is Role.CAUSE and not is_exact:
         lead = np.maximum(lead, ALIAS_SHARE_OF_LEAD * np.asarray(best))
     return np.subtract(best, other) >= lead
 
