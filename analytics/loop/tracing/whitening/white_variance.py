@@ -18,8 +18,8 @@ from analytics.loop.tracing.whitening.stack import (
 from analytics.loop.tracing.whitening.whitener import NoiseModel
 from stream.batch import BoolArray, FloatArray, IntArray
 
-RATE_CLASSES = (0.0005, 0.1, 0.4)  # edges of classes of rate over the largest rate: at rest, slow, medium, fast
-FEWEST_PAIRS = 40
+RATE_CLASSES = (0.0005, 0.05, 0.1, 0.2, 0.4, 0.7)  # edges of classes of rate over the largest rate, the first at rest
+FEWEST_PAIRS = 40  # of a run and class; with fewer, the class of all runs counts
 SLOW_SHARE = 0.05  # prior share of flicker, and of random walk, in the block-to-block scatter of a single run
 LIKELY_CHANCE = 0.25  # logarithm of a variance ratio expected by chance from 40 pairs; such logarithms are halved
 LEAST_RATIO, LARGEST_RATIO = 0.3, 50.0
@@ -80,27 +80,35 @@ def _neighbours(stack: Stack, steps: IntArray) -> BoolArray:
     return marks
 
 
-def _rate_class(stack: Stack) -> IntArray:
-    for name in ("input_rate", "table_rate"):
-        if all(name in run.channels for run in stack.runs):
-            rate = np.abs(np.nan_to_num(stack.column(methodcaller("mean", name))))
-            return np.digitize(rate, np.array(RATE_CLASSES) * max(float(rate.max()), 1e-300))
-    return np.zeros(len(stack), dtype=np.int64)
+def _rate_classes(stack: Stack) -> tuple[IntArray, IntArray]:
+    """Class of the rate at which each block turns about any axis, and about the input axis as well."""
+    classes = []
+    for names in (("input_rate", "rate_o", "rate_s", "table_rate"), ("input_rate",)):
+        rate = np.zeros(len(stack))
+        for name in names:
+            if all(name in run.channels for run in stack.runs):
+                rate = np.maximum(rate, np.abs(np.nan_to_num(stack.column(methodcaller("mean", name)))))
+        classes.append(np.digitize(rate, np.array(RATE_CLASSES) * max(float(rate.max()), 1e-300)))
+    return classes[0], classes[0] * (len(RATE_CLASSES) + 1) + classes[1]
 
 
 def _relative_white(stack: Stack, residual: FloatArray, steps: IntArray, expected: float) -> FloatArray:
     """White variance of each block over the expected one, by run and class of rate."""
     difference = np.diff(residual, prepend=0.0)
-    rate_class, number = _rate_class(stack), stack.run_number
-    same = _neighbours(stack, steps) & (np.diff(rate_class, prepend=-1) == 0)
+    number = stack.run_number
+    turning, both = _rate_classes(stack)
+    same = _neighbours(stack, steps) & (np.diff(both, prepend=-1) == 0)
     ratio = np.ones(len(stack))
-    for run in range(len(stack.runs)):
-        of_run = number == run
-        for rows in (of_run, *(of_run & (rate_class == each) for each in np.unique(rate_class[of_run]))):
-            if np.count_nonzero(rows & same) >= FEWEST_PAIRS:
-                ratio[rows] = _class_variance(difference[rows & same]) / expected
+    in_run = [number == run for run in range(len(stack.runs))]
+    groups = list(in_run)
+    for classes in (turning, both):  # the finest group with enough pairs counts
+        in_class = [classes == each for each in np.unique(classes)]
+        groups += [*in_class, *(run & each for run in in_run for each in in_class)]
+    for rows in groups:
+        if np.count_nonzero(rows & same) >= FEWEST_PAIRS:
+            ratio[rows] = _class_variance(difference[rows & same]) / expected
     logarithm = np.log(np.clip(ratio, LEAST_RATIO, LARGEST_RATIO))
-    return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm)) * _bursts(stack, rate_class)
+    return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm)) * _bursts(stack, turning)
 
 
 def _bursts(stack: Stack, rate_class: IntArray) -> FloatArray:
