@@ -30,6 +30,11 @@ _NO_TEST = Bilingual(
     "--station), or set up by hand what the separating test of each names.",
     "在台站能力范围内，没有试验能在所记录的通道中区分它们：请放宽范围（--bounds、--station），或按各自的区分方法人工布置。",
 )
+_FEWEST_RUNS = 1  # of those that are fitted
+_CHANNELS_DIFFER = Bilingual(
+    "No run can be computed: no runs have all channels that the effects found need. Record these in every run.",
+    "无法计算应做的试验：没有一次试验含有所发现效应需要的全部通道。请在每次试验中记录这些通道。",
+)
 _UNDECLARED = Bilingual(
     "No run can be computed: no noise is declared that a run at rest could be compared with. Declare the noise of the "
     "data sheet (--noise) and diagnose a run at rest alone (--run): if it is unexplained as well, the cause needs no "
@@ -119,7 +124,12 @@ def next_test(
     )
     if asked is None:
         return None
-    held_out = diagnosis.held_out_runs
+    others = [each for each in diagnosis.effects if asked.subject and each.name not in asked.rivals]
+    runs, beside = comparable(runs, asked.rivals, {each.name: each.parameters for each in others})
+    known = {run.run for run in runs}
+    held_out = tuple(name for name in diagnosis.held_out_runs if name in known)
+    if len(runs) - len(held_out) < _FEWEST_RUNS:
+        return NextTest(question=asked.asked, rivals=asked.rivals, why_not=_CHANNELS_DIFFER)
     shaped = model.shaped(runs)
     training = case_of(runs, shaped, declared_noise, held_out).training
     planner = _Planner(
@@ -132,15 +142,28 @@ def next_test(
         on_progress,
     )
     if asked.asked == "which":
-        others = [each.name for each in diagnosis.effects if asked.subject and each.name != asked.subject.name]
-        shapes = {each.name: each.parameters for each in diagnosis.effects}
-        return planner.deciding({name: shapes[name] for name in others}, held_out)
+        return planner.deciding(beside, held_out)
     if asked.asked == "excess":
         if diagnosis.declared_noise is None or not diagnosis.noise_excess:
             return NextTest(question="excess", why_not=_UNDECLARED)
         model_of_noise = training.stack.noise_model
         return planner.resting(excess(model_of_noise, diagnosis.noise, diagnosis.declared_noise))
     return planner.repeating()
+
+
+def comparable(
+    runs: Sequence[RunBlocks], rivals: Sequence[str], beside: Mapping[str, Mapping[str, object]]
+) -> tuple[list[RunBlocks], dict[str, Mapping[str, object]]]:
+    """The runs with every channel of the rivals, and the effects beside that all of these runs can be fitted with.
+
+    An effect whose channel only some runs have was found in those; they are left out, as it would stay in their error.
+    """
+    needed = {channel for name in rivals for channel in effect(name).needs}
+    having = [run for run in runs if needed <= set(run.channels)]
+    common = set.intersection(*(set(run.channels) for run in having)) if having else set()
+    partial = [set(effect(name).needs) for name in beside if not set(effect(name).needs) <= common]
+    kept = [run for run in having if not any(needs <= set(run.channels) for needs in partial)]
+    return kept, {name: shape for name, shape in beside.items() if set(effect(name).needs) <= common}
 
 
 def fleet_next_test(

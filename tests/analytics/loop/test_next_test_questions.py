@@ -1,5 +1,7 @@
 """What the next test is asked for: twins, look-alikes that stood still, curves, unexplained noise, and no plan."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.next_test.candidates import candidate_tests
 from analytics.loop.next_test.open_question import held_still
 from analytics.loop.next_test.plans import timed_tests
-from analytics.loop.next_test.recommendation import fleet_next_test, next_test
+from analytics.loop.next_test.recommendation import comparable, fleet_next_test, next_test
 from analytics.loop.next_test.separation import inseparable
 from analytics.loop.next_test.station_bounds import StationBounds
 from analytics.loop.tracing.diagnosis import diagnose
@@ -48,6 +50,17 @@ def test_each_power_on_of_a_test_is_a_run_of_its_own() -> None:
     # the first block is whole
     assert [float(run.mean("time_since_power_on")[0]) for run in first.runs] == pytest.approx([15.0, 15.0], abs=30.0)
     assert np.ptp(np.concatenate([run.mean("chamber_setpoint") for run in first.runs])) == 70.0
+
+
+def test_runs_are_planned_with_that_have_the_channels_of_all_effects_found() -> None:
+    """An effect of a channel that only some runs have stays in their error: the others are planned with."""
+    with_rate, *others = of("ramp", 4)
+    runs = [with_rate, *(replace(run, channels={"temperature": run.channels["temperature"]}) for run in others)]
+    kept, beside = comparable(runs, ("temperature_rate",), {"scale_factor": {}, "temperature_squared": {}})
+    assert [run.run for run in kept] == [run.run for run in others]
+    assert list(beside) == ["temperature_squared"]
+    kept, beside = comparable(runs, ("scale_factor_cubic",), {"scale_factor": {}})
+    assert ([run.run for run in kept], list(beside)) == ([with_rate.run], ["scale_factor"])
 
 
 def test_unexplained_noise_is_looked_for_at_rest() -> None:
