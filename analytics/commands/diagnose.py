@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from analytics.loop.unit_diagnosis import UnitsDiagnosis
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_ABSOLUTE_ZERO_DEG_C = -273.15
 _NOISE_TERMS = ("N", "B", "K", "turn_on")
 _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
 
@@ -212,7 +213,8 @@ def _write_procedure(found: "NextTest | None", path: Path) -> None:
         raise BadInput(f"cannot write {path}: {error}; name a file in a folder you can write") from error
     hours = f"{plan.test.repeats} x {plan.hours / plan.test.repeats:.2g} h"
     notes().print(
-        f"procedure: {path}, {hours}, decides with a power of {plan.power:.0%}, {plan.assured:.0%} for the least sure",
+        f"procedure: {path}, {hours}, decides with a power of {plan.power:.0%}, {plan.assured:.0%} for the least sure "
+        "of those with a weight of 5 % or more",
         soft_wrap=True,
     )
 
@@ -288,12 +290,18 @@ def bounds_of(text: str) -> dict[str, float]:
     found: dict[str, float] = {}
     for part in filter(None, (each.strip() for each in text.split(","))):
         name, _, value = (each.strip() for each in part.partition("="))
+        if name in found:
+            raise BadInput(f"--bounds {part}: {name} is given twice; give it once")
         try:
             found[name] = float(value)
         except ValueError:
             raise BadInput(f"--bounds {part}: give NAME=NUMBER; names are {', '.join(names)}") from None
         if name not in names:
             raise BadInput(f"--bounds {part}: {name} is not known; names are {', '.join(names)}")
+        if name.endswith("deg_c") and found[name] < _ABSOLUTE_ZERO_DEG_C:
+            raise BadInput(
+                f"--bounds {part}: below absolute zero, {_ABSOLUTE_ZERO_DEG_C} degC; give what the unit bears"
+            )
     return found
 
 

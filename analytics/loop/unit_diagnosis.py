@@ -227,13 +227,18 @@ def trace_units(
     ]  # fmt: skip
     done: dict[str, UnitDiagnosis] = {}
     answers = by_processes(diagnosed if is_one else diagnosed_or_why_not, asked, processes)
-    for number, (unit, data) in enumerate(units.items(), start=1):
+    for number, ((unit, data), question_of) in enumerate(zip(units.items(), asked, strict=True), start=1):
         on_progress(f"tracing {unit} ({number} of {len(units)})")
         answer = next(answers)
         if isinstance(answer, str):
             failed[unit] = answer
-        else:
-            done[unit] = with_copies_named(UnitDiagnosis(data, answer))
+            continue
+        found = UnitDiagnosis(data, answer)
+        if copies := _copied_channels(found):
+            runs = tuple(_without(run, copies) for run in data.runs)
+            answer = diagnosed(replace(question_of, runs=runs))
+            found = _with_copies_named(UnitDiagnosis(replace(data, runs=runs), answer), copies, are_left_out=True)
+        done[unit] = found
     if not done:
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
@@ -241,21 +246,32 @@ def trace_units(
     return UnitsDiagnosis(done, failed, significant_findings({unit: each.diagnosis for unit, each in done.items()}))
 
 
-def with_copies_named(found: UnitDiagnosis) -> UnitDiagnosis:
-    """The diagnosis, with a caveat on effects whose channel is a copy of the signal."""
+def _copied_channels(found: UnitDiagnosis) -> tuple[str, ...]:
+    """Channels of the effects found that are copies of the signal."""
     named = (*found.diagnosis.effects, *found.diagnosis.unreplicated)
     channels = sorted({channel for each in named for channel in effect(each.name).needs})
-    copies = () if found.residuals is None or not channels else copies_of_signal(found.residuals, channels)
+    return () if found.residuals is None or not channels else copies_of_signal(found.residuals, channels)
+
+
+def _without(run: RunBlocks, channels: Sequence[str]) -> RunBlocks:
+    return replace(run, channels={name: each for name, each in run.channels.items() if name not in channels})
+
+
+def _with_copies_named(found: UnitDiagnosis, copies: Sequence[str], *, are_left_out: bool) -> UnitDiagnosis:
+    """The diagnosis, with a caveat on each channel that is a copy of the signal."""
+    if not copies:
+        return found
+    so = Bilingual("it is left out", "已予剔除") if are_left_out else Bilingual(
+        "what is named from it is no effect", "由其得出的效应不成立"
+    )  # fmt: skip
     caveats = tuple(
         Bilingual(
             f"channel {name} follows the signal at every frequency without a lag, its noise included: it is a copy (a "
-            "leak) of the signal rather than a cause; what is named from it is no effect",
-            f"通道{name}在所有频率上无滞后地跟随信号（包括其噪声）：它是信号的复制（串扰）而非成因，由其得出的效应不成立",
+            f"leak) of the signal rather than a cause; {so}",
+            f"通道{name}在所有频率上无滞后地跟随信号（包括其噪声）：它是信号的复制（串扰）而非成因；{so.zh}",
         )
         for name in copies
     )
-    if not caveats:
-        return found
     diagnosis = msgspec.structs.replace(found.diagnosis, limits=(*caveats, *found.diagnosis.limits))
     return replace(found, diagnosis=diagnosis)
 
@@ -278,7 +294,10 @@ def _pooled(
         processes=processes,
         on_progress=on_progress,
     )
-    done = {unit: with_copies_named(UnitDiagnosis(data, fleet.units[unit])) for unit, data in units.items()}
+    done = {}
+    for unit, data in units.items():
+        found = UnitDiagnosis(data, fleet.units[unit])
+        done[unit] = _with_copies_named(found, _copied_channels(found), are_left_out=False)
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import msgspec
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
@@ -13,7 +14,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.next_test.plans import Decides
 from analytics.loop.next_test.separation import DRAWS, FittedRecord, RivalFit, Separation, rival
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
-from analytics.loop.tracing.verdict.noise_agreement import NOISE_P_VALUE
+from analytics.loop.tracing.verdict.noise_agreement import NOISE_AVERAGES_S, NOISE_P_VALUE, NOISE_RATIO
 from analytics.loop.tracing.whitening.whitener import NoiseModel, Whitener
 from stream.batch import FloatArray
 
@@ -87,8 +88,15 @@ def _declared_share(found: FoundEffect, theta: FloatArray, record: FittedRecord,
 def excess(noise_model: NoiseModel, fitted: ModelNoise, declared: ModelNoise) -> Decides:
     """Whether a run at rest shows more noise than declared, if its noise is as fitted, by its likelihood ratio.
 
-    The diagnosis fits the noise of the new run as well, so that its ratio is larger: the power is a lower bound.
+    The diagnosis calls noise unexplained by its variance at averages of minutes. White noise that does not show there
+    does not count here either.
     """
+    white = msgspec.structs.replace(declared, N=fitted.N)
+    if not any(
+        noise_model.average_variance(white, each) > NOISE_RATIO * noise_model.average_variance(declared, each)
+        for each in NOISE_AVERAGES_S
+    ):
+        declared = white
 
     def decides(test: Sequence[RunBlocks]) -> Callable[[int], Separation] | None:
         return lambda repeats: _seen([*test] * repeats)

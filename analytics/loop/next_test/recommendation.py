@@ -124,7 +124,7 @@ def next_test(
     )
     if asked is None:
         return None
-    others = [each for each in diagnosis.effects if asked.subject and each.name not in asked.rivals]
+    others = [each for each in diagnosis.effects if asked.subject and each.name != asked.subject.name]
     runs, beside = comparable(runs, asked.rivals, {each.name: each.parameters for each in others})
     known = {run.run for run in runs}
     held_out = tuple(name for name in diagnosis.held_out_runs if name in known)

@@ -101,7 +101,8 @@ def _classes(driver: FloatArray, chosen: BoolArray) -> list[BoolArray]:
     if not chosen.any():
         return []
     low, high = float(driver[chosen].min()), float(driver[chosen].max())
-    number = np.clip(((driver - low) / max(high - low, 1e-300) * CLASSES).astype(np.int64), 0, CLASSES - 1)
+    share = np.clip((driver - low) / (high - low), 0.0, 1.0) if high > low else np.zeros_like(driver)
+    number = np.minimum((share * CLASSES).astype(np.int64), CLASSES - 1)
     masks = [chosen & (number == each) for each in range(CLASSES)]
     return [mask for mask in masks if np.count_nonzero(mask) >= FEWEST_BLOCKS]
 

@@ -69,14 +69,23 @@ def _asked(found: NextTest, words: Wording) -> str:
 
 
 def _powers(plan: TestPlan, words: Wording) -> str:
-    """Power if each of the rivals is true, such as ``93% if A, 88% if B``."""
+    """Power if each of the rivals is true, such as ``93% if A, 88% if B``; what it does not promise comes last."""
     if len(plan.by_truth) < 2:
         return words.of(f"a power of {plan.power:.0%}", f"{plan.power:.0%}")
-    parts = []
+    parts, not_counted = [], []
     for name, power in plan.by_truth.items():
         whose = _truth(name, words)
-        parts.append(words.of(f"{power:.0%} if {whose}", f"{power:.0%}（若为{whose}）"))
-    return words.of(", ", "、").join(parts)
+        if power < plan.assured:
+            not_counted.append(words.of(f"{whose} ({power:.0%})", f"{whose}（{power:.0%}）"))
+        else:
+            parts.append(words.of(f"{power:.0%} if {whose}", f"{power:.0%}（若为{whose}）"))
+    text = words.of(", ", "、").join(parts)
+    if not not_counted:
+        return text
+    rest = words.of(", ", "、").join(not_counted)
+    return text + words.of(
+        f"; it does not count on {rest}, of a weight below 5 % so far", f"；未计入目前权重低于5 %的{rest}"
+    )
 
 
 def _truth(name: str, words: Wording) -> str:

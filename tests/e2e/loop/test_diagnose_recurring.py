@@ -45,6 +45,8 @@ def test_bounds_that_no_station_has_are_refused(gyrofleet: Callable[..., Any], s
         ("least_deg_c=60", "the first must be below the second"),
         ("most_deg_c=inf", "no finite number"),
         ("rate_deg_per_s=-5", "give a positive number"),
+        ("least_deg_c=-300", "below absolute zero"),
+        ("most_deg_c=50,most_deg_c=60", "given twice"),
     ):
         refused = gyrofleet(*ask, "--bounds", bounds)
         assert refused.code == 1
