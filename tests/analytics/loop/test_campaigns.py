@@ -28,7 +28,7 @@ def test_nothing_is_invented(misspecified: str) -> None:
     "name", ["gravity_product_is", "thermal_lag", "scale_factor_warm_up", "table_angle_harmonic_2", "stale_input_rate"]
 )
 def test_a_planted_effect_is_named(name: str) -> None:
-    line = traced(Case("planted", name, 12.0, 2000))
+    line = traced(Case("planted", name, 12.0, 2001))
     assert line["outcome"] in RIGHT, line
     assert line["error"]["fraction"] is None or line["error"]["fraction"] > 0.8
 

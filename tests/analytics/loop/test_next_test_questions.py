@@ -104,7 +104,7 @@ def test_a_fleet_is_given_one_test_for_all_units() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("design", "name"), [("positions", "gravity_i"), ("one_way", "saturation"), ("heading", "heading")]
+    ("design", "name"), [("positions", "gravity_i"), ("one_way", "scale_factor_quadratic"), ("heading", "heading")]
 )
 def test_the_recommended_test_closes_cases_of_other_families(design: str, name: str) -> None:
     line = tried(design, name, 0)
