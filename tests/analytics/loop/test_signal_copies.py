@@ -1,4 +1,4 @@
-"""A channel that is a copy of the signal is told from a cause."""
+"""A channel that copies the signal is distinguished from a cause, and left out."""
 
 from dataclasses import replace
 

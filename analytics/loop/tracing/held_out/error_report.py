@@ -8,10 +8,9 @@ import numpy as np
 
 from analytics.loop.distributions import f_quantile, normal_isf, student_quantile
 from analytics.loop.model.error_model import ModelNoise
-from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fitted_error, information
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fit_with_training, fitted_error, information
 from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
 from analytics.loop.tracing.search.effect_search import Search
-from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.noise_variance import (
     Averages,
     averages_of,
@@ -53,7 +52,8 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
     runs = np.unique(record.stack.run_number[rows]).size, trained
     has_effect = bool(box.predictions.any())
     table, fractions = [], {}
-    for seconds, averages in _averages(box):
+    averages_at = dict(_averages(box))
+    for seconds, averages in averages_at.items():
         allowed = expected_variance(record, noise, averages)
         raw = averages.of(box.before_alone), averages.of(box.after)
         squares = _Squares(raw[0] ** 2, raw[1] ** 2, _floor(averages, left, error, box, allowed, runs))
@@ -86,8 +86,7 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
     reference = table_of.reference
     if not has_effect or reference is None:
         return table_of
-    averages = dict(_averages(box))[reference.averaging_s]
-    return msgspec.structs.replace(table_of, gain=expected_gain(box, averages, noise))
+    return msgspec.structs.replace(table_of, gain=expected_gain(box, averages_at[reference.averaging_s], noise))
 
 
 def expected_gain(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> ErrorGain | None:
@@ -155,12 +154,8 @@ def _averages(box: HeldOutSet) -> list[tuple[float, Averages]]:
 def _noise_alone(box: HeldOutSet, found: Search) -> tuple[FloatArray, FloatArray]:
     """Residual less the likely error of the sizes of the effects, and the covariance of the remaining size error."""
     width = box.predictions.shape[1]
-    whitened = box.whitened[:, 1:]
-    known = np.zeros((whitened.shape[1], whitened.shape[1]))
-    known[width:, width:] = box.information
-    for number, each in enumerate(found.common):
-        known[number, number] = information(found, each)
-    solution = solve(known + whitened.T @ whitened, whitened.T @ box.whitened_after)
+    known = np.array([information(found, each) for each in found.common])
+    solution = fit_with_training(box, box.whitened_after, known)
     return box.after - box.predictions @ solution.coefficients[:width], solution.covariance[:width, :width]
 
 

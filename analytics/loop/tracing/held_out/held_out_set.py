@@ -142,14 +142,23 @@ def fitted_error(box: HeldOutSet) -> Solution:
 
     The errors of the declared coefficients have their covariance of the training; slopes are free.
     """
-    width = box.predictions.shape[1]
-    columns = box.whitened[:, 1:]
-    known = np.zeros((columns.shape[1], columns.shape[1]))
-    known[width:, width:] = box.information
-    solution = solve(known + columns.T @ columns, columns.T @ box.whitened[:, 0])
+    width, columns = box.predictions.shape[1], box.whitened[:, 1:]
+    solution = fit_with_training(box, box.whitened[:, 0], np.zeros(width))
     left = box.whitened[:, 0] - columns @ solution.coefficients
     excess = redness([columns[:, :width]], [left], [box.record.stack.run_number[box.held_out]])
     return Solution(solution.coefficients, solution.covariance * excess)
+
+
+def fit_with_training(box: HeldOutSet, residual: FloatArray, of_effects: FloatArray) -> Solution:
+    """Fit predictions and declared columns to a whitened residual of the held-out blocks.
+
+    The declared coefficients have their covariance of the training; `of_effects` is the information on each effect.
+    """
+    width, columns = box.predictions.shape[1], box.whitened[:, 1:]
+    known = np.zeros((columns.shape[1], columns.shape[1]))
+    known[:width, :width] = np.diag(of_effects)
+    known[width:, width:] = box.information
+    return solve(known + columns.T @ columns, columns.T @ residual)
 
 
 def _slopes(

@@ -101,7 +101,7 @@ def _by_run(record: UnitRecord, averages: Averages) -> Iterator[tuple[BoolArray,
 
 
 @njit(cache=True, nogil=True)
-def _faded(values, decay):  # type: ignore[no-untyped-def]
+def _faded(values: FloatArray, decay: float) -> FloatArray:
     """Sum of the earlier rows, each faded by `decay` for every block since."""
     out = np.empty(values.shape)
     total = np.zeros(values.shape[1])
