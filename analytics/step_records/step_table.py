@@ -105,7 +105,7 @@ def read_kept(path: Path) -> pa.Table | None:
     with suppress(OSError, pa.ArrowException):
         content = path.read_bytes()
         if hash_path(path).read_text() == hashlib.sha256(content).hexdigest():
-            return pq.read_table(pa.BufferReader(content))
+            return pq.ParquetFile(pa.BufferReader(content)).read()  # read_table imports pandas
     return None
 
 

@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numba import njit
 
 from storage.lake.tables import ROLLUP_COLUMNS
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
+from stream.compiled import compiled
 
 _SECOND_NS = 1_000_000_000
 
@@ -87,7 +87,7 @@ def rollup_table(channel: int, rollup: Rollup) -> pa.Table:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _buckets(
     t_ns: IntArray, data: CountArray | FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -6,9 +6,9 @@ other: half the traffic, and a compressor needs an eighth of the time for a tent
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import CountArray
+from stream.compiled import compiled
 
 
 def split_counts(counts: CountArray) -> bytes:
@@ -27,7 +27,7 @@ def join_counts(planes: bytes, n: int) -> CountArray:
     return _join(np.frombuffer(planes, np.uint8), n)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _split(counts: CountArray) -> npt.NDArray[np.uint8]:
     n = counts.shape[0]
     used = np.int32(0)
@@ -41,7 +41,7 @@ def _split(counts: CountArray) -> npt.NDArray[np.uint8]:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _join(planes: npt.NDArray[np.uint8], n: int) -> CountArray:
     top = planes.shape[0] // n - 1
     out = np.empty(n, np.int32)
