@@ -65,7 +65,7 @@ def test_foreign_keys_are_told_apart(key: str) -> None:
 
 
 def test_known_units_are_converted_as_pint_does() -> None:
-    registry = pint.UnitRegistry(cache_folder=None)
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
     known = quantities._KNOWN
     pairs = [pair for pair in permutations(known, 2) if known[pair[0]].quantity == known[pair[1]].quantity]
     for source, target in pairs:
@@ -77,7 +77,7 @@ def test_known_units_are_converted_as_pint_does() -> None:
 
 
 def test_known_units_of_different_quantities_are_as_different_to_pint() -> None:
-    registry = pint.UnitRegistry(cache_folder=None)
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
     for source, target in permutations(quantities._KNOWN, 2):
         try:
             conversion(source, target)
