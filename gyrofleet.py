@@ -105,11 +105,12 @@ def _add_commands() -> None:
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.sql import sql
+    from storage.commands.status import status
     from storage.commands.verify import recover, verify
     from stream.completion import completion
 
     main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, run_simulated, check)
-    main.add_section("Record and estimate", record, router, estimate, replay)
+    main.add_section("Record and estimate", record, router, estimate, replay, status)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover)
