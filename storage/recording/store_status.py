@@ -10,7 +10,7 @@ from storage.manifests.lake import read_manifest
 from storage.recording.status_board import read_statuses
 from storage.segments.disk import DISK
 from storage.store import Store
-from stream.status.role_status import SILENT_AFTER_S, RoleState, RoleStatus
+from stream.status.role_status import SILENT_AFTER_S, Role, RoleState, RoleStatus
 
 _SHOW_ENDED_S = 3_600.0
 _LAKE_LATE_S = 60.0  # a sealed segment is in the lake after some seconds
@@ -47,13 +47,14 @@ def store_status(store: Store) -> StoreStatus:
     """Look at a store; raises StoreError if its manifests are damaged."""
     reports = [_report(status) for status in read_statuses(store)]
     roles = tuple(each for each in reports if each.condition != "ended" or each.age_s <= _SHOW_ENDED_S)
+    has_recorder = any(each.status.role is Role.RECORD and each.condition in {"working", "paused"} for each in roles)
     sealed = sealed_segments(store)
     in_lake = read_manifest(store).segments
     waiting = [path for path in sealed if path.stem not in in_lake]
     space = DISK.space(store.folder)
     return StoreStatus(
         store=str(store.folder), at_ns=time.time_ns(), roles=roles, verdicts=_verdicts(roles),
-        troubles=(*(each for role in roles for each in _troubles(role)), *_late(waiting)),
+        troubles=(*(each for role in roles for each in _troubles(role, has_recorder=has_recorder)), *_late(waiting)),
         last_message_age_s=min((age for role in roles if (age := _silence_s(role)) is not None), default=None),
         free_bytes=space.free, disk_bytes=space.total, segments=len(sealed), segments_not_in_lake=len(waiting),
         spool_bytes=sum(path.stat().st_size for path in store.folder.glob("spool/**/*") if path.is_file()),
@@ -80,12 +81,13 @@ def _verdicts(roles: tuple[RoleReport, ...]) -> dict[str, int]:
     return counts
 
 
-def _troubles(role: RoleReport) -> list[str]:
+def _troubles(role: RoleReport, *, has_recorder: bool) -> list[str]:
     status = role.status
     name = f"`gyrofleet {status.role}` at {status.name}" + (f" (run {status.run.run})" if status.run else "")
     found = []
     if role.condition == "silent":
-        found.append(f"{name} has reported nothing for {role.age_s:,.0f} s; it reports every second")
+        how = "every second" if has_recorder else "through the recorder, which is not at work"
+        found.append(f"{name} has reported nothing for {role.age_s:,.0f} s; it reports {how}")
     elif role.condition == "killed":
         found.append(f"{name} was killed {role.age_s:,.0f} s ago; start it again, it resumes where it was")
     elif status.state in {RoleState.PAUSED, RoleState.FAILED}:

@@ -69,7 +69,9 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def file_name(self) -> str:
-        """Name of its file, of nothing that the role chose."""
+        """Name of its file, of nothing that the role chose; a store has one recorder and one builder."""
+        if self.role in {Role.RECORD, Role.LAKE}:
+            return f"{self.role}-role.json"
         digest = hashlib.sha256(f"{self.role}/{self.host}/{self.name}".encode()).hexdigest()[:16]
         return f"{self.role}-{digest}.json"
 
