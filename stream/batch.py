@@ -1,16 +1,16 @@
 """A batch of consecutive samples of one signal: the unit of transport, storage and estimation."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import isfinite, nan
 from typing import Any, TypeVar
 from uuid import UUID
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
+from stream.compiled import compiled
 from stream.errors import BadInput
 
 IntArray = npt.NDArray[np.int64]
@@ -183,7 +183,7 @@ def first_finite(values: FloatArray) -> float:
     return float(values[finite[0]]) if len(finite) else nan
 
 
-@njit(cache=True, nogil=True)
+@partial(compiled, instead=lambda values: int(np.isfinite(values).sum()))
 def count_finite(values: FloatArray) -> int:
     """How many values are finite."""
     count = 0
