@@ -1,29 +1,35 @@
-"""Functions compiled by numba when they are first called: its import takes longer than many commands."""
+"""Kernels compiled by numba when they are first called: importing numba takes longer than many commands run."""
 
+import os
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar
+from typing import ParamSpec, TypeVar
 
+Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
+# set where nothing can be compiled, as in the process that runs users' statements; numba has the same rule
+_IS_DISABLED = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
 
-def compiled(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Compile a function with `numba.njit` at its first call; other compiled functions cannot call it.
 
-    The machine code is kept on disk, and the interpreter's lock is released while it runs.
+def compiled(
+    kernel: Callable[Parameters, Result], *, instead: Callable[Parameters, Result] | None = None
+) -> Callable[Parameters, Result]:
+    """Compile a kernel on its first call.
 
-    >>> @compiled  # doctest: +SKIP
-    ... def _double(values: FloatArray) -> FloatArray:
-    ...     return 2.0 * values
+    Where nothing can be compiled, `instead` runs, which gives the same result with arrays; without it the kernel as it
+    is, slowly.
     """
-    made: list[Callable[..., Result]] = []
+    if _IS_DISABLED:
+        return instead or kernel
+    made: list[Callable[Parameters, Result]] = []
 
-    @wraps(function)
-    def call(*arguments: Any) -> Result:
+    @wraps(kernel)
+    def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
         if not made:
             from numba import njit
 
-            made.append(njit(cache=True, nogil=True)(function))
-        return made[0](*arguments)
+            made.append(njit(cache=True, nogil=True)(kernel))
+        return made[0](*arguments, **named)
 
     return call
