@@ -44,14 +44,16 @@ class Recorder(Closing):
     drops duplicates, requests a rewind if one is missing, and acknowledges after an fdatasync every `sync_interval_s`.
     Another thread builds the lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
 
-    `builds_lake` says whether this process builds the lake; `on_warning` gets messages for people: pauses, disk errors,
-    low disk space. `on_failure` is called once, when recording has ended by a failure.
+    `builds_lake` says whether this process builds the lake, `reports_status` whether it is a role of its own;
+    `on_warning` gets messages for people: pauses, disk errors, low disk space. `on_failure` is called once, when
+    recording has ended by a failure.
     """
 
     def __init__(
         self, store: Store, bus: Bus, log: EventLog, *, sync_interval_s: float = 0.1, builds_lake: bool = True,
         on_warning: Callable[[str], None] = lambda _text: None,
         on_failure: Callable[[GyrofleetError], None] = lambda _error: None, disk: Disk = DISK,
+        reports_status: bool = True,
     ) -> None:  # fmt: skip
         self._store, self._bus, self._log, self._sync_interval_s = store, bus, log, sync_interval_s
         self._warn, self._on_failure = on_warning, on_failure
@@ -77,7 +79,7 @@ class Recorder(Closing):
         self._service = RecorderService(store, bus, self.settle)
         board, self._began_ns = StatusBoard(store), time.time_ns()
         bus.subscribe(STATUS_KEY, board.on_message)
-        self._status = StatusReporter(self.status, board.put)
+        self._status = StatusReporter(self.status, board.put) if reports_status else None
 
     def status(self) -> RoleStatus:
         """What is recorded since its start, and what keeps it from recording."""
@@ -103,7 +105,8 @@ class Recorder(Closing):
         self.end()
         if self._builder is not None:
             self._builder.close()
-        self._status.close()
+        if self._status is not None:
+            self._status.close()
         if self.failure is not None:
             raise self.failure
 
