@@ -1,13 +1,14 @@
-"""Short forms of the trials of killed processes: `python tests/crash/kills.py --kills 200` is the long one."""
+"""Short forms of the trials of killed processes: `python -m tests.crash.kills --kills 200` is the long one."""
 
 from pathlib import Path
 
 import pytest
 
-from tests.crash.kills import Shape, start_program, trial
+from tests.crash.killed_station import Shape, start_program
+from tests.crash.kills import trial
 from tests.forked_commands import CommandServer
 
-# a seventh of the samples, and kills three times as often: all of them hit the run
+# runs of a seventh of the samples, and kills three times as often: few runs are enough for all of them
 SHORT = Shape(hours=0.15, rate_hz=500.0, kill_s=0.5)
 
 
@@ -24,3 +25,4 @@ def test_killed_at_any_moment_every_role_goes_on_and_nothing_is_lost_or_there_tw
     assert (result["kills"], len(result["by_role"])) == (kills, 5)
     assert result["rows"]["samples"] >= samples
     assert result["rows"]["estimates"] >= 10 * kills
+    assert result["recovered_segments"] > 0, "the recorder was to be killed at work"
