@@ -12,6 +12,7 @@ import uvicorn
 from analytics.serve.app import application
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.doors.users_file import UsersFile
+from analytics.serve.live.follower import FloorFollower
 from analytics.serve.service import Service
 from analytics.serve.settings import Settings
 from analytics.serve.shared_lake import SharedLake
@@ -55,8 +56,9 @@ def serve(store: Store, settings: Settings, on_ready: Callable[[str], None]) -> 
         token=settings.token, token_role=settings.token_role, users=users,
         cookie=f"__Host-{name}" if settings.is_secure else name, is_secure=settings.is_secure,
     )  # fmt: skip
+    live = FloorFollower(store)
     service = Service(
-        store, doorkeeper, SharedLake(store, lambda: "0"), SqlPool(store), is_on_loopback=settings.is_on_loopback
+        store, doorkeeper, SharedLake(store, live.entered), SqlPool(store), live, is_on_loopback=settings.is_on_loopback
     )
     config = uvicorn.Config(
         application(service, settings.names), log_config=None, access_log=False, ws="none", server_header=False,

@@ -5,13 +5,16 @@ import os
 import secrets
 import time
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 import anyio
 
 from analytics.serve.answer_cache import AnswerCache
 from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.jobs import Jobs
+from analytics.serve.live.broadcast import Broadcast
+from analytics.serve.live.follower import FloorFollower
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.store import Store
@@ -37,7 +40,9 @@ class Service:
     doorkeeper: Doorkeeper
     lake: SharedLake
     sql: SqlPool
+    live: FloorFollower
     is_on_loopback: bool
+    jobs: Jobs = field(default_factory=Jobs)
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
@@ -45,6 +50,11 @@ class Service:
     began_s: float = field(default_factory=time.time)
     requests: int = 0
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
+    changes: Broadcast = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Connect the floor's changes with the end of the server."""
+        self.changes = Broadcast(self.stopping)
 
     @property
     def busy_threads(self) -> int:
@@ -53,15 +63,29 @@ class Service:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """What runs beside the requests."""
-        yield
+        """Follow the floor beside the requests."""
+        loop = asyncio.get_running_loop()
+
+        def tell(version: int, changes: bytes) -> None:
+            event = b"id: %s-%d\nevent: change\ndata: %s\n\n" % (self.nonce.encode(), version, changes)
+            with suppress(RuntimeError):  # the server has ended
+                loop.call_soon_threadsafe(self.changes.send, version, event)
+
+        self.live.start(self.lake, tell)
+        try:
+            yield
+        finally:
+            self.stop()
 
     def stop(self) -> None:
         """End what would keep the server from ending: event streams, statements."""
         self.stopping.set()
+        self.changes.wake()
         self.sql.close()
 
     def close(self) -> None:
         """Close what is open."""
+        self.live.close()
+        self.jobs.close()
         self.sql.close()
         self.lake.close()

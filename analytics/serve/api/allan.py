@@ -1,15 +1,17 @@
 """Allan deviation of a recorded signal, with its noise coefficients."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from analytics.curves.allan_curve import AllanCurve, allan_curve
 from analytics.serve.api.operation import Call, get
 from analytics.serve.api.rows import dictionaries, iso
 from storage.sql.reading import find_signal
 from stream.errors import NotFound
+
+if TYPE_CHECKING:
+    from analytics.curves.allan_curve import AllanCurve
 
 _LIVE = """
 select tau_s, value, lo, hi, edf, n, unit_of_measure, t_ns, final, samples, missing, sample_interval_s from estimates
@@ -64,6 +66,8 @@ class Allan(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/allan/{unit}/{run}/{signal}", table="", is_slow=True)
 def allan(call: Call, asked: AllanAsked) -> Allan:
     """Overlapping Allan deviation of a signal over averaging time, with 95 % confidence bounds."""
+    from analytics.curves.allan_curve import allan_curve
+
     of = {name: call.path[name] for name in ("unit", "run", "signal")}
     record = find_signal(call.views, of["unit"], of["signal"], of["run"])
     fitted = call.views.rows(_FITTED, of)
@@ -91,7 +95,7 @@ def _stored(rows: list[dict[str, Any]], of: dict[str, str], noise: dict[str, Any
     return Allan(**(of | about | columns), adev=adev, source="live", time=iso(last["t_ns"]), noise=noise)
 
 
-def _of_samples(curve: AllanCurve, of: dict[str, str], noise: dict[str, Any] | None) -> Allan:
+def _of_samples(curve: "AllanCurve", of: dict[str, str], noise: dict[str, Any] | None) -> Allan:
     return Allan(
         **of, unit_of_measure=curve.unit_of_measure, source="samples", final=True, t_ns=None, time=None,
         samples=curve.samples, missing=curve.missing, sample_interval_s=curve.sample_interval_s,

@@ -1,13 +1,15 @@
 """Versions of error models, and which of them are in use."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
-from analytics.loop.model.model_use import InUse, read_uses
 from analytics.serve.api.rows import iso
 from storage.store import Store
+
+if TYPE_CHECKING:
+    from analytics.loop.model.model_registry import ModelVersion
+    from analytics.loop.model.model_use import InUse
 
 
 class ModelRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -35,6 +37,9 @@ class ModelRow(msgspec.Struct, frozen=True, kw_only=True):
 
 def models_of(store: Store, unit: str) -> list[ModelRow]:
     """Versions of a unit by increasing number; damaged ones are left to `gyrofleet verify`."""
+    from analytics.loop.model.model_registry import ModelRegistry
+    from analytics.loop.model.model_use import InUse, read_uses
+
     versions, _ = ModelRegistry(store).readable(unit)
     if not versions:
         return []
@@ -42,7 +47,7 @@ def models_of(store: Store, unit: str) -> list[ModelRow]:
     return [model_row(version, uses.get((version.unit, version.signal), InUse())) for version in versions]
 
 
-def model_row(version: ModelVersion, use: InUse) -> ModelRow:
+def model_row(version: "ModelVersion", use: "InUse") -> ModelRow:
     """A version with its use."""
     model = version.model
     terms = [

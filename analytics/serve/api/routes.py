@@ -7,7 +7,21 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from analytics.serve.api import allan, events, health, runs, signals, sql, store, trends, units
+from analytics.serve.api import (
+    allan,
+    diagnosis,
+    events,
+    health,
+    jobs,
+    live,
+    notes,
+    runs,
+    signals,
+    sql,
+    store,
+    trends,
+    units,
+)
 from analytics.serve.api.endpoint import route
 from analytics.serve.api.openapi import openapi_document
 from analytics.serve.api.operation import Operation
@@ -27,9 +41,21 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     trends.list_yield,
     trends.list_verdicts,
     events.list_events,
+    live.floor,
+    live.unit_floor,
     store.store,
     sql.sql,
     sql.sql_tables,
+    diagnosis.list_diagnoses,
+    diagnosis.diagnosis,
+    diagnosis.diagnose_unit,
+    diagnosis.promote_model,
+    diagnosis.roll_back_model,
+    jobs.list_jobs,
+    jobs.job,
+    jobs.cancel_job,
+    jobs.verify_store,
+    notes.add_note,
 )
 
 
@@ -39,6 +65,7 @@ def api_routes(service: Service) -> list[Route]:
         *(route(operation, service) for operation in OPERATIONS),
         Route("/api/openapi.json", _openapi, name="openapi"),
         Route("/api/me", _me, name="me"),
+        Route("/api/live", functools.partial(live.live, service=service), name="live"),
         Route("/health", functools.partial(health.health, service=service), name="health"),
         Route("/metrics", functools.partial(health.prometheus, service=service), name="metrics"),
     ]

@@ -18,8 +18,9 @@ select run, site, station, date_known, case when date_known then epoch_ns(starte
 from internal.served_runs
 """
 _PAGE = f"""
-with run as ({_RUN}), seen as (select coalesce(recorded_ns, 0) as at from run where run = $after)
-select run.* from run where ($after = '' or (-coalesce(recorded_ns, 0), run) > (select (-at, $after) from seen))
+with listed as ({_RUN}), seen as (select coalesce(recorded_ns, 0) as before from listed where run = $after)
+select listed.* from listed
+where ($after = '' or (-coalesce(recorded_ns, 0), run) > (select row(-before, $after) from seen))
   and ($station = '' or station = $station) and ($procedure = '' or "procedure" = $procedure)
   and ($outcome = '' or outcome = $outcome) and ($lot = '' or lot = $lot)
   and contains(lower(run), lower($search))

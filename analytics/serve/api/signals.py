@@ -107,17 +107,17 @@ class _Stretch:
     @property
     def raw_samples(self) -> float:
         """About how many samples it has."""
-        return sum(part["samples"] * self._share(part) for part in self.parts)
+        return sum(int(part["samples"]) * self._share(part) for part in self.parts)
 
     @property
     def is_raw(self) -> bool:
         """Whether its raw rows are all there."""
         return all(part["is_kept"] for part in self.parts)
 
-    def _share(self, part: Mapping[str, int]) -> float:
-        first, last = part["t_first_ns"], part["t_last_ns"]
+    def _share(self, part: Mapping[str, Any]) -> float:
+        first, last = int(part["t_first_ns"]), int(part["t_last_ns"])
         inside = min(last, self.stop_ns) - max(first, self.first_ns)
-        return float(max(inside, 0) / max(last - first, 1))
+        return max(inside, 0) / max(last - first, 1)
 
 
 @get("/api/signals/{unit}/{run}/{signal}", table="")

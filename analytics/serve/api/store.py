@@ -7,7 +7,6 @@ import msgspec
 
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import dictionaries, iso
-from storage.findings import Verification
 from storage.log.files import sealed_segments
 from storage.log.recovery import left_open
 from storage.manifests.lake import left_aside, read_manifest
@@ -69,7 +68,7 @@ class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
     disk: DiskRow
     clocks: list[dict[str, Any]]
     notes: list[dict[str, Any]]
-    verified: Verification | None
+    verified: dict[str, Any] | None
     verified_ns: int | None
 
 
@@ -78,13 +77,15 @@ def store(call: Call, asked: Nothing) -> StoreDocument:
     """The store: log, lake, disk, who writes it, clocks of the sources, what it has noted, the last verification."""
     del asked
     folder = call.store.folder
+    verified = call.service.jobs.last("verify")
     usage = shutil.disk_usage(folder)
     notes = [row | {"time": iso(row["t_ns"])} for row in dictionaries(call.views, _NOTES)]
     return StoreDocument(
         store=folder.resolve().name, identity=call.store.identity, is_written=writer_is_active(folder),
         writer=writer_endpoint(folder), log=_log(call.store), lake=_lake(call.store),
         disk=DiskRow(total_bytes=usage.total, free_bytes=usage.free),
-        clocks=dictionaries(call.views, _CLOCKS), notes=notes, verified=None, verified_ns=None,
+        clocks=dictionaries(call.views, _CLOCKS), notes=notes, verified=None if verified is None else verified.result,
+        verified_ns=None if verified is None else verified.ended_ns,
     )  # fmt: skip
 
 

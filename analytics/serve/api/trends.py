@@ -1,20 +1,15 @@
 """Trends of metrics, yield, and what units fail by."""
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
-from analytics.evaluation.selection import dated, standard_named
-from analytics.metric_registry.registry import MetricHeader, metrics
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import Name, Paged, dictionaries, page_of
-from analytics.specifications.verdicts import yield_by
-from analytics.trends.charts.capability import specified_limits
-from analytics.trends.charts.control_chart import Spread
-from analytics.trends.document import document
-from analytics.trends.series import Choice, read_series
-from analytics.trends.trend import trend_of
 from stream.errors import BadInput, NotFound
+
+if TYPE_CHECKING:
+    from analytics.metric_registry.registry import MetricHeader
 
 _COUNTS = """
 select metric, count(value) as n, count(distinct unit) as units, count(*) - count(value) as without_value
@@ -96,13 +91,15 @@ class UnitVerdicts(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/metrics", table="metrics", is_slow=True)
 def list_metrics(call: Call, asked: Nothing) -> Metrics:
     """All metrics: names, clauses, and how many units have a value."""
+    from analytics.metric_registry.registry import metrics
+
     del asked
     counts = {row["metric"]: row for row in dictionaries(call.metrics, _COUNTS)}
     none = {"n": 0, "units": 0, "without_value": 0}
     return Metrics(metrics=[_metric_row(metric.header, counts.get(name, none)) for name, metric in metrics().items()])
 
 
-def _metric_row(header: MetricHeader, count: dict[str, int]) -> MetricRow:
+def _metric_row(header: "MetricHeader", count: dict[str, int]) -> MetricRow:
     return MetricRow(
         metric=header.id, en=header.en, zh=header.zh, unit_of_measure=header.unit, better=header.better,
         clauses=[f"{each.standard} {each.clause}" for each in header.sources], values=count["n"],
@@ -113,6 +110,13 @@ def _metric_row(header: MetricHeader, count: dict[str, int]) -> MetricRow:
 @get("/api/trends", is_slow=True)
 def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
     """A metric over time: control charts, changes, drift, groups, capability, and a sentence on each result."""
+    from analytics.evaluation.selection import dated, standard_named
+    from analytics.trends.charts.capability import specified_limits
+    from analytics.trends.charts.control_chart import Spread
+    from analytics.trends.document import document
+    from analytics.trends.series import Choice, read_series
+    from analytics.trends.trend import trend_of
+
     choice = Choice(
         units=asked.unit, signal=asked.signal or None, parameters=_pairs(asked.parameter), lot=asked.lot or None,
         standard=standard_named(asked.standard) if asked.standard else None, station=asked.station or None,
@@ -133,6 +137,8 @@ def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
 @get("/api/yield", table="groups", is_slow=True)
 def list_yield(call: Call, asked: YieldAsked) -> Yield:
     """Yield by lot, station, fixture or day, and the characteristics that units fail by."""
+    from analytics.specifications.verdicts import yield_by
+
     pareto = dictionaries(call.metrics, "select * from failure_pareto")
     return Yield(by=asked.by, groups=yield_by(call.metrics, asked.by), pareto=pareto)
 

@@ -4,12 +4,10 @@ from typing import Any
 
 import msgspec
 
-from analytics.evaluation.selection import Selection, selected
-from analytics.metric_registry.registry import alike, metrics
+from analytics.metric_registry.registry import alike
 from analytics.serve.api.models import ModelRow, models_of
 from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
-from analytics.specifications.verdicts import verdicts_of
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound
 
@@ -136,6 +134,9 @@ def list_units(call: Call, asked: UnitsAsked) -> Units:
 @get("/api/units/{unit}", table="metrics", is_slow=True)
 def unit(call: Call, asked: Nothing) -> UnitDocument:
     """One unit: its runs, characteristics with limits and verdicts, error models."""
+    from analytics.evaluation.selection import Selection, selected
+    from analytics.specifications.verdicts import verdicts_of
+
     del asked
     name = call.path["unit"]
     about = unit_row(call.views, name)
@@ -166,6 +167,8 @@ def _unit_row(row: dict[str, Any]) -> UnitRow:
 
 def _named(row: dict[str, Any]) -> dict[str, Any]:
     """A characteristic with its names in both languages."""
+    from analytics.metric_registry.registry import metrics
+
     header = metrics()[row["metric"]].header
     return row | {"en": header.en, "zh": header.zh}
 

@@ -26,7 +26,7 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("analytics.serve.pages"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts}
+    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds}
     environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment}
     return environment
 
@@ -101,6 +101,16 @@ def duration(seconds: float | None) -> str:
 def _verdicts(texts: Texts) -> list[tuple[str, str]]:
     """Verdicts as options of a form."""
     return [(each.value, texts.word(each.value, "verdict")) for each in Verdict]
+
+
+def _runs(runs: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Runs as options of a form."""
+    return [(run["run"], f"{run['station']}: {run['run']}") for run in runs]
+
+
+def _kinds(kinds: dict[str, int], texts: Texts) -> list[tuple[str, str]]:
+    """Kinds of documents as options of a form."""
+    return [(kind, f"{texts.word(kind, 'kind')} ({n:,})") for kind, n in kinds.items()]
 
 
 def _segment(text: str) -> str:
