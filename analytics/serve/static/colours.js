@@ -11,7 +11,8 @@ export function colour(name) {
 
 /** A colour with less opacity. */
 export function faint(rgb, alpha) {
-  return rgb.replace(/^rgba?\(([^)]*?)(?:,\s*[\d.]+)?\)$/, (_, parts) => `rgba(${parts.split(",").slice(0, 3).join(",")}, ${alpha})`);
+  const [red, green, blue] = rgb.match(/[\d.]+/g);
+  return `rgba(${red}, ${green}, ${blue}, ${alpha})`;
 }
 
 /** Call when the theme changes. */

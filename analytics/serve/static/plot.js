@@ -3,7 +3,19 @@ import uPlot from "./uplot/uPlot.esm.js";
 import {colour, onTheme} from "./colours.js";
 import {element} from "./texts.js";
 
-const HEIGHT = 340;
+const HEIGHT = 340, DAY = 86_400;
+
+/** Times of an axis in UTC on 24 hours, as fine as their distance needs; the date where it changes. */
+function clock(_plot, splits, _axis, _space, step) {
+  let day = "";
+  return splits.map(seconds => {
+    const text = new Date(Math.round(seconds * 1e3)).toISOString(), date = text.slice(0, 10);
+    const time = step >= DAY ? "" : text.slice(11, step >= 60 ? 16 : step >= 1 ? 19 : 23);
+    const shown = date === day ? time : [time, date].filter(Boolean).join("\n");
+    day = date;
+    return shown;
+  });
+}
 
 /**
  * A plot in `host`. `options(colours)` gives uPlot's, `label()` says what it shows, `read(i)` the values at point i.
@@ -35,6 +47,7 @@ export class Plot {
     const axis = {stroke: ink, grid: {stroke: line, width: 1}, ticks: {stroke: line, width: 1}};
     const given = this.parts.options({ink, line, link: colour("--link"), soft: colour("--soft"), fail: colour("--fail"), pass: colour("--pass"), marginal: colour("--marginal")});
     const axes = (given.axes ?? [{}, {}]).map(each => ({...axis, ...each}));
+    if (given.scales?.x?.time !== false) axes[0].values = clock;
     this.uplot?.destroy();
     const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), "Etc/UTC");
     this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: HEIGHT, tzDate, ...given, axes}, this.data, this.frame);
