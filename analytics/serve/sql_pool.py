@@ -46,10 +46,8 @@ class SqlPool(Closing):
             door = self._taken(state.tag)
             try:
                 yield door
-            except BaseException:
-                self._drop(door)
-                raise
-            self._put_back(state.tag, door)
+            finally:
+                self._put_back(state.tag, door)  # after an error as well: a door starts a new process if it needs one
         finally:
             self._free.release()
 
@@ -70,11 +68,6 @@ class SqlPool(Closing):
             if not self._is_closed:
                 self._idle.append((tag, door))
                 return
-        door.close()
-
-    def _drop(self, door: SqlDoor) -> None:
-        with self._lock:
-            self._busy.discard(door)
         door.close()
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from analytics.serve.api import (
     allan,
     diagnosis,
     events,
+    grafana,
     health,
     jobs,
     live,
@@ -56,6 +57,12 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     jobs.cancel_job,
     jobs.verify_store,
     notes.add_note,
+    grafana.grafana,
+    grafana.grafana_metrics,
+    grafana.grafana_options,
+    grafana.grafana_variable,
+    grafana.grafana_query,
+    grafana.grafana_tag_keys,
 )
 
 

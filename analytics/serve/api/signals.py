@@ -82,7 +82,8 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
 
     def columns(self) -> Mapping[str, Sequence[Any]]:
         """Its table, for Arrow and CSV."""
-        return {name: getattr(self, name) for name in ("t_ns", "min", "max", "mean", "n")}
+        columns = {name: getattr(self, name) for name in ("t_ns", "min", "max", "mean", "n")}
+        return {"time": [iso(each) for each in self.t_ns], **columns}
 
 
 @dataclass(frozen=True)

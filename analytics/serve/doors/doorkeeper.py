@@ -33,7 +33,7 @@ class Doorkeeper:
     cookie: str
     is_secure: bool
     sessions: Sessions = field(default_factory=Sessions)
-    logins: RateLimit = field(default_factory=lambda: RateLimit(8, 5.0))
+    wrong_logins: RateLimit = field(default_factory=lambda: RateLimit(10, 6.0))
     wrong_tokens: RateLimit = field(default_factory=lambda: RateLimit(60, 1.0))
 
     def identify(self, headers: Headers, cookies: dict[str, str], address: str) -> Person | None:
@@ -49,25 +49,32 @@ class Doorkeeper:
 
     def begin_by_token(self, token: str, address: str) -> str | None:
         """Open a session for the holder of a token; its cookie, None if the token is wrong."""
-        if (wait_s := self.logins.wait_s(address)) > 0.0:
-            raise TooMany("too many logins from this address", wait_s)
+        self._check_tries(address)
         if self._is_token(token):
             return self.sessions.begin(_BY_TOKEN, "")
+        self.wrong_logins.wait_s(address)
         return None
 
     def begin_by_password(self, name: str, password: str, address: str) -> str | None:
         """Open a session for a user; its cookie, None if name or password are wrong."""
-        # by name as well: one password must not be tried from many addresses
-        if (wait_s := max(self.logins.wait_s(address), self.logins.wait_s(f"user {name}"))) > 0.0:
-            raise TooMany("too many logins", wait_s)
+        tried = (address, f"user {name}")  # a password must not be guessed from many addresses
+        self._check_tries(*tried)
         user = None if self.users is None else self.users.with_password(name, password)
-        return None if user is None else self.sessions.begin(name, user.fingerprint)
+        if user is not None:
+            return self.sessions.begin(name, user.fingerprint)
+        for key in tried:
+            self.wrong_logins.wait_s(key)
+        return None
 
     def set_cookie(self, cookie: str) -> str:
         """The header that gives a browser its cookie; an empty one takes it away."""
         secure = "; Secure" if self.is_secure else ""
         age_s = round(LONGEST_S) if cookie else 0
         return f"{self.cookie}={cookie}; Path=/; Max-Age={age_s}; HttpOnly; SameSite=Strict{secure}"
+
+    def _check_tries(self, *keys: str) -> None:
+        if (wait_s := max(self.wrong_logins.left_s(key) for key in keys)) > 0.0:
+            raise TooMany("too many logins have failed", wait_s)
 
     def _by_token(self, given: str, address: str) -> Person | None:
         if (wait_s := self.wrong_tokens.left_s(address)) > 0.0:
