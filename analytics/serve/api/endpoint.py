@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any
+from urllib.parse import urlencode
 
 import anyio
 import anyio.to_thread
@@ -120,6 +121,6 @@ def query_of(request: Request, kind: type[Any], others: Sequence[str]) -> tuple[
 
 
 def url_of(request: Request) -> str:
-    """Path and parameters of a request."""
-    query = request.url.query
+    """Path and parameters of a request but its language, which the API has not."""
+    query = urlencode([pair for pair in request.query_params.multi_items() if pair[0] != "lang"])
     return f"{request.url.path}?{query}" if query else request.url.path

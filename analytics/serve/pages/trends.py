@@ -5,7 +5,7 @@ from typing import Any, Literal
 import msgspec
 
 from analytics.serve.api import trends as api
-from analytics.serve.api.operation import Call, Nothing
+from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.pages.page import shown
 
@@ -35,11 +35,10 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
     found = None
     if asked.metric:
         found = api.trend(call, api.TrendAsked(**fields | {"unit": asked.unit, "parameter": asked.parameter}))
-    query = call.url.partition("?")[2]
     return {
         "found": found,
         "metrics": metrics,
         "shares": api.list_yield(call, api.YieldAsked(by=asked.yield_by)),
-        "data": f"/api/trends?{query}" if asked.metric else "/api/metrics",
+        "data": link("api", "trends", **fields) if asked.metric else "/api/metrics",
         "has_table": not asked.metric,
     }

@@ -40,7 +40,7 @@ function show(result, found) {
   const body = rows.slice(0, SHOWN_ROWS).map(row => element("tr", {}, ...row.map(cell)));
   const table = element("table", {}, element("thead", {}, head), element("tbody", {}, ...body));
   const host = element("div");
-  result.replaceChildren(element("p", {role: "status", textContent: told}), host, element("div", {className: "wide", tabIndex: 0, role: "region", "aria-label": told}, table));
+  result.replaceChildren(element("p", {role: "status", textContent: told}), host, element("div", {className: "wide", tabIndex: 0, role: "group", "aria-label": told}, table));
   draw(host, columns, rows);
 }
 
