@@ -24,8 +24,8 @@ from stream.console import notes, print_json, reporting, results, store_option
     help="Token of programs and for the first login, also as GYROFLEET_TOKEN; by default a new one is printed.",
 )  # fmt: skip
 @click.option(
-    "--token-role", type=click.Choice(ROLES), show_default="viewer with --users, else approver",
-    help="What the holder of the token may do.",
+    "--token-role", type=click.Choice(ROLES),
+    help="What the holder of the token may do; by default all, with --users only read.",
 )  # fmt: skip
 @click.option(
     "--users", "users_path", type=click.Path(path_type=Path, dir_okay=False),

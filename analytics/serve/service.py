@@ -13,7 +13,7 @@ import anyio
 from analytics.serve.answer_cache import AnswerCache
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.jobs import Jobs
-from analytics.serve.live.broadcast import Broadcast
+from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
@@ -66,10 +66,9 @@ class Service:
         """Follow the floor beside the requests."""
         loop = asyncio.get_running_loop()
 
-        def tell(version: int, changes: bytes) -> None:
-            event = b"id: %s-%d\nevent: change\ndata: %s\n\n" % (self.nonce.encode(), version, changes)
+        def tell(version: int, kind: str, data: bytes) -> None:
             with suppress(RuntimeError):  # the server has ended
-                loop.call_soon_threadsafe(self.changes.send, version, event)
+                loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
 
         self.live.start(self.lake, tell)
         try:

@@ -14,6 +14,7 @@ from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
+from analytics.serve.live.broadcast import event
 from analytics.serve.live.floor import UnitNow
 from analytics.serve.problems import TooMany
 from analytics.serve.service import Service
@@ -147,8 +148,3 @@ async def _events(service: Service, version: int, first: bytes | None) -> AsyncI
         yield b": \n\n" if change is None else change
         if time.monotonic() > ends_s:
             return
-
-
-def event(kind: str, number: str, data: bytes) -> bytes:
-    """A server-sent event."""
-    return b"id: %s\nevent: %s\ndata: %s\n\n" % (number.encode(), kind.encode(), data)

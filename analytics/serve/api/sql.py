@@ -2,8 +2,10 @@
 
 import csv
 import io
-import itertools
+import tempfile
 import time
+from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -15,9 +17,11 @@ from analytics.serve.api.encoding import Form
 from analytics.serve.api.operation import Call, Nothing, get, post
 from analytics.serve.doors.roles import Role
 from analytics.serve.sql_pool import MOST_ROWS
+from storage.sql.catalog import Catalog
 from storage.sql.door import Result
 from storage.sql.printable import csv_cells, distinct_names, printable_batches
 from storage.sql.tables import columns_of, described_tables, examples
+from storage.store import Store
 from stream.console import json_text
 from stream.errors import BadInput, QueryError
 
@@ -135,8 +139,18 @@ def sql(call: Call, asked: SqlAsked) -> SqlRows:
 @get("/api/sql/tables", is_slow=True)
 def sql_tables(call: Call, asked: Nothing) -> SqlTables:
     """The tables that a statement can name, with the meaning of their columns, and examples."""
-    del asked
-    tables = described_tables(call.metrics)
-    rows = [each | {"columns": columns_of(call.metrics, str(each["table"]))} for each in tables]
-    pairs = itertools.starmap(lambda question, statement: {"question": question, "sql": statement}, examples().items())
-    return SqlTables(tables=rows, examples=list(pairs))
+    del call, asked
+    return known_tables()
+
+
+@cache
+def known_tables() -> SqlTables:
+    """The tables of any store; read from an empty one, where no metrics have to be computed first."""
+    with (
+        tempfile.TemporaryDirectory(prefix="gyrofleet-serve-") as folder,
+        Catalog(Store.create(Path(folder))) as catalog,
+    ):
+        tables = described_tables(catalog)
+        rows = [each | {"columns": columns_of(catalog, str(each["table"]))} for each in tables]
+    pairs = [{"question": question, "sql": statement} for question, statement in examples().items()]
+    return SqlTables(tables=rows, examples=pairs)

@@ -49,3 +49,8 @@ class Broadcast:
                     yield None
         finally:
             self.listeners -= 1
+
+
+def event(kind: str, number: str, data: bytes) -> bytes:
+    """A server-sent event."""
+    return b"id: %s\nevent: %s\ndata: %s\n\n" % (number.encode(), kind.encode(), data)

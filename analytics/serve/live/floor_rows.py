@@ -22,6 +22,11 @@ class FloorRows:
         self._steps: dict[str, int] = {"": 0}
         self._told_steps = 1
 
+    def begin(self) -> None:
+        """Begin a floor whose units have other numbers."""
+        self.version += 1
+        self._steps, self._told_steps = {"": 0}, 1
+
     def document(self, floor: Floor) -> dict[str, Any]:
         """All of it; `columns` and `state_columns` name the cells of the rows.
 

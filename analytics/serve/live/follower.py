@@ -20,7 +20,10 @@ from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
 _LOOK_S = 0.5
 _TELL_S = 1.0
 _TRY_AGAIN_S = 5.0
+_FILLED_WITHIN_S = 10.0
 _ENTERED = ("SpecificationEntered", "CheckEntered", "ModelActivated")
+Tell = Callable[[int, str, bytes], None]
+"""Takes a version of the floor, whether it is the whole ``floor`` or a ``change``, and its JSON."""
 
 
 class FloorFollower(Closing):
@@ -33,21 +36,24 @@ class FloorFollower(Closing):
         self._store = store
         self._lock = threading.Lock()
         self._ends = threading.Event()
+        self._is_filled = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def start(self, lake: SharedLake, tell: Callable[[int, bytes], None]) -> None:
+    def start(self, lake: SharedLake, tell: Tell) -> None:
         """Begin; `tell` gets each version with its changes."""
         self._thread = threading.Thread(target=self._follow, args=(lake, tell), daemon=True, name="floor")
         self._thread.start()
 
     def document(self) -> dict[str, Any]:
-        """The floor now."""
+        """The floor now; waits for the first one."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
         with self._lock:
             return self.rows.document(self.floor) | {"problem": self.problem, "lag_s": round(self.lag_s, 3)}
 
     @contextmanager
     def unit(self, name: str) -> Iterator[UnitNow | None]:
         """A unit on the floor, which stays as it is within."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
         with self._lock:
             yield self.floor.units.get(name)
 
@@ -61,7 +67,7 @@ class FloorFollower(Closing):
         if self._thread is not None:
             self._thread.join(timeout=2.0)
 
-    def _follow(self, lake: SharedLake, tell: Callable[[int, bytes], None]) -> None:
+    def _follow(self, lake: SharedLake, tell: Tell) -> None:
         while not self._ends.is_set():
             try:
                 self._follow_store(lake, tell)
@@ -69,7 +75,7 @@ class FloorFollower(Closing):
                 self.problem = str(error)
                 self._ends.wait(_TRY_AGAIN_S)
 
-    def _follow_store(self, lake: SharedLake, tell: Callable[[int, bytes], None]) -> None:
+    def _follow_store(self, lake: SharedLake, tell: Tell) -> None:
         state = lake.state()
         fresh = Floor()
         with lake.views.lease(state) as catalog:
@@ -77,6 +83,10 @@ class FloorFollower(Closing):
         messages = LogMessages(self._store, {segment for part in state.parts for segment in part.segments})
         with self._lock:
             self.floor = fresh
+            self.rows.begin()
+            document = self.rows.document(fresh)
+        tell(document["version"], "floor", json_text(document).encode())
+        self._is_filled.set()
         told_s = 0.0
         while not self._ends.is_set():
             began_s = time.monotonic()
@@ -89,13 +99,13 @@ class FloorFollower(Closing):
                 self._tell(tell)
             self._ends.wait(_LOOK_S)
 
-    def _tell(self, tell: Callable[[int, bytes], None]) -> None:
+    def _tell(self, tell: Tell) -> None:
         with self._lock:
             self.floor.listen(time.time_ns())
             changes = self.rows.changes(self.floor)
             self.floor.forget_changes()
         if changes is not None:
-            tell(changes["version"], json_text(changes).encode())
+            tell(changes["version"], "change", json_text(changes).encode())
 
 
 def take(floor: Floor, message: LogMessage) -> None:

@@ -18,7 +18,7 @@ SPIKE_NS = START_NS + SPIKE_AT * DT_NS
 SPIKED = "/api/signals/FOG-0001/run-1/rate"
 
 
-def asked(api: httpx.Client, path: str = SPIKED, **parameters: Any) -> dict[str, Any]:
+def asked(api: httpx.Client, path: str = SPIKED, /, **parameters: Any) -> dict[str, Any]:
     answer = api.get(path, params=parameters)
     assert answer.status_code == 200, answer.text
     found: dict[str, Any] = answer.json()
@@ -51,7 +51,7 @@ def test_close_enough_each_sample_stands_alone(api: httpx.Client) -> None:
 
 
 @given(first=st.integers(-10, N), length=st.integers(1, N), points=st.integers(2, 400))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_buckets_are_those_of_the_samples(api: httpx.Client, first: int, length: int, points: int) -> None:
     from_ns, to_ns = START_NS + first * DT_NS, START_NS + (first + length) * DT_NS
     found = asked(api, points=points, **{"from": from_ns, "to": to_ns})
