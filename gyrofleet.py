@@ -92,8 +92,10 @@ def _add_commands() -> None:
     from analytics.commands.limits import limits
     from analytics.commands.metrics import metrics
     from analytics.commands.model import model
+    from analytics.commands.serve import serve
     from analytics.commands.spectrum import spectrum
     from analytics.commands.trend import trend
+    from analytics.commands.users import users
     from analytics.commands.verdicts import verdicts
     from ingest.commands.can import can
     from ingest.commands.check import check
@@ -114,6 +116,7 @@ def _add_commands() -> None:
     main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)
+    main.add_section("Show", serve, users)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover)
     main.add_section("Shell", completion)
 

@@ -3,7 +3,8 @@
 What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
 files, signals and end; only the start, one to three seconds of importing, is that of the server
 (``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked from the command's, but
-where its time or memory is limited. A few tests start the installed program itself.
+where its time or memory is limited, or the command is a server, which has threads. A few tests start the installed
+program itself.
 """
 
 import array
@@ -193,7 +194,7 @@ def _serve(path: str) -> None:
                 line.close()
                 server.close()
                 _become(request, files)
-                if not {"--max-time", "--max-memory"}.intersection(request["arguments"]):
+                if not {"--max-time", "--max-memory", "serve"}.intersection(request["arguments"]):
                     forking = SimpleNamespace(**{**vars(subprocess), "Popen": ForkedSqlProcess})
                     vars(storage.sql.door)["subprocess"] = forking
                 sys.argv = ["gyrofleet", *request["arguments"]]
