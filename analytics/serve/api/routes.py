@@ -9,6 +9,7 @@ from starlette.routing import Route
 
 from analytics.serve.api import (
     allan,
+    at_work,
     diagnosis,
     events,
     grafana,
@@ -45,6 +46,9 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     live.floor,
     live.unit_floor,
     store.store,
+    at_work.status,
+    at_work.alerts,
+    at_work.acknowledge_alert,
     sql.sql,
     sql.sql_tables,
     diagnosis.list_diagnoses,

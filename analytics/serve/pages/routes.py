@@ -4,7 +4,20 @@ import functools
 
 from starlette.routing import Route
 
-from analytics.serve.pages import actions, diagnosis, events, floor, login, runs, signal, sql, store, trends, units
+from analytics.serve.pages import (
+    actions,
+    at_work,
+    diagnosis,
+    events,
+    floor,
+    login,
+    runs,
+    signal,
+    sql,
+    store,
+    trends,
+    units,
+)
 from analytics.serve.service import Service
 
 PAGES = (
@@ -20,6 +33,7 @@ PAGES = (
     diagnosis.job,
     events.events,
     store.store,
+    at_work.at_work,
 )
 
 

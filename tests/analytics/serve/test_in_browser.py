@@ -17,7 +17,7 @@ AXE = Path(__file__).parents[2] / "vendor" / "axe.min.js"
 SIGNAL = "/signals/FOG-0001/run-1/rate"
 PAGES = (
     "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", SIGNAL, "/trends?metric=bias", "/diagnosis", "/sql",
-    "/events", "/store",
+    "/events", "/work", "/store",
 )  # fmt: skip
 # pixels of the curve in the uppermost fifth of the plot
 PIXELS = """(() => {
