@@ -84,6 +84,7 @@ def main() -> None:
 
 def _add_commands() -> None:
     """Add the commands of all packages, in the order of use."""
+    from analytics.commands.alert import alert
     from analytics.commands.allan import allan
     from analytics.commands.compensate import compensate
     from analytics.commands.demo import demo
@@ -107,11 +108,12 @@ def _add_commands() -> None:
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.sql import sql
+    from storage.commands.status import status
     from storage.commands.verify import recover, verify
     from stream.completion import completion
 
     main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, run_simulated, check)
-    main.add_section("Record and estimate", record, router, estimate, replay)
+    main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)

@@ -8,7 +8,6 @@ from uuid import UUID
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
 from stream.errors import BadInput
@@ -183,13 +182,9 @@ def first_finite(values: FloatArray) -> float:
     return float(values[finite[0]]) if len(finite) else nan
 
 
-@njit(cache=True, nogil=True)
 def count_finite(values: FloatArray) -> int:
     """How many values are finite."""
-    count = 0
-    for i in range(values.shape[0]):
-        count += values[i] - values[i] == 0.0
-    return count
+    return int(np.count_nonzero(np.isfinite(values)))
 
 
 def _same(a: object, b: object) -> bool:

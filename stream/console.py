@@ -47,6 +47,11 @@ store_option = click.option(
     help="Folder of the store.",
 )  # fmt: skip
 
+status_listen_option = click.option(
+    "--status-listen", metavar="HOST:PORT",
+    help="Serve /metrics (Prometheus) and /health over HTTP, as at 127.0.0.1:9464; `gyrofleet status` needs it not.",
+)  # fmt: skip
+
 estimates_option = click.option(
     "--estimates",
     "estimated",

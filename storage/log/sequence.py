@@ -6,10 +6,10 @@ from typing import NamedTuple
 from storage.manifests.log import SegmentEntry
 from storage.segments.records import EVENTS, SAMPLES, LogRecord, SealedSegment
 from stream.errors import StoreError
-from stream.events import RunEnded, decode_event
+from stream.events import AnyDocument, RunEnded, decode_event
 from stream.identity import SampleKey, parse_key
 from stream.wire.acknowledgement import StreamId
-from stream.wire.batches import read_batch_head
+from stream.wire.batches import RawBatch, read_raw_batch
 
 DOCUMENTS = "documents"
 
@@ -29,6 +29,13 @@ class LogPlace(NamedTuple):
     def samples(self) -> int:
         """How many samples it has."""
         return self.next_seq - self.seq if isinstance(parse_key(self.stream.key), SampleKey) else 0
+
+
+class ParsedRecord(NamedTuple):
+    """A numbered message of the log, and its position."""
+
+    place: LogPlace
+    content: RawBatch | AnyDocument
 
 
 @dataclass(frozen=True)
@@ -141,18 +148,28 @@ class SegmentTally:
         )  # fmt: skip
 
 
+def parse_record(record: LogRecord) -> ParsedRecord | None:
+    """Parse a message of the log; None if it is not numbered, as a preview."""
+    if record.schema == SAMPLES:
+        batch = read_raw_batch(record.data)
+        message, seq = batch.message, batch.message.seq
+        stream = StreamId(record.topic, message.epoch.hex())
+        place = LogPlace(stream, seq, seq + message.samples, message.t0_ns, batch.last_ns, message.run)
+        return ParsedRecord(place, batch)
+    if record.schema == EVENTS:
+        numbered = decode_event(record.data)
+        document = numbered.document
+        stream = StreamId(record.topic, numbered.epoch)
+        is_end = isinstance(document, RunEnded)
+        place = LogPlace(stream, numbered.seq, numbered.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
+        return ParsedRecord(place, document)
+    return None
+
+
 def place_of(record: LogRecord) -> LogPlace | None:
     """Position of a message of the log in its stream; None if it is not numbered."""
-    if record.schema == SAMPLES:
-        head = read_batch_head(record.data, bounded=False)
-        return LogPlace(StreamId(record.topic, head.epoch), head.seq, head.next_seq, head.t0_ns, head.last_ns, head.run)
-    if record.schema == EVENTS:
-        message = decode_event(record.data)
-        document = message.document
-        stream = StreamId(record.topic, message.epoch)
-        is_end = isinstance(document, RunEnded)
-        return LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
-    return None
+    parsed = parse_record(record)
+    return None if parsed is None else parsed.place
 
 
 def positions_of(marks: dict[str, str]) -> dict[StreamId, int]:

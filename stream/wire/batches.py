@@ -79,9 +79,33 @@ class WireBatch(NamedTuple):
         return self.meaning[2]
 
 
-def read_batch_head(payload: bytes, *, bounded: bool = True) -> WireBatchHead:
-    """Read a batch's head, checked like a whole one; not `bounded` for old logs, with numbers beyond bounds."""
-    message, last_ns = _checked(payload, bounded=bounded)
+class RawBatch(NamedTuple):
+    """A sample batch as logged, its arrays still bytes; checked but for bounds, which numbers of old logs exceed.
+
+    `last_ns` is the time of its last sample.
+    """
+
+    message: samples_pb2.SampleBatch
+    last_ns: int
+
+    def check_bounds(self) -> None:
+        """WireError if a number is beyond its bounds."""
+        message = self.message
+        _check_bounds(message, message.seq, message.t0_ns, message.dt_ns, self.last_ns, message.times_ns)
+
+    def decoded(self) -> SampleBatch:
+        """The batch with its arrays."""
+        return _decoded(self.message)
+
+
+def read_raw_batch(payload: bytes) -> RawBatch:
+    """Read a batch of the log."""
+    return RawBatch(*_checked(payload, bounded=False))
+
+
+def read_batch_head(payload: bytes) -> WireBatchHead:
+    """Read a batch's head, checked like a whole one."""
+    message, last_ns = _checked(payload)
     seq = message.seq
     return WireBatchHead(
         message.unit, message.signal, message.run, message.epoch.hex(), seq, seq + message.samples, message.t0_ns,
@@ -102,7 +126,10 @@ def read_wire_batch(payload: bytes) -> WireBatch:
 
 def decode_batch(payload: bytes) -> SampleBatch:
     """Read a batch from its wire form; NewerSchema if a newer gyrofleet wrote it, WireError if it is no whole one."""
-    message, _ = _checked(payload)
+    return _decoded(_checked(payload)[0])
+
+
+def _decoded(message: samples_pb2.SampleBatch) -> SampleBatch:
     values, times_ns, flags = message.values, message.times_ns, message.flags
     return checked_batch(
         unit=message.unit, signal=message.signal, run=message.run, epoch=epoch_of(message.epoch), seq=message.seq,
@@ -153,13 +180,13 @@ def _checked(payload: bytes, *, bounded: bool = True) -> tuple[samples_pb2.Sampl
     if t0_ns < -INT64_MAX or not -INT64_MAX <= last_ns <= INT64_MAX:
         raise _wrong(message, f"times from {t0_ns} ns do not fit 64 bits")
     if bounded:
-        _check_bounds(message, message.seq, t0_ns, dt_ns, last_ns)
-        if times_ns and not are_moments(np.frombuffer(times_ns, "<i8")):
-            raise _wrong(message, "one of its times is not between 1897 and 2116")
+        _check_bounds(message, message.seq, t0_ns, dt_ns, last_ns, times_ns)
     return message, last_ns
 
 
-def _check_bounds(message: samples_pb2.SampleBatch, seq: int, t0_ns: int, dt_ns: int, last_ns: int) -> None:
+def _check_bounds(
+    message: samples_pb2.SampleBatch, seq: int, t0_ns: int, dt_ns: int, last_ns: int, times_ns: bytes
+) -> None:
     if dt_ns > MAX_INTERVAL_NS or seq > MAX_SEQ - message.samples:
         raise _wrong(message, f"dt_ns {dt_ns} or seq {seq} is beyond its bounds")
     if not (MIN_MOMENT_NS <= t0_ns <= MAX_MOMENT_NS and MIN_MOMENT_NS <= last_ns <= MAX_MOMENT_NS):
@@ -167,6 +194,8 @@ def _check_bounds(message: samples_pb2.SampleBatch, seq: int, t0_ns: int, dt_ns:
     # unit and signal are those of the key expression, whose length is bounded
     if len(message.run) > MAX_NAME_CHARS or len(message.unit_of_measure) > MAX_NAME_CHARS:
         raise _wrong(message, f"run or unit of measure has more than {MAX_NAME_CHARS} characters")
+    if times_ns and not are_moments(np.frombuffer(times_ns, "<i8")):
+        raise _wrong(message, "one of its times is not between 1897 and 2116")
 
 
 def _check_lengths(message: samples_pb2.SampleBatch) -> None:

@@ -1,0 +1,162 @@
+"""Following a log while another process writes it: what is new since the last look, each message once."""
+
+import os
+import re
+import time
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple
+
+from storage.log.files import is_own
+from storage.log.recovery import reached_in
+from storage.log.sequence import LogPlace, parse_record
+from storage.segments.growing import GrowingSegment
+from storage.segments.records import LogRecord
+from storage.store import Store
+from stream.closing import Closing
+from stream.errors import GyrofleetError
+from stream.events import AnyDocument
+from stream.wire.acknowledgement import StreamId
+from stream.wire.batches import RawBatch
+
+_FILE = re.compile(r"(\d+)\.mcap(\.open|\.abandoned-(\d+))?")
+_TICK_NS = 100_000_000  # within which two changes of a folder may have the same time
+
+
+class FollowedMessage(NamedTuple):
+    """A numbered message of the log; one that cannot be read has an error as its content, and no place."""
+
+    segment: str
+    record: LogRecord
+    place: LogPlace | None
+    content: RawBatch | AnyDocument | GyrofleetError
+
+
+class LogFollower(Closing):
+    """Reads the samples and documents of a log as they are written.
+
+    What is acknowledged is read by the next `poll`, whether its segment is open, sealed, abandoned or recovered by
+    then; a message may also come a moment before it is acknowledged. Messages come in the order of the log, each once,
+    by their numbers. The follower takes no lock and needs no recorder; it is for one thread at a time.
+
+    Parameters
+    ----------
+    without: Segments that are not read, such as those in the lake.
+    wanted: Which keys are read; all if left out.
+
+    >>> with LogFollower(Store.open(Path("night"))) as follower:  # doctest: +SKIP
+    ...     while True:
+    ...         for message in follower.poll():
+    ...             print(message.segment, message.place)
+    ...         time.sleep(0.2)
+    """
+
+    def __init__(
+        self, store: Store, without: Collection[str] = (), *, wanted: Callable[[str], bool] = lambda _key: True
+    ) -> None:
+        self.damaged_bytes: dict[str, int] = {}  # by segment
+        self._store, self._without, self._wanted = store, frozenset(without), wanted
+        self._names: set[str] = set()
+        self._changed_ns: int | None = None
+        self._files: dict[str, GrowingSegment | None] = {}  # to be read; a sealed one is opened then
+        self._reached: dict[StreamId, int] = {}
+        self._copied: dict[str, dict[StreamId, int]] = {}  # by segment: what its sealed copy has, which is not read
+
+    def poll(self) -> Iterator[FollowedMessage]:
+        """Messages that are new since the last time; those that are not taken come again."""
+        self._look()
+        for name in sorted(self._files):
+            segment = self._files[name] or self._opened(name)
+            if segment is None:
+                continue
+            number = name.partition(".")[0]
+            for record in segment.records():
+                message = self._new(number, record)
+                if message is not None:
+                    yield message
+            if segment.damaged:
+                self.damaged_bytes[number] = sum(each.end - each.begin for each in segment.damaged)
+            if segment.is_read and segment.is_finished:  # not before it has its last name, else it would be read again
+                del self._files[name]
+                segment.close()
+
+    def close(self) -> None:
+        """Close the segments."""
+        for segment in self._files.values():
+            if segment is not None:
+                segment.close()
+        self._files.clear()
+
+    def _new(self, number: str, record: LogRecord) -> FollowedMessage | None:
+        """The message, if it is numbered, wanted, and beyond what has been read of its stream."""
+        if not self._wanted(record.topic):
+            return None
+        try:
+            parsed = parse_record(record)
+        except GyrofleetError as error:
+            return FollowedMessage(number, record, None, error)
+        if parsed is None:
+            return None
+        stream, next_seq = parsed.place.stream, parsed.place.next_seq
+        if next_seq <= max(self._reached.get(stream, 0), self._copied.get(number, {}).get(stream, 0)):
+            return None  # of a segment's copy, or written again because it was not durable
+        self._reached[stream] = next_seq
+        return FollowedMessage(number, record, *parsed)
+
+    def _look(self) -> None:
+        """Take up new segments, and what has become of the others."""
+        while (changed_ns := self._store.log.stat().st_mtime_ns) != self._changed_ns:
+            names = self._listed()
+            try:
+                self._take_up(names)
+            except FileNotFoundError:
+                continue  # renamed meanwhile
+            self._names = names
+            # later changes within the tick would not be noticed by the folder's time
+            self._changed_ns = changed_ns if time.time_ns() - changed_ns > _TICK_NS else None
+            return
+
+    def _listed(self) -> set[str]:
+        """Names in the log; listed until they agree, since a file that is renamed meanwhile may be left out."""
+        before: set[str] | None = None
+        while True:
+            names = set(os.listdir(self._store.log))  # noqa: PTH208  names alone, perhaps 100,000
+            if names == before:
+                return names
+            before = names
+
+    def _take_up(self, names: set[str]) -> None:
+        held = {segment.inode: name for name, segment in self._files.items() if segment is not None}
+        for name in sorted(names - self._names - self._files.keys()):
+            match = _FILE.fullmatch(name)
+            is_sealed = match is not None and match[2] is None
+            if match is None or (is_sealed and match[1] in self._without):
+                continue
+            path = self._store.log / name
+            status = path.stat()
+            before = held.get((status.st_dev, status.st_ino))
+            if before is None and not is_own(self._store, path):
+                path.stat()  # not renamed, hence not the store's
+                continue
+            segment = self._files.pop(before) if before is not None else None
+            if not is_sealed:
+                segment = segment or GrowingSegment(path)
+                if match[1] in self._without:  # sealed as a copy, and not quarantined yet
+                    self._copied[match[1]] = reached_in(self._store.log / f"{match[1]}.mcap")
+            if segment is not None:
+                segment.limit = None if match[3] is None else int(match[3])
+                segment.is_finished = match[2] != ".open"
+            self._files[name] = segment
+        for name, segment in self._files.items():
+            if segment is not None and name not in names:
+                segment.is_finished = True  # quarantined, or removed
+
+    def _opened(self, name: str) -> GrowingSegment | None:
+        """A sealed segment; None if it has been quarantined meanwhile."""
+        try:
+            segment = GrowingSegment(self._store.log / name)
+        except FileNotFoundError:
+            del self._files[name]
+            return None
+        segment.is_finished = True
+        self._files[name] = segment
+        return segment
