@@ -50,7 +50,7 @@ def serve(
     \b
     gyrofleet serve --store night
     gyrofleet users add li --role engineer --users users.toml
-    gyrofleet serve --users users.toml --host 0.0.0.0 --certificate c.pem --key k.pem
+    gyrofleet serve --users users.toml --host 0.0.0.0 --certificate c --key k
     """  # noqa: D301  click's mark for lines that are not to be joined
     import starlette  # noqa: F401  a sentence names the extra where it is absent
     import uvicorn  # noqa: F401

@@ -115,6 +115,7 @@ def test_a_statement_is_answered_without_leaving_the_page(window: Browser, serve
     assert "only" in until(lambda: window.ask("document.querySelector('#sql-result [role=alert]')?.textContent"))
     first = window.ask("document.querySelector('#sql-form select').options[1].value")
     assert first == "drop table samples"
+    assert all("400" in each for each in window.complaints())
 
 
 def test_allan_deviation_and_trend_are_drawn_and_read(window: Browser, served: Served) -> None:
