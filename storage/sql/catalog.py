@@ -161,7 +161,7 @@ class Catalog(Closing):
     def _fill(self, sql: str) -> None:
         if not self._unfilled:
             return
-        words = _words(sql)
+        words = set(re.findall(r"\w+", sql.lower()))
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
             self._define_views()
             self._unfilled.remove(layer)  # first, since the layer queries this catalogue
@@ -184,37 +184,34 @@ class Catalog(Closing):
 
     def prepare(self, sql: str) -> tuple[str, ...]:
         """Check a user's statement, and make the tables that it names; returns notes on what of the log they lack."""
-        macros = {"adev", *(table for layer in layers() for table in layer.tables)}
+        live = self._prepared(sql)
+        return () if live is None else tuple(live.notes)
+
+    def _prepared(self, sql: str) -> LiveTables | None:
+        """Prepare a user's statement; the live tables, if it is to see them."""
+        of_layers = {table for layer in layers() for table in layer.tables}
         try:
-            check_statement(self._connection, sql, macros)
+            named = check_statement(self._connection, sql, {"adev", *of_layers})
         except QueryError as error:
             if isinstance(error.__cause__, duckdb.Error):
                 raise _failed(error.__cause__) from error
             raise
         self._fill(sql)
-        live = self._live_for(sql)
-        if live is None:
-            return ()
-        live.fill(_words(sql))
-        return tuple(live.notes)
+        # tables of layers have no live rows
+        if self._live is None or (named.isdisjoint(VIEWS) and not named.isdisjoint(of_layers)):
+            return None
+        self._live.fill(named)
+        return self._live
 
     def user_reader(self, sql: str, parameters: object = None) -> pa.RecordBatchReader:
         """Result of a user's statement, which may read the store's views and no files."""
-        self.prepare(sql)
+        live = self._prepared(sql)
         try:
-            live = self._live_for(sql)
             cursor = self._connection.cursor() if live is None else live.cursor()
             cursor.execute("begin transaction read only")
             return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
         except duckdb.Error as error:
             raise _failed(error) from error
-
-    def _live_for(self, sql: str) -> LiveTables | None:
-        """The live tables, unless a statement names tables of layers only, which have no live rows."""
-        words = _words(sql)
-        if words.isdisjoint(VIEWS) and not words.isdisjoint(table for layer in layers() for table in layer.tables):
-            return None
-        return self._live
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
         """The batches of a result; QueryError if the statement fails on the way."""
@@ -244,10 +241,6 @@ class Catalog(Closing):
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
-
-
-def _words(sql: str) -> set[str]:
-    return set(re.findall(r"\w+", sql.lower()))
 
 
 def _failed(error: duckdb.Error) -> QueryError:

@@ -77,8 +77,8 @@ class LiveTables:
         cursor.execute(f"use {_DATABASE}")
         return cursor
 
-    def fill(self, words: Collection[str]) -> None:
-        """Make what a statement of these words needs; samples and rollups only if it names them."""
+    def fill(self, named: Collection[str]) -> None:
+        """Make what a statement needs that names these tables; samples and rollups only if they are among them."""
         try:
             with self.cursor() as cursor:
                 if self._contents is None:
@@ -87,10 +87,10 @@ class LiveTables:
                         self._define(cursor, contents)
                     self._contents = contents
                 self._pass_on(cursor)
-                is_any = "internal" in words
-                if not self._has_samples and (is_any or "samples" in words):
+                is_inner = any(name.startswith(("lake_", "live_")) for name in named)
+                if not self._has_samples and (is_inner or "samples" in named):
                     self._put_samples(cursor)
-                if not self._has_rollups and (is_any or not set(_ROLLED).isdisjoint(words)):
+                if not self._has_rollups and (is_inner or not set(_ROLLED).isdisjoint(named)):
                     self._put_rollups(cursor)
         except duckdb.Error as error:
             raise QueryError(plain_message(error)) from error
