@@ -87,6 +87,8 @@ def sql(
             notes().print(
                 "note: this kernel has no Landlock; only DuckDB's own settings keep the statement from writing files"
             )
+        for note in result.notes:
+            notes().print(f"note: {note}", soft_wrap=True, markup=False)
         if parquet_path is not None:
             write_parquet(result, parquet_path)
         elif as_csv:

@@ -1,25 +1,23 @@
-"""Samples of one channel, buffered from a segment's messages, their columns, and the stretches of its clock.
-
-Clock stretches have the least delay of a source's messages, arrival minus source time, per minute of arrival. A delay
-is at least the clock offset plus the least travel time, so that the least of a stretch is the lower envelope. A stretch
-ends with the minute of the recorder's clock, and where the source's time leaps.
-"""
+"""Samples of one channel, buffered from a segment's messages, and the columns of the lake that they fill."""
 
 from array import array
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
-from storage.lake.rollups import Rollup, joined, roll_up
-from storage.lake.tables import CLOCK_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
-from stream.batch import BoolArray, CountArray, FloatArray, IntArray, SampleBatch
+from storage.lake.clock_stretches import Messages, clock_table
+from storage.lake.rollups import Rollup, joined, merge, roll_up, rollup_table
+from storage.lake.tables import MESSAGE_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
+from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
+from stream.wire.batches import RawBatch
+from stream.wire.count_planes import join_batches, planes_of
 
-STRETCH_NS = 60_000_000_000
-_LEAP_NS = 1_000_000
-_IRREGULAR_LEAP_NS = 10_000_000_000
+ByteArray = npt.NDArray[np.uint8]
+
 _FIELDS = 6  # of a message: seq, n, t0_ns, last_ns, dt_ns, arrival_ns
 _OF_FIRST = ("unit", "signal", "run", "unit_of_measure", "scale", "offset", "dt_ns")
 _BLOCK = 4096
@@ -28,86 +26,47 @@ _SMOOTH = 0.9
 _INT32_MAX = 2**31 - 1
 
 
-class Messages:
-    """Numbers, times and arrivals of the messages of one channel in a segment, in the order of arrival."""
+class Piece(NamedTuple):
+    """At most a row group of samples of one channel; `data` are counts or values.
 
-    def __init__(self, rows: IntArray) -> None:
-        self.seq, self.n, self.t0_ns, self.last_ns, self.dt_ns, self.arrival_ns = rows.T
-
-
-def leaps(messages: Messages, *, irregular: bool) -> BoolArray:
-    """Whether the source's time leaps before each message: backwards, or beyond what the numbers imply."""
-    step_ns = np.zeros(len(messages.seq), np.int64)
-    step_ns[1:] = (
-        messages.t0_ns[1:]
-        - messages.last_ns[:-1]
-        - messages.dt_ns[:-1] * (messages.seq[1:] - messages.seq[:-1] - messages.n[:-1] + 1)
-    )
-    if irregular:
-        leaps_at = (step_ns > _IRREGULAR_LEAP_NS) | (step_ns <= -messages.dt_ns - _LEAP_NS)
-    else:
-        leaps_at = np.abs(step_ns) > messages.dt_ns // 2 + _LEAP_NS
-    return np.asarray(leaps_at, np.bool_)
-
-
-def clock_table(
-    channel: int, messages: Messages, backward: IntArray, backward_most_ns: IntArray, *, irregular: bool
-) -> pa.Table:
-    """Rows of one channel's stretches; `irregular` samples are on no grid.
-
-    `backward` and `backward_most_ns` are, per message, the number of samples not later than the one before, and the
-    largest step.
+    `backward` are the steps back of time within messages: places in `Messages`, and how far (ns).
     """
-    delay_ns = messages.arrival_ns - messages.last_ns
-    minute = messages.arrival_ns // STRETCH_NS
-    begins = leaps(messages, irregular=irregular) | (np.diff(minute, prepend=minute[0] - 1) != 0)
-    starts = np.flatnonzero(begins)
-    ends = np.append(starts[1:], len(minute)) - 1
-    least_ns = np.minimum.reduceat(delay_ns, starts)
-    index = np.arange(len(minute))
-    at = np.minimum.reduceat(np.where(delay_ns == least_ns[np.cumsum(begins) - 1], index, len(index)), starts)
-    columns = [
-        np.full(len(starts), channel, np.int64), messages.seq[starts], ends - starts + 1, messages.t0_ns[starts],
-        messages.last_ns[ends], messages.arrival_ns[starts], messages.arrival_ns[ends], messages.last_ns[at],
-        least_ns, np.add.reduceat(backward, starts), np.maximum.reduceat(backward_most_ns, starts),
-    ]  # fmt: skip
-    return pa.Table.from_arrays([pa.array(column) for column in columns], schema=CLOCK_COLUMNS)
+
+    seq: IntArray
+    t_ns: IntArray
+    data: CountArray | FloatArray
+    flags: ByteArray | None
+    backward: IntArray
 
 
 class ChannelBuffer:
-    """Samples of one channel within a segment, copied from its messages; `first` is its first batch."""
+    """Samples of one channel within a segment as its messages have them; `first` is of its first batch.
+
+    A count takes the 1 to 4 bytes that it has on the wire, until its piece is joined.
+    """
 
     def __init__(self, identity: int, place: Place, first: SampleBatch) -> None:
         self.identity, self.place = identity, place
         self.first = first.part(0, 1)
         self.irregular = False
         self.samples = 0
-        room = 4 * len(first)
-        self._data: CountArray | FloatArray = (
-            np.empty(room, np.float64) if first.counts is None else np.empty(room, np.int32)
-        )
         self._messages = array("q")
-        self._times: list[tuple[int, IntArray]] = []
-        self._flags: list[tuple[int, bytes]] = []
+        self._data: list[bytes] = []  # of each message
+        self._times: dict[int, bytes] = {}  # by message
+        self._flags: dict[int, bytes] = {}
 
-    def add(self, batch: SampleBatch, arrival_ns: int) -> None:
+    def add(self, batch: RawBatch, arrival_ns: int) -> None:
         """Add a batch."""
-        data = batch.values if batch.counts is None else batch.counts
-        assert data is not None
-        begin, n = self.samples, len(data)
-        self.samples = end = begin + n
-        if end > len(self._data):
-            self._data = np.concatenate([self._data[:begin], np.empty(max(begin, n), self._data.dtype)])
-        self._data[begin:end] = data
-        if batch.times_ns is None:
-            last_ns = batch.t0_ns + (n - 1) * batch.dt_ns
-        else:
-            last_ns = int(batch.times_ns[-1])
-            self._times.append((begin, batch.times_ns.copy()))
-        if batch.flags is not None:
-            self._flags.append((begin, batch.flags.tobytes()))
-        self.irregular |= batch.irregular
-        self._messages.extend((batch.seq, n, batch.t0_ns, last_ns, batch.dt_ns, arrival_ns))
+        message, last_ns = batch
+        n, at = message.samples, len(self._data)
+        self.samples += n
+        self._data.append(message.values or message.count_planes or planes_of(message.counts))
+        if times_ns := message.times_ns:
+            self._times[at] = times_ns
+        if flags := message.flags:
+            self._flags[at] = flags
+        self.irregular |= message.irregular
+        self._messages.extend((message.seq, n, message.t0_ns, last_ns, message.dt_ns, arrival_ns))
 
     def row(self) -> dict[str, Any]:
         """Its row in the table of channels."""
@@ -121,69 +80,124 @@ class ChannelBuffer:
             "arrival_last_ns": int(messages.arrival_ns.max()), "overlapping": False,
         }  # fmt: skip
 
-    def tables(self) -> Iterator[tuple[pa.Table, Rollup, IntArray]]:
-        """Pieces of at most a row group: rows, 1 s buckets, steps back of time as places in `Messages` and how far."""
+    def message_tables(self) -> Iterator[pa.Table]:
+        """All samples as `MESSAGE_COLUMNS`, a row a message, in tables of at most a row group of samples."""
         messages = self._matrix()
+        for begin_at, end_at in self._stretches(messages):
+            rows = slice(begin_at, end_at)
+            sizes = messages.n[rows]
+            offsets = pa.array(np.append(0, np.cumsum(sizes)).astype(np.int32))
+            data = pa.ListArray.from_arrays(offsets, pa.array(self._joined(begin_at, end_at, sizes)))
+            times_ns = [self._times.get(at) for at in range(begin_at, end_at)]
+            flags = [self._flags.get(at, bytes(n)) for at, n in enumerate(sizes, begin_at)] if self._flags else [None]
+            numbers = (
+                np.full(len(sizes), self.identity),
+                messages.seq[rows],
+                messages.t0_ns[rows],
+                messages.dt_ns[rows],
+            )
+            is_counts = self.first.counts is not None
+            yield pa.Table.from_arrays(
+                [
+                    *(pa.array(each) for each in (*numbers, sizes)),
+                    data if is_counts else pa.nulls(len(sizes), MESSAGE_COLUMNS.field("counts").type),
+                    pa.nulls(len(sizes), MESSAGE_COLUMNS.field("vals").type) if is_counts else data,
+                    _lists(times_ns, np.int64, len(sizes)),
+                    _lists(flags, np.uint8, len(sizes)),
+                ],
+                schema=MESSAGE_COLUMNS,
+            )
+
+    def _table(self, piece: Piece) -> pa.Table:
+        """Rows of a piece."""
+        n = len(piece.seq)
+        columns = [pa.array(np.full(n, self.identity, np.int64)), pa.array(piece.seq), pa.array(piece.t_ns)]
+        if self.first.counts is None:
+            columns += [pa.nulls(n, pa.int32()), pa.nulls(n, pa.int32()), pa.array(piece.data)]
+        else:
+            columns += [*counts_columns(piece.data.view(np.int32)), pa.nulls(n, pa.float64())]
+        columns.append(pa.nulls(n, pa.uint8()) if piece.flags is None else pa.array(piece.flags))
+        return pa.Table.from_arrays(columns, schema=SAMPLE_COLUMNS)
+
+    def rollups_and_clock(self, write: Callable[[pa.Table], None] | None = None) -> tuple[pa.Table, pa.Table, pa.Table]:
+        """Rows of its buckets of 1 s and 10 s, and of its clock stretches; `write` gets the samples on the way."""
+        messages = self._matrix()
+        rollups: list[Rollup] = []
+        count, most_ns = np.zeros((2, len(messages.seq)), np.int64)
+        for begin_at, end_at in self._stretches(messages):
+            piece = self._piece(messages, begin_at, end_at)
+            if write is not None:
+                write(self._table(piece))
+            rollups.append(roll_up(piece.t_ns, piece.data, self.first.scale, self.first.offset))
+            at, back_ns = piece.backward
+            np.add.at(count, at, 1)
+            np.maximum.at(most_ns, at, back_ns)
+        seconds = joined(rollups)
+        return (
+            rollup_table(self.identity, seconds),
+            rollup_table(self.identity, merge(seconds, every=10)),
+            clock_table(self.identity, messages, count, most_ns, irregular=self.irregular),
+        )
+
+    def _matrix(self) -> Messages:
+        return Messages(np.frombuffer(self._messages, np.int64).reshape(-1, _FIELDS))
+
+    def _stretches(self, messages: Messages) -> Iterator[tuple[int, int]]:
+        """Messages from one to another, of at most a row group of samples, or one."""
         ends = np.cumsum(messages.n)
         begin_at = 0
         while begin_at < len(ends):
             begin = int(ends[begin_at - 1]) if begin_at else 0
             end_at = max(begin_at + 1, int(np.searchsorted(ends, begin + ROW_GROUP, side="right")))
-            yield self._piece(messages, ends, begin_at, end_at)
+            yield begin_at, end_at
             begin_at = end_at
 
-    def rollup_and_clock(self, rollups: list[Rollup], backward: list[IntArray]) -> tuple[Rollup, pa.Table]:
-        """1 s buckets and clock stretches of the channel, from its pieces."""
-        messages = self._matrix()
-        count, most_ns = np.zeros((2, len(messages.seq)), np.int64)
-        for at, back_ns in backward:
-            np.add.at(count, at, 1)
-            np.maximum.at(most_ns, at, back_ns)
-        return joined(rollups), clock_table(self.identity, messages, count, most_ns, irregular=self.irregular)
+    def _joined(self, begin_at: int, end_at: int, sizes: IntArray) -> CountArray | FloatArray:
+        data = self._data[begin_at:end_at]
+        if self.first.counts is None:
+            return np.frombuffer(bytearray().join(data), np.float64)  # writeable, see `stream.batch.writable`
+        return join_batches(data, sizes)
 
-    def _matrix(self) -> Messages:
-        return Messages(np.frombuffer(self._messages, np.int64).reshape(-1, _FIELDS))
-
-    def _piece(
-        self, messages: Messages, ends: IntArray, begin_at: int, end_at: int
-    ) -> tuple[pa.Table, Rollup, IntArray]:
+    def _piece(self, messages: Messages, begin_at: int, end_at: int) -> Piece:
         sizes = messages.n[begin_at:end_at]
-        starts = ends[begin_at:end_at] - sizes
-        begin, end = int(starts[0]), int(ends[end_at - 1])
-        index = np.arange(end - begin)
-        from_start = starts - begin
+        starts = np.cumsum(sizes) - sizes
+        n = int(sizes.sum())
+        index = np.arange(n)
         dt_ns = messages.dt_ns[begin_at:end_at]
         step = dt_ns[0] if np.all(dt_ns == dt_ns[0]) else np.repeat(dt_ns, sizes)
-        seq = _repeated(messages.seq[begin_at:end_at] - from_start, sizes) + index
-        t_ns = _repeated(messages.t0_ns[begin_at:end_at] - dt_ns * from_start, sizes) + step * index
+        seq = _repeated(messages.seq[begin_at:end_at] - starts, sizes) + index
+        t_ns = _repeated(messages.t0_ns[begin_at:end_at] - dt_ns * starts, sizes) + step * index
         backward = np.empty((2, 0), np.int64)
         if self._times:
-            for at, times_ns in self._times:
-                if begin <= at < end:
-                    t_ns[at - begin : at - begin + len(times_ns)] = times_ns
+            for begin, times_ns in _placed(self._times, starts, begin_at, np.int64):
+                t_ns[begin : begin + len(times_ns)] = times_ns
             back = np.flatnonzero(np.diff(t_ns) <= 0) + 1
-            back = back[~np.isin(back, from_start)]
-            where = begin_at + np.searchsorted(from_start, back, side="right") - 1
+            back = back[~np.isin(back, starts)]
+            where = begin_at + np.searchsorted(starts, back, side="right") - 1
             backward = np.stack([where, t_ns[back - 1] - t_ns[back]])
-        data = self._data[begin:end]
-        n = end - begin
-        columns = [pa.array(np.full(n, self.identity, np.int64)), pa.array(seq), pa.array(t_ns)]
-        if self.first.counts is None:
-            columns += [pa.nulls(n, pa.int32()), pa.nulls(n, pa.int32()), pa.array(data)]
-        else:
-            columns += [*counts_columns(data.view(np.int32)), pa.nulls(n, pa.float64())]
-        columns.append(self._flag_column(begin, end))
-        table = pa.Table.from_arrays(columns, schema=SAMPLE_COLUMNS)
-        return table, roll_up(t_ns, data, self.first.scale, self.first.offset), backward
+        flags: ByteArray | None = None
+        if self._flags:
+            flags = np.zeros(n, np.uint8)
+            for begin, own in _placed(self._flags, starts, begin_at, np.uint8):
+                flags[begin : begin + len(own)] = own
+        return Piece(seq, t_ns, self._joined(begin_at, end_at, sizes), flags, backward)
 
-    def _flag_column(self, begin: int, end: int) -> pa.Array:
-        if not self._flags:
-            return pa.nulls(end - begin, pa.uint8())
-        flags = np.zeros(end - begin, np.uint8)
-        for at, data in self._flags:
-            if begin <= at < end:
-                flags[at - begin : at - begin + len(data)] = np.frombuffer(data, np.uint8)
-        return pa.array(flags)
+
+def _lists(arrays: Sequence[bytes | None], kind: type[np.generic], n: int) -> pa.Array:
+    """A column of `n` lists; all null if none is there."""
+    of = pa.list_(pa.from_numpy_dtype(kind))
+    if not any(arrays):
+        return pa.nulls(n, of)
+    return pa.array([None if each is None else np.frombuffer(each, kind) for each in arrays], of)
+
+
+def _placed(
+    arrays: dict[int, bytes], starts: IntArray, begin_at: int, kind: type[np.generic]
+) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+    """Arrays of some messages of a piece, each with the place of its first sample."""
+    for at, content in arrays.items():
+        if begin_at <= at < begin_at + len(starts):
+            yield int(starts[at - begin_at]), np.frombuffer(content, kind)
 
 
 def counts_columns(counts: CountArray) -> list[pa.Array]:

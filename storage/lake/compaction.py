@@ -18,7 +18,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from storage.lake.part import BuiltPart, Drops, fresh_folder
+from storage.lake.drops import Drops
+from storage.lake.part import BuiltPart, fresh_folder
 from storage.lake.tables import CHANNEL_COLUMNS, ROW_GROUP, SAMPLES_FILE, TABLES, damaged, open_table, part_writers
 from storage.manifests.lake import Manifest, Part, PartFile, hull, write_part
 from stream.errors import StoreError

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import msgspec
 
-from storage.lake.part import BuiltPart, Drops, build_part, documented_drops, without_samples
+from storage.lake.drops import Drops
+from storage.lake.part import BuiltPart, build_part, documented_drops, without_samples
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.files import sealed_segments
 from storage.manifests import lake as manifests

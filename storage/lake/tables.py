@@ -56,6 +56,14 @@ CLOCK_COLUMNS = _schema(
     (_INT, "channel seq_first messages t_first_ns t_last_ns arrival_first_ns arrival_last_ns"),
     (_INT, "t_least_ns delay_least_ns backward_inside backward_most_ns"),
 )
+# samples in memory, a row for each message; of the lists those that a message has
+MESSAGE_COLUMNS = pa.schema(
+    [
+        *((name, _INT) for name in ("channel", "seq", "t0_ns", "dt_ns", "n")),
+        ("counts", pa.list_(pa.int32())), ("vals", pa.list_(_FLOAT)), ("times_ns", pa.list_(_INT)),
+        ("flags", pa.list_(pa.uint8())),
+    ]
+)  # fmt: skip
 TABLES = {
     "samples": SAMPLE_COLUMNS,
     "channels": CHANNEL_COLUMNS,

@@ -2,10 +2,9 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,14 +15,12 @@ from storage.findings import Finding
 from storage.lake.tables import TABLES
 from storage.manifests.lake import Part, read_manifest
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
+from storage.sql.live import LiveTables
+from storage.sql.views import VIEWS, define_views, reading_lake
 from storage.store import Store
 from stream.closing import Closing
-from stream.errors import QueryError, StoreError, UnknownUnit
-from stream.quantities import conversion, is_angular_rate
+from stream.errors import QueryError
 
-VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
-
-_ALWAYS_CONVERTED = ("deg/s", "deg/h", "rad/s", "degC", "K", "degF")
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
 Progress = Callable[[int, int], None]
@@ -76,13 +73,15 @@ class Catalog(Closing):
     default they are in memory. `progress` is called by a layer with the numbers of steps done and in total. `parts` of
     the lake are by default those in force now; layers keep what they compute in the folder `kept`, by default the
     store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes` is the limit of DuckDB, which
-    then uses no disk either; by default most of the machine's memory.
+    then uses no disk either; by default most of the machine's memory. With `live` users' statements also see the rows
+    that only the log has, as it is when one first names a table that has some; layers and the project's own statements
+    never do.
     """
 
     def __init__(
         self, store: Store, file: Path | None = None, *, progress: Progress | None = None,
         parts: Iterable[Part] | None = None, kept: Path | None = None, frozen: bool = False,
-        memory_bytes: int | None = None,
+        memory_bytes: int | None = None, live: bool = False,
     ) -> None:  # fmt: skip
         self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
@@ -97,11 +96,10 @@ class Catalog(Closing):
         for name, is_dropped in (("kept", False), ("dropped", True)):
             own = [part for part in self.parts if (part.dropped is not None) == is_dropped]
             self._attach(f"internal.lake_channels_{name}", "channels", own)
-        for script in sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name):
-            if script.name.endswith(".sql"):
-                self._run(script.read_text())
-        units = self._connection.execute("select distinct unit_of_measure from internal.lake_channels").fetchall()
-        self.define(conversion_macros(unit for (unit,) in units))
+        self._live = LiveTables.beyond(store, self.parts, self._connection) if live else None
+        self._has_views = False
+        if self._live is None:
+            self._define_views()
         folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
@@ -121,16 +119,15 @@ class Catalog(Closing):
             self._connection.execute(f"create table {source} ({columns}, filename varchar)")
             return
         listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
-        self._run(f"create view {source} as select *, filename from read_parquet([{listed}])")  # noqa: S608
+        with reading_lake(self.store):
+            self._connection.execute(f"create view {source} as select *, filename from read_parquet([{listed}])")  # noqa: S608
 
-    def _run(self, sql: str) -> None:
-        try:
-            self._connection.execute(sql)
-        except duckdb.Error as error:
-            raise StoreError(
-                f"the lake of {self.store.folder} cannot be read ({plain_message(error)}); `gyrofleet verify` lists "
-                f"the damage, `gyrofleet recover` rebuilds it from the log"
-            ) from error
+    def _define_views(self) -> None:
+        """Define the views on the lake, once; most statements that see live rows need no others."""
+        if not self._has_views:
+            self._has_views = True
+            with reading_lake(self.store):
+                define_views(self._connection)
 
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
@@ -166,6 +163,7 @@ class Catalog(Closing):
             return
         words = set(re.findall(r"\w+", sql.lower()))
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
+            self._define_views()
             self._unfilled.remove(layer)  # first, since the layer queries this catalogue
             try:
                 layer.fill(self)
@@ -184,22 +182,32 @@ class Catalog(Closing):
         except duckdb.Error as error:
             raise _failed(error) from error
 
-    def prepare(self, sql: str) -> None:
-        """Check a user's statement, and compute the layers that it names."""
-        macros = {"adev", *(table for layer in layers() for table in layer.tables)}
+    def prepare(self, sql: str) -> tuple[str, ...]:
+        """Check a user's statement, and make the tables that it names; returns notes on what of the log they lack."""
+        live = self._prepared(sql)
+        return () if live is None else tuple(live.notes)
+
+    def _prepared(self, sql: str) -> LiveTables | None:
+        """Prepare a user's statement; the live tables, if it is to see them."""
+        of_layers = {table for layer in layers() for table in layer.tables}
         try:
-            check_statement(self._connection, sql, macros)
+            named = check_statement(self._connection, sql, {"adev", *of_layers})
         except QueryError as error:
             if isinstance(error.__cause__, duckdb.Error):
                 raise _failed(error.__cause__) from error
             raise
         self._fill(sql)
+        # tables of layers have no live rows
+        if self._live is None or (named.isdisjoint(VIEWS) and not named.isdisjoint(of_layers)):
+            return None
+        self._live.fill(named)
+        return self._live
 
     def user_reader(self, sql: str, parameters: object = None) -> pa.RecordBatchReader:
         """Result of a user's statement, which may read the store's views and no files."""
-        self.prepare(sql)
+        live = self._prepared(sql)
         try:
-            cursor = self._connection.cursor()
+            cursor = self._connection.cursor() if live is None else live.cursor()
             cursor.execute("begin transaction read only")
             return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
         except duckdb.Error as error:
@@ -240,25 +248,3 @@ def _failed(error: duckdb.Error) -> QueryError:
     if "disabled by configuration" in reason:
         reason += "; only the store is read here, import other data first"
     return QueryError(f"{reason} (views: {', '.join(known_tables())})")
-
-
-def conversion_macros(units: Iterable[str]) -> str:
-    """Statements that define ``deg_per_h(value, unit_of_measure)`` and ``deg_c(value, unit_of_measure)``.
-
-    Both give null for units of other quantities.
-
-    >>> "when 'rpm' then value * '21600.0'::double + '0.0'::double" in conversion_macros(["rpm"])
-    True
-    """
-    cases: dict[str, list[str]] = {"deg/h": [], "degC": []}
-    for unit in sorted({*units, *_ALWAYS_CONVERTED}):
-        with suppress(UnknownUnit):
-            target = "deg/h" if is_angular_rate(unit) else "degC"
-            factor, offset = conversion(unit, target)
-            quoted = unit.replace("'", "''")
-            # plain literals would be decimals, whose products overflow
-            cases[target].append(f"when '{quoted}' then value * '{factor!r}'::double + '{offset!r}'::double")
-    return "".join(
-        f"create or replace macro {name}(value, unit_of_measure) as case unit_of_measure {' '.join(cases[target])} end;"
-        for name, target in (("deg_per_h", "deg/h"), ("deg_c", "degC"))
-    )

@@ -13,6 +13,7 @@ import struct
 import sys
 import threading
 from enum import Enum
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
@@ -39,6 +40,7 @@ class FrameKind(Enum):
 
     REQUEST = b"?"  # pickle; from the parent
     READY = b"R"  # JSON with `landlock`: whether the kernel enforces that nothing is written
+    NOTES = b"M"  # JSON: texts on what the result lacks; before its first rows
     ROWS = b"B"  # an Arrow stream: the schema and some rows of the result
     DONE = b"O"  # the result is complete
     FAILED = b"E"  # JSON with `kinds`, the names of the error's classes, and `message`
@@ -79,6 +81,14 @@ def _pause() -> float:
     return signal.setitimer(signal.ITIMER_REAL, 0.0)[0]
 
 
+class _NoPandas(MetaPathFinder):
+    """Hides pandas, which pyarrow would import if it is installed: that takes as long as everything else."""
+
+    def find_spec(self, fullname: str, *_: object) -> None:
+        if fullname == "pandas":
+            raise ModuleNotFoundError(name=fullname)
+
+
 def main() -> None:
     """Answer requests until the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
@@ -86,6 +96,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what libraries print is not an answer
+    sys.meta_path.insert(0, _NoPandas())
     setup: dict[str, Any] = json.loads(read_frame(requests)[1])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
@@ -143,7 +154,7 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     return Catalog(
         Store(Path(setup["folder"]), setup["identity"]),
         parts=msgspec.json.decode(setup["parts"], type=tuple[Part, ...]), kept=Path(setup["kept"]), frozen=True,
-        memory_bytes=setup["memory_bytes"],
+        memory_bytes=setup["memory_bytes"], live=True,
     )  # fmt: skip
 
 
@@ -153,7 +164,7 @@ def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], set
     _limit_memory(None)
     _run_for(setup["time_s"])
     try:
-        catalog.prepare(request["statement"])
+        notes = catalog.prepare(request["statement"])
     except NotKept:
         _pause()
         write_frame(answers, FrameKind.NOT_KEPT)
@@ -162,6 +173,7 @@ def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], set
     _limit_memory(setup["memory_bytes"])
     reader = catalog.user_reader(request["statement"], request["parameters"])
     left_s = _pause()
+    write_frame(answers, FrameKind.NOTES, json.dumps(notes).encode())
     write_frame(answers, FrameKind.ROWS, _stream(reader.schema))
     _run_for(left_s)
     for batch in catalog.guarded(reader):

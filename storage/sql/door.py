@@ -40,10 +40,15 @@ class QueryLimits(NamedTuple):
 
 
 class Result:
-    """Rows of a statement's result as they come; iterating may raise a `QueryError`."""
+    """Rows of a statement's result as they come; iterating may raise a `QueryError`.
 
-    def __init__(self, schema: "pa.Schema", batches: "Generator[pa.RecordBatch, None, None]") -> None:
-        self.schema, self.batches = schema, batches
+    `notes` say what of the log the result lacks, and why; mostly there are none.
+    """
+
+    def __init__(
+        self, schema: "pa.Schema", batches: "Generator[pa.RecordBatch, None, None]", notes: tuple[str, ...] = ()
+    ) -> None:
+        self.schema, self.batches, self.notes = schema, batches, notes
 
     def read_all(self) -> "pa.Table":
         """All rows."""
@@ -55,8 +60,9 @@ class Result:
 class SqlDoor(Closing):
     """Runs users' statements on a store as it was when the door was opened; StoreError if its lake is damaged.
 
-    With `landlock` the kernel enforces that nothing is written, else only the other guards do; `is_enforced` says
-    whether it does, and is None until the first statement.
+    Rows that only the log has are seen as well, as they were when a statement first needed them. With `landlock` the
+    kernel enforces that nothing is written, else only the other guards do; `is_enforced` says whether it does, and is
+    None until the first statement.
 
     >>> with SqlDoor(Store.open(Path("night"))) as door:  # doctest: +SKIP
     ...     table = door.ask("select unit, signal, samples from signals").read_all()
@@ -80,9 +86,10 @@ class SqlDoor(Closing):
             import pyarrow as pa  # while that one starts
 
             kind, content = self._received(process)
-            if kind is FrameKind.ROWS:
-                with pa.ipc.open_stream(content) as reader:
-                    return Result(reader.schema, self._batches(process))
+            if kind is FrameKind.NOTES:
+                notes = tuple(json.loads(content))
+                with pa.ipc.open_stream(self._received(process)[1]) as reader:
+                    return Result(reader.schema, self._batches(process), notes)
             self._compute(statement, scratch=attempt > 0)
         raise StoreError(f"{self.store.folder} changes while it is read; run the statement again")
 

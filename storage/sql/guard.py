@@ -29,13 +29,14 @@ REFUSED_FUNCTIONS = frozenset({"currval", "nextval", "setseed", "setval", "sleep
 """Scalar functions with side effects."""
 
 
-def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Collection[str]) -> None:
-    """Refuse, by a QueryError, everything but one statement that only reads the store.
+def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Collection[str]) -> set[str]:
+    """Refuse, by a QueryError, everything but one statement that only reads the store; returns the tables it names.
 
     Its parser is that of `connection`; `macros` are the store's own table macros.
 
     >>> connection = duckdb.connect()
-    >>> check_statement(connection, "explain analyze select 1", ())
+    >>> check_statement(connection, "explain analyze select * from Runs", ())
+    {'runs'}
     >>> check_statement(connection, "explain analyze copy (select 1) to 'x'", ())
     Traceback (most recent call last):
     stream.errors.QueryError: COPY is refused: the store is only read here. What runs is SELECT (also ...
@@ -49,12 +50,11 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
     except ValueError:  # a kind without a name in the list, as UPDATE EXTENSIONS
         raise refused("this kind of statement") from None
     if kind == duckdb.StatementType.EXPLAIN:
-        for inner in _explained(connection, text):
-            check_statement(connection, inner, macros)
-        return
+        inner = [check_statement(connection, each, macros) for each in _explained(connection, text)]
+        return {name for names in inner for name in names}
     if kind != duckdb.StatementType.SELECT:
         raise refused(kind.name)
-    _check_tree(_tree(connection, text), {*TABLE_FUNCTIONS, *macros})
+    return _check_tree(_tree(connection, text), {*TABLE_FUNCTIONS, *macros})
 
 
 def one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.Statement:
@@ -109,7 +109,8 @@ def _tree(connection: duckdb.DuckDBPyConnection, text: str) -> dict[str, Any]:
     return tree
 
 
-def _check_tree(tree: dict[str, Any], functions: Collection[str]) -> None:
+def _check_tree(tree: dict[str, Any], functions: Collection[str]) -> set[str]:
+    tables: set[str] = set()
     for each in _objects(tree):
         kind = each.get("type")
         if not isinstance(kind, str):
@@ -126,6 +127,8 @@ def _check_tree(tree: dict[str, Any], functions: Collection[str]) -> None:
             name = str(each.get("table_name") or "")
             if re.search(r"[./\\*?:\[]", name.strip('\\"')):  # DuckDB would read it as a file name
                 raise refused(f"the file {name}, and every other,")
+            tables.add(name.strip('\\"').lower())
+    return tables
 
 
 def _objects(tree: Any) -> Iterator[dict[str, Any]]:

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class Answer:
-    """The complete result of a statement."""
+    """The complete result of a statement; `notes` say what of the log it lacks, and why; mostly there are none."""
 
-    def __init__(self, table: pa.Table) -> None:
-        self._table = table
+    def __init__(self, table: pa.Table, notes: tuple[str, ...] = ()) -> None:
+        self._table, self.notes = table, notes
 
     def arrow(self) -> pa.Table:
         """As an Arrow table."""
@@ -50,7 +50,8 @@ class OpenedStore(Closing):
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
         """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
-        return Answer(self.door.ask(statement, parameters).read_all())
+        result = self.door.ask(statement, parameters)
+        return Answer(result.read_all(), result.notes)
 
     def close(self) -> None:
         """Close it."""

@@ -17,9 +17,10 @@ from analytics.step_records.reduction import COLUMNS
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
 from storage.lake.builder import builder_lock
 from storage.lake.channel_buffer import ChannelBuffer
+from storage.lake.drops import Drops
 from storage.lake.lake import Lake
-from storage.lake.part import BuiltPart, Drops, channel_id
-from storage.lake.rollups import merge, rollup_table
+from storage.lake.part import BuiltPart
+from storage.lake.segment_content import channel_id
 from storage.lake.tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers
 from storage.manifests.lake import Part, PartFile, write_part
 from storage.sql.catalog import Catalog
@@ -27,6 +28,7 @@ from storage.store import Store
 from stream.batch import SampleBatch
 from stream.events import AnyDocument, PowerOn, RunStarted, StepEnded, StepStarted, StepWords, UnitMounted
 from stream.identity import Place, sample_key
+from stream.wire.batches import encode_batch, read_raw_batch
 
 PLACE = Place("plant", "chamber-1")
 SECOND_NS = 10**9
@@ -210,14 +212,10 @@ def put_part(
         samples = writer("samples")
         seconds, tens = [ROLLUP_COLUMNS.empty_table()], [ROLLUP_COLUMNS.empty_table()]
         for channel in sorted(gathered, key=lambda each: each.identity):
-            rollups = []
-            for table, rollup, _ in channel.tables():
-                samples.write(table)
-                rollups.append(rollup)
+            second, ten, _ = channel.rollups_and_clock(samples.write)
             rows.append(channel.row())
-            second, _ = channel.rollup_and_clock(rollups, [])
-            seconds.append(rollup_table(channel.identity, second))
-            tens.append(rollup_table(channel.identity, merge(second, every=10)))
+            seconds.append(second)
+            tens.append(ten)
         files["samples.parquet"] = samples.finish()
         for table_name, table in (
             ("channels", pa.Table.from_pylist(rows, schema=CHANNEL_COLUMNS)),
@@ -283,6 +281,6 @@ def _day_of_counts(
         batch = SampleBatch(unit, "rate", run, epoch, at * size, t0_ns, dt_ns, "deg/h", counts=counts, scale=1e-3)
         if found is None:
             found = ChannelBuffer(channel_id(sample_key(PLACE, unit, "rate"), batch), PLACE, batch)
-        found.add(batch, batch.last_ns + 10**6)
+        found.add(read_raw_batch(encode_batch(batch)), batch.last_ns + 10**6)
     assert found is not None
     return found

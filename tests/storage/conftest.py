@@ -55,6 +55,13 @@ class Filler:
         self._documents += 1
         self._append(LogRecord(event_key(PLACE), EVENTS, document.t_ns, document.t_ns, payload))
 
+    def raw(self, payload: bytes, key: str) -> None:
+        """A message that is no sample batch, as an older version may have logged it."""
+        self._log.append_aside(LogRecord(key, SAMPLES, START_NS, START_NS, payload))
+
+    def sync(self) -> None:
+        self._log.sync()
+
     def seal(self) -> None:
         self._log.seal()
 

@@ -30,6 +30,7 @@ with stretch as (
     bool_or(irregular) as irregular,
     sum(samples)::bigint as samples,
     coalesce(sum(samples) filter (is_kept), 0)::bigint as kept_raw,
+    coalesce(sum(samples) filter (filename is null), 0)::bigint as live,  -- of no file: only the log has them
     min(seq_first) as seq_first,
     max(seq_next) as seq_next,
     min(t_first_ns) as t_first_ns,

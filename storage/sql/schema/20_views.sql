@@ -6,6 +6,7 @@ select
   any_value(unit_of_measure) as unit_of_measure,
   sum(samples)::bigint as samples,
   sum(kept_raw)::bigint as kept_raw,
+  sum(live)::bigint as live,
   make_timestamp_ns(min(t_first_ns)) as first_time,
   make_timestamp_ns(max(t_last_ns)) as last_time,
   arg_min(dt_ns, t_first_ns) / 1e9 as sample_interval_s,
@@ -46,6 +47,7 @@ with started as (
   from internal.lake_documents where kind = 'RunResumed' group by run
 ), recorded as (
   select run, list(distinct unit order by unit) as units, sum(samples)::bigint as samples,
+    sum(live)::bigint as live,
     any_value(site) as site, any_value(station) as station,
     min(t_first_ns) as t_first_ns, max(t_last_ns) as t_last_ns,
     count(distinct (unit, signal)) as signals, min(arrival_first_ns) as arrival_first_ns
@@ -67,6 +69,7 @@ select
   r.units,
   r.signals,
   coalesce(r.samples, 0) as samples,
+  coalesce(r.live, 0) as live,
   s.document->>'$.procedure' as "procedure",
   s.document->>'$.operator' as operator,
   s.document->>'$.lot' as lot,

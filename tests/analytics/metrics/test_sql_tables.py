@@ -19,8 +19,9 @@ from click.testing import CliRunner
 from storage import open_store
 from storage.commands.sql import sql
 from storage.specifications.chain import append_document, read_chain
-from storage.sql.catalog import VIEWS, Catalog, known_tables, layers
+from storage.sql.catalog import Catalog, known_tables, layers
 from storage.sql.tables import column_texts, columns_of, described_tables, examples, export_catalogue, read_texts
+from storage.sql.views import VIEWS
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid

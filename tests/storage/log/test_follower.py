@@ -1,6 +1,5 @@
 """Following a log: what is acknowledged is read at once, each message once, whatever happens to its segment."""
 
-import os
 import tempfile
 import threading
 import time
@@ -8,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from uuid import UUID
 
 import pytest
 from hypothesis import given, settings
@@ -23,62 +21,22 @@ from storage.log.sequence import place_of
 from storage.manifests.lake import read_manifest
 from storage.segments.reader import SegmentScan
 from storage.store import Store, WriterLock
-from stream.identity import sample_key
 from stream.wire.acknowledgement import StreamId
-from tests.storage.log_records import PLACE, append, document, samples, written
+from tests.storage.interrupted_log import SEND, STREAMS, TORN, TURNS, UNITS, InterruptedLog
+from tests.storage.log_records import append, document, samples, written
 
-UNITS = ("U1", "U2", "U3")
-STREAMS = [StreamId(sample_key(PLACE, unit, "rate"), UUID(int=1).hex) for unit in UNITS]
+steps = st.one_of(SEND, TURNS, TORN, st.just(("poll",)), st.tuples(st.just("poll"), st.integers(0, 5)))
 
 
-class Recording:
-    """A log that is written, interrupted and taken up again, and what a follower has read of it."""
+class Followed(InterruptedLog):
+    """And what a follower has read of it."""
 
     def __init__(self, folder: Path) -> None:
-        self.store = Store.create(folder / "store")
-        self.log = EventLog(self.store)
+        super().__init__(folder)
         self.follower = LogFollower(self.store)
         self.read: dict[StreamId, list[int]] = defaultdict(list)
-        self.acknowledged: dict[StreamId, int] = {}
 
-    def send(self, unit: int) -> None:
-        """The next batch of a unit, as a source sends it that resends what is not acknowledged."""
-        append(self.log, samples(UNITS[unit], self.log.marks.get(STREAMS[unit], 0), n=10))
-
-    def sync(self) -> None:
-        self.log.sync()
-        self.acknowledged = dict(self.log.marks)
-
-    def write(self) -> None:
-        """Write without making durable, as a chunk that is full."""
-        if self.log._segment is not None:
-            self.log._segment._end_chunk()
-
-    def seal(self) -> None:
-        self.log.recover()
-        self.log.seal()
-        self.acknowledged = dict(self.log.marks)
-
-    def fail(self) -> None:
-        """The disk fails: what is written and not durable does not count."""
-        self.log.abandon()
-
-    def kill(self, torn: int = 0) -> None:
-        """The recorder is killed, perhaps within a write, and started again."""
-        segment = self.log._segment
-        if segment is not None:
-            self.write()
-            size = segment._size
-            segment.abandon()
-            if torn:
-                os.truncate(segment.open_path, max(size - torn, segment.durable_bytes))
-        self.log = EventLog(self.store)
-
-    def build(self) -> None:
-        with builder_lock(self.store):
-            list(build_missing(self.store))
-
-    def poll(self, *, most: int | None = None) -> None:
+    def poll(self, most: int | None = None) -> None:
         """Read what is new, all of it or the first messages only; all that is acknowledged is among it."""
         for message in islice(self.follower.poll(), most):
             assert message.place is not None
@@ -94,24 +52,13 @@ class Recording:
             assert len(numbers) * 10 >= self.acknowledged.get(stream, 0)
 
 
-steps = st.one_of(
-    st.tuples(st.just("send"), st.integers(0, 2)),
-    st.sampled_from([("sync",), ("write",), ("seal",), ("fail",), ("kill",), ("build",), ("poll",)]),
-    st.tuples(st.just("kill"), st.integers(1, 300)),
-    st.tuples(st.just("poll"), st.integers(0, 5)),
-)
-
-
 @given(st.lists(steps, max_size=40))
 @settings(max_examples=60, deadline=None)
 def test_whatever_happens_to_a_segment_each_message_is_read_once(schedule: list[tuple[str, int]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        recording = Recording(Path(folder))
+        recording = Followed(Path(folder))
         for name, *given_ in schedule:
-            if name == "poll":
-                recording.poll(most=given_[0] if given_ else None)
-            else:
-                getattr(recording, name)(*given_)
+            recording.apply(name, *given_)
         recording.sync()
         recording.poll()
         recording.follower.close()

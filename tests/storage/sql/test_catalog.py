@@ -11,8 +11,9 @@ import pytest
 from storage.log.event_log import EventLog
 from storage.manifests.lake import read_manifest
 from storage.recording.recorder import Recorder
-from storage.sql.catalog import VIEWS, Catalog
+from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal, stored_between
+from storage.sql.views import VIEWS
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.delivery.publisher import DurablePublisher

@@ -11,7 +11,8 @@ from typing import Any
 import duckdb
 import pytest
 
-from storage.sql.catalog import VIEWS, known_tables
+from storage.sql.catalog import known_tables
+from storage.sql.views import VIEWS
 
 ROWS = 200_000
 MANY = f"select i, repeat('x', 600) as text from range({ROWS}) t(i)"

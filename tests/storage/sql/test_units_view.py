@@ -3,7 +3,8 @@
 import shutil
 from typing import Any
 
-from storage.sql.catalog import VIEWS, Catalog
+from storage.sql.catalog import Catalog
+from storage.sql.views import VIEWS
 from stream.events import RunStarted, UnitMounted
 from tests.storage.conftest import START_NS, Filler
 

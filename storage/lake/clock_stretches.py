@@ -1,0 +1,61 @@
+"""Stretches of a channel's clock: the least delay of a source's messages, arrival minus source time, per minute.
+
+A delay is at least the clock offset plus the least travel time, so that the least of a stretch is the lower envelope. A
+stretch ends with the minute of the recorder's clock, and where the source's time leaps.
+"""
+
+import numpy as np
+import pyarrow as pa
+
+from storage.lake.tables import CLOCK_COLUMNS
+from stream.batch import BoolArray, IntArray
+
+STRETCH_NS = 60_000_000_000
+_LEAP_NS = 1_000_000
+_IRREGULAR_LEAP_NS = 10_000_000_000
+
+
+class Messages:
+    """Numbers, times and arrivals of the messages of one channel in a segment, in the order of arrival."""
+
+    def __init__(self, rows: IntArray) -> None:
+        self.seq, self.n, self.t0_ns, self.last_ns, self.dt_ns, self.arrival_ns = rows.T
+
+
+def leaps(messages: Messages, *, irregular: bool) -> BoolArray:
+    """Whether the source's time leaps before each message: backwards, or beyond what the numbers imply."""
+    step_ns = np.zeros(len(messages.seq), np.int64)
+    step_ns[1:] = (
+        messages.t0_ns[1:]
+        - messages.last_ns[:-1]
+        - messages.dt_ns[:-1] * (messages.seq[1:] - messages.seq[:-1] - messages.n[:-1] + 1)
+    )
+    if irregular:
+        leaps_at = (step_ns > _IRREGULAR_LEAP_NS) | (step_ns <= -messages.dt_ns - _LEAP_NS)
+    else:
+        leaps_at = np.abs(step_ns) > messages.dt_ns // 2 + _LEAP_NS
+    return np.asarray(leaps_at, np.bool_)
+
+
+def clock_table(
+    channel: int, messages: Messages, backward: IntArray, backward_most_ns: IntArray, *, irregular: bool
+) -> pa.Table:
+    """Rows of one channel's stretches; `irregular` samples are on no grid.
+
+    `backward` and `backward_most_ns` are, per message, the number of samples not later than the one before, and the
+    largest step.
+    """
+    delay_ns = messages.arrival_ns - messages.last_ns
+    minute = messages.arrival_ns // STRETCH_NS
+    begins = leaps(messages, irregular=irregular) | (np.diff(minute, prepend=minute[0] - 1) != 0)
+    starts = np.flatnonzero(begins)
+    ends = np.append(starts[1:], len(minute)) - 1
+    least_ns = np.minimum.reduceat(delay_ns, starts)
+    index = np.arange(len(minute))
+    at = np.minimum.reduceat(np.where(delay_ns == least_ns[np.cumsum(begins) - 1], index, len(index)), starts)
+    columns = [
+        np.full(len(starts), channel, np.int64), messages.seq[starts], ends - starts + 1, messages.t0_ns[starts],
+        messages.last_ns[ends], messages.arrival_ns[starts], messages.arrival_ns[ends], messages.last_ns[at],
+        least_ns, np.add.reduceat(backward, starts), np.maximum.reduceat(backward_most_ns, starts),
+    ]  # fmt: skip
+    return pa.Table.from_arrays([pa.array(column) for column in columns], schema=CLOCK_COLUMNS)
