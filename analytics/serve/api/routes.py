@@ -8,6 +8,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from analytics.serve.api import (
+    alerts,
     allan,
     diagnosis,
     events,
@@ -45,6 +46,9 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     live.floor,
     live.unit_floor,
     store.store,
+    store.status,
+    alerts.list_alerts,
+    alerts.acknowledge_alert,
     sql.sql,
     sql.sql_tables,
     diagnosis.list_diagnoses,
