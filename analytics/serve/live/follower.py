@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 from analytics.serve.live.first_floor import fill_floor
@@ -110,12 +111,15 @@ class FloorFollower(Closing):
             tell(changes["version"], "change", json_text(changes).encode())
 
 
+_parsed = lru_cache(100_000)(parse_key)
+
+
 def take(floor: Floor, message: FollowedMessage) -> None:
     """Put a message of the log on the floor; one that cannot be read is left to `gyrofleet verify`."""
     place, content, arrival_ns = message.place, message.content, message.record.arrival_ns
     if place is None or isinstance(content, GyrofleetError):
         return
-    key = parse_key(place.stream.key)
+    key = _parsed(place.stream.key)
     if isinstance(content, RawBatch):
         assert isinstance(key, SampleKey)
         floor.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
