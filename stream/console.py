@@ -36,7 +36,7 @@ _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
-    **dict.fromkeys(("prometheus_client", "starlette", "uvicorn"), "serve"),
+    **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import secrets
+import shutil
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -17,7 +18,12 @@ from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
+from storage.recording.status_board import StatusBoard
 from storage.store import Store
+from stream.errors import GyrofleetError
+from stream.status import role_status
+from stream.status.reporter import StatusReporter
+from stream.status.role_status import RoleStatus, new_status
 
 
 def _threads(least: int) -> anyio.CapacityLimiter:
@@ -47,7 +53,7 @@ class Service:
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
-    began_s: float = field(default_factory=time.time)
+    began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
@@ -71,10 +77,32 @@ class Service:
                 loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
 
         self.live.start(self.lake, tell)
+        with StatusReporter(self.status, StatusBoard(self.store).put):
+            try:
+                yield
+            finally:
+                self.stop()
+
+    def status(self) -> RoleStatus:
+        """What the server reports of itself."""
+        numbers: dict[str, float] = {
+            "requests_total": self.requests,
+            "cache_hits_total": self.cache.hits,
+            "cache_misses_total": self.cache.misses,
+            "cache_bytes": self.cache.bytes,
+            "busy_threads": self.busy_threads,
+            "sessions": len(self.doorkeeper.sessions),
+            "listeners": self.changes.listeners,
+            "lag_seconds": self.live.lag_s,
+        }
+        trouble, free_bytes = self.live.problem or "", shutil.disk_usage(self.store.folder).free
         try:
-            yield
-        finally:
-            self.stop()
+            state = self.lake.state()
+            numbers |= {"lake_manifest": state.number, "lake_samples": sum(part.samples for part in state.parts)}
+        except GyrofleetError as error:
+            trouble = str(error)
+        whole = {name: float(value) for name, value in numbers.items()} | {"free_bytes": float(free_bytes)}
+        return new_status(role_status.Role.SERVE, self.began_ns, trouble=trouble[:4000], numbers=whole)
 
     def stop(self) -> None:
         """End what would keep the server from ending: event streams, statements."""

@@ -2,15 +2,17 @@
 
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.doors.roles import Person
 from analytics.serve.problems import TooMany
 from analytics.serve.shared_lake import LakeState
 from storage.sql.door import QueryLimits, SqlDoor
-from storage.store import Store
+from storage.store import Store, writer_is_active
 from stream.closing import Closing
 
 MOST_ROWS = 1_000_000
@@ -21,6 +23,15 @@ LIMITS = QueryLimits()._replace(
 )
 _AT_ONCE = 2
 _PATIENCE_S = 20.0
+_FRESH_S = 1.0
+
+
+class _Idle(NamedTuple):
+    """A door, the version of the lake that it is of, and when it was opened."""
+
+    tag: str
+    began_s: float
+    door: SqlDoor
 
 
 class SqlPool(Closing):
@@ -31,8 +42,8 @@ class SqlPool(Closing):
         self._rate = RateLimit(60, 1.0)
         self._free = threading.BoundedSemaphore(_AT_ONCE)
         self._lock = threading.Lock()
-        self._idle: list[tuple[str, SqlDoor]] = []
-        self._busy: set[SqlDoor] = set()
+        self._idle: list[_Idle] = []
+        self._busy: dict[SqlDoor, _Idle] = {}
         self._is_closed = False
 
     @contextmanager
@@ -47,26 +58,30 @@ class SqlPool(Closing):
             try:
                 yield door
             finally:
-                self._put_back(state.tag, door)  # after an error as well: a door starts a new process if it needs one
+                self._put_back(door)  # after an error as well: a door starts a new process if it needs one
         finally:
             self._free.release()
 
     def _taken(self, tag: str) -> SqlDoor:
         with self._lock:
-            fresh = [door for of, door in self._idle if of == tag]
-            stale = [door for of, door in self._idle if of != tag]
-            door = fresh.pop() if fresh else SqlDoor(self._store, self._limits)
-            self._idle = [(tag, each) for each in fresh]
-            self._busy.add(door)
+            fresh = [each for each in self._idle if each.tag == tag and not self._is_old(each)]
+            stale = [each for each in self._idle if each not in fresh]
+            taken = fresh.pop() if fresh else _Idle(tag, time.monotonic(), SqlDoor(self._store, self._limits))
+            self._idle = fresh
+            self._busy[taken.door] = taken
         for each in stale:
-            each.close()
-        return door
+            each.door.close()
+        return taken.door
 
-    def _put_back(self, tag: str, door: SqlDoor) -> None:
+    def _is_old(self, idle: _Idle) -> bool:
+        """Whether a recorder may have written what the door does not see."""
+        return time.monotonic() - idle.began_s > _FRESH_S and writer_is_active(self._store.folder)
+
+    def _put_back(self, door: SqlDoor) -> None:
         with self._lock:
-            self._busy.discard(door)
+            idle = self._busy.pop(door)
             if not self._is_closed:
-                self._idle.append((tag, door))
+                self._idle.append(idle)
                 return
         door.close()
 
@@ -74,7 +89,7 @@ class SqlPool(Closing):
         """End all processes, those at work as well."""
         with self._lock:
             self._is_closed = True
-            doors = [*(door for _, door in self._idle), *self._busy]
+            doors = [*(each.door for each in self._idle), *self._busy]
             self._idle = []
         for door in doors:
             door.close()

@@ -11,6 +11,7 @@ from storage.log.files import sealed_segments
 from storage.log.recovery import left_open
 from storage.manifests.lake import left_aside, read_manifest
 from storage.manifests.log import read_log_manifest
+from storage.recording.store_status import StoreStatus, store_status
 from storage.store import Store, writer_endpoint, writer_is_active
 
 _CLOCKS = "select * from clocks order by unit, run, signal limit 500"
@@ -70,6 +71,14 @@ class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
     notes: list[dict[str, Any]]
     verified: dict[str, Any] | None
     verified_ns: int | None
+
+
+@get("/api/status", is_kept=False)
+def status(call: Call, asked: Nothing) -> StoreStatus:
+    """What is at work on the store, and what is wrong: as `gyrofleet status --json`."""
+    del asked
+    found = store_status(call.store)
+    return msgspec.structs.replace(found, store=call.store.folder.resolve().name)
 
 
 @get("/api/store", is_kept=False, table="clocks")

@@ -11,6 +11,8 @@ from stream.events import (
     EstimatePublished,
     Limit,
     LimitsApplied,
+    PowerOff,
+    PowerOn,
     RunEnded,
     RunResumed,
     RunStarted,
@@ -25,6 +27,7 @@ from stream.identity import Place
 from stream.worker.limit_checks import estimator_key, judge
 
 SILENT_AFTER_NS = 10 * 10**9
+OfUnit = UnitMounted | StepStarted | StepEnded | PowerOn | PowerOff | EstimatePublished | EarlyDecision | VerdictGiven
 _DECIDED = (Verdict.PASS, Verdict.FAIL)
 
 
@@ -60,6 +63,7 @@ class UnitNow:
     arrival_ns: int = 0
     t_ns: int | None = None
     is_silent: bool = False
+    is_off: bool = False
     verdict: str = ""
     checks: dict[Limit, Check] = field(default_factory=dict)
     decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
@@ -142,25 +146,31 @@ class Floor:
                 run = self._run(document.run, place, arrival_ns)
                 run.limits[document.unit] = document.limits
                 run.planned_s, run.since_ns = document.planned_s or run.planned_s, document.since_ns or run.since_ns
+            case _ if isinstance(document, OfUnit):
+                self._take_of_unit(self._unit(place, document.unit, document.run, arrival_ns), document)
+            case _:
+                self.entered[type(document).__name__] += 1
+
+    def _take_of_unit(self, unit: UnitNow, document: OfUnit) -> None:
+        match document:
             case UnitMounted():
-                unit = self._unit(place, document.unit, document.run, arrival_ns)
                 unit.slot, unit.product = document.slot, document.product
                 self.fresh.add(unit.unit)
             case StepStarted():
-                self._unit(place, document.unit, document.run, arrival_ns).step = step_text(document.words)
+                unit.step = step_text(document.words)
             case StepEnded():
-                self._unit(place, document.unit, document.run, arrival_ns).step = ""
+                unit.step = ""
+            case PowerOn():
+                unit.is_off = False
+            case PowerOff():
+                unit.is_off = True  # what has no power delivers nothing
             case EstimatePublished():
-                self._estimate(self._unit(place, document.unit, document.run, arrival_ns), document)
+                self._estimate(unit, document)
             case EarlyDecision():
-                unit = self._unit(place, document.unit, document.run, arrival_ns)
                 unit.decisions[document.limit] = document
             case VerdictGiven():
-                unit = self._unit(place, document.unit, document.run, arrival_ns)
                 unit.verdict = document.verdict.value
                 unit.checks = {check.limit: check for check in document.checks} or unit.checks
-            case _:
-                self.entered[type(document).__name__] += 1
 
     def sampled(self, place: Place, unit: str, run: str, t_ns: int, arrival_ns: int) -> None:
         """Take note of a unit's last sample; that alone is no change."""
@@ -176,7 +186,9 @@ class Floor:
     def listen(self, now_ns: int) -> None:
         """Find the units that have fallen silent."""
         for unit in self.units.values():
-            is_silent = unit.run.outcome == "open" and 0 < unit.arrival_ns < now_ns - SILENT_AFTER_NS
+            is_silent = (
+                unit.run.outcome == "open" and not unit.is_off and 0 < unit.arrival_ns < now_ns - SILENT_AFTER_NS
+            )
             if is_silent and not unit.is_silent:
                 unit.is_silent = True
                 self.changed.add(unit.unit)

@@ -4,18 +4,20 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 from analytics.serve.live.first_floor import fill_floor
 from analytics.serve.live.floor import Floor, UnitNow
 from analytics.serve.live.floor_rows import FloorRows
-from analytics.serve.live.log_messages import LogMessage, LogMessages
 from analytics.serve.shared_lake import SharedLake
+from storage.log.follower import FollowedMessage, LogFollower
 from storage.store import Store
 from stream.closing import Closing
 from stream.console import json_text
-from stream.errors import BadInput, GyrofleetError
-from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.errors import GyrofleetError
+from stream.identity import SampleKey, parse_key
+from stream.wire.batches import RawBatch
 
 _LOOK_S = 0.5
 _TELL_S = 1.0
@@ -80,7 +82,7 @@ class FloorFollower(Closing):
         fresh = Floor()
         with lake.views.lease(state) as catalog:
             fill_floor(fresh, catalog)
-        messages = LogMessages(self._store, {segment for part in state.parts for segment in part.segments})
+        in_lake = {segment for part in state.parts for segment in part.segments}
         with self._lock:
             self.floor = fresh
             self.rows.begin()
@@ -88,16 +90,17 @@ class FloorFollower(Closing):
         tell(document["version"], "floor", json_text(document).encode())
         self._is_filled.set()
         told_s = 0.0
-        while not self._ends.is_set():
-            began_s = time.monotonic()
-            with self._lock:
-                for message in messages.poll():
-                    take(self.floor, message)
-            self.lag_s, self.problem = time.monotonic() - began_s, None
-            if began_s - told_s >= _TELL_S:
-                told_s = began_s
-                self._tell(tell)
-            self._ends.wait(_LOOK_S)
+        with LogFollower(self._store, in_lake) as messages:
+            while not self._ends.is_set():
+                began_s = time.monotonic()
+                with self._lock:
+                    for message in messages.poll():
+                        take(self.floor, message)
+                self.lag_s, self.problem = time.monotonic() - began_s, None
+                if began_s - told_s >= _TELL_S:
+                    told_s = began_s
+                    self._tell(tell)
+                self._ends.wait(_LOOK_S)
 
     def _tell(self, tell: Tell) -> None:
         with self._lock:
@@ -108,14 +111,17 @@ class FloorFollower(Closing):
             tell(changes["version"], "change", json_text(changes).encode())
 
 
-def take(floor: Floor, message: LogMessage) -> None:
-    """Put a message of the log on the floor."""
-    try:
-        key = parse_key(message.key)
-    except BadInput:
-        return  # a preview
-    match key:
-        case SampleKey():
-            floor.sampled(key.place, key.unit, message.place.run, message.place.last_ns, message.arrival_ns)
-        case EventKey() | EstimateKey() if message.document is not None:
-            floor.take(key.place, message.document, message.arrival_ns)
+_parsed = lru_cache(100_000)(parse_key)
+
+
+def take(floor: Floor, message: FollowedMessage) -> None:
+    """Put a message of the log on the floor; one that cannot be read is left to `gyrofleet verify`."""
+    place, content, arrival_ns = message.place, message.content, message.record.arrival_ns
+    if place is None or isinstance(content, GyrofleetError):
+        return
+    key = _parsed(place.stream.key)
+    if isinstance(content, RawBatch):
+        assert isinstance(key, SampleKey)
+        floor.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
+    else:
+        floor.take(key.place, content, arrival_ns)

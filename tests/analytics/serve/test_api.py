@@ -134,6 +134,16 @@ def test_the_store_says_what_it_has(api: httpx.Client, served: Served) -> None:
     assert str(served.folder) not in str(found)
 
 
+def test_what_is_at_work_and_alerts(api: httpx.Client, served: Served, run_command: Run) -> None:
+    found = got(api, "/api/status")
+    (serve,) = (each for each in found["roles"] if each["status"]["role"] == "serve")
+    assert serve["condition"] == "working"
+    told = run_command("status", "--store", "S", "--json", cwd=served.folder).json
+    assert "serve" in {each["status"]["role"] for each in told["roles"]}
+    assert got(api, "/api/alerts", which="all") == {"alerts": []}
+    assert api.post("/api/alerts/none/acknowledge", json={}).status_code == 404
+
+
 def test_yield_and_verdicts(api: httpx.Client) -> None:
     assert got(api, "/api/yield", by="station")["by"] == "station"
     verdicts = got(api, "/api/verdicts", limit=2)
@@ -190,7 +200,7 @@ def test_other_methods_are_refused(api: httpx.Client, method: str) -> None:
 
 def test_figures_for_prometheus(api: httpx.Client, served: Served) -> None:
     text = api.get("/metrics").text
-    assert re.search(r"^gyrofleet_lake_samples \d", text, re.MULTILINE)
+    assert re.search(r"^gyrofleet_serve_lake_samples\{.*\} \d", text, re.MULTILINE)
     assert "FOG" not in text
     with served.nobody() as client:  # the server listens on loopback
         assert client.get("/metrics").status_code == 200
