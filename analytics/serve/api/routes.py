@@ -10,7 +10,6 @@ from starlette.routing import Route
 from analytics.serve.api import (
     alerts,
     allan,
-    at_work,
     diagnosis,
     events,
     grafana,
@@ -47,15 +46,9 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     live.floor,
     live.unit_floor,
     store.store,
-<<<<<<< HEAD
-    at_work.status,
-    at_work.alerts,
-    at_work.acknowledge_alert,
-=======
     store.status,
     alerts.list_alerts,
     alerts.acknowledge_alert,
->>>>>>> serve
     sql.sql,
     sql.sql_tables,
     diagnosis.list_diagnoses,

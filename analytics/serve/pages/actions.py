@@ -9,11 +9,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-<<<<<<< HEAD
-from analytics.serve.api import at_work, diagnosis, jobs, notes
-=======
 from analytics.serve.api import alerts, diagnosis, jobs, notes
->>>>>>> serve
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
@@ -30,11 +26,7 @@ _ACTIONS: dict[str, Operation[Any, Any]] = {
         jobs.cancel_job,
         jobs.verify_store,
         notes.add_note,
-<<<<<<< HEAD
-        at_work.acknowledge_alert,
-=======
         alerts.acknowledge_alert,
->>>>>>> serve
     )
 }
 _APART = ("csrf", "back")

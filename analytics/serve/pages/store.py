@@ -3,7 +3,6 @@
 from typing import Any
 
 from analytics.serve.api import store as api
-from analytics.serve.api.alerts import AlertsAsked, list_alerts
 from analytics.serve.api.operation import Call, Nothing
 from analytics.serve.pages.page import shown
 
@@ -12,10 +11,4 @@ from analytics.serve.pages.page import shown
 def store(call: Call, asked: Nothing) -> dict[str, Any]:
     """Log, lake, disk, clocks, notes, verification."""
     jobs = [job for job in call.service.jobs.all() if job.kind == "verify"]
-    return {
-        "found": api.store(call, asked),
-        "status": api.status(call, asked),
-        "alerts": list_alerts(call, AlertsAsked()).alerts,
-        "jobs": jobs,
-        "data": "/api/store",
-    }
+    return {"found": api.store(call, asked), "jobs": jobs, "data": "/api/store"}
