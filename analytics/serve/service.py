@@ -16,6 +16,7 @@ from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
+from analytics.serve.memo import Memo
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.recording.status_board import StatusBoard
@@ -49,6 +50,7 @@ class Service:
     live: FloorFollower
     is_on_loopback: bool
     jobs: Jobs = field(default_factory=Jobs)
+    memo: Memo = field(default_factory=Memo)
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))

@@ -17,6 +17,7 @@ from stream.closing import Closing
 _SERVED = """
 create table internal.served_parts as
   select channel, unit, signal, run, is_kept, filename, samples, t_first_ns, t_last_ns from internal.lake_channel_parts;
+create table internal.served_signals as select * from signals;
 create table internal.served_runs as select * from runs;
 create table internal.served_units as select * from units;
 create table internal.served_verdicts as

@@ -89,8 +89,12 @@ class Operation(Generic[Asked, Given]):
     status: int = 200
 
     def __call__(self, call: Call, asked: Asked) -> Given:
-        """Answer."""
-        return self.handler(call, asked)
+        """Answer; what takes long and depends on the lake alone is computed once for pages and programs."""
+        if not (self.is_kept and self.is_slow):
+            return self.handler(call, asked)
+        key = (self.path, tuple(call.path.items()), msgspec.json.encode(asked), call.state.tag)
+        found: Given = call.service.memo.result(key, lambda: self.handler(call, asked))
+        return found
 
     @property
     def name(self) -> str:

@@ -56,9 +56,9 @@ where coalesce(r.unit, u.unit) > $after order by 1 limit $rows
 _COUNTS = f"select coalesce(verdict, 'OPEN'), count(*) from ({_UNITS}) group by 1 order by 1"  # noqa: S608  our own
 _DOCUMENTS = """
 select t_ns, kind, unit, document from internal.lake_documents
-where run = $run and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'NoteAdded', 'PowerOn', 'PowerOff',
+where run = $run and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'NoteAdded',
   'LimitsApplied', 'StationStated', 'CheckEntered')
-order by arrival_ns, t_ns limit 2000
+order by arrival_ns, t_ns limit 500
 """
 
 

@@ -18,6 +18,12 @@ from stream.errors import BadInput
 _NS = 10**9
 _MOST_RAW = 6_000_000
 _GAP_INTERVALS = 1.5
+_ABOUT = """
+select s.unit_of_measure, s.irregular, t_first_ns, t_last_ns, sample_interval_s,
+  coalesce(r.date_known, true) as date_known
+from internal.served_signals s left join internal.served_runs r using (run)
+where s.unit = $unit and s.signal = $signal and s.run = $run
+"""
 _PARTS = """
 select channel, is_kept, filename, samples, t_first_ns, t_last_ns from internal.served_parts
 where unit = $unit and signal = $signal and run = $run order by t_first_ns
@@ -125,15 +131,11 @@ class _Stretch:
 def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     """A stretch of a signal in buckets with least, greatest and mean value; a single outlier is in it at any width."""
     views, path = call.views, call.path
-    record = find_signal(views, path["unit"], path["signal"], path["run"])
     of = {name: path[name] for name in ("unit", "signal", "run")}
-    (about,) = dictionaries(
-        views,
-        "select t_first_ns, t_last_ns, sample_interval_s, coalesce(r.date_known, true) as date_known "
-        "from signals s left join internal.served_runs r using (run) "
-        "where s.unit = $unit and s.signal = $signal and s.run = $run",
-        of,
-    )
+    found = dictionaries(views, _ABOUT, of)
+    if not found:
+        find_signal(views, of["unit"], of["signal"], of["run"])  # NotFound lists what there is
+    about = found[0]
     first_ns = moment(asked.from_, "from")
     stop_ns = moment(asked.to, "to")
     first_ns = about["t_first_ns"] if first_ns is None else first_ns
@@ -148,12 +150,12 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     interval_s = float(about["sample_interval_s"])
     source, bucket_ns, rows, note = _buckets(views, _Stretch(first_ns, stop_ns, asked.points, parts))
     t_ns = [int(row["slot"]) for row in rows]
-    longest_ns = max(bucket_ns, 0 if record.irregular else _GAP_INTERVALS * interval_s * _NS)
+    longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
     return SignalBuckets(
-        **of, unit_of_measure=record.unit_of_measure, source=source, bucket_ns=bucket_ns, from_ns=first_ns,
+        **of, unit_of_measure=about["unit_of_measure"], source=source, bucket_ns=bucket_ns, from_ns=first_ns,
         to_ns=stop_ns, t_ns=t_ns, min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
         mean=[row["mean"] for row in rows], n=[int(row["n"]) for row in rows],
-        gaps=[] if record.irregular and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns),
+        gaps=[] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns),
         samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
         first_ns=about["t_first_ns"], last_ns=about["t_last_ns"], first=iso(about["t_first_ns"]),
         last=iso(about["t_last_ns"]), note=note,
