@@ -84,6 +84,7 @@ def main() -> None:
 
 def _add_commands() -> None:
     """Add the commands of all packages, in the order of use."""
+    from analytics.commands.alert import alert
     from analytics.commands.allan import allan
     from analytics.commands.compensate import compensate
     from analytics.commands.demo import demo
@@ -91,8 +92,10 @@ def _add_commands() -> None:
     from analytics.commands.limits import limits
     from analytics.commands.metrics import metrics
     from analytics.commands.model import model
+    from analytics.commands.serve import serve
     from analytics.commands.spectrum import spectrum
     from analytics.commands.trend import trend
+    from analytics.commands.users import users
     from analytics.commands.verdicts import verdicts
     from ingest.commands.can import can
     from ingest.commands.check import check
@@ -105,13 +108,15 @@ def _add_commands() -> None:
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.sql import sql
+    from storage.commands.status import status
     from storage.commands.verify import recover, verify
     from stream.completion import completion
 
     main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, run_simulated, check)
-    main.add_section("Record and estimate", record, router, estimate, replay)
+    main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)
+    main.add_section("Show", serve, users)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover)
     main.add_section("Shell", completion)
 

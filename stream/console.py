@@ -36,6 +36,7 @@ _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
+    **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -44,6 +45,11 @@ _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resu
 store_option = click.option(
     "--store", "folder", type=click.Path(path_type=Path), default=DEFAULT_STORE, show_default=True,
     help="Folder of the store.",
+)  # fmt: skip
+
+status_listen_option = click.option(
+    "--status-listen", metavar="HOST:PORT",
+    help="Serve /metrics (Prometheus) and /health over HTTP, as at 127.0.0.1:9464; `gyrofleet status` needs it not.",
 )  # fmt: skip
 
 estimates_option = click.option(

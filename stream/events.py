@@ -372,6 +372,39 @@ class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
     details: dict[str, Any] = {}
 
 
+class AlertRaised(Document, frozen=True, kw_only=True, tag=True):
+    """A condition that somebody is told of; its `uid` names the alert."""
+
+    rule: str
+    severity: str
+    subject: str
+    text: str
+    text_zh: str = ""
+    unit: str | None = None
+
+
+class AlertCleared(Document, frozen=True, kw_only=True, tag=True):
+    """The condition of an alert has passed."""
+
+    alert: str
+
+
+class AlertSent(Document, frozen=True, kw_only=True, tag=True):
+    """A target has taken the message of an alert."""
+
+    alert: str
+    target: str
+    attempts: int = 1
+
+
+class AlertAcknowledged(Document, frozen=True, kw_only=True, tag=True):
+    """A person has taken note of an alert."""
+
+    alert: str
+    by: str
+    note: str = ""
+
+
 class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
     """Total number of samples of one signal and epoch."""
 
@@ -392,6 +425,7 @@ AnyDocument = (
     RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitMounted | NoteAdded | StationStated | CheckEntered
     | SpecificationEntered | LimitsApplied | EstimatePublished | NoiseFitted | SpectralLinesFound | EarlyDecision
     | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched | RunResumed | StoreNoted | RunEnded
+    | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged
 )  # fmt: skip
 
 

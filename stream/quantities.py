@@ -1,13 +1,15 @@
 """Units of measure: parsed at the border, stored as the source wrote them, reported as the standards require."""
 
 import difflib
+import math
 import re
 from functools import cache
-from typing import cast
-
-import pint
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from stream.errors import UnknownUnit
+
+if TYPE_CHECKING:
+    import pint
 
 ANGULAR_RATE_UNIT = "deg/h"
 
@@ -20,8 +22,38 @@ _COMMON = (
 )
 
 
+class _Known(NamedTuple):
+    """A unit that needs no pint, whose import and definitions take longer than many commands."""
+
+    quantity: str
+    factor: float = 1.0  # to the first unit of the quantity
+    offset: float = 0.0
+
+
+_KNOWN = {
+    "deg/h": _Known("angular rate"), "deg/s": _Known("angular rate", 3600.0),
+    "rad/s": _Known("angular rate", math.degrees(3600.0)), "rpm": _Known("angular rate", 21600.0),
+    "degC": _Known("temperature"), "K": _Known("temperature", 1.0, -273.15),
+    "degF": _Known("temperature", 5 / 9, -160 / 9),
+    "V": _Known("voltage"), "mV": _Known("voltage", 1e-3), "A": _Known("current"), "mA": _Known("current", 1e-3),
+    "W": _Known("power"), "s": _Known("time"), "ms": _Known("time", 1e-3), "Hz": _Known("frequency"),
+    "deg/s^2": _Known("angular acceleration"), "T": _Known("magnetic flux density", 1e6),
+    "uT": _Known("magnetic flux density"), "nT": _Known("magnetic flux density", 1e-3),
+    "Pa": _Known("pressure"), "hPa": _Known("pressure", 100.0),
+    "deg": _Known("angle"), "arcsec": _Known("angle", 1 / 3600),
+    "g_0": _Known("acceleration", 9.80665), "m/s^2": _Known("acceleration"),
+    "1": _Known("ratio"), "count": _Known("count"), "percent": _Known("share"), "ppm": _Known("share", 1e-4),
+    "deg/(h)**0.5": _Known("angle random walk"),
+}  # fmt: skip
+
+# to pint these are numbers, or numbers per second, all alike
+_NUMBERS = {"angle", "angular rate", "count", "frequency", "ratio", "share"}
+
+
 @cache
 def _registry() -> "pint.UnitRegistry[float]":
+    import pint
+
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
     registry.define("LSB = count")
     registry.define("dps = degree / second")
@@ -39,6 +71,8 @@ def check_unit(text: str) -> str:
     """
     if text.strip() in {"", "1"}:
         return "1"
+    if text in _KNOWN:
+        return text
     try:
         _registry().parse_units(text)
     except Exception as error:
@@ -57,12 +91,16 @@ def conversion(source: str, target: str) -> tuple[float, float]:
     """
     if source == target:
         return 1.0, 0.0
+    if (known := _known_conversion(source, target)) is not None:
+        return known
     quantity = _registry().Quantity
+    from pint.errors import DimensionalityError
+
     try:
         zero = quantity(0.0, _unit(source)).to(_unit(target)).magnitude
         one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
-    except pint.errors.DimensionalityError as error:
-        raise UnknownUnit(f"{source!r} cannot be converted to {target!r}: they measure different quantities") from error
+    except DimensionalityError as error:
+        raise _no_conversion(source, target) from error
     factor = float(one - zero)
     # a factor of exactly 3600 comes out of pint as 3599.9999999999995
     return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(zero)
@@ -77,6 +115,8 @@ def is_angular_rate(text: str) -> bool:
     >>> is_angular_rate("rad/s"), is_angular_rate("Hz"), is_angular_rate("rpm"), is_angular_rate("mdps")
     (True, False, True, True)
     """
+    if (known := _KNOWN.get(text)) is not None:
+        return known.quantity == "angular rate"
     unit = _unit(text)
     powers = _powers(text)
     angles = [power for name, power in powers.items() if name in _ANGLES]
@@ -113,10 +153,25 @@ def result_factor(source: str, target: str) -> float:
     if source == target:
         return 1.0
     plain = [_ROOT.sub(r"(\1)**0.5", check_result_unit(text)) for text in (source, target)]
+    if (known := _known_conversion(*plain)) is not None and known[1] == 0.0:
+        return known[0]
     factor, offset = conversion(plain[0], plain[1])
     if offset != 0.0 or _angles(plain[0]) != _angles(plain[1]):
-        raise UnknownUnit(f"{source!r} cannot be converted to {target!r}: they measure different quantities")
+        raise _no_conversion(source, target)
     return factor
+
+
+def _no_conversion(source: str, target: str) -> UnknownUnit:
+    return UnknownUnit(f"{source!r} cannot be converted to {target!r}: they measure different quantities")
+
+
+def _known_conversion(source: str, target: str) -> tuple[float, float] | None:
+    one, other = _KNOWN.get(source), _KNOWN.get(target)
+    if one is None or other is None or (one.quantity != other.quantity and {one.quantity, other.quantity} <= _NUMBERS):
+        return None
+    if one.quantity != other.quantity:
+        raise _no_conversion(source, target)
+    return one.factor / other.factor, (one.offset - other.offset) / other.factor
 
 
 def check_result_unit(text: str) -> str:
@@ -146,7 +201,7 @@ def _powers(text: str) -> dict[str, float]:
     return found
 
 
-def _unit(text: str) -> pint.Unit:
+def _unit(text: str) -> "pint.Unit":
     return _registry().parse_units("" if check_unit(text) == "1" else text)
 
 

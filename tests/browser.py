@@ -53,6 +53,11 @@ class Browser:
         self._asked("POST", f"{self._session}/window/rect", {"width": width, "height": 900})
         self._asked("POST", f"{self._session}/url", {"url": url})
 
+    def emulate(self, theme: str) -> None:
+        """Show pages as ``light`` or ``dark``."""
+        media = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
+        self._asked("POST", f"{self._session}/goog/cdp/execute", {"cmd": "Emulation.setEmulatedMedia", "params": media})
+
     def ask(self, expression: str) -> Any:
         """Value of an expression in the page."""
         return self._asked("POST", f"{self._session}/execute/sync", {"script": f"return {expression}", "args": []})

@@ -115,13 +115,13 @@ def main() -> None:
             sources = pool.submit(check_sources, bin_, there / "sources.txt")
             # runs the notebook; a warning, as of a link that leads nowhere, fails
             run(bin_ / "sphinx-build", "-q", "-W", "--keep-going", "docs", "docs/_build/html")
+            project = beside_the_wheel(there)
+            # once, else each of the parallel processes would compile them
+            run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
             code = sources.result()
         print((there / "sources.txt").read_text(), flush=True)
         if code != 0:
             sys.exit(f"failed with exit code {code}")
-        project = beside_the_wheel(there)
-        # once, else each of the parallel processes would compile them
-        run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
         packages = ("--pyargs", "stream", "storage", "ingest", "analytics")
         run(bin_ / "python", "-m", "pytest", *PARALLEL, *chosen, "tests", *packages, cwd=project)
     if everything:

@@ -3,7 +3,8 @@
 What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
 files, signals and end; only the start, one to three seconds of importing, is that of the server
 (``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked from the command's, but
-where its time or memory is limited. A few tests start the installed program itself.
+where its time or memory is limited, or the command is a server, which has threads. A few tests start the installed
+program itself.
 """
 
 import array
@@ -23,7 +24,6 @@ from typing import Any
 
 _PR_SET_CHILD_SUBREAPER = 36
 _MOST_BYTES = 1 << 20
-_FILES = (None, subprocess.PIPE)
 _PARTS = 23
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
@@ -105,13 +105,15 @@ class CommandServer:
 class ForkedProcess(subprocess.Popen[str]):
     """A process that the server has forked and this process has adopted; in text mode.
 
-    Input, output and errors may be left alone, or be pipes of their own; nothing else.
+    Input, output and errors may be left alone, be pipes of their own, or go to files.
     """
 
     def __init__(self, server: str, arguments: list[str], **options: Any) -> None:
         self._server = server
-        if given := [options[name] for name in ("stdin", "stdout", "stderr") if options.get(name) not in _FILES]:
-            raise ValueError(f"{given} as a file of a forked process: only subprocess.PIPE is supported")
+        given = [options.get(name) for name in ("stdin", "stdout", "stderr")]
+        if wrong := [each for each in given if isinstance(each, int) and each != subprocess.PIPE]:
+            raise ValueError(f"{wrong} as a file of a forked process: give subprocess.PIPE or an open file")
+        self._files = {each.fileno() for each in given if not isinstance(each, int | None)}
         super().__init__(arguments, text=True, **options)
 
     def _execute_child(self, *parts: Any) -> None:
@@ -130,8 +132,9 @@ class ForkedProcess(subprocess.Popen[str]):
             line.connect(self._server)
             socket.send_fds(line, [json.dumps(request).encode()], files)
             self.pid = int.from_bytes(line.recv(8), "little")
+            line.recv(1)  # ends when the process between has ended: not before is this one the parent
         self._child_created = True
-        for given in {into, out, err} - {-1}:  # the child's ends of the pipes
+        for given in {into, out, err} - {-1} - self._files:  # the child's ends of the pipes
             os.close(given)
 
 
@@ -191,7 +194,7 @@ def _serve(path: str) -> None:
                 line.close()
                 server.close()
                 _become(request, files)
-                if not {"--max-time", "--max-memory"}.intersection(request["arguments"]):
+                if not {"--max-time", "--max-memory", "serve"}.intersection(request["arguments"]):
                     forking = SimpleNamespace(**{**vars(subprocess), "Popen": ForkedSqlProcess})
                     vars(storage.sql.door)["subprocess"] = forking
                 sys.argv = ["gyrofleet", *request["arguments"]]

@@ -96,3 +96,26 @@ def test_without_the_station_extra_files_are_imported_and_asked(tmp_path: Path) 
         command = [sys.executable, "-c", BLOCKED.format(words=words)]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
+
+
+def test_a_command_imports_no_slow_library_that_it_does_not_need(tmp_path: Path) -> None:
+    """A store's metrics need no compiled code, no units beyond the usual ones and no whole `scipy.stats`."""
+    (tmp_path / "r.csv").write_text("time[s],rate[deg/h]\n" + "".join(f"{i},{i % 3}\n" for i in range(200)))
+    slow = ("numba", "pint", "scipy.stats", "scipy.optimize", "matplotlib", "zenoh")
+    program = (
+        "import sys, gyrofleet\n"
+        f"def loaded(*words):\n    return [each for each in words if each in sys.modules]\n"
+        f"print(loaded(*{slow}, 'duckdb', 'pyarrow', 'scipy'))\n"
+        "gyrofleet.main(['metrics', '--metric', 'bias', '--json', '--store', 'S'], standalone_mode=False)\n"
+        f"print(loaded(*{slow}))\n"
+    )
+    command = [str(Path(sys.executable).with_name("gyrofleet")), "import", "r.csv", "--unit", "U", "--store", "S"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    for _ in range(2):  # the first computes, the second reads what is kept
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0] == "[]"
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.conftest import Outcome
 from tests.sources import SOURCES
 
 GUIDES = Path(__file__).parents[1] / "docs" / "how-to"
@@ -48,12 +49,12 @@ def ask(house: Path, tmp_path: Path) -> Ask:
     return run
 
 
-def test_a_metric_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
+def test_a_metric_of_ones_own(house: Path, tmp_path: Path, ask: Ask, gyrofleet: Callable[..., Outcome]) -> None:
     (house / "analytics" / "metrics" / "bias_magnitude.sql").write_text(block("own-metric.md", "sql"), encoding="utf-8")
     rng = np.random.default_rng(4)
     rows = "\n".join(f"{i},{x:.6f}" for i, x in enumerate(rng.normal(-3.0, 0.5, 3700)))
     (tmp_path / "still.csv").write_text(f"time[s],rate[deg/h]\n{rows}")
-    ask("import", "still.csv", "--unit", "G-1", "--procedure", "static_bias", "--store", "S")
+    assert gyrofleet("import", "still.csv", "--unit", "G-1", "--procedure", "static_bias", "--store", "S").code == 0
     (found,) = json.loads(ask("metrics", "--metric", "bias_magnitude", "--store", "S", "--json"))
     assert found["lo"] < 3.0 < found["hi"]
     assert found["clause"] == "5.12.1 (19)"

@@ -1,13 +1,17 @@
 """The command `gyrofleet demo`."""
 
+import json
 import shutil
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, reporting, results, store_option
+from stream.console import notes, print_json, reporting, results, store_option, until_stopped
 from stream.errors import NotFound
 from stream.worker.compile_kernels import compile_kernels
 
@@ -27,9 +31,39 @@ _QUESTIONS = (
     help="Simulated length of the run.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
+@click.option("--serve", "is_served", is_flag=True, help="Serve the page meanwhile, and afterwards until Ctrl-C.")
 @reporting
-def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
+def demo(folder: Path, hours: float, seed: int, *, is_served: bool, as_json: bool) -> None:
     """Screen eight simulated gyros: bus, log, lake, live estimates, verdicts, and what a unit's error model lacks."""
+    with _page(folder) if is_served else nullcontext():
+        _demonstrate(folder, hours, seed, as_json=as_json)
+        if is_served:
+            notes().print("the page stays until Ctrl-C")
+            with until_stopped() as stopped:
+                while not stopped.wait(1.0):
+                    pass
+
+
+@contextmanager
+def _page(folder: Path) -> Iterator[None]:
+    """Serve the store in a process of its own; NotFound if it cannot start, which then says why."""
+    from storage.store import Store
+
+    Store.create(folder)
+    command = [sys.executable, "-m", "gyrofleet", "serve", "--store", str(folder), "--port", "0", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603  our own program
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if not line:
+            raise NotFound("the page cannot be served; the message above says why")
+        notes().print(f"look at it while it runs: {json.loads(line)['login']}", soft_wrap=True, markup=False)
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+def _demonstrate(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
     from rich.live import Live
 
     from analytics.curves.allan_curve import stored_curves
@@ -126,3 +160,4 @@ def _print_next(state: "DemoState", folder: Path, plot: Path) -> None:
     console.print(
         f'  {program} diagnose --unit {ODD_UNIT} --model "{DECLARED_MODEL}" --report found.html{option}', soft_wrap=True
     )
+    console.print(f"Look at it: {program} serve{option}", soft_wrap=True)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from analytics.loop.next_test.recommendation import NextTest
     from analytics.loop.report.wording import Language
     from analytics.loop.unit_diagnosis import UnitsDiagnosis
+    from analytics.loop.unit_reduction import ReducedUnits
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _ABSOLUTE_ZERO_DEG_C = -273.15
@@ -114,7 +115,7 @@ def diagnose(
         raise BadInput("a procedure is written for one unit: give one --unit with --write-procedure")
     _check_suffixes(report_path, procedure_path)
     asks_next_test = asks_next_test or procedure_path is not None or bounds is not None or station_path is not None
-    limits = station_limits(station_path)
+    allowed, limits = bounds_of(bounds or ""), station_limits(station_path)
     question = Question(
         model=model, signal=signal, block_s=None if block is None else block_seconds(block),
         noise=None if noise is None else noise_of(noise), holdout=holdout_of(holdout), runs=runs or None,
@@ -124,6 +125,7 @@ def diagnose(
         with opened_catalog(folder, quiet=as_json) as catalog:
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
             read = reduce_units(catalog, chosen, question, on_progress=report)
+        _refuse_wrong_bounds(read, allowed, limits)
         # the catalogue is closed to free its memory for the trace
         found = trace_units(read, question, is_pooled=fleet, processes=processors(), on_progress=report)
         if asks_explainable is not False:
@@ -131,7 +133,7 @@ def diagnose(
         if tries is not None:
             found = with_recovery(found, read.models, tries, report)
         if asks_next_test:
-            found = with_next_tests(found, read.models, bounds_of(bounds or ""), report, limits)
+            found = with_next_tests(found, read.models, allowed, report, limits)
     saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
@@ -153,6 +155,15 @@ def diagnose(
         notes().print(f"error: the model of unit {unit} is not saved: {why}", soft_wrap=True)
     if found.failed or unsaved:
         sys.exit(1)
+
+
+def _refuse_wrong_bounds(read: "ReducedUnits", bounds: dict[str, float], limits: dict[str, float]) -> None:
+    """Before the search, which takes long."""
+    from analytics.loop.next_test.station_bounds import StationBounds
+
+    if bounds or limits:
+        for each in read.units.values():
+            StationBounds.of_runs(each.runs, limits, **bounds)
 
 
 def _since_ns(since: str) -> int:

@@ -166,7 +166,7 @@ def _close_the_loop(folder: Path, fleet: Plan, state: DemoState, t0_ns: int, rep
     """Nine earlier short runs with temperature cycles and rates, and the diagnosis of each unit."""
     runs = cycle_runs(t0_ns - round((cycles_last_s() + _BEFORE_S) * 1e9))
     state.cycles = tuple(f"{state.run}-{each.kind}-{each.number}" for each in runs)
-    with EmbeddedPipeline(folder, _NAME, estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
+    with EmbeddedPipeline(folder, _NAME, estimate_every_s=RUN_S) as pipeline:  # of each run, at its end
         for run, name in zip(runs, state.cycles, strict=True):
             report(f"short runs: {name}")
             state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name)

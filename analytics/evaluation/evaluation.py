@@ -20,6 +20,7 @@ from analytics.specifications.sql_tables import put_specifications
 from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, read_kept, step_means, write_kept
 from storage.sql.catalog import Catalog, NotKept
+from storage.sql.columns import distinct_pairs
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
@@ -231,8 +232,7 @@ def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:
 def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, str]:
     """Hash of all that a unit's metrics depend on: its records, `parts` of other things, the text of the metrics."""
     marks: defaultdict[str, set[str]] = defaultdict(set)
-    pairs = steps.select(["unit", "fingerprint"]).group_by(["unit", "fingerprint"]).aggregate([])
-    of_runs = zip(pairs["unit"].to_pylist(), pairs["fingerprint"].to_pylist(), strict=True)
+    of_runs = distinct_pairs(steps, "unit", "fingerprint")
     for unit, mark in (*of_runs, *(pair for part in parts for pair in part.items())):
         marks[unit].add(mark)
     text = hashlib.sha256()

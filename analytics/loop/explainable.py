@@ -14,11 +14,11 @@ from threadpoolctl import threadpool_limits
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.distributions import normal_sf, student_sf
 from analytics.loop.residuals import Residuals
 from analytics.loop.tracing.held_out.error_report import error_gain, less_run_means
 from analytics.loop.tracing.result.holdout import REFERENCE_S
 from analytics.loop.tracing.whitening.noise_variance import averages_of
+from analytics.methods.distributions import normal_sf, student_sf
 from stream.batch import FloatArray, IntArray
 
 MOST_P_VALUE = 0.003

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.distributions import chi_square_quantile
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.whitening.noise_variance import correlated_variance
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.white_variance import record_of
+from analytics.methods.distributions import chi_square_quantile
 from stream.batch import BoolArray, FloatArray
 from stream.estimators.confidence import deviation_bounds, least_edf
 

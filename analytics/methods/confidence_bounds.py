@@ -1,8 +1,8 @@
 """Confidence bounds of metrics, for whole columns at once."""
 
 import numpy as np
-from scipy import stats
 
+from analytics.methods.distributions import chi_square_quantile, student_quantile
 from stream.batch import FloatArray
 
 CONFIDENCE = 0.95
@@ -16,7 +16,7 @@ def t_bounds(value: FloatArray, standard_uncertainty: FloatArray, freedom: Float
     >>> float(round(hi[0], 2))
     11.96
     """
-    half = stats.t.ppf((1 + CONFIDENCE) / 2, np.maximum(freedom, 1.0)) * standard_uncertainty
+    half = student_quantile((1 + CONFIDENCE) / 2, np.maximum(freedom, 1.0)) * standard_uncertainty
     return value - half, value + half
 
 
@@ -26,7 +26,7 @@ def joint_half_widths(u: FloatArray, freedom: FloatArray, independent: int | Non
     m is the number of values, or of those that are `independent` (Bonferroni).
     """
     tail = (1 - CONFIDENCE) / 2 / (independent or len(u))
-    return np.asarray(stats.t.isf(tail, np.maximum(np.nan_to_num(freedom, nan=1.0), 1.0)) * u, dtype=np.float64)
+    return -student_quantile(tail, np.maximum(np.nan_to_num(freedom, nan=1.0), 1.0)) * u
 
 
 def chi_square_bounds(value: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -37,8 +37,8 @@ def chi_square_bounds(value: FloatArray, freedom: FloatArray) -> tuple[FloatArra
     (0.624, 2.453)
     """
     degrees = np.maximum(freedom, 1.0)
-    hi = value * np.sqrt(degrees / stats.chi2.ppf((1 - CONFIDENCE) / 2, degrees))
-    return value * np.sqrt(degrees / stats.chi2.ppf((1 + CONFIDENCE) / 2, degrees)), hi
+    hi = value * np.sqrt(degrees / chi_square_quantile((1 - CONFIDENCE) / 2, degrees))
+    return value * np.sqrt(degrees / chi_square_quantile((1 + CONFIDENCE) / 2, degrees)), hi
 
 
 def deviation_uncertainty(value: FloatArray, freedom: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
+from analytics.methods.distributions import f_sf
 from analytics.methods.frequency_response import Response
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -189,6 +189,6 @@ def _widened(
     degrees = len(residual) - unknowns
     if degrees > 0 and (uncertainty > 0).all():
         ratio = float(((residual / uncertainty) ** 2).sum()) / degrees
-        if stats.f.sf(ratio, degrees, min(float(response.freedom.min()), 1e9)) < _MISFIT:
+        if f_sf(ratio, degrees, min(float(response.freedom.min()), 1e9)) < _MISFIT:
             own, freedom = own * math.sqrt(ratio), min(freedom, float(degrees))
     return DynamicResult(value, own, freedom, misfit)

@@ -11,9 +11,9 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from analytics.methods.confidence_bounds import CONFIDENCE
+from analytics.methods.distributions import student_quantile
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.errors import BadInput, UnknownUnit
@@ -124,7 +124,7 @@ def _separated(offsets: FloatArray, columns: FloatArray, output: FloatArray, nam
     variance = float(residual @ residual) / freedom if freedom else math.nan
     covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(size, size)
     coefficients = solved / size
-    t = float(stats.t.ppf((1 + CONFIDENCE) / 2, freedom)) if freedom else math.nan
+    t = float(student_quantile((1 + CONFIDENCE) / 2, freedom)) if freedom else math.nan
     errors = np.sqrt(np.diag(covariance))
     angles = {name: _angle(coefficients[at], errors[at], t) for at, name in enumerate(names, start=constants)}
     y2, z2 = (constants + names.index(each) for each in ("y2", "z2"))

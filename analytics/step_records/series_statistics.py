@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.compiled import compiled
 
 AVERAGES_S = (1.0, 10.0, 100.0)
 LEAST_SHARE = 0.9
@@ -194,7 +194,7 @@ def _dense(places: IntArray, counts: IntArray, values: FloatArray, expected: flo
     return dense
 
 
-@njit(cache=True)
+@compiled
 def _allan_kernel(dense: FloatArray, factors: IntArray) -> tuple[FloatArray, IntArray]:
     size = dense.size
     sums = np.zeros(size + 1)

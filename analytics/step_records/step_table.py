@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from analytics.step_records import FOLDER
 from analytics.step_records.reduction import COLUMNS, reduce_run
 from storage.sql.catalog import Catalog, NotKept
+from storage.sql.columns import distinct_pairs
 from stream.atomic_file import replacement
 
 FILE = "steps.parquet"
@@ -64,8 +65,7 @@ def run_fingerprints(catalog: Catalog) -> dict[str, str]:
 
 def kept_prints(table: pa.Table) -> dict[str, str]:
     """Fingerprints of the runs in a table of records."""
-    pairs = table.select(["run", _PRINT]).group_by(["run", _PRINT]).aggregate([])
-    return dict(zip(pairs["run"].to_pylist(), pairs[_PRINT].to_pylist(), strict=True))
+    return dict(distinct_pairs(table, "run", _PRINT))
 
 
 def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress: Progress | None) -> pa.Table:
@@ -105,7 +105,7 @@ def read_kept(path: Path) -> pa.Table | None:
     with suppress(OSError, pa.ArrowException):
         content = path.read_bytes()
         if hash_path(path).read_text() == hashlib.sha256(content).hexdigest():
-            return pq.read_table(pa.BufferReader(content))
+            return pq.ParquetFile(pa.BufferReader(content)).read()  # read_table imports pandas
     return None
 
 

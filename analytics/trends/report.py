@@ -23,16 +23,17 @@ def sentences(trend: Trend) -> list[Words]:
     Where nothing is significant it says so: of trends of noise alone at most 6 % report more (1 % each for changes of
     stations, outliers, changes of charts, drifts, signals of rules, and groups; adjusted for all charts and groups).
     """
-    found = _significant(trend) or [_nothing(trend)]
+    found = significant(trend) or [_nothing(trend)]
     return [_head(trend), *found, *_of_components(trend), *_of_capability(trend), *_left_out(trend)]
 
 
 def stands_out(trend: Trend) -> bool:
     """Whether any result is significant."""
-    return bool(_significant(trend))
+    return bool(significant(trend))
 
 
-def _significant(trend: Trend) -> list[Words]:
+def significant(trend: Trend) -> list[Words]:
+    """Sentences on what is significant; none where nothing is."""
     of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
     return [*_of_shifts(trend), *of_charts, *_of_groups(trend)]
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ingest.commands.procedure import PROCEDURE
-from stream.console import estimates_option, reporting, store_option
+from stream.console import estimates_option, reporting, status_listen_option, store_option
 from stream.errors import BadInput
 
 _defaulted = partial(click.option, show_default=True)
@@ -61,6 +61,7 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )  # fmt: skip
 @click.option("--every", "every_s", type=click.FloatRange(min=1.0), help="Seconds between estimates.")
 @estimates_option
+@status_listen_option
 @destination_options
 @click.option("--check", "is_check", is_flag=True, help="Check whether the run could begin, and end.")
 @reporting
@@ -117,11 +118,12 @@ def run(
 @click.option("--lot", help="Production lot.")
 @_defaulted("--site", default="local", help="Site of the samples.")
 @_defaulted("--station", default="simulated", help="Name of the station in the data.")
+@status_listen_option
 @destination_options
 @reporting
 def run_simulated(
-    run_id: str, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int, *, is_ended: bool,
-    as_json: bool, **given: Any,
+    run_id: str, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int,
+    status_listen: str | None, *, is_ended: bool, as_json: bool, **given: Any,
 ) -> None:  # fmt: skip
     """Send samples of N units at rest that are simulated in this process, without a station.
 
@@ -138,7 +140,10 @@ def run_simulated(
     check_name("run", run_id)
     parameters = msgspec.convert(given, RunParameters)
     destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
-    sys.exit(run_simulated.run_simulated(run_id, parameters, destination, is_ended=is_ended, as_json=as_json))
+    code = run_simulated.run_simulated(
+        run_id, parameters, destination, status_listen, is_ended=is_ended, as_json=as_json
+    )
+    sys.exit(code)
 
 
 def _parameter(text: str, procedure: str) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 import hashlib
 import shlex
 import sys
+import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -23,12 +24,14 @@ from ingest.station.preflight import Preflight, preflight
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
 from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
+from ingest.station.run_status import run_status
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, mounted_documents, read_units
 from ingest.station_clock import StationClock
 from stream.console import Stop, notes, print_json, results, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
+from stream.status.reporter import StatusReporter, served
 from stream.worker.compile_kernels import compile_kernels
 from stream.worker.estimated_signals import EstimatedSignals
 
@@ -50,6 +53,7 @@ class ProcedureRun(NamedTuple):
     settle_timeout_s: float
     every_s: float | None
     estimated: EstimatedSignals
+    status_listen: str | None
 
 
 class _Job(NamedTuple):
@@ -107,6 +111,10 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             run_path.path_to(destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see)
         )
         trouble = TroubleWatch(path.publisher, operator.report)
+        about = (log, job.steps, job.station, job.clock, operator, decisions, path.publisher, time.time_ns())
+        collect = partial(run_status, *about)
+        stack.enter_context(served(asked.status_listen, collect))
+        stack.enter_context(StatusReporter(collect, path.put_status))
         operator.watch(trouble.look)
         for remark in limits.remarks:
             operator.report(remark)

@@ -2,6 +2,8 @@
 
 import shlex
 import time
+from contextlib import ExitStack
+from functools import partial
 
 from ingest.moment import moment_ns
 from ingest.run import run_path
@@ -10,6 +12,8 @@ from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
 from stream.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped
 from stream.delivery.publisher import DurablePublisher
 from stream.identity import check_name
+from stream.status.reporter import StatusReporter, served
+from stream.status.role_status import Role, RoleState, RoleStatus, RunProgress, new_status
 from stream.worker.compile_kernels import compile_kernels
 
 _REPORT_EVERY_S = 5.0
@@ -17,8 +21,9 @@ _LOOK_EVERY_S = 0.2
 
 
 def run_simulated(
-    run: str, parameters: RunParameters, destination: Destination, *, is_ended: bool, as_json: bool
-) -> int:
+    run: str, parameters: RunParameters, destination: Destination, status_listen: str | None, *, is_ended: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
     """Send the samples of simulated units from where the run is; the exit code. Raises GyrofleetError if it cannot."""
     check_name("site", parameters.site)
     check_name("station", parameters.station)
@@ -38,8 +43,25 @@ def run_simulated(
         if live.state.phase == "ended":
             _report(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        with run_path.path_to(destination, run, bus, spool, units=live.units) as path:
+        with run_path.path_to(destination, run, bus, spool, units=live.units) as path, ExitStack() as stack:
+            collect = partial(_status, live, path.publisher, time.time_ns())
+            stack.enter_context(served(status_listen, collect))
+            stack.enter_context(StatusReporter(collect, path.put_status))
             return _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
+
+
+def _status(live: LiveRun, publisher: DurablePublisher, began_ns: int) -> RoleStatus:
+    trouble = publisher.warning or publisher.paused or ""
+    parameters = live.state.parameters
+    progress = RunProgress(
+        run=live.state.run, procedure=parameters.procedure or "", units=tuple(live.units), step=1, steps=1,
+        doing="sending" if live.state.phase == "running" else live.state.phase, left_s=live.left_s,
+    )  # fmt: skip
+    return new_status(
+        Role.RUN, began_ns, name=parameters.station, run=progress, trouble=trouble,
+        state=RoleState.PAUSED if publisher.paused else RoleState.WORKING,
+        numbers={"samples_total": float(live.samples), **publisher.numbers},
+    )  # fmt: skip
 
 
 def _send(live: LiveRun, path: RunPath, stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:

@@ -151,6 +151,12 @@ class LiveRun(RunRecord[RunState]):
                     return
             yield batch
 
+    @property
+    def left_s(self) -> float | None:
+        """How long the rest of the run takes at its pace; None without a pace."""
+        speed = self.state.parameters.speed
+        return max(0.0, (self._end_ns - self._measured_until()) / 1e9 / speed) if speed else None
+
     def key(self, batch: SampleBatch) -> str:
         """Key expression of a batch."""
         return sample_key(self.place, batch.unit, batch.signal)

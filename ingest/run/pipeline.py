@@ -16,6 +16,7 @@ from stream.delivery.publisher import DurablePublisher
 from stream.delivery.spool import Spool
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
+from stream.status.reporter import on_bus
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.worker import EstimationWorker
@@ -46,6 +47,7 @@ class EmbeddedPipeline:
             log = EventLog(self.store, rotate_bytes=rotate_bytes)
             self.recovered: list[Recovery] = log.recovered
             bus = stack.enter_context(ZenohBus(listen=listen))
+            self.put_status = on_bus(bus)
             self._estimates = stack.enter_context(DurablePublisher(bus))
             publishers = [self._estimates]
 

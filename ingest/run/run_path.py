@@ -17,6 +17,8 @@ from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError
 from stream.events import AnyDocument
+from stream.status.reporter import on_bus
+from stream.status.role_status import RoleStatus
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 
@@ -62,6 +64,7 @@ class RunPath(NamedTuple):
     finish: Callable[[], None]
     where: str
     folder: Path | None
+    put_status: Callable[[RoleStatus], None]
 
 
 class TroubleWatch:
@@ -119,7 +122,8 @@ def path_to(
             publisher = stack.enter_context(DurablePublisher(bus, spool=spool, only_store=only_store))
             if claim is not None:
                 claim.on_loss = publisher.fail
-            yield RunPath(publisher, publisher, publisher.drain, f"to the recorder at {to.connect}", None)
+            where = f"to the recorder at {to.connect}"
+            yield RunPath(publisher, publisher, publisher.drain, where, None, on_bus(bus))
     else:
         # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
         every_s = every_s or estimated_every_s(to.folder, run)
@@ -128,7 +132,7 @@ def path_to(
             on_document=on_document,
         ) as pipeline:  # fmt: skip
             where = f"recorded in this process to {to.folder}"
-            yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, to.folder)
+            yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, to.folder, pipeline.put_status)
 
 
 def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:

@@ -28,6 +28,7 @@ class ConsoleOperator:
         self._words: SimpleQueue[str] = SimpleQueue()
         self._paused = self._aborted = False
         self._done = 0
+        self.doing, self.left_s = "", 0.0  # what is being done, and how long the rest takes at the station
         self._asked: str | None = None
         self._reported_at = time.monotonic()
         self._progress = Progress(
@@ -76,6 +77,11 @@ class ConsoleOperator:
             )
         return False
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether the run was asked to pause."""
+        return self._paused
+
     def poll_request(self) -> str | None:
         """What was asked for by word or by signal."""
         self._read()
@@ -89,6 +95,7 @@ class ConsoleOperator:
 
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
         """Show the step, what is done, and the time left at the station."""
+        self.doing, self.left_s = doing, left_s
         self._total_s = max(self._total_s, left_s)
         minutes = round(left_s / 60.0)
         left = f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -55,10 +55,34 @@ class LimitReport:
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report = report
         self._decided: set[tuple[str, Limit, str]] = set()
+        self._looks: dict[str, dict[Limit, EarlyDecision]] = {}
         self.verdicts: dict[str, str] = {}
+
+    def so_far(self) -> dict[str, str]:
+        """Verdict of each unit, of those that go on what is decided early: FAIL, or PASS where all limits are."""
+        found = dict(self.verdicts)
+        for unit, looks in self._looks.copy().items():
+            outcomes = {each.outcome for each in looks.copy().values()}
+            if unit not in found and ("FAIL" in outcomes or outcomes == {"PASS"}):
+                found[unit] = "FAIL" if "FAIL" in outcomes else "PASS"
+        return found
+
+    def undecided(self) -> dict[str, int]:
+        """How many limits of each unit are not decided yet."""
+        looks = {unit: list(of.copy().values()) for unit, of in self._looks.copy().items() if unit not in self.verdicts}
+        return {unit: sum(each.outcome == "UNDECIDED" for each in of) for unit, of in looks.items()}
+
+    def forecast_s(self) -> float | None:
+        """Seconds of the record at which the last undecided limit is expected to be decided; None if not forecast."""
+        looks = [each for of in self._looks.copy().values() for each in of.copy().values()]
+        left = [each.forecast_s for each in looks if each.outcome == "UNDECIDED"]
+        known = [each for each in left if each is not None]
+        return max(known) if known and len(known) == len(left) else None
 
     def see(self, document: AnyDocument) -> None:
         """Take a document of the estimators; from their thread."""
+        if isinstance(document, EarlyDecision):
+            self._looks.setdefault(document.unit, {})[document.limit] = document
         if isinstance(document, EarlyDecision) and document.outcome != "UNDECIDED":
             decided = (document.unit, document.limit, document.outcome)
             if decided not in self._decided and document.looked_at_fraction < 1.0:

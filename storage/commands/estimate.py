@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import estimates_option, notes, print_json, reporting, store_option, until_stopped
+from stream.console import (
+    estimates_option,
+    notes,
+    print_json,
+    reporting,
+    status_listen_option,
+    store_option,
+    until_stopped,
+)
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:
@@ -33,10 +41,11 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option("--no-spectrum", is_flag=True, help="Omit the spectral density and its lines, a third of the work.")
 @estimates_option
+@status_listen_option
 @reporting
 def estimate(
     folder: Path, connect: str | None, every_s: float, averages_s: tuple[float, ...], checkpoint_every_s: float,
-    estimated: tuple[str, ...], *, no_spectrum: bool, as_json: bool,
+    estimated: tuple[str, ...], status_listen: str | None, *, no_spectrum: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Estimate bias stability, Allan deviation, spectrum and noise of the rates on the bus, until stopped.
 
@@ -51,6 +60,7 @@ def estimate(
     from stream.errors import BusError
     from stream.estimators.base import default_estimators
     from stream.estimators.bias_stability import BiasStability
+    from stream.status.reporter import served
     from stream.transport.zenoh_bus import ZenohBus
     from stream.worker.estimated_signals import EstimatedSignals
     from stream.worker.worker import EstimationWorker
@@ -91,7 +101,7 @@ def estimate(
             checkpoint=checkpoint, checkpoint_every_s=checkpoint_every_s, spectrum=not no_spectrum,
             estimated=EstimatedSignals.named(estimated),
         )  # fmt: skip
-        with worker:
+        with worker, served(status_listen, worker.status):
             resumed = f", resumed from {checkpoint}" if worker.resumed else ""
             console.print(f"estimating what arrives on {connect}{resumed}; Ctrl-C ends", soft_wrap=True)
             if log is None:

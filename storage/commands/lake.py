@@ -1,13 +1,13 @@
 """The commands `gyrofleet lake`, `gyrofleet rebuild` and `gyrofleet retain`."""
 
 import time
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, progress_bar, reporting, store_option, until_stopped
+from stream.console import notes, print_json, progress_bar, reporting, status_listen_option, store_option, until_stopped
 
 if TYPE_CHECKING:
     from storage.store import Store
@@ -31,19 +31,23 @@ _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw
 )  # fmt: skip
 @_older_than
 @_max_size
+@status_listen_option
 @reporting
 def lake(
-    folder: Path, grace_s: float, older_than: str | None, max_size: str | None, *, once: bool, as_json: bool
-) -> None:
+    folder: Path, grace_s: float, older_than: str | None, max_size: str | None, status_listen: str | None, *,
+    once: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Build the lake from sealed segments as they appear, until stopped.
 
     The parts of a finished day (UTC) are merged into one, small parts of the present day into few. With --older-than or
     --max-size raw rows are dropped as by `gyrofleet retain`.
     """
     from storage.lake.builder import builder_lock
+    from storage.recording.status_board import StatusBoard
     from storage.store import Store
     from storage.upkeep.service import LakeService
     from stream.errors import StoreError
+    from stream.status.reporter import StatusReporter, served
 
     console = notes()
     store = Store.open(folder)
@@ -55,9 +59,11 @@ def lake(
         else:
             console.print(text, soft_wrap=True, markup=False)
 
-    with builder_lock(store), until_stopped() as stopped:
+    with builder_lock(store), until_stopped() as stopped, ExitStack() as stack:
         service = LakeService(store, report=report, rule=rule, grace_s=grace_s)
         if not once:
+            stack.enter_context(served(status_listen, service.status))
+            stack.enter_context(StatusReporter(service.status, StatusBoard(store).put))
             report("building", f"building the lake of {folder} from sealed segments; Ctrl-C ends")
         while True:
             problems = service.round(stopped)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, reporting, store_option, until_stopped
+from stream.console import notes, print_json, reporting, status_listen_option, store_option, until_stopped
 
 if TYPE_CHECKING:
     from storage.recording.recorder import Recorder
@@ -38,16 +38,18 @@ _SILENCE_S = 30.0
     help="Milliseconds between fdatasync and acknowledgement.",
 )  # fmt: skip
 @click.option("--no-lake", is_flag=True, help="Leave the lake to a separate `gyrofleet lake`.")
+@status_listen_option
 @reporting
 def record(
-    folder: Path, listen: str | None, connect: str | None, rotate_mb: int, rotate_s: float, sync_ms: int, *,
-    no_lake: bool, as_json: bool,
+    folder: Path, listen: str | None, connect: str | None, rotate_mb: int, rotate_s: float, sync_ms: int,
+    status_listen: str | None, *, no_lake: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Record everything that sources send, until stopped."""
     from storage.log.event_log import EventLog
     from storage.recording.recorder import Recorder
     from storage.store import Store, WriterLock
     from stream.errors import BadInput, StoreError
+    from stream.status.reporter import served
     from stream.transport.zenoh_bus import DEFAULT_ENDPOINT, ZenohBus
 
     if listen and connect:
@@ -79,6 +81,7 @@ def record(
             Recorder(
                 store, bus, log, sync_interval_s=sync_ms / 1000, builds_lake=not no_lake, on_warning=warn
             ) as recorder,
+            served(status_listen, recorder.status),
         ):
             if as_json:
                 print_json({"event": "recording", "store": str(folder), "listen": endpoint})

@@ -196,7 +196,7 @@ def record_documents(
     with (
         WriterLock(store, role),
         LocalBus() as bus,
-        Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake),
+        Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake, reports_status=False),
     ):
         _send(bus, documents, place, store)
 

@@ -19,6 +19,7 @@ class DiskWatch:
         self._folder, self._disk = folder, disk
         space = disk.space(folder)
         self.reserve_bytes = min(_RESERVE_BYTES, int(_RESERVE_SHARE * space.total))
+        self.free_bytes = space.free  # at the last look
         self._looked_at = 0.0
         self._marks: list[tuple[float, int]] = []
         self._has_warned = False
@@ -29,6 +30,7 @@ class DiskWatch:
             return None, None
         self._looked_at = now
         space = self._disk.space(self._folder)
+        self.free_bytes = space.free
         room = f"{format_bytes(space.free)} free of {format_bytes(space.total)} on the disk of {self._folder}"
         if space.free < self.reserve_bytes:
             reserve = format_bytes(self.reserve_bytes)

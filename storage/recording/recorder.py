@@ -18,11 +18,14 @@ from storage.recording.intake import Intake
 from storage.recording.lake_builder import LakeBuilder
 from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
+from storage.recording.status_board import StatusBoard
 from storage.segments.disk import DISK, Disk
 from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
+from stream.status.reporter import StatusReporter
+from stream.status.role_status import STATUS_KEY, Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 
@@ -41,14 +44,16 @@ class Recorder(Closing):
     drops duplicates, requests a rewind if one is missing, and acknowledges after an fdatasync every `sync_interval_s`.
     Another thread builds the lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
 
-    `builds_lake` says whether this process builds the lake; `on_warning` gets messages for people: pauses, disk errors,
-    low disk space. `on_failure` is called once, when recording has ended by a failure.
+    `builds_lake` says whether this process builds the lake, `reports_status` whether it is a role of its own;
+    `on_warning` gets messages for people: pauses, disk errors, low disk space. `on_failure` is called once, when
+    recording has ended by a failure.
     """
 
     def __init__(
         self, store: Store, bus: Bus, log: EventLog, *, sync_interval_s: float = 0.1, builds_lake: bool = True,
         on_warning: Callable[[str], None] = lambda _text: None,
         on_failure: Callable[[GyrofleetError], None] = lambda _error: None, disk: Disk = DISK,
+        reports_status: bool = True,
     ) -> None:  # fmt: skip
         self._store, self._bus, self._log, self._sync_interval_s = store, bus, log, sync_interval_s
         self._warn, self._on_failure = on_warning, on_failure
@@ -63,6 +68,7 @@ class Recorder(Closing):
         self._state = threading.Condition()
         self._closing = False
         self._settle_wanted = self._settle_done = self._settle_from = self._received = self._processed = 0
+        self._arrived_ns = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
@@ -71,6 +77,20 @@ class Recorder(Closing):
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
         self._service = RecorderService(store, bus, self.settle)
+        board, self._began_ns = StatusBoard(store), time.time_ns()
+        bus.subscribe(STATUS_KEY, board.on_message)
+        self._status = StatusReporter(self.status, board.put) if reports_status else None
+
+    def status(self) -> RoleStatus:
+        """What is recorded since its start, and what keeps it from recording."""
+        counts, failure = self.counts, self.failure
+        state = RoleState.FAILED if failure else RoleState.PAUSED if self.paused else RoleState.WORKING
+        names = ("messages", "samples", "duplicates", "conflicts", "rejected", "left_to_sources", "interruptions")
+        numbers = {f"{name}_total": float(getattr(counts, name)) for name in (*names, "segments")}
+        numbers |= {"clock_steps_back_total": float(counts.backwards), "queue_bytes": float(self._incoming_bytes)}
+        numbers |= {"free_bytes": float(self._watch.free_bytes), "last_message_seconds": self._arrived_ns / 1e9}
+        trouble = str(failure) if failure else self.paused or ""
+        return new_status(Role.RECORD, self._began_ns, state=state, trouble=trouble, numbers=numbers)
 
     def end(self) -> None:
         """Write what has arrived and seal the log; `close` then completes the lake."""
@@ -85,6 +105,8 @@ class Recorder(Closing):
         self.end()
         if self._builder is not None:
             self._builder.close()
+        if self._status is not None:
+            self._status.close()
         if self.failure is not None:
             raise self.failure
 
@@ -127,7 +149,8 @@ class Recorder(Closing):
             if self._closing or self.paused is not None or self._incoming_bytes > _QUEUE_BYTES or self.failure:
                 self.counts.left_to_sources += 1
                 return  # not acknowledged: its source keeps it
-            self._incoming.append((key, payload, time.time_ns()))
+            self._arrived_ns = time.time_ns()
+            self._incoming.append((key, payload, self._arrived_ns))
             self._incoming_bytes += size
             self._received += 1
             if len(self._incoming) == 1:

@@ -23,3 +23,17 @@ def numbers(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
     if len(parts) == 1:
         return parts[0]
     return np.concatenate(parts) if parts else np.empty(0, column.type.to_pandas_dtype())
+
+
+def distinct_pairs(table: pa.Table, one: str, other: str) -> list[tuple[str, str]]:
+    """The different pairs of two columns of text without nulls, in their order.
+
+    `group_by` of pyarrow gives the same, but imports pandas first if that is installed.
+
+    >>> distinct_pairs(pa.table({"a": ["x", "x", "y"], "b": ["1", "1", "1"]}), "a", "b")
+    [('x', '1'), ('y', '1')]
+    """
+    left, right = (table[name].combine_chunks().dictionary_encode() for name in (one, other))
+    firsts, seconds = left.dictionary.to_pylist(), right.dictionary.to_pylist()
+    codes = np.unique(numbers(left.indices).astype(np.int64) * len(seconds) + numbers(right.indices))
+    return [(firsts[code // len(seconds)], seconds[code % len(seconds)]) for code in codes.tolist()]

@@ -9,6 +9,7 @@ from storage.store import Store
 from storage.upkeep.retention import Rule, apply_rule
 from stream.console import Stop
 from stream.errors import GyrofleetError, StoreError
+from stream.status.role_status import Role, RoleStatus, new_status
 
 _RETRY_S = 60.0
 _RETENTION_EVERY_S = 60.0
@@ -31,6 +32,13 @@ class LakeService:
         self._failed: dict[str, float] = {}
         self._reported: set[str] = set()
         self.segments = self.compacted = 0
+        self._began_ns = time.time_ns()
+        self._problems: list[str] = []
+
+    def status(self) -> RoleStatus:
+        """What was brought to the lake, and what failed in the last round."""
+        numbers = {"segments_total": float(self.segments), "compacted_total": float(self.compacted)}
+        return new_status(Role.LAKE, self._began_ns, trouble="; ".join(self._problems)[:4000], numbers=numbers)
 
     def round(self, stopped: Stop) -> list[str]:
         """Do everything that is due, until `stopped`; returns the failures."""
@@ -42,6 +50,7 @@ class LakeService:
                 step(stopped, problems)
             except (GyrofleetError, OSError) as error:
                 self._problem(problems, what, error)
+        self._problems = problems
         return problems
 
     def _build(self, stopped: Stop, problems: list[str]) -> None:

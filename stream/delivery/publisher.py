@@ -87,6 +87,11 @@ class DurablePublisher:
         return self._out.resent
 
     @property
+    def numbers(self) -> dict[str, float]:
+        """Messages that no recorder has acknowledged, and those sent again, for a status."""
+        return {"outstanding_messages": float(self.outstanding), "resent_total": float(self.resent)}
+
+    @property
     def warning(self) -> str | None:
         """Current warning, for people; None if there is none."""
         return (self._spool.failure if self._spool is not None else None) or self._out.warning

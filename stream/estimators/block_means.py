@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from stream.batch import FloatArray, IntArray, SampleBatch, checked_batch
+from stream.compiled import compiled
 from stream.errors import BadInput
 from stream.estimators.base import LEAST_SHARE
 
@@ -74,7 +74,7 @@ class BlockMeans:
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _close_blocks(
     block_ns: int, first_ns: int, dt_ns: int, times_ns: IntArray, values: FloatArray, index: int, total: float,
     count: int, blocks: IntArray, means: FloatArray,

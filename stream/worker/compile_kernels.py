@@ -3,13 +3,7 @@
 from contextlib import nullcontext
 from uuid import UUID
 
-import numpy as np
-
-from stream.batch import SampleBatch
 from stream.console import notes
-from stream.estimators.base import all_estimators
-from stream.estimators.block_means import BlockMeans
-from stream.estimators.noise.noise_kernel import descend, weighted_least_squares
 
 
 def compile_kernels(*, quiet: bool) -> None:
@@ -25,6 +19,13 @@ def warm_up() -> None:
     It is kept on disk beside the modules, or in the user's cache directory where that cannot be written; compiling
     takes some seconds, once an installation.
     """
+    import numpy as np
+
+    from stream.batch import SampleBatch
+    from stream.estimators.base import all_estimators
+    from stream.estimators.block_means import BlockMeans
+    from stream.estimators.noise.noise_kernel import descend, weighted_least_squares
+
     values = np.array([1.0, np.nan, 2.0, 4.0])
     times_ns = np.array([0, 1, 5, 6], np.int64) * 10**9
     regular = SampleBatch("unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values)

@@ -12,6 +12,8 @@ from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
 from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
+from stream.status.reporter import StatusReporter, on_bus
+from stream.status.role_status import Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId
 from stream.worker.checkpoint import generations, quarantine, read_checkpoint, write_checkpoint
@@ -77,14 +79,32 @@ class EstimationWorker(Closing):
         self.failure: GyrofleetError | None = None
         self.warnings: list[str] = []
         self.resumed = False if log is None else self._resume(log)
-        self._incoming: deque[tuple[str, bytes]] = deque()
+        self._incoming: deque[tuple[str, bytes, float]] = deque()  # key, payload, time.monotonic()
         self._incoming_bytes = 0
+        self._taken_at: float | None = None  # when the message in work arrived
         self._state = threading.Condition()
         self._closing = self._killed = False
+        self._began_ns = time.time_ns()
         self._thread = threading.Thread(target=self._loop, name="gyrofleet-estimators", daemon=True)
         # subscribed before the log is read, so that no message between the two is missed
         bus.subscribe(EVERYTHING, self._on_message)
         self._thread.start()
+        self._status = StatusReporter(self.status, on_bus(bus))
+
+    def status(self) -> RoleStatus:
+        """What is estimated since its start, and by how much it lags."""
+        counts, failure = self.counts, self.failure
+        numbers = {
+            f"{name}_total": float(getattr(counts, name)) for name in ("samples", "estimates", "lost", "recalled")
+        }
+        with self._state:
+            oldest = self._taken_at or (self._incoming[0][2] if self._incoming else None)
+            numbers["queue_bytes"] = float(self._incoming_bytes)
+        numbers["lag_seconds"] = 0.0 if oldest is None else time.monotonic() - oldest
+        state = RoleState.WORKING if failure is None else RoleState.FAILED
+        return new_status(
+            Role.ESTIMATE, self._began_ns, state=state, trouble="" if failure is None else str(failure), numbers=numbers
+        )
 
     def close(self) -> None:
         """Process what came, write a checkpoint, stop, and raise what had stopped it; unfinished runs resume."""
@@ -92,6 +112,7 @@ class EstimationWorker(Closing):
             self._closing = True
             self._state.notify_all()
         self._thread.join()
+        self._status.close()
         if self.failure is not None:
             raise self.failure
 
@@ -102,6 +123,7 @@ class EstimationWorker(Closing):
             self._incoming.clear()
             self._state.notify_all()
         self._thread.join()
+        self._status.kill()
 
     def wait_for_room(self) -> None:
         """Wait until the worker is not far behind; called by a source in the same process before it sends more."""
@@ -115,7 +137,7 @@ class EstimationWorker(Closing):
                 return
             if self._incoming_bytes > _MOST_BYTES:
                 return  # the gap in the numbers is counted as lost with the next batch of the signal
-            self._incoming.append((key, payload))
+            self._incoming.append((key, payload, time.monotonic()))
             self._incoming_bytes += queued_bytes(key, payload)
             if len(self._incoming) == 1:
                 self._state.notify_all()
@@ -170,14 +192,15 @@ class EstimationWorker(Closing):
             self._read_wait_s = _READ_AGAIN_S
             self._read_at = time.monotonic() + _READ_AGAIN_S
         take = self._estimation.take
-        for key, payload in taken:
+        for key, payload, self._taken_at in taken:
             if self._killed:
                 return False
             take(key, payload)
             if time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
         with self._state:
-            self._incoming_bytes -= sum(queued_bytes(key, payload) for key, payload in taken)
+            self._incoming_bytes -= sum(queued_bytes(key, payload) for key, payload, _ in taken)
+            self._taken_at = None
             self._state.notify_all()
             is_last = self._closing and not self._incoming
         if not is_last and time.monotonic() >= self._next_save:

@@ -1,6 +1,6 @@
 """Every role of a station killed again and again: is each sample recorded once, and is every estimate the same.
 
-``python tests/crash/kills.py --kills 200``. Router, recorder, builder of the lake, estimator and source run as
+``python -m tests.crash.kills --kills 200``. Router, recorder, builder of the lake, estimator and source run as
 processes of their own. One or another of them is killed with SIGKILL at random moments, and started again with the same
 command. Runs follow each other until the kills are done and the last run has ended. Then the store must be sound, and
 equal to one that the same runs were recorded to undisturbed, in one process: samples, documents and estimates.
@@ -9,15 +9,11 @@ equal to one that the same runs were recorded to undisturbed, in one process: sa
 import argparse
 import json
 import random
-import signal
-import socket
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +22,19 @@ import duckdb
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.worker.compile_kernels import compile_kernels
+from tests.crash.killed_station import (
+    READY,
+    ROLES,
+    UNITS,
+    Shape,
+    Start,
+    Station,
+    Wrong,
+    run_options,
+    run_to_end,
+    start_program,
+)  # fmt: skip
 
-ROLES = ("router", "record", "lake", "estimate", "run")
-READY = {"router": "routing", "record": '"recording"', "lake": "building", "estimate": "estimating"}
-UNITS = 2
-RATE_HZ = 1000.0
-HOURS = 0.5
-EVERY_S = 60.0  # as estimates come where all is in one process
-SAMPLES = UNITS * round(HOURS * 3600) * (round(RATE_HZ) + 1)  # of a run: its rates, and a temperature each second
-PATIENCE_S = 240.0
 _MOST_FAILURES = 5
 
 SAMPLE_COLUMNS = "unit, signal, run, epoch, seq, t_ns, counts, value, unit_of_measure, flags"
@@ -44,157 +44,19 @@ DOCUMENTS = (  # what a restart adds is not in an undisturbed store
 )
 
 
-class Wrong(Exception):
-    """Something is not as it must be."""
-
-
-class Station:
-    """The five roles of a store, each a process that is started again whenever it is not there."""
-
-    def __init__(self, folder: Path, rng: random.Random) -> None:
-        self.folder = folder
-        self.store = folder / "killed"
-        self.rng = rng
-        self.run = 1
-        self.finished: list[dict[str, Any]] = []
-        self.starts: Counter[str] = Counter()
-        self.kills: Counter[str] = Counter()
-        self.failures: list[str] = []
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self._endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._output: dict[str, Path] = {}
-        Store.create(self.store)
-
-    def command(self, role: str) -> list[str]:
-        """What is given to start a role."""
-        at, store = ("--connect", self._endpoint), ("--store", str(self.store))
-        options = {
-            "router": ("--listen", self._endpoint),
-            "record": (*at, *store, "--no-lake", "--rotate-mb", "2"),
-            "lake": store,
-            "estimate": (*at, *store, "--every", f"{EVERY_S:g}", "--checkpoint-every", "0.5"),
-            "run": (*run_options(self.run), *at, *store),
-        }
-        return gyrofleet("run-simulated" if role == "run" else role, *options[role], "--json")
-
-    def start(self, role: str) -> None:
-        """Start a role."""
-        self.starts[role] += 1
-        name = f"{role}-{self.starts[role]}"
-        self._output[role] = self.folder / f"{name}.out"
-        with self._output[role].open("wb") as out, (self.folder / f"{name}.err").open("wb") as err:
-            self._processes[role] = subprocess.Popen(self.command(role), stdout=out, stderr=err, cwd=self.folder)
-
-    def wait_until_ready(self, role: str) -> None:
-        """Wait until a role says that it is at work, or has ended."""
-        output = self._output[role]
-        deadline = time.monotonic() + 60.0
-        while READY[role] not in output.read_text() + output.with_suffix(".err").read_text():
-            if self._processes[role].poll() is not None:
-                return
-            if time.monotonic() > deadline:
-                raise Wrong(f"{role} does not start")
-            time.sleep(0.05)
-
-    def kill(self, role: str) -> None:
-        """End a role at once."""
-        self.kills[role] += 1
-        self._processes[role].kill()
-        self._processes[role].wait()
-
-    def look(self, *, goes_on: bool = True) -> bool:
-        """Start what has ended by itself, as a supervisor does; whether the run has ended, and no other is begun."""
-        for role, process in list(self._processes.items()):
-            code = process.poll()
-            if code is None:
-                continue
-            if role == "run" and code == 0:
-                self.finished.append(self._said(role))
-                if not goes_on:
-                    del self._processes[role]
-                    return True
-                self.run += 1
-            else:
-                reported = (
-                    self._output[role].with_suffix(".err").read_text()[-500:] + self._output[role].read_text()[-500:]
-                )
-                self.failures.append(f"{role} ended by itself with exit code {code}: {reported}")
-            self.start(role)
-        return False
-
-    def finish(self) -> None:
-        """Wait until the run has ended that goes on, and stop everything in its order."""
-        deadline = time.monotonic() + PATIENCE_S
-        while not self.look(goes_on=False):
-            if time.monotonic() > deadline:
-                raise Wrong(f"run-{self.run} has not ended after {PATIENCE_S:.0f} s without a kill")
-            time.sleep(0.05)
-        for role in ("estimate", "record", "router", "lake"):
-            self.stop(role)
-        run_to_end(gyrofleet("lake", "--store", self.store, "--once", "--json"), self.folder)
-
-    def _said(self, role: str) -> dict[str, Any]:
-        said: dict[str, Any] = json.loads(self._output[role].read_text().splitlines()[-1])
-        return said
-
-    def stop(self, role: str) -> None:
-        """End a role in order, once it says that it is at work."""
-        self.wait_until_ready(role)
-        process = self._processes.pop(role)
-        process.send_signal(signal.SIGINT)
-        code = process.wait(PATIENCE_S)
-        if code != 0:
-            reported = self._output[role].with_suffix(".err").read_text()[-2000:]
-            raise Wrong(f"{role} stopped with exit code {code}: {reported}")
-
-    def close(self) -> None:
-        """End whatever is left."""
-        for process in self._processes.values():
-            process.kill()
-            process.wait()
-
-
-def gyrofleet(*arguments: object) -> list[str]:
-    """The installed command with arguments."""
-    return [str(Path(sys.executable).with_name("gyrofleet")), *(str(each) for each in arguments)]
-
-
-def run_options(number: int) -> tuple[str, ...]:
-    """A run that is the same whenever and however often it is made."""
-    start = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(days=number)
-    shape = ("--simulate", str(UNITS), "--hours", f"{HOURS:g}", "--rate-hz", f"{RATE_HZ:g}", "--speed", "0")
-    return ("--run", f"run-{number}", "--seed", str(number), "--start", start.isoformat(), *shape)
-
-
-def run_to_end(command: list[str], folder: Path) -> Any:
-    """Run a command; what it says in its last line."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
-    if done.returncode != 0:
-        raise Wrong(f"{' '.join(command[1:])} ended with exit code {done.returncode}: {done.stdout} {done.stderr}")
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-def victims(rng: random.Random) -> Iterator[str]:
-    """Roles at random, all of them equally often in the long run."""
-    while True:
-        yield from rng.sample(ROLES, len(ROLES))
-
-
-def disturb(station: Station, kills: int, rng: random.Random) -> None:
+def disturb(station: Station, shape: Shape, kills: int, rng: random.Random) -> None:
     """Run a station under so many kills."""
     for role in ROLES:
         station.start(role)
         if role in READY:  # an estimator that never was takes no run that has ended
             station.wait_until_ready(role)
-    for _, role in zip(range(kills), victims(rng), strict=False):
-        until = time.monotonic() + rng.uniform(0.05, 1.5)
-        while (left_s := until - time.monotonic()) > 0:
-            station.look()
-            time.sleep(min(left_s, 0.05))
+    # at random, and all of them equally often in the long run
+    victims = chain.from_iterable(rng.sample(ROLES, len(ROLES)) for _ in count())
+    for role in islice(victims, kills):
+        station.wait_for_samples()
+        station.pass_time(rng.uniform(0.05, shape.kill_s))
         station.kill(role)
-        time.sleep(rng.uniform(0.0, 0.5))
+        time.sleep(rng.uniform(0.0, shape.kill_s / 3))
         station.start(role)
     station.finish()
 
@@ -228,32 +90,30 @@ def compare(killed: Catalog, whole: Catalog, runs: int) -> tuple[dict[str, int],
     return dict(rows), wrong
 
 
-def trial(folder: Path, kills: int, seed: int) -> dict[str, Any]:
+def trial(folder: Path, kills: int, seed: int, shape: Shape, start: Start) -> dict[str, Any]:
     """Kill so often, and hold what came of it against what would have been."""
     rng = random.Random(seed)
     began = time.monotonic()
-    station = Station(folder, rng)
+    station = Station(folder, shape, start)
     compile_kernels(quiet=True)  # else no estimator lives long enough to have them
     try:
-        disturb(station, kills, rng)
+        disturb(station, shape, kills, rng)
     finally:
         station.close()
     disturbed_s = time.monotonic() - began
     wrong = station.failures if len(station.failures) > _MOST_FAILURES else []
     runs = len(station.finished)
     for number in range(1, runs + 1):
-        run_to_end(gyrofleet("run-simulated", *run_options(number), "--store", folder / "whole", "--json"), folder)
+        run_to_end(start, folder, "run-simulated", *run_options(number, shape), "--store", folder / "whole")
     for store in (station.store, folder / "whole"):
-        verified = subprocess.run(gyrofleet("verify", "--store", store, "--json"), capture_output=True, text=True)
-        if verified.returncode != 0:
-            wrong.append(f"verify: {verified.stdout[-2000:]} {verified.stderr}")
+        run_to_end(start, folder, "verify", "--store", store)
     with Catalog(Store.open(station.store)) as killed, Catalog(Store.open(folder / "whole")) as whole:
         rows, different = compare(killed, whole, runs)
         ((recovered,),) = killed.rows("select count(*) from events where document->>'$.what' = 'segment_recovered'")
         ((twice,),) = killed.rows("select count(*) - count(distinct uid) from internal.lake_events")
     wrong += different
-    if rows.get("samples") != runs * SAMPLES:
-        wrong.append(f"{rows.get('samples')} samples, {runs} runs have {runs * SAMPLES}")
+    if rows.get("samples") != runs * shape.samples:
+        wrong.append(f"{rows.get('samples')} samples, {runs} runs have {runs * shape.samples}")
     wrong += [f"{role} was killed {station.kills[role]} times" for role in ROLES if 10 * station.kills[role] < kills]
     return {
         "kills": sum(station.kills.values()),
@@ -282,7 +142,7 @@ def main() -> None:
         folder = arguments.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            result = trial(folder.resolve(), arguments.kills, arguments.seed)
+            result = trial(folder.resolve(), arguments.kills, arguments.seed, Shape(), start_program)
         except Wrong as error:
             result = {"wrong": [str(error)]}
     if arguments.json:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(60, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.long)])
 def test_damage_at_any_place_is_found_and_mended(count: int) -> None:
     done = subprocess.run(
         [sys.executable, Path(__file__).with_name("damage.py"), "--count", str(count), "--seed", "20261121", "--json"],

@@ -12,7 +12,7 @@ import pytest
 
 RATE_HZ = 1000
 UNITS = 2
-SPEED = 75  # 150,000 samples a second
+SPEED = 75  # 150,000 samples a second; in the gate a third of them
 SLOW = """
 import sys, threading, time
 from stream.transport.zenoh_bus import ZenohBus
@@ -37,6 +37,7 @@ class Bench:
         self.start = start
         self.start_program = start_program
         self.free_endpoint = free_endpoint
+        self.speed = SPEED
         self._folder = folder
 
     def service(self, event: str, *arguments: object) -> Any:
@@ -45,12 +46,12 @@ class Bench:
         service.said(event)
         return service
 
-    def source(self, store: str, endpoint: str, lasts_s: float, speed: float) -> Any:
+    def source(self, store: str, endpoint: str, lasts_s: float, *, is_paced: bool = True) -> Any:
         """A run that lasts so long, or as many samples as fast as they go."""
-        hours = lasts_s * SPEED / 3600
+        hours = lasts_s * self.speed / 3600
         return self.service(
             "running", "run-simulated", "--run", "r1", "--simulate", UNITS, "--rate-hz", RATE_HZ, "--hours", hours,
-            "--speed", speed, "--store", self._folder / store, "--connect", endpoint,
+            "--speed", self.speed if is_paced else 0, "--store", self._folder / store, "--connect", endpoint,
         )  # fmt: skip
 
     def is_whole(self, store: str, lasts_s: float) -> None:
@@ -59,7 +60,7 @@ class Bench:
             "sql", "select count(*) as n, count(distinct (unit, t_ns)) as moments, count(distinct epoch) as epochs "
             "from samples where signal = 'rate'", "--json", "--store", store,
         ).json  # fmt: skip
-        n = UNITS * RATE_HZ * round(lasts_s * SPEED)
+        n = UNITS * RATE_HZ * round(lasts_s * self.speed)
         assert row == {"n": n, "moments": n, "epochs": UNITS}
         verified = self.gyrofleet("verify", "--json", "--store", store)
         assert verified.code == 0, verified.out
@@ -80,7 +81,7 @@ def stall(bench: Bench, stall_s: float, lasts_s: float) -> float:
     """Stop a recorder in mid-run for so long; how much later than due its source has everything recorded."""
     store, endpoint = f"stalled-{stall_s:g}", bench.free_endpoint()
     record = bench.service("recording", "record", "--listen", endpoint, "--store", store)
-    source = bench.source(store, endpoint, lasts_s, SPEED)
+    source = bench.source(store, endpoint, lasts_s)
     due = time.monotonic() + lasts_s
     time.sleep(1.5)
     record.send(signal.SIGSTOP)
@@ -101,7 +102,7 @@ def lose_router(bench: Bench, gone_s: float, lasts_s: float) -> float:
     store, endpoint = "routed", bench.free_endpoint()
     router = bench.service("routing", "router", "--listen", endpoint)
     record = bench.service("recording", "record", "--connect", endpoint, "--store", store)
-    source = bench.source(store, endpoint, lasts_s, SPEED)
+    source = bench.source(store, endpoint, lasts_s)
     due = time.monotonic() + lasts_s
     time.sleep(1.5)
     router.kill()
@@ -118,9 +119,13 @@ def lose_router(bench: Bench, gone_s: float, lasts_s: float) -> float:
 
 # 6 s and 30 s are beyond the 5 s after which Zenoh by itself gives up
 @pytest.mark.parametrize(
-    "stalls", [{6.0: 11.0}, pytest.param({1.0: 5.0, 6.0: 11.0, 30.0: 36.0}, marks=pytest.mark.long)]
+    ("stalls", "speed"),
+    [({6.0: 11.0}, SPEED // 3), pytest.param({1.0: 5.0, 6.0: 11.0, 30.0: 36.0}, SPEED, marks=pytest.mark.long)],
 )
-def test_stalls_of_a_recorder_and_the_loss_of_a_router_cost_nothing(bench: Bench, stalls: dict[float, float]) -> None:
+def test_stalls_of_a_recorder_and_the_loss_of_a_router_cost_nothing(
+    bench: Bench, stalls: dict[float, float], speed: int
+) -> None:
+    bench.speed = speed
     with ThreadPoolExecutor(4) as pool:
         waiting = [pool.submit(stall, bench, stall_s, lasts_s) for stall_s, lasts_s in stalls.items()]
         waiting.append(pool.submit(lose_router, bench, 10.0, 18.0))
@@ -143,12 +148,12 @@ def test_a_slow_consumer_beside_a_recorder_does_not_hold_it_up(bench: Bench) -> 
         if consumer is not None:
             consumer.until(lambda line: line == 0)
         began = time.monotonic()
-        source = bench.source(store, endpoint, lasts_s, 0)
+        source = bench.source(store, endpoint, lasts_s, is_paced=False)
         assert source.ended(120) == 0, source.errors
         seconds = time.monotonic() - began
         record.stop()
         said = record.said("ended")
-        assert said["samples"] == UNITS * (RATE_HZ + 1) * round(lasts_s * SPEED)
+        assert said["samples"] == UNITS * (RATE_HZ + 1) * round(lasts_s * bench.speed)
         if consumer is not None:
             assert 0 < consumer.lines[-1] <= seconds + 3, "the consumer was to be slow"
             consumer.kill()

@@ -16,18 +16,12 @@ UNITS = [f"FOG-02{n}" for n in range(31, 39)]
 
 
 @pytest.fixture(scope="module")
-def demo(
-    tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]
-) -> tuple[Path, dict[str, Any]]:
+def demo(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> tuple[Path, dict[str, Any]]:
     """A short demonstration: its store and its result."""
-    import json
-    import subprocess
-
     folder = tmp_path_factory.mktemp("demo")
-    command = command_line("demo", "--hours", "0.5", "--store", folder / "store", "--json")
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return folder / "store", json.loads(done.stdout)
+    done = run_command("demo", "--hours", "0.5", "--store", folder / "store", "--json", cwd=folder, timeout_s=300)
+    assert done.code == 0, done.err
+    return folder / "store", done.json
 
 
 def test_every_simulated_sample_is_in_the_lake_and_judged(

@@ -1,7 +1,11 @@
 """Units of measure: refused at the border with a hint, reported as the standards ask."""
 
+from itertools import permutations
+
+import pint
 import pytest
 
+from stream import quantities
 from stream.errors import BadInput, UnknownUnit
 from stream.identity import check_name, parse_key
 from stream.quantities import check_unit, conversion, is_angular_rate, report_unit
@@ -58,3 +62,26 @@ def test_names_of_the_floor_are_kept(name: str) -> None:
 def test_foreign_keys_are_told_apart(key: str) -> None:
     with pytest.raises(BadInput, match="not one of gyrofleet's"):
         parse_key(key)
+
+
+def test_known_units_are_converted_as_pint_does() -> None:
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    known = quantities._KNOWN
+    pairs = [pair for pair in permutations(known, 2) if known[pair[0]].quantity == known[pair[1]].quantity]
+    for source, target in pairs:
+        factor, offset = conversion(source, target)
+        for value in (0.0, 1.0, -40.0):
+            expected = registry.Quantity(value, source).to(target).magnitude
+            assert factor * value + offset == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert len(pairs) > 20
+
+
+def test_known_units_of_different_quantities_are_as_different_to_pint() -> None:
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    for source, target in permutations(quantities._KNOWN, 2):
+        try:
+            conversion(source, target)
+        except UnknownUnit:
+            assert not registry.is_compatible_with(source, target)
+        else:
+            assert registry.Unit(source).is_compatible_with(target)

@@ -23,7 +23,7 @@ from stream.quantities import conversion, is_angular_rate
 
 _DAY_NS = 86_400 * SECOND_NS
 _SETTLED = 1e-3
-_AT_REST_DEG_PER_S = 1e-3
+AT_REST_DEG_PER_S = 1e-3
 _BEYOND_NOISE = 3.0
 _BEYOND_USUAL = 10.0
 _AS_OFTEN = 1.05  # reference read this much less often than samples come may still cover the same times
@@ -93,9 +93,7 @@ def _at_ns(run: RunBlocks, seconds: FloatArray) -> IntArray:
 
 def is_steady(rate: Channel, commanded: FloatArray) -> BoolArray:
     """Mark blocks that lie in a step of one rate and measured that rate: a step begins when its rate has settled."""
-    return np.asarray(
-        np.abs(rate.mean - commanded) <= _SETTLED * np.abs(commanded) + _AT_REST_DEG_PER_S, dtype=np.bool_
-    )
+    return np.asarray(np.abs(rate.mean - commanded) <= _SETTLED * np.abs(commanded) + AT_REST_DEG_PER_S, dtype=np.bool_)
 
 
 def _slope(slot: IntArray, block_s: float, mean: FloatArray) -> FloatArray:
@@ -240,4 +238,4 @@ def _slope_of_line(x: FloatArray, y: FloatArray) -> float | None:
     """Slope of a line, None if x does not vary; near 0 for an axis perpendicular to the reference's own."""
     off = x - x.mean()
     squares = float(off @ off)
-    return float(off @ y) / squares if squares > 0 and np.ptp(x) > _AT_REST_DEG_PER_S else None
+    return float(off @ y) / squares if squares > 0 and np.ptp(x) > AT_REST_DEG_PER_S else None

@@ -7,6 +7,7 @@ import numpy as np
 
 from analytics.curves.isolated_outliers import isolated_outliers
 from analytics.loop.blocks import reduction_notes as notes_on
+from analytics.loop.blocks.derived import AT_REST_DEG_PER_S
 from analytics.loop.blocks.join import Outliers
 from analytics.loop.blocks.left_out import FAR_OUTSIDE, FEW_SAMPLES, NOT_RESOLVED, LeftOut, Loss, left_out
 from analytics.loop.blocks.record_checks import check_clocks
@@ -18,6 +19,7 @@ from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord
 from stream.batch import BoolArray
+from stream.quantities import conversion
 
 
 @dataclass
@@ -55,6 +57,19 @@ class UnitRun:
         return SignalRecord(unit, signal, self.name, measure, record.samples, record.irregular, record.kept_raw)
 
     @property
+    def is_turned(self) -> bool:
+        """Whether the unit is turned within the run, so that its rate leaves its neighbours without being wrong."""
+        turns = {(step.position, step.rate_command_deg_per_s, step.axis) for step in self.steps}
+        if len(turns) > 1:
+            return True
+        for name in ("input_rate", "table_rate"):
+            if (rate := self.blocks.channels.get(name)) is not None:
+                mean = rate.mean[np.isfinite(rate.mean)] * conversion(rate.unit_of_measure, "deg/s")[0]
+                if mean.size and np.ptp(mean) > AT_REST_DEG_PER_S:
+                    return True
+        return False
+
+    @property
     def has_power_on(self) -> bool:
         """Whether the time since power-on is known, or has no meaning."""
         return bool(self.power_on_ns) or "time_since_power_on" in self.blocks.channels or self.blocks.is_table
@@ -75,6 +90,7 @@ def notes_on_samples(
         run.name: found
         for run in runs
         if not run.record.is_rolled_up  # else a sample hardly changes its block
+        and not run.is_turned
         and (found := isolated_outliers(catalog, run.stored_signal)).is_worth_a_word
     }
     notes += notes_on.isolated(signal, isolated, len(runs))

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.distributions import chi_square_isf, normal_cdf
 from analytics.loop.effects.base import Effect, Shape
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
@@ -16,6 +15,7 @@ from analytics.loop.next_test.separation import DRAWS, FittedRecord, RivalFit, S
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.verdict.noise_agreement import NOISE_AVERAGES_S, NOISE_P_VALUE, NOISE_RATIO
 from analytics.loop.tracing.whitening.whitener import NoiseModel, Whitener
+from analytics.methods.distributions import chi_square_isf, normal_cdf
 from stream.batch import FloatArray
 
 AT_REST, DRIVEN = "at_rest", "driven"

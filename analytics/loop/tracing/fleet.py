@@ -9,7 +9,6 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.distributions import chi_square_sf, normal_sf
 from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
@@ -26,6 +25,7 @@ from analytics.loop.tracing.search.evidence import by_replicate
 from analytics.loop.tracing.search.screening import candidates_for
 from analytics.loop.tracing.verdict.conclusion import denied, verdict_of
 from analytics.loop.tracing.verdict.effect_findings import findings
+from analytics.methods.distributions import chi_square_sf, normal_sf
 from stream.batch import FloatArray
 
 FALSE_DISCOVERIES = 0.05

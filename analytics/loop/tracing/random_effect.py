@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 from scipy import optimize
 
-from analytics.loop.distributions import chi_square_quantile, normal_log_density, student_quantile
+from analytics.methods.distributions import chi_square_quantile, normal_log_density, student_quantile
 from stream.batch import FloatArray
 
 _CONFIDENCE = 0.95

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm, shapiro
 
+from analytics.methods.distributions import chi_square_quantile, normal_quantile
 from analytics.trends.series import MetricSeries, parameter_text
 from analytics.trends.words import NotComputed, Words, not_computed, words
 from storage.specifications.specification import SpecificationLimit
@@ -117,6 +117,8 @@ def capability(
     share = None
     if uncertainty is not None and np.isfinite(uncertainty).all():
         share = min(1.0, float(np.mean(uncertainty**2)) / sigma**2)
+    from scipy.stats import shapiro  # slow to import
+
     chance = float(shapiro(values[:_MOST_FOR_SHAPIRO]).pvalue)
     return Capability(lower, upper, mean, sigma, n, cp, cpk_index(min(sides), n), share, chance)
 
@@ -124,13 +126,13 @@ def capability(
 def cp_index(cp: float, n: int) -> Index:
     """Cp with its bounds."""
     tail = (1 - _CONFIDENCE) / 2
-    lo, hi = (cp * math.sqrt(float(chi2.ppf(p, n - 1)) / (n - 1)) for p in (tail, 1 - tail))
+    lo, hi = (cp * math.sqrt(float(chi_square_quantile(p, n - 1)) / (n - 1)) for p in (tail, 1 - tail))
     return Index(cp, lo, hi)
 
 
 def cpk_index(cpk: float, n: int) -> Index:
     """Cpk with its bounds."""
-    half = float(norm.ppf((1 + _CONFIDENCE) / 2)) * math.sqrt(1 / (9 * n) + cpk**2 / (2 * (n - 1)))
+    half = normal_quantile((1 + _CONFIDENCE) / 2) * math.sqrt(1 / (9 * n) + cpk**2 / (2 * (n - 1)))
     return Index(cpk, cpk - half, cpk + half)
 
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from analytics.methods.distributions import student_sf
 from analytics.trends.charts.control_chart import Spread, centre_and_sigma
 from analytics.trends.words import words
 from stream.batch import FloatArray, IntArray
@@ -130,7 +130,7 @@ def wild_point_chance(values: FloatArray) -> float:
     largest = float(np.max(deviations**2)) * n / (n - 1)
     rest = max(squares - largest, 1e-30 * squares)
     distance = np.sqrt(largest * (n - 2) / rest)
-    return float(min(1.0, 2 * n * student.sf(distance, n - 2)))
+    return min(1.0, 2 * n * student_sf(distance, n - 2))
 
 
 @lru_cache(maxsize=64)

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, minimize
-from scipy.stats import chi2
-from scipy.stats import t as student
 
+from analytics.methods.distributions import chi_square_quantile, student_quantile, student_sf
 from stream.batch import FloatArray, IntArray
 
 _CONFIDENCE = 0.95
@@ -191,7 +190,7 @@ class MixedModel:
 
     def _profile(self, index: int) -> ComponentDeviation:
         at = self._optimum
-        rise = float(chi2.ppf(_CONFIDENCE, 1))
+        rise = float(chi_square_quantile(_CONFIDENCE, 1))
         least = self._deviance(at)
 
         def above(log: float) -> float:
@@ -212,8 +211,8 @@ def paired_difference(differences: FloatArray) -> ContrastEstimate:
 
 
 def _estimate(value: float, error: float, freedom: float) -> ContrastEstimate:
-    half = float(student.ppf((1 + _CONFIDENCE) / 2, freedom)) * error
-    chance = float(2 * student.sf(abs(value) / error, freedom)) if error > 0 else float(value == 0)
+    half = float(student_quantile((1 + _CONFIDENCE) / 2, freedom)) * error
+    chance = 2 * student_sf(abs(value) / error, freedom) if error > 0 else float(value == 0)
     return ContrastEstimate(value, value - half, value + half, error, freedom, chance)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.optimize import brentq
 from scipy.special import stdtr
-from scipy.stats import t as student
 
+from analytics.methods.distributions import student_quantile
 from analytics.trends.charts.control_chart import MEDIAN_RANGE
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
@@ -151,7 +151,7 @@ def _located(values: FloatArray, first: int, at: int, last: int, sigma: float, f
     sizes = right - left
     mean = float(weight @ sizes)
     variance = float(weight @ (sigma**2 * (1 / before + 1 / (n - before)) + (sizes - mean) ** 2))
-    half = float(student.ppf((1 + _CONFIDENCE) / 2, max(freedom, 1))) * math.sqrt(variance)
+    half = float(student_quantile((1 + _CONFIDENCE) / 2, max(freedom, 1))) * math.sqrt(variance)
     earliest, latest = first + 1 + int(within.min()), first + 1 + int(within.max())
     return ChangePoint(at, earliest, latest, float(sizes[at - first - 1]), mean - half, mean + half)
 

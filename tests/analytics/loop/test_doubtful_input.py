@@ -114,6 +114,17 @@ def test_isolated_outliers_that_raise_n_are_reported(gyrofleet: Callable[..., An
     assert "2 samples of rate are isolated outliers in 1 of 2 runs (struck)" in text
 
 
+@pytest.mark.parametrize("is_recorded", [True, False])
+def test_a_turn_of_the_table_is_no_outlier(tested: TestedUnits, is_recorded: bool) -> None:
+    rng = np.random.default_rng(7)
+    turned = np.zeros(N_SAMPLES)
+    turned[N_SAMPLES // 3] = turned[2 * N_SAMPLES // 3] = 0.5
+    rate = 3600.0 * turned + rng.normal(0.0, 1.0, N_SAMPLES)
+    channels = {"table_rate": (turned, "deg/s")} if is_recorded else {}
+    one_hertz(tested, "r1", rate=(rate, "deg/h"), **channels)
+    assert bool(reported(tested, "outliers")) is not is_recorded
+
+
 @pytest.mark.parametrize("part", [0.5, 1.0])
 def test_rates_that_are_polled_too_seldom_forbid_to_say_that_nothing_is_missing(
     tested: TestedUnits, part: float

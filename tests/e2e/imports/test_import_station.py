@@ -1,6 +1,5 @@
 """Files that say where they were measured and what they are: --station, --latitude, --time-zone, --procedure."""
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -8,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from gyrofleet import main
+from tests.conftest import Outcome
 
 EARTH_DEG_PER_H = 15.041067 * math.sin(math.radians(39.9))
 STATION = """
@@ -36,14 +34,13 @@ def still(path: Path, bias_deg_per_h: float, seconds: int = 3600, seed: int = 1)
 
 
 @pytest.fixture(scope="module")
-def ask(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Result]:
+def ask(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Outcome]) -> Callable[..., Outcome]:
     """A store with a unit of a station that is known, one without a latitude, and one whose station is stated later."""
     here = tmp_path_factory.mktemp("stations")
 
-    def ask(*words: object, code: int = 0) -> Result:
-        paths = [str(here / str(word)) if str(word).endswith((".csv", ".toml")) else str(word) for word in words]
-        done = CliRunner().invoke(main, [*paths, "--store", str(here / "S")])
-        assert done.exit_code == code, (done.output, done.exception)
+    def ask(*words: object, code: int = 0) -> Outcome:
+        done = run_command(*words, "--store", "S", cwd=here)
+        assert done.code == code, (done.out, done.err)
         return done
 
     (here / "bench.toml").write_text(STATION)
@@ -55,19 +52,24 @@ def ask(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Result]:
     return ask
 
 
-def biases(ask: Callable[..., Result], unit: str) -> dict[str, dict[str, Any]]:
-    rows = json.loads(ask("metrics", "--metric", "bias", "--unit", unit, "--json").stdout)
+def both(done: Outcome) -> str:
+    """All that a command says."""
+    return done.out + done.err
+
+
+def biases(ask: Callable[..., Outcome], unit: str) -> dict[str, dict[str, Any]]:
+    rows = ask("metrics", "--metric", "bias", "--unit", unit, "--json").json
     return {row["parameters"]["earth_rate"]: row for row in rows}
 
 
-def test_the_earth_rate_is_removed_where_the_station_is_known(ask: Callable[..., Result]) -> None:
+def test_the_earth_rate_is_removed_where_the_station_is_known(ask: Callable[..., Outcome]) -> None:
     found = biases(ask, "U-KNOWN")
     assert found["none"]["value"] == pytest.approx(1.0 + EARTH_DEG_PER_H, abs=0.01)
     assert found["removed"]["value"] == pytest.approx(1.0, abs=0.01)
     assert found["removed"]["standard"] == "JJF2014"
 
 
-def test_without_a_latitude_the_corrected_value_of_that_unit_is_missing(ask: Callable[..., Result]) -> None:
+def test_without_a_latitude_the_corrected_value_of_that_unit_is_missing(ask: Callable[..., Outcome]) -> None:
     found = biases(ask, "U-UNKNOWN")
     assert found["none"]["value"] == pytest.approx(2.0 + EARTH_DEG_PER_H, abs=0.01)
     assert found["removed"]["value"] is None
@@ -75,45 +77,43 @@ def test_without_a_latitude_the_corrected_value_of_that_unit_is_missing(ask: Cal
     assert biases(ask, "U-KNOWN")["removed"]["value"] is not None
 
 
-def test_days_are_those_of_the_station(ask: Callable[..., Result]) -> None:
-    rows = json.loads(ask("sql", "select unit, day::varchar as day from bias_by_day order by unit", "--json").stdout)
+def test_days_are_those_of_the_station(ask: Callable[..., Outcome]) -> None:
+    rows = ask("sql", "select unit, day::varchar as day from bias_by_day order by unit", "--json").json
     days = {row["unit"]: row["day"] for row in rows}
     assert (days["U-KNOWN"], days["U-UNKNOWN"]) == ("2026-01-06", "2026-01-05")
-    (run,) = json.loads(ask("sql", "select site, station from runs where run = 'known'", "--json").stdout)
+    (run,) = ask("sql", "select site, station from runs where run = 'known'", "--json").json
     assert (run["site"], run["station"]) == ("plant", "bench-7")
-    (gravity,) = json.loads(
-        ask("sql", "select any_value(gravity_m_per_s2) as g from step_means where run = 'known'", "--json").stdout
-    )
+    (gravity,) = ask(
+        "sql", "select any_value(gravity_m_per_s2) as g from step_means where run = 'known'", "--json"
+    ).json
     assert gravity["g"] == pytest.approx(9.8015, abs=1e-4)
 
 
 @pytest.mark.long
-def test_what_was_left_out_is_stated_by_the_same_command(ask: Callable[..., Result]) -> None:
+def test_what_was_left_out_is_stated_by_the_same_command(ask: Callable[..., Outcome]) -> None:
     reported = ask("metrics", "--unit", "U-LATER", code=1)
-    assert "has samples, but no completed step says what was measured: import its files again" in reported.output
+    assert "has samples, but no completed step says what was measured: import its files again" in reported.err
     later = ("import", "later.csv", "--unit", "U-LATER", "--start", START)
-    assert "No step says what was measured" in ask(*later).output
-    assert "stored already; 1 step in the store says what was measured." in ask(*later, *UP).output
-    assert "No step says what was measured" not in ask(*later).output
+    assert "No step says what was measured" in both(ask(*later))
+    assert "stored already; 1 step in the store says what was measured." in both(ask(*later, *UP))
+    assert "No step says what was measured" not in both(ask(*later))
     assert biases(ask, "U-LATER")["removed"]["value"] is None
     reported = ask(*later, "--procedure", "static_bias", "--position", "IRA_east", code=1)
-    assert "has a step there already, with position IRA_up; what is recorded stays" in reported.output
+    assert "has a step there already, with position IRA_up; what is recorded stays" in reported.err
     ask(*later, *UP, "--latitude", "39.9", "--time-zone", "Asia/Shanghai")
     assert biases(ask, "U-LATER")["removed"]["value"] == pytest.approx(3.0, abs=0.01)
-    (day,) = json.loads(
-        ask("sql", "select day::varchar as day from bias_by_day where unit = 'U-LATER'", "--json").stdout
-    )
+    (day,) = ask("sql", "select day::varchar as day from bias_by_day where unit = 'U-LATER'", "--json").json
     assert day["day"] == "2026-01-06"
     # what was said stays, unless it is corrected on purpose
     reported = ask(*later, *UP, "--latitude", "0", code=1)
-    assert "stored with latitude_deg 39.9, now it is 0; what is stored stays" in " ".join(reported.output.split())
+    assert "stored with latitude_deg 39.9, now it is 0; what is stored stays" in " ".join(reported.err.split())
     assert biases(ask, "U-LATER")["removed"]["value"] == pytest.approx(3.0, abs=0.01)
     ask(*later, *UP, "--latitude", "0", "--restate")
     assert biases(ask, "U-LATER")["removed"]["value"] == pytest.approx(3.0 + EARTH_DEG_PER_H, abs=0.01)
     stated = "select count(*) as n from events where kind = 'StationStated'"
-    (before,) = json.loads(ask("sql", stated, "--json").stdout)
+    (before,) = ask("sql", stated, "--json").json
     ask(*later, *UP, "--latitude", "0")
-    assert json.loads(ask("sql", stated, "--json").stdout) == [before] == [{"n": 2}]
+    assert ask("sql", stated, "--json").json == [before] == [{"n": 2}]
 
 
 @pytest.mark.parametrize(
@@ -125,22 +125,22 @@ def test_what_was_left_out_is_stated_by_the_same_command(ask: Callable[..., Resu
         (("--station", "bench.toml", "--site", "other"), "says 'plant'; leave out --site"),
     ],
 )
-def test_a_place_that_is_none_is_refused(ask: Callable[..., Result], words: tuple[str, ...], said: str) -> None:
+def test_a_place_that_is_none_is_refused(ask: Callable[..., Outcome], words: tuple[str, ...], said: str) -> None:
     done = ask("import", "known.csv", "--unit", "U9", *words, code=1)
-    assert said in done.output
+    assert said in done.err
 
 
-def test_words_that_a_column_says_too_are_refused(ask: Callable[..., Result], tmp_path: Path) -> None:
+def test_words_that_a_column_says_too_are_refused(ask: Callable[..., Outcome], tmp_path: Path) -> None:
     path = tmp_path / "both.csv"
     path.write_text("time[s],rate[deg/h],procedure\n0,1,allan_variance\n1,1,allan_variance\n")
     done = ask("import", path, "--unit", "U9", "--procedure", "static_bias", code=1)
-    assert "--procedure is given, but a column 'procedure' says it too" in done.output
+    assert "--procedure is given, but a column 'procedure' says it too" in done.err
 
 
-def test_words_that_no_procedure_has_are_told(ask: Callable[..., Result]) -> None:
+def test_words_that_no_procedure_has_are_told(ask: Callable[..., Outcome]) -> None:
     known = ("import", "known.csv", "--unit", "U-WORDS", "--start", START)
-    assert "warning" not in ask(*known, "--run", "w1", *UP).output
-    reported = ask(*known, "--run", "w2", "--procedure", "static_bais", "--position", "IRA_sideways").output
+    assert "warning" not in both(ask(*known, "--run", "w1", *UP))
+    reported = ask(*known, "--run", "w2", "--procedure", "static_bais", "--position", "IRA_sideways").err
     assert "warning: --procedure static_bais is none of gyrofleet's" in reported
     assert ", did you mean static_bias? the step is judged by its position alone" in reported
     assert "warning: --position IRA_sideways is none of" in reported

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from gyrofleet import main
 
-UNITS, ON_BOTH, OFFSET = 300, 150, 0.05
+UNITS, ON_BOTH, DAYS, OFFSET = 120, 60, 3, 0.05
 Ask = Callable[..., Result]
 
 
@@ -29,11 +29,11 @@ def _write(path: Path, biases: dict[str, float], rng: np.random.Generator) -> No
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """300 units of a scatter of 0.1 deg/h, half of them on both stations, day after day."""
+    """120 units of a scatter of 0.1 deg/h, half of them on both stations, day after day."""
     here = tmp_path_factory.mktemp("trend")
     rng = np.random.default_rng(20260751)
     own = rng.normal(2.0, 0.1, UNITS)
-    days = [[unit for unit in range(UNITS) if unit % 5 == day] for day in range(5)]
+    days = [[unit for unit in range(UNITS) if unit % DAYS == day] for day in range(DAYS)]
     for day, units in enumerate(days):
         for station in (0, 1):
             chosen = [unit for unit in units if unit % 2 == station or unit < ON_BOTH]
@@ -113,8 +113,8 @@ def test_choices_narrow_the_values(ask: Ask) -> None:
     one = json.loads(ask("trend", "bias", "--unit", "FOG-0007", "--json").stdout)
     assert (one["by"], one["values"]) == ("unit", 2)
     assert "too little to judge" in "\n".join(each["en"] for each in one["report"])
-    late = json.loads(ask("trend", "bias", "--since", "2026-01-09", "--json").stdout)
-    assert late["units"] == UNITS // 5
+    late = json.loads(ask("trend", "bias", "--since", "2026-01-07", "--json").stdout)
+    assert late["units"] == UNITS // DAYS
     raw = json.loads(ask("trend", "bias", "--parameter", "earth_rate=none", "--json").stdout)
     assert raw["kind"]["parameters"]["earth_rate"] == "none"
 

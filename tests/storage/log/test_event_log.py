@@ -84,9 +84,9 @@ def test_no_byte_of_a_segment_changes_unseen_and_the_rest_is_saved(tmp_path: Pat
             assert len(found) >= len(records) - 2 * by_chunk
 
 
-@pytest.mark.parametrize(("each", "bits"), [(3, 1), pytest.param(1, 8, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("each", "bits"), [(9, 1), pytest.param(1, 8, marks=pytest.mark.long)])
 def test_no_bit_beside_the_contents_of_chunks_costs_another_chunk(tmp_path: Path, each: int, bits: int) -> None:
-    """Of every third byte one bit; in the long form every bit of every byte."""
+    """Of every ninth byte one bit; in the long form every bit of every byte."""
     store, records = written(tmp_path, syncs=3)
     (segment,) = store.log.glob("*.mcap")
     content = segment.read_bytes()

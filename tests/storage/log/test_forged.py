@@ -131,7 +131,7 @@ def test_a_number_that_comes_with_other_content_is_a_conflict_and_kept_beside(tm
     warnings: list[str] = []
     with (
         Recorder(store, bus, EventLog(store), sync_interval_s=0.01, on_warning=warnings.append) as recorder,
-        DurablePublisher(bus, resend_after_s=0.05, timeout_s=10.0) as publisher,
+        DurablePublisher(bus, resend_after_s=5.0, timeout_s=10.0) as publisher,
     ):
         publisher.send_batch(KEY, batch(0))
         publisher.drain()

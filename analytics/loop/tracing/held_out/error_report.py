@@ -6,7 +6,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from analytics.loop.distributions import f_quantile, normal_isf, student_quantile
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fit_with_training, fitted_error, information
 from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
@@ -18,6 +17,7 @@ from analytics.loop.tracing.whitening.noise_variance import (
     squares_spread,
     within_run_variance,
 )
+from analytics.methods.distributions import f_quantile, normal_isf, student_quantile
 from stream.batch import FloatArray, IntArray
 
 AVERAGING_S = (300.0, 1800.0, 3600.0)
@@ -198,7 +198,7 @@ def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGai
         return ErrorGain(fraction, None, None, count)
     left = gained - fraction * np.bincount(of_run, before**2)
     se = float(np.sqrt(count / (count - 1) * np.sum(left**2))) / squares
-    half = student_quantile(_CONFIDENCE, count - 1) * se
+    half = float(student_quantile(_CONFIDENCE, count - 1)) * se
     return ErrorGain(fraction, fraction - half, min(1.0, fraction + half), count)
 
 

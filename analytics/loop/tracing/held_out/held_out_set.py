@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from analytics.loop.distributions import chi_square_sf, normal_log_density
 from analytics.loop.effects.base import EffectKind
 from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -17,6 +16,7 @@ from analytics.loop.tracing.search.screening import effect_columns
 from analytics.loop.tracing.whitening.least_squares import Solution, fit_of_clusters, solve
 from analytics.loop.tracing.whitening.stack import Stack, UnitRecord
 from analytics.loop.tracing.whitening.white_variance import record_of
+from analytics.methods.distributions import chi_square_sf, normal_log_density
 from stream.batch import BoolArray, FloatArray
 
 IS_PRESENT = 1.64  # standard errors by which the slope has to exceed zero: 5 % one-sided

@@ -8,9 +8,9 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
-from analytics.loop.distributions import chi_square_sf
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
+from analytics.methods.distributions import chi_square_sf
 
 
 class EffectCoefficient(msgspec.Struct, frozen=True):

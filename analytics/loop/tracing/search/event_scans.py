@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, ndimage
 
-from analytics.loop.distributions import chi_square_quantile, chi_square_sf, normal_sf
 from analytics.loop.tracing.search.screening import family_p_value
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.whitener import Whitener
+from analytics.methods.distributions import chi_square_quantile, chi_square_sf, normal_sf
 from stream.batch import FloatArray
 
 LONGEST_PERIOD_BLOCKS = 80

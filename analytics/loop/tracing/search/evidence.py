@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from analytics.loop.distributions import chi_square_isf, chi_square_log_sf
 from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal, project, solve
+from analytics.methods.distributions import chi_square_isf, chi_square_log_sf
 from stream.batch import BoolArray, FloatArray, IntArray
 
 PRICE = 9.0  # multiplicity penalty of a candidate, in chi-square

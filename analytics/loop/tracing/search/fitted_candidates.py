@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from analytics.loop.distributions import chi_square_isf, chi_square_sf
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
@@ -26,6 +25,7 @@ from analytics.loop.tracing.search.evidence import (
 from analytics.loop.tracing.search.screening import Candidates, Screen, Screened, family_p_value, screen
 from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly
 from analytics.loop.tracing.whitening.stack import UnitRecord, as_array, from_array
+from analytics.methods.distributions import chi_square_isf, chi_square_sf
 from stream.batch import FloatArray
 
 ALPHA = 0.01  # family-wise error rate of the library, and of jumps

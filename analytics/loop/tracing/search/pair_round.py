@@ -10,7 +10,6 @@ from itertools import count
 import numpy as np
 from scipy import special
 
-from analytics.loop.distributions import chi_square_sf
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, noise_inflation, one_degree
@@ -24,6 +23,7 @@ from analytics.loop.tracing.search.screening import (
     pooled,
 )
 from analytics.loop.tracing.whitening.joint_fit import JointFit
+from analytics.methods.distributions import chi_square_sf
 from stream.batch import FloatArray
 
 PAIR_PRICE = 2 * PRICE + 6.0  # multiplicity penalty of a pair: that of each effect, and one for the number of pairs

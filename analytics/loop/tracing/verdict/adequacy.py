@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analytics.loop.distributions import chi_square_sf, normal_isf
 from analytics.loop.effects.base import EffectKind, coefficient_unit
 from analytics.loop.tracing.result.diagnosis_result import DetectionLimit
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -13,6 +12,7 @@ from analytics.loop.tracing.search.fitted_candidates import ALPHA
 from analytics.loop.tracing.search.screening import LEAST_LEFT, Candidates, pooled, tests_of_kind
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import solve
+from analytics.methods.distributions import chi_square_sf, normal_isf
 
 WRONG_FORM = 1e-4  # p-value below which the form of an effect is rejected
 _LEAST_INFORMATION = 0.01

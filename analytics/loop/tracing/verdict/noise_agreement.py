@@ -9,7 +9,6 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.distributions import chi_square_cdf, chi_square_isf, chi_square_sf
 from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effects
@@ -22,6 +21,7 @@ from analytics.loop.tracing.whitening.least_squares import fit
 from analytics.loop.tracing.whitening.noise_variance import correlated_variance
 from analytics.loop.tracing.whitening.stack import UnitRecord, as_array
 from analytics.loop.tracing.whitening.whitened_fit import evaluate
+from analytics.methods.distributions import chi_square_cdf, chi_square_isf, chi_square_sf
 from stream.batch import FloatArray
 
 FAR = 10.0  # ratio of the scatter of the runs to the noise of their means from which it is a finding

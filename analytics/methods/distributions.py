@@ -1,6 +1,6 @@
 """Tails and quantiles of chi-square, normal, Student's t and F, from `scipy.special`.
 
-The numbers are those of `scipy.stats`, whose import takes as long as a whole search.
+The numbers are those of `scipy.stats`, whose import takes longer than most commands.
 """
 
 import math
@@ -55,6 +55,11 @@ def normal_cdf(value: float) -> float:
     return float(special.ndtr(value))
 
 
+def normal_quantile(probability: float) -> float:
+    """The value that the standard normal distribution does not exceed with a probability."""
+    return float(special.ndtri(probability))
+
+
 def normal_isf(probability: float) -> float:
     """The value that the standard normal distribution exceeds with a probability."""
     return float(-special.ndtri(probability))
@@ -70,9 +75,18 @@ def student_sf(value: float, degrees: float) -> float:
     return float(special.stdtr(degrees, -value))
 
 
-def student_quantile(probability: float, degrees: float) -> float:
-    """The value that Student's t does not exceed with a probability."""
-    return float(special.stdtrit(degrees, probability))
+def student_quantile(probability: float, degrees: FloatArray | float) -> FloatArray:
+    """The value that Student's t does not exceed with a probability.
+
+    >>> round(float(student_quantile(0.975, 10)), 6)
+    2.228139
+    """
+    return np.asarray(special.stdtrit(degrees, probability))
+
+
+def f_sf(value: float, over: float, under: float) -> float:
+    """Probability that the ratio F, with degrees of freedom over and under the line, is more than a value."""
+    return float(special.fdtrc(over, under, value))
 
 
 def f_quantile(probability: float, over: float, under: float) -> float:

@@ -1,0 +1,1 @@
+"""Conditions that a rule can have, one a file."""

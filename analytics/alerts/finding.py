@@ -1,0 +1,57 @@
+"""What a condition finds, and what it looks at."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import msgspec
+
+from analytics.loop.bilingual import Bilingual
+from storage.recording.store_status import StoreStatus
+from storage.store import Store
+from stream.events import AnyDocument
+
+
+class Finding(NamedTuple):
+    """Something that a condition finds now.
+
+    A lasting one is found again and again while it lasts, by its `key`; an event once, by a key of its own.
+    """
+
+    key: str
+    subject: str
+    text: Bilingual
+    is_event: bool = False
+    unit: str | None = None
+
+
+@dataclass
+class UnitLife:
+    """What is known of a unit in a run that goes on."""
+
+    run: str
+    arrived_ns: int  # of its last sample, by this computer's clock
+    latest: dict[str, tuple[float, str]] = field(default_factory=dict)  # value and unit of measure by signal
+
+
+@dataclass
+class AlertView:
+    """What conditions look at: documents that are new, units of the runs at work, the roles."""
+
+    now_ns: int
+    began_ns: int  # since when the view is kept
+    documents: Sequence[AnyDocument]
+    units: Mapping[str, UnitLife]
+    commands_deg_c: Mapping[str, float]  # temperature that the step at work commands, by run
+    status: StoreStatus
+    damaged_bytes: Mapping[str, int]  # by segment of the log
+    store: Store
+    kept: dict[str, tuple[int, list[Finding]]]  # what a condition computed, and when (ns)
+
+
+class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
+    """Base class of conditions; fields of a subclass are the parameters of its rules."""
+
+    def findings(self, view: AlertView) -> Iterator[Finding]:
+        """What is found now."""
+        raise NotImplementedError

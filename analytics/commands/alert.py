@@ -1,0 +1,147 @@
+"""The commands `gyrofleet alert run`, `list`, `acknowledge` and `check`."""
+
+import sys
+import time
+from pathlib import Path
+
+import click
+
+from stream.command_group import CommandGroup
+from stream.console import notes, print_json, reporting, results, store_option, until_stopped
+from stream.errors import BadInput, NotFound
+from stream.result_table import ResultTable
+
+_EVERY_S = 1.0
+_rules_option = click.option(
+    "--rules", "rules_path", type=click.Path(path_type=Path), required=True, help="The rules, a TOML file."
+)
+
+
+@click.group("alert", cls=CommandGroup)
+def alert() -> None:
+    """Tell people by e-mail or webhook when something needs them; list alerts, take note of them."""
+
+
+@alert.command("run")
+@store_option
+@_rules_option
+@reporting
+def run(folder: Path, rules_path: Path, *, as_json: bool) -> None:
+    """Watch a store and send alerts, until stopped.
+
+    Each alert is sent once to each target, also when this command or the target was away meanwhile; raised, sent,
+    acknowledged and cleared alerts stand in the log (the view `events`).
+    """
+    from analytics.alerts.rules import load_rules
+    from analytics.alerts.service import AlertService
+    from storage.store import Store, only_one
+
+    rules, store = load_rules(rules_path), Store.open(folder)
+    (folder / "alerts").mkdir(exist_ok=True)
+
+    def report(text: str) -> None:
+        if as_json:
+            print_json({"event": "warning", "text": text})
+        else:
+            notes().print(text, soft_wrap=True, markup=False)
+
+    with (
+        only_one(folder / "alerts" / "run.lock", "gyrofleet alert run"),
+        until_stopped() as stopped,
+        AlertService(store, rules, report) as service,
+    ):
+        watching = f"watching {folder}: {len(rules.rules)} rules, {len(rules.targets)} targets; Ctrl-C ends"
+        if as_json:
+            print_json({"event": "watching", "rules": len(rules.rules), "targets": sorted(rules.targets)})
+        else:
+            notes().print(watching, soft_wrap=True)
+        while True:
+            service.look()
+            if stopped.wait(_EVERY_S):
+                break
+
+
+@alert.command("list")
+@store_option
+@click.option("--all", "is_all", is_flag=True, help="Those that have cleared or were acknowledged as well.")
+@reporting
+def list_alerts(folder: Path, *, is_all: bool, as_json: bool) -> None:
+    """List the alerts that are open, the newest first."""
+    from analytics.alerts.book import AlertBook
+    from storage.store import Store
+
+    found = AlertBook(Store.open(folder)).alerts()
+    shown = [each for each in found if is_all or (each.acknowledged_ns is None and each.cleared_ns is None)]
+    if as_json:
+        print_json(shown)
+        return
+    if not shown:
+        results().print("no alert is open")
+        return
+    table = ResultTable("id", "since", "severity", "rule", "text", "sent", "acknowledged")
+    for each in shown:
+        waiting = sum(delivery.sent_ns is None for delivery in each.deliveries)
+        sent = "all" if not waiting else f"{waiting} waiting"
+        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime((each.raised_ns or 0) / 1e9))
+        state = each.acknowledged_by or ("cleared" if each.cleared_ns else "")
+        table.add_row(each.id, since, each.severity, each.rule, each.text, sent, state)
+    results().print(table)
+
+
+@alert.command("acknowledge")
+@click.argument("alert_id", metavar="ID")
+@store_option
+@click.option("--by", required=True, help="Who takes note.")
+@click.option("--note", default="", help="What was done.")
+@reporting
+def acknowledge(alert_id: str, folder: Path, by: str, note: str, *, as_json: bool) -> None:
+    """Take note of an alert; it stands in the log who did."""
+    from analytics.alerts.book import AlertBook
+    from analytics.alerts.service import PLACE
+    from storage.recording.client import record_documents
+    from storage.store import Store
+    from stream.events import AlertAcknowledged
+
+    if not by.strip():
+        raise BadInput("--by is empty; say who takes note")
+    store = Store.open(folder)
+    known = {each.id for each in AlertBook(store).alerts()}
+    if alert_id not in known:
+        raise NotFound(f"there is no alert {alert_id!r} in {folder}; `gyrofleet alert list --all` has them")
+    document = AlertAcknowledged(run="", t_ns=time.time_ns(), alert=alert_id, by=by.strip()[:200], note=note[:1000])
+    record_documents(store, [document], role="gyrofleet alert acknowledge", place=PLACE, builds_lake=True)
+    if as_json:
+        print_json({"acknowledged": alert_id, "by": by.strip()})
+    else:
+        results().print(f"alert {alert_id} is acknowledged by {by.strip()}", markup=False)
+
+
+@alert.command("check")
+@_rules_option
+@click.option("--send", "is_sent", is_flag=True, help="Send a test message to every target.")
+@reporting
+def check(rules_path: Path, *, is_sent: bool, as_json: bool) -> None:
+    """Check a file of rules, and with --send whether the targets take messages."""
+    from analytics.alerts.rules import load_rules
+    from analytics.alerts.targets import Message, NotSent
+
+    rules = load_rules(rules_path)
+    failures: dict[str, str] = {}
+    text, text_zh = "This is a test of the alerts.", "这是一条测试告警。"
+    for name, target in rules.targets.items() if is_sent else ():
+        message = Message(
+            id=f"test{time.time_ns():x}"[:16], event="test", rule="test", severity="warning", subject="test", text=text,
+            text_zh=text_zh, raised_ns=time.time_ns(), store="",
+        )  # fmt: skip
+        try:
+            target.send(message)
+        except NotSent as error:
+            failures[name] = str(error)
+    if as_json:
+        names = [rule.name for rule in rules.rules]
+        print_json({"rules": names, "targets": sorted(rules.targets), "failures": failures})
+    else:
+        results().print(f"{len(rules.rules)} rules, {len(rules.targets)} targets: {rules_path} can be used")
+        for name, why in failures.items():
+            notes().print(f"target {name}: {why}", soft_wrap=True, markup=False)
+    sys.exit(1 if failures else 0)

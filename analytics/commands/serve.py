@@ -1,0 +1,81 @@
+"""The command `gyrofleet serve`: pages and an HTTP API over a store, for browsers and programs."""
+
+import secrets
+from pathlib import Path
+
+import click
+
+from analytics.serve.doors.roles import ROLES, Role
+from stream.console import notes, print_json, reporting, results, store_option
+
+
+@click.command("serve")
+@store_option
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8766,
+    show_default=True,
+    help="Port to listen on; 0 for a free one.",
+)
+@click.option(
+    "--token", envvar="GYROFLEET_TOKEN", metavar="TEXT",
+    help="Token of programs and for the first login, also as GYROFLEET_TOKEN; by default a new one is printed.",
+)  # fmt: skip
+@click.option(
+    "--token-role", type=click.Choice(ROLES),
+    help="What the holder of the token may do; by default all, with --users only read.",
+)  # fmt: skip
+@click.option(
+    "--users", "users_path", type=click.Path(path_type=Path, dir_okay=False),
+    help="File of users with roles, which `gyrofleet users add` writes.",
+)  # fmt: skip
+@click.option(
+    "--name", "names", multiple=True, metavar="HOST", help="Name by which browsers call this host; may be repeated."
+)
+@click.option("--certificate", type=click.Path(path_type=Path), help="Certificate chain for TLS, PEM.")
+@click.option("--key", type=click.Path(path_type=Path), help="Private key of the certificate, PEM.")
+@click.option("--trust-network", "trusts_network", is_flag=True, help="Listen beyond loopback without users or TLS.")
+@reporting
+def serve(
+    folder: Path, host: str, port: int, token: str | None, token_role: str | None, users_path: Path | None,
+    names: tuple[str, ...], certificate: Path | None, key: Path | None, *, trusts_network: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Serve pages and an HTTP API over a store, to browsers and programs; Ctrl-C ends it.
+
+    It listens on loopback and prints an address with a token that logs a browser in. Programs send the token as
+    `Authorization: Bearer TOKEN`; /api/openapi.json describes the API. With --users people log in by name.
+
+    \b
+    gyrofleet serve --store night
+    gyrofleet users add li --role engineer --users users.toml
+    gyrofleet serve --users users.toml --host 0.0.0.0 --certificate c --key k
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    import starlette  # noqa: F401  a sentence names the extra where it is absent
+    import uvicorn  # noqa: F401
+
+    from analytics.serve.server import serve as serve_store
+    from analytics.serve.settings import Settings
+    from storage.store import Store
+
+    store = Store.open(folder)
+    is_new = not token and users_path is None
+    role = token_role or ("approver" if users_path is None else "viewer")
+    settings = Settings(
+        host=host, port=port, token=token or (secrets.token_urlsafe(24) if is_new else ""), token_role=Role.named(role),
+        users_path=users_path, names=names, certificate=certificate, key=key, trusts_network=trusts_network,
+    )  # fmt: skip
+
+    def say(url: str) -> None:
+        login = f"{url}/login?token={settings.token}" if is_new else url
+        if as_json:
+            print_json({"event": "ready", "url": url, "login": login, "port": int(url.rpartition(":")[2])})
+        else:
+            results().print(f"serving {folder}: {login}", soft_wrap=True)
+
+    serve_store(store, settings, say)
+    if as_json:
+        print_json({"event": "ended"})
+    else:
+        notes().print("server ended")

@@ -1,0 +1,94 @@
+"""The commands `gyrofleet users`: who may log in to `gyrofleet serve`, and in which role."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from analytics.serve.doors.roles import ROLES, Role
+from stream.command_group import CommandGroup
+from stream.console import notes, print_json, reporting, results
+from stream.result_table import ResultTable
+
+_users_option = click.option(
+    "--users", "path", type=click.Path(path_type=Path, dir_okay=False), default="users.toml", show_default=True,
+    help="File of users.",
+)  # fmt: skip
+
+
+@click.group("users", cls=CommandGroup)
+def users() -> None:
+    """Users of `gyrofleet serve`: people with passwords, programs with tokens, and their roles.
+
+    A viewer reads and asks in SQL; an operator also enters notes and verifies the store; an engineer also diagnoses
+    and puts error models to use; an approver also approves. A server reads the file again when it changes.
+    """
+
+
+@users.command("add")
+@click.argument("name")
+@click.option("--role", type=click.Choice(ROLES), required=True, help="What the user may do.")
+@click.option("--program", is_flag=True, help="A program: a new token is printed, and stored nowhere.")
+@click.option("--password-stdin", is_flag=True, help="Read the password from standard input instead of asking for it.")
+@_users_option
+@reporting
+def add(name: str, role: str, path: Path, *, program: bool, password_stdin: bool, as_json: bool) -> None:
+    """Add a user, or give one another role and password."""
+    from analytics.serve.doors.users_file import add_person, add_program
+
+    found = {"user": name, "role": role, "users": str(path)}
+    if program:
+        token = add_program(path, name, Role.named(role))
+        if as_json:
+            print_json(found | {"token": token})
+        else:
+            notes().print(f"{name} is {role} in {path}; its token:")
+            results().print(token, soft_wrap=True)
+        return
+    if password_stdin:
+        password = sys.stdin.readline().rstrip("\r\n")
+    else:
+        password = click.prompt(f"password of {name}", hide_input=True, confirmation_prompt=True, err=True)
+    add_person(path, name, Role.named(role), password)
+    if as_json:
+        print_json(found)
+    else:
+        results().print(f"{name} is {role} in {path}")
+
+
+@users.command("list")
+@_users_option
+@reporting
+def list_users(path: Path, *, as_json: bool) -> None:
+    """List the users and their roles."""
+    from analytics.serve.doors.users_file import read_users
+    from stream.errors import NotFound
+
+    if not path.exists():
+        raise NotFound(f"there is no file {path}; `gyrofleet users add NAME --role ROLE` writes it")
+    rows = [
+        {"user": name, "role": user.role, "kind": "program" if user.token_sha256 else "person"}
+        for name, user in read_users(path).items()
+    ]
+    if as_json:
+        print_json(rows)
+        return
+    table = ResultTable("user", "role", "kind")
+    for row in rows:
+        table.add_row(*row.values())
+    results().print(table)
+
+
+@users.command("remove")
+@click.argument("name")
+@_users_option
+@reporting
+def remove(name: str, path: Path, *, as_json: bool) -> None:
+    """Remove a user; its sessions end."""
+    from analytics.serve.doors.users_file import remove_user
+
+    remove_user(path, name)
+    if as_json:
+        print_json({"removed": name, "users": str(path)})
+    else:
+        results().print(f"{name} is removed from {path}")

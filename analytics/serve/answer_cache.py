@@ -1,0 +1,53 @@
+"""Answers kept for the next who asks the same of the same version of the store; each is computed once."""
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+_MOST_BYTES = 64 << 20
+_LARGEST_SHARE = 8
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The body of an answer, and its media type."""
+
+    body: bytes
+    media_type: str
+
+
+class AnswerCache:
+    """Answers by key, the latest used of them up to 64 MiB; used from one event loop."""
+
+    def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
+        self._most_bytes = most_bytes
+        self._kept: OrderedDict[tuple[str, ...], Answer] = OrderedDict()
+        self._making: dict[tuple[str, ...], asyncio.Task[Answer]] = {}
+        self.bytes = self.hits = self.misses = 0
+
+    async def answer(self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]]) -> Answer:
+        """The kept answer, else the one that `make` gives; who asks meanwhile waits for the same."""
+        if (kept := self._kept.get(key)) is not None:
+            self._kept.move_to_end(key)
+            self.hits += 1
+            return kept
+        task = self._making.get(key)
+        if task is None:
+            self.misses += 1
+            task = asyncio.ensure_future(self._made(key, make))
+            self._making[key] = task
+        return await asyncio.shield(task)
+
+    async def _made(self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]]) -> Answer:
+        try:
+            answer = await make()
+        finally:
+            del self._making[key]
+        if len(answer.body) <= self._most_bytes // _LARGEST_SHARE:
+            self._kept[key] = answer
+            self.bytes += len(answer.body)
+            while self.bytes > self._most_bytes:
+                _, oldest = self._kept.popitem(last=False)
+                self.bytes -= len(oldest.body)
+        return answer

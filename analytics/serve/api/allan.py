@@ -1,0 +1,104 @@
+"""Allan deviation of a recorded signal, with its noise coefficients."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from analytics.serve.api.operation import Call, get
+from analytics.serve.api.rows import dictionaries, iso
+from storage.sql.reading import find_signal
+from stream.errors import NotFound
+
+if TYPE_CHECKING:
+    from analytics.curves.allan_curve import AllanCurve
+
+_LIVE = """
+select tau_s, value, lo, hi, edf, n, unit_of_measure, t_ns, final, samples, missing, sample_interval_s from estimates
+where unit = $unit and signal = $signal and run = $run and estimator = 'allan_deviation' and tau_s is not null
+qualify t_ns = max(t_ns) over () order by tau_s
+"""
+_FITTED = """
+select document from internal.lake_documents
+where kind = 'NoiseFitted' and run = $run and unit = $unit and document->>'$.signal' = $signal
+order by t_ns desc limit 1
+"""
+
+
+class AllanAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which curve: the last live estimate if there is one (`stored`), or computed from all samples (`samples`)."""
+
+    source: Literal["stored", "samples"] = "stored"
+
+
+class Allan(msgspec.Struct, frozen=True, kw_only=True):
+    """A curve: deviation at each averaging time with its 95 % bounds, in `unit_of_measure`.
+
+    `source` is ``live`` for estimates of the run, ``samples`` for those computed from all samples; `final` says whether
+    a live estimate is of the whole run. `noise` has the coefficients of IEEE 952 that were fitted when the run ended.
+    Without a curve, `reason` says why.
+    """
+
+    unit: str
+    run: str
+    signal: str
+    unit_of_measure: str
+    source: str
+    final: bool
+    t_ns: int | None
+    time: str | None
+    samples: int
+    missing: int
+    sample_interval_s: float
+    tau_s: list[float]
+    adev: list[float]
+    lo: list[float]
+    hi: list[float]
+    edf: list[float]
+    noise: dict[str, Any] | None
+    reason: str | None = None
+
+    def columns(self) -> Mapping[str, Sequence[Any]]:
+        """Its table, for Arrow and CSV."""
+        return {name: getattr(self, name) for name in ("tau_s", "adev", "lo", "hi", "edf")}
+
+
+@get("/api/allan/{unit}/{run}/{signal}", table="", is_slow=True)
+def allan(call: Call, asked: AllanAsked) -> Allan:
+    """Overlapping Allan deviation of a signal over averaging time, with 95 % confidence bounds."""
+    from analytics.curves.allan_curve import allan_curve
+
+    of = {name: call.path[name] for name in ("unit", "run", "signal")}
+    record = find_signal(call.views, of["unit"], of["signal"], of["run"])
+    fitted = call.views.rows(_FITTED, of)
+    noise = msgspec.json.decode(fitted[0][0]) if fitted else None
+    if asked.source == "stored" and (rows := dictionaries(call.views, _LIVE, of)):
+        return _stored(rows, of, noise)
+    try:
+        curve = allan_curve(call.views, of["unit"], of["signal"], of["run"])
+    except NotFound as error:  # too few samples, or dropped ones
+        return Allan(
+            **of, unit_of_measure=record.unit_of_measure, source="samples", final=True, t_ns=None, time=None,
+            samples=record.samples, missing=0, sample_interval_s=0.0, tau_s=[], adev=[], lo=[], hi=[], edf=[],
+            noise=noise, reason=str(error),
+        )  # fmt: skip
+    return _of_samples(curve, of, noise)
+
+
+def _stored(rows: list[dict[str, Any]], of: dict[str, str], noise: dict[str, Any] | None) -> Allan:
+    last = rows[0]
+    columns: dict[str, Any] = {name: [row[name] for row in rows] for name in ("tau_s", "lo", "hi", "edf")}
+    about = {
+        name: last[name] for name in ("unit_of_measure", "samples", "missing", "sample_interval_s", "t_ns", "final")
+    }
+    adev = [row["value"] for row in rows]
+    return Allan(**(of | about | columns), adev=adev, source="live", time=iso(last["t_ns"]), noise=noise)
+
+
+def _of_samples(curve: "AllanCurve", of: dict[str, str], noise: dict[str, Any] | None) -> Allan:
+    return Allan(
+        **of, unit_of_measure=curve.unit_of_measure, source="samples", final=True, t_ns=None, time=None,
+        samples=curve.samples, missing=curve.missing, sample_interval_s=curve.sample_interval_s,
+        tau_s=list(curve.tau_s), adev=list(curve.adev), lo=list(curve.lo), hi=list(curve.hi), edf=list(curve.edf),
+        noise=noise,
+    )  # fmt: skip

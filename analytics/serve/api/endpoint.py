@@ -1,0 +1,126 @@
+"""An operation as a route: who may, what is asked, the kept answer or a new one, its form."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+from urllib.parse import urlencode
+
+import anyio
+import anyio.to_thread
+import msgspec
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from analytics.serve.answer_cache import Answer
+from analytics.serve.api.encoding import Form, encoded, form_of
+from analytics.serve.api.operation import Call, Operation
+from analytics.serve.doors.admission import admitted, check_change
+from analytics.serve.problems import TooLarge
+from analytics.serve.service import Service
+from analytics.serve.shared_lake import LakeState
+from stream.errors import BadInput, GyrofleetError
+
+MOST_BODY_BYTES = 1 << 20
+_FORMAT = "format"
+
+
+def route(operation: Operation[Any, Any], service: Service) -> Route:
+    """The route of an operation."""
+    respond = functools.partial(_respond, operation=operation, service=service)
+    return Route(operation.path, respond, methods=[operation.method], name=operation.name)
+
+
+def forms_of(operation: Operation[Any, Any]) -> list[Form]:
+    """Forms in which an operation answers."""
+    return [Form.JSON] if operation.table is None else [Form.JSON, Form.ARROW, Form.CSV]
+
+
+async def _respond(request: Request, *, operation: Operation[Any, Any], service: Service) -> Response:
+    person = admitted(request.scope, operation.role)
+    named, form = None, Form.JSON
+    if operation.method == "POST":
+        check_change(request.scope, request.headers.get("x-csrf-token"))
+        asked: msgspec.Struct = body_of(await limited_body(request), operation.asked)
+        named = getattr(asked, _FORMAT, None)
+        if hasattr(operation.asked, _FORMAT):
+            form = form_of(request.headers.get("accept", ""), named, list(Form))
+    else:
+        asked, others = query_of(request, operation.asked, (_FORMAT,))
+        named = others.get(_FORMAT)
+        form = form_of(request.headers.get("accept", ""), named, forms_of(operation))
+    state = await anyio.to_thread.run_sync(service.lake.state, limiter=service.fast, abandon_on_cancel=True)
+    call = functools.partial(Call, service, person, path=dict(request.path_params), url=url_of(request))
+
+    def answer(state: LakeState) -> Answer:
+        with call(state) as leased:
+            return encoded(operation(leased, asked), form, operation.table)
+
+    limiter = service.slow if operation.is_slow else service.fast
+    compute = functools.partial(computed, service, state, answer, limiter)
+    if not operation.is_kept:
+        made = await compute()
+        return Response(made.body, operation.status, media_type=made.media_type)
+    tag = f'"{service.nonce}-{state.tag}-{form}"'
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Accept"}
+    if tag in {each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")}:
+        return Response(status_code=304, headers=headers)
+    made = await service.cache.answer((url_of(request), form, state.tag), compute)
+    return Response(made.body, operation.status, headers, made.media_type)
+
+
+async def computed(
+    service: Service, state: LakeState, answer: Callable[[LakeState], Answer], limiter: anyio.CapacityLimiter
+) -> Answer:
+    """Compute an answer in a thread; once more if the lake has changed under it."""
+    run = functools.partial(anyio.to_thread.run_sync, limiter=limiter, abandon_on_cancel=True)
+    try:
+        return await run(answer, state)
+    except GyrofleetError:
+        fresh = await run(service.lake.state)
+        if fresh.number == state.number:
+            raise
+        return await run(answer, fresh)
+
+
+async def limited_body(request: Request) -> bytes:
+    """The body of a request; TooLarge if it has more than 1 MiB."""
+    content = bytearray()
+    async for piece in request.stream():
+        content += piece
+        if len(content) > MOST_BODY_BYTES:
+            raise TooLarge(f"the request has more than {MOST_BODY_BYTES:,} bytes")
+    return bytes(content)
+
+
+def body_of(content: bytes, kind: type[Any]) -> Any:
+    """A body in JSON; BadInput names the field that is not right."""
+    try:
+        return msgspec.json.decode(content or b"{}", type=kind)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise BadInput(f"the body is not what is expected: {error}") from error
+
+
+def query_of(request: Request, kind: type[Any], others: Sequence[str]) -> tuple[Any, dict[str, str]]:
+    """Parameters of a request, and those of the names `others`; BadInput names the one that is not right."""
+    fields = {each.encode_name: each for each in msgspec.structs.fields(kind)}
+    given: dict[str, Any] = {}
+    for name, value in request.query_params.multi_items():
+        if name in fields and getattr(fields[name].type, "__origin__", None) is tuple:
+            given.setdefault(name, []).append(value)
+        elif name in given:
+            raise BadInput(f"parameter {name} is given twice")
+        else:
+            given[name] = value
+    apart = {name: given.pop(name) for name in others if name in given}
+    try:
+        return msgspec.convert(given, kind, strict=False), apart
+    except msgspec.ValidationError as error:
+        known = ", ".join([*fields, *others])
+        raise BadInput(f"a parameter is not what is expected: {error}; there are {known}") from error
+
+
+def url_of(request: Request) -> str:
+    """Path and parameters of a request but its language, which the API has not."""
+    query = urlencode([pair for pair in request.query_params.multi_items() if pair[0] != "lang"])
+    return f"{request.url.path}?{query}" if query else request.url.path

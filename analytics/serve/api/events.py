@@ -1,0 +1,89 @@
+"""Documents of the store with filters, the latest first."""
+
+from typing import Any
+
+import msgspec
+
+from analytics.serve.api.operation import Call, get, link
+from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
+from stream.errors import BadInput
+
+_PAGE = """
+select uid, arrival_ns, t_ns, kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, document
+from internal.lake_documents
+where ($kind = '' or kind = $kind) and ($run = '' or run = $run) and ($unit = '' or unit = $unit)
+  and ($station = '' or station = $station) and ($what = '' or document->>'$.what' = $what)
+  and ($first is null or arrival_ns >= $first) and ($stop is null or arrival_ns < $stop)
+  and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
+order by arrival_ns desc, uid limit $rows
+"""
+_KINDS = "select kind, count(*) as n from internal.lake_documents group by kind order by kind"
+
+
+class EventsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which documents; `from` and `to` are moments of their arrival, `what` that of a note of the store."""
+
+    kind: Name = ""
+    run: Name = ""
+    unit: Name = ""
+    station: Name = ""
+    what: Name = ""
+    from_: str | None = msgspec.field(default=None, name="from")
+    to: str | None = None
+
+
+class EventRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A document: when it arrived, its time on the source's clock, its content."""
+
+    uid: str
+    arrival_ns: int
+    arrival: str | None
+    t_ns: int
+    kind: str
+    run: str | None
+    unit: str | None
+    site: str
+    station: str
+    document: dict[str, Any]
+
+
+class Events(msgspec.Struct, frozen=True, kw_only=True):
+    """A page of documents, the latest first; how many the store has of each kind; the next page."""
+
+    events: list[EventRow]
+    kinds: dict[str, int]
+    next: str | None
+
+
+@get("/api/events", table="events")
+def list_events(call: Call, asked: EventsAsked) -> Events:
+    """Documents in the lake, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
+    at, uid = _cursor(asked.after)
+    names = ("kind", "run", "unit", "station", "what")
+    given = {name: getattr(asked, name) for name in names} | {
+        "first": moment(asked.from_, "from"),
+        "stop": moment(asked.to, "to"),
+        "at": at,
+        "uid": uid,
+        "rows": asked.limit + 1,
+    }
+    rows, has_more = page_of([_row(each) for each in dictionaries(call.views, _PAGE, given)], asked.limit)
+    kinds = {str(kind): int(n) for kind, n in call.views.rows(_KINDS)}
+    following = {name: getattr(asked, name) for name in names} | {"from": asked.from_, "to": asked.to}
+    after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
+    next_page = link("api", "events", limit=asked.limit, after=after, **following) if has_more else None
+    return Events(events=rows, kinds=kinds, next=next_page)
+
+
+def _row(row: dict[str, Any]) -> EventRow:
+    return EventRow(**row | {"document": msgspec.json.decode(row["document"]), "arrival": iso(row["arrival_ns"])})
+
+
+def _cursor(after: str) -> tuple[int | None, str]:
+    if not after:
+        return None, ""
+    at, _, uid = after.partition(":")
+    try:
+        return int(at), uid
+    except ValueError:
+        raise BadInput(f"after {after!r} is not what the page before gave as its next one") from None

@@ -1,0 +1,44 @@
+"""Notes that people add to runs."""
+
+import time
+from typing import Annotated, Any
+
+import msgspec
+
+from analytics.serve.api.operation import Call, post
+from analytics.serve.api.runs import run_row
+from analytics.serve.api.units import unit_row
+from analytics.serve.doors.roles import Role
+from ingest.importing.entered import enter
+from stream.events import NoteAdded
+
+_ROLE = "gyrofleet serve"
+
+
+class NoteAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A note to a run, or to a unit in it."""
+
+    run: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
+    text: Annotated[str, msgspec.Meta(min_length=1, max_length=2000)]
+    unit: Annotated[str, msgspec.Meta(max_length=128)] = ""
+
+
+class Noted(msgspec.Struct, frozen=True, kw_only=True):
+    """The note as it stands in the log; `is_visible` says whether SQL sees it already."""
+
+    document: dict[str, Any]
+    is_visible: bool
+
+
+@post("/api/notes", role=Role.OPERATOR)
+def add_note(call: Call, asked: NoteAsked) -> Noted:
+    """Add a note to a run; the log has who wrote it and when."""
+    if asked.run not in call.service.live.floor.runs:
+        run_row(call.views, asked.run)  # NotFound names similar ones
+    if asked.unit and asked.unit not in call.service.live.floor.units:
+        unit_row(call.views, asked.unit)
+    note = NoteAdded(
+        run=asked.run, t_ns=time.time_ns(), text=asked.text.strip(), author=call.person.name, unit=asked.unit or None
+    )
+    is_visible = enter(call.store.folder, [note], role=_ROLE)
+    return Noted(document=msgspec.to_builtins(note), is_visible=is_visible)

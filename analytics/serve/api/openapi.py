@@ -1,0 +1,111 @@
+"""The OpenAPI document of the API, written from its operations."""
+
+import importlib.metadata
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from analytics.serve.api.encoding import Form
+from analytics.serve.api.endpoint import forms_of
+from analytics.serve.api.operation import Operation
+
+_PARAMETER = re.compile(r"\{(\w+)\}")
+_REF = "#/components/schemas/{name}"
+_ERROR = {
+    "type": "object",
+    "required": ["error"],
+    "properties": {
+        "error": {
+            "type": "object",
+            "required": ["kind", "message"],
+            "properties": {"kind": {"type": "string"}, "message": {"type": "string"}},
+        }
+    },
+}
+_REFUSALS = {
+    "400": "A parameter or a statement is not right.",
+    "401": "Nobody is known by this token or session.",
+    "403": "The role is not enough.",
+    "404": "There is no such unit, run or signal; the message names similar ones.",
+    "422": "There is not enough data.",
+    "429": "Too many requests; Retry-After says when to try again.",
+    "503": "The store cannot be read now.",
+}
+
+
+def openapi_document(operations: Sequence[Operation[Any, Any]]) -> dict[str, Any]:
+    """The document of these operations."""
+    types = [each.asked for each in operations] + [each.answer for each in operations]
+    schemas, components = msgspec.json.schema_components(types, ref_template=_REF)
+    asked, answers = schemas[: len(operations)], schemas[len(operations) :]
+    paths: dict[str, dict[str, Any]] = {}
+    for operation, of_asked, of_answer in zip(operations, asked, answers, strict=True):
+        paths.setdefault(operation.path, {})[operation.method.lower()] = _operation(
+            operation, of_asked, of_answer, components
+        )
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "gyrofleet",
+            "version": importlib.metadata.version("gyrofleet"),
+            "description": "What a store of gyrofleet knows. Times are UTC: names in _ns are nanoseconds since 1970, "
+            "the same name without it is ISO 8601. Values carry their unit_of_measure.",
+        },
+        "servers": [{"url": "/"}],
+        "security": [{"token": []}, {"session": []}],
+        "paths": paths,
+        "components": {
+            "schemas": components | {"Error": _ERROR},
+            "securitySchemes": {
+                "token": {"type": "http", "scheme": "bearer"},
+                "session": {
+                    "type": "apiKey",
+                    "in": "cookie",
+                    "name": "gyrofleet_PORT",
+                    "description": "After /login; changes need the header X-CSRF-Token as well.",
+                },
+            },
+        },
+    }
+
+
+def _operation(
+    operation: Operation[Any, Any], asked: dict[str, Any], answer: dict[str, Any], components: dict[str, Any]
+) -> dict[str, Any]:
+    parameters: list[dict[str, Any]] = [
+        {"name": name, "in": "path", "required": True, "schema": {"type": "string"}}
+        for name in _PARAMETER.findall(operation.path)
+    ]
+    found: dict[str, Any] = {
+        "operationId": operation.name,
+        "summary": operation.about.splitlines()[0],
+        "description": f"Needs the role {operation.role.word}.",
+        "parameters": parameters,
+    }
+    forms = list(Form) if operation.method == "POST" and "format" in _fields(asked, components) else forms_of(operation)
+    if operation.method == "GET":
+        required = components[asked["$ref"].rpartition("/")[2]].get("required", ())
+        for name, schema in _fields(asked, components).items():
+            parameters.append({"name": name, "in": "query", "required": name in required, "schema": schema})
+        if len(forms) > 1:
+            chosen = {"type": "string", "enum": [each.value for each in forms]}
+            parameters.append({"name": "format", "in": "query", "required": False, "schema": chosen})
+    else:
+        found["requestBody"] = {"required": True, "content": {"application/json": {"schema": asked}}}
+    content: dict[str, Any] = {
+        each.media_type.partition(";")[0]: {"schema": answer if each is Form.JSON else {}} for each in forms
+    }
+    found["responses"] = {str(operation.status): {"description": operation.about, "content": content}}
+    if operation.is_kept:
+        found["responses"]["304"] = {"description": "As the ETag of the request says."}
+    error = {"application/json": {"schema": {"$ref": _REF.format(name="Error")}}}
+    found["responses"] |= {status: {"description": text, "content": error} for status, text in _REFUSALS.items()}
+    return found
+
+
+def _fields(schema: dict[str, Any], components: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a structure in the document."""
+    properties: dict[str, Any] = components[schema["$ref"].rpartition("/")[2]].get("properties", {})
+    return properties

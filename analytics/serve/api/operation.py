@@ -1,0 +1,152 @@
+"""Operations of the HTTP API: path, parameters, answer, and the role that they need."""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Generic, TypeVar, get_type_hints
+from urllib.parse import quote, urlencode
+
+import msgspec
+
+from analytics.serve.doors.roles import Person, Role
+from analytics.serve.service import Service
+from analytics.serve.shared_lake import LakeState
+from storage.sql.catalog import Catalog
+from storage.store import Store
+
+Asked = TypeVar("Asked", bound=msgspec.Struct)
+Given = TypeVar("Given")
+
+
+class Nothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """No parameters."""
+
+
+@dataclass
+class Call:
+    """One request while it is answered, in a thread of its own.
+
+    Parameters
+    ----------
+    service: What all requests share.
+    person: Who asks.
+    state: The version of the lake that the answer is of.
+    path: Parameters in the path, as ``{"unit": "FOG-0231"}``.
+    url: Path and parameters as they were asked.
+    """
+
+    service: Service
+    person: Person
+    state: LakeState
+    path: Mapping[str, str] = field(default_factory=dict)
+    url: str = ""
+    _leases: ExitStack = field(default_factory=ExitStack)
+
+    @property
+    def store(self) -> Store:
+        """The store."""
+        return self.service.store
+
+    @cached_property
+    def views(self) -> Catalog:
+        """The store's own views; it has no metrics."""
+        return self._leases.enter_context(self.service.lake.views.lease(self.state))
+
+    @cached_property
+    def metrics(self) -> Catalog:
+        """All tables, those of metrics and verdicts included."""
+        return self._leases.enter_context(self.service.lake.metrics.lease(self.state))
+
+    def __enter__(self) -> "Call":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._leases.close()
+
+
+@dataclass(frozen=True)
+class Operation(Generic[Asked, Given]):
+    """One operation; calling it runs its handler.
+
+    Parameters
+    ----------
+    handler: Its first parameter is the call, its second what is asked: the query of a GET, the body of a POST.
+    role: Who may.
+    table: Field of the answer that Arrow and CSV have; empty if the answer has columns itself, None for neither.
+    is_kept: The answer depends on the lake alone: it has an ETag and is kept.
+    is_slow: It needs metrics or long computations, in a pool of threads of their own.
+    status: Of its answer.
+    """
+
+    method: str
+    path: str
+    handler: Callable[[Call, Asked], Given]
+    role: Role
+    table: str | None = None
+    is_kept: bool = False
+    is_slow: bool = False
+    status: int = 200
+
+    def __call__(self, call: Call, asked: Asked) -> Given:
+        """Answer."""
+        return self.handler(call, asked)
+
+    @property
+    def name(self) -> str:
+        """Name of the operation for programs."""
+        return self.handler.__name__
+
+    @property
+    def about(self) -> str:
+        """What it does, the text of its handler."""
+        return (self.handler.__doc__ or "").strip()
+
+    @cached_property
+    def asked(self) -> type[Asked]:
+        """Type of its parameters, or of its body."""
+        names = list(self._hints)
+        found: type[Asked] = self._hints[names[1]]
+        return found
+
+    @cached_property
+    def answer(self) -> Any:
+        """Type of its answer in JSON."""
+        return self._hints["return"]
+
+    @cached_property
+    def _hints(self) -> dict[str, Any]:
+        return get_type_hints(self.handler, include_extras=True)
+
+
+def get(
+    path: str, *, table: str | None = None, role: Role = Role.VIEWER, is_kept: bool = True, is_slow: bool = False
+) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
+    """Declare an operation that reads."""
+
+    def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
+        return Operation("GET", path, handler, role, table, is_kept, is_slow)
+
+    return declare
+
+
+def post(
+    path: str, *, role: Role, is_slow: bool = True, status: int = 200
+) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
+    """Declare an operation with a body."""
+
+    def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
+        return Operation("POST", path, handler, role, is_slow=is_slow, status=status)
+
+    return declare
+
+
+def link(*segments: str, **parameters: object) -> str:
+    """A path of this server, its parts quoted; parameters that are None or empty are left out.
+
+    >>> link("api", "units", "A/../B"), link("units", after="<x>", limit=None)
+    ('/api/units/A%2F..%2FB', '/units?after=%3Cx%3E')
+    """
+    path = "/" + "/".join(quote(each, safe="") for each in segments)
+    given = {name: value for name, value in parameters.items() if value not in (None, "", ())}
+    return f"{path}?{urlencode(given, doseq=True)}" if given else path

@@ -1,0 +1,97 @@
+"""All operations of the API, and their routes."""
+
+import functools
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from analytics.serve.api import (
+    alerts,
+    allan,
+    diagnosis,
+    events,
+    grafana,
+    health,
+    jobs,
+    live,
+    notes,
+    runs,
+    signals,
+    sql,
+    store,
+    trends,
+    units,
+)
+from analytics.serve.api.endpoint import route
+from analytics.serve.api.openapi import openapi_document
+from analytics.serve.api.operation import Operation
+from analytics.serve.doors.admission import admitted
+from analytics.serve.doors.roles import Role
+from analytics.serve.service import Service
+
+OPERATIONS: tuple[Operation[Any, Any], ...] = (
+    units.list_units,
+    units.unit,
+    runs.list_runs,
+    runs.run,
+    signals.signal,
+    allan.allan,
+    trends.list_metrics,
+    trends.trend,
+    trends.list_yield,
+    trends.list_verdicts,
+    events.list_events,
+    live.floor,
+    live.unit_floor,
+    store.store,
+    store.status,
+    alerts.list_alerts,
+    alerts.acknowledge_alert,
+    sql.sql,
+    sql.sql_tables,
+    diagnosis.list_diagnoses,
+    diagnosis.diagnosis,
+    diagnosis.diagnose_unit,
+    diagnosis.promote_model,
+    diagnosis.roll_back_model,
+    jobs.list_jobs,
+    jobs.job,
+    jobs.cancel_job,
+    jobs.verify_store,
+    notes.add_note,
+    grafana.grafana,
+    grafana.grafana_metrics,
+    grafana.grafana_options,
+    grafana.grafana_variable,
+    grafana.grafana_query,
+    grafana.grafana_tag_keys,
+)
+
+
+def api_routes(service: Service) -> list[Route]:
+    """Routes of the API, its document, and those for machines that watch the server."""
+    return [
+        *(route(operation, service) for operation in OPERATIONS),
+        Route("/api/openapi.json", _openapi, name="openapi"),
+        Route("/api/me", _me, name="me"),
+        Route("/api/live", functools.partial(live.live, service=service), name="live"),
+        Route("/health", functools.partial(health.health, service=service), name="health"),
+        Route("/metrics", functools.partial(health.prometheus, service=service), name="metrics"),
+    ]
+
+
+async def _openapi(request: Request) -> Response:
+    admitted(request.scope, Role.VIEWER)
+    return JSONResponse(_document())
+
+
+@functools.cache
+def _document() -> dict[str, Any]:
+    return openapi_document(OPERATIONS)
+
+
+async def _me(request: Request) -> Response:
+    person = admitted(request.scope, Role.VIEWER)
+    return JSONResponse({"name": person.name, "role": person.role.word, "csrf": person.csrf})

@@ -1,0 +1,207 @@
+"""Runs: all of them, the newest first, and one with its steps, units and documents."""
+
+from typing import Any
+
+import msgspec
+
+from analytics.metric_registry.registry import alike
+from analytics.serve.api.operation import Call, get, link
+from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
+from storage.sql.catalog import Catalog
+from stream.errors import NotFound
+
+_RUN = """
+select run, site, station, date_known, case when date_known then epoch_ns(started) end as started_ns,
+  case when date_known then epoch_ns(ended) end as ended_ns, duration_s, outcome, resumptions, gap_s,
+  coalesce(len(units), 0) as units, coalesce(signals, 0) as signals, samples, "procedure", operator, lot, simulated,
+  source, epoch_ns(recorded) as recorded_ns
+from internal.served_runs
+"""
+_PAGE = f"""
+with listed as ({_RUN}), seen as (select coalesce(recorded_ns, 0) as before from listed where run = $after)
+select listed.* from listed
+where ($after = '' or (-coalesce(recorded_ns, 0), run) > (select row(-before, $after) from seen))
+  and ($station = '' or station = $station) and ($procedure = '' or "procedure" = $procedure)
+  and ($outcome = '' or outcome = $outcome) and ($lot = '' or lot = $lot)
+  and contains(lower(run), lower($search))
+order by coalesce(recorded_ns, 0) desc, run limit $rows
+"""  # noqa: S608  our own statement
+_STEPS = """
+select "index", "procedure", step, repeat, position, axis, phase, rate_command, temperature_command, frequency,
+  amplitude, settle, room, min(t_start_ns) as t_start_ns, max(t_end_ns) as t_end_ns,
+  count(distinct unit) as units, count(*) filter (outcome = 'completed') as completed,
+  count(*) filter (outcome = 'open') as open
+from steps where run = $run and ($unit = '' or unit = $unit)
+group by all order by t_start_ns, "index" limit 5000
+"""
+_UNITS = """
+with recorded as (
+  select unit, list(distinct signal order by signal) as signals, sum(samples)::bigint as samples,
+    max(t_last_ns) as t_last_ns, max(arrival_last_ns) as arrival_last_ns
+  from internal.lake_channels where run = $run group by unit
+), given as (
+  select unit, verdict from internal.served_verdicts where run = $run
+), decided as (
+  select unit, string_agg(distinct outcome, ', ' order by outcome) as early from (
+    select unit, arg_max(document->>'$.outcome', arrival_ns) as outcome from internal.lake_documents
+    where kind = 'EarlyDecision' and run = $run group by unit, document->>'$.limit'
+  ) group by unit
+)
+select coalesce(r.unit, u.unit) as unit, u.product, u.lot, u.slot, u.fixture, coalesce(r.signals, []) as signals,
+  coalesce(r.samples, 0) as samples, r.t_last_ns, r.arrival_last_ns, g.verdict, d.early
+from recorded r full join (select * from internal.served_units where run = $run) u using (unit)
+left join given g using (unit) left join decided d using (unit)
+where coalesce(r.unit, u.unit) > $after order by 1 limit $rows
+"""
+_COUNTS = f"select coalesce(verdict, 'OPEN'), count(*) from ({_UNITS}) group by 1 order by 1"  # noqa: S608  our own
+_DOCUMENTS = """
+select t_ns, kind, unit, document from internal.lake_documents
+where run = $run and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'NoteAdded', 'PowerOn', 'PowerOff',
+  'LimitsApplied', 'StationStated', 'CheckEntered')
+order by arrival_ns, t_ns limit 2000
+"""
+
+
+class RunsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which runs: all by default."""
+
+    search: Name = ""
+    station: Name = ""
+    procedure: Name = ""
+    outcome: Name = ""
+    lot: Name = ""
+
+
+class RunRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A run; without a known date it has no moments, and its samples count from 1970-01-01."""
+
+    run: str
+    site: str | None
+    station: str | None
+    date_known: bool
+    started_ns: int | None
+    ended_ns: int | None
+    duration_s: float | None
+    outcome: str
+    resumptions: int
+    gap_s: float
+    units: int
+    signals: int
+    samples: int
+    procedure: str | None
+    operator: str | None
+    lot: str | None
+    simulated: bool
+    source: str | None
+    recorded_ns: int | None
+    started: str | None = None
+    ended: str | None = None
+
+
+class Runs(msgspec.Struct, frozen=True, kw_only=True):
+    """A page of runs, the newest first, and the next page."""
+
+    runs: list[RunRow]
+    next: str | None
+
+
+class RunAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Of which unit the steps are; pages are of the run's units."""
+
+    unit: Name = ""
+
+
+class StepRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A step as it was commanded: rate in deg/s, temperature in degC, frequency in Hz, times in s."""
+
+    index: int
+    procedure: str | None
+    step: str | None
+    repeat: int | None
+    position: str | None
+    axis: str | None
+    phase: str | None
+    rate_command: float | None
+    temperature_command: float | None
+    frequency: float | None
+    amplitude: float | None
+    settle: float | None
+    room: bool | None
+    t_start_ns: int | None
+    t_end_ns: int | None
+    units: int
+    completed: int
+    open: int
+
+
+class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
+    """A unit in a run: its verdict so far, and the outcomes of its early decisions."""
+
+    unit: str
+    product: str | None
+    lot: str | None
+    slot: str | None
+    fixture: str | None
+    signals: list[str]
+    samples: int
+    t_last_ns: int | None
+    arrival_last_ns: int | None
+    verdict: str | None
+    early: str | None
+
+
+class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """A run with its steps, the documents of its course, and a page of its units."""
+
+    run: RunRow
+    steps: list[StepRow]
+    documents: list[dict[str, Any]]
+    units: list[RunUnit]
+    verdicts: dict[str, int]
+    next: str | None
+
+
+@get("/api/runs", table="runs")
+def list_runs(call: Call, asked: RunsAsked) -> Runs:
+    """All runs, the newest first: when, where, which procedure, how they ended."""
+    given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
+    del given["limit"]
+    runs, has_more = page_of([_run_row(row) for row in dictionaries(call.views, _PAGE, given)], asked.limit)
+    parameters = msgspec.to_builtins(asked) | {"after": runs[-1].run if runs else None}
+    return Runs(runs=runs, next=link("api", "runs", **parameters) if has_more else None)
+
+
+@get("/api/runs/{run}", table="units")
+def run(call: Call, asked: RunAsked) -> RunDocument:
+    """One run: its steps, documents, units, and their verdicts so far."""
+    name = call.path["run"]
+    row = run_row(call.views, name)
+    given = {"run": name, "after": asked.after, "rows": asked.limit + 1}
+    units, has_more = page_of([RunUnit(**each) for each in dictionaries(call.views, _UNITS, given)], asked.limit)
+    steps = dictionaries(call.views, _STEPS, {"run": name, "unit": asked.unit})
+    documents = [
+        each | {"document": msgspec.json.decode(each["document"]), "time": iso(each["t_ns"])}
+        for each in dictionaries(call.views, _DOCUMENTS, {"run": name})
+    ]
+    counts = call.views.rows(_COUNTS, {"run": name, "after": "", "rows": 2**31})
+    parameters = {"limit": asked.limit, "after": units[-1].unit if units else None, "unit": asked.unit}
+    return RunDocument(
+        run=row, steps=[StepRow(**each) for each in steps], documents=documents, units=units,
+        verdicts={str(verdict): int(n) for verdict, n in counts},
+        next=link("api", "runs", name, **parameters) if has_more else None,
+    )  # fmt: skip
+
+
+def run_row(views: Catalog, name: str) -> RunRow:
+    """A run; NotFound names similar ones."""
+    found = dictionaries(views, f"{_RUN} where run = $run", {"run": name})
+    if not found:
+        known = [
+            each for (each,) in views.rows("select run from internal.served_runs order by recorded desc limit 2000")
+        ]
+        raise NotFound(f"run {name!r} is not in the store; {alike(name, known, 'runs are')}")
+    return _run_row(found[0])
+
+
+def _run_row(row: dict[str, Any]) -> RunRow:
+    return RunRow(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"]))

@@ -1,0 +1,206 @@
+"""Samples of a signal for a picture: minimum, maximum and mean of buckets, from the rollups or the samples."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+from analytics.serve.api.operation import Call, get
+from analytics.serve.api.rows import dictionaries, iso, moment
+from storage.lake.tables import SAMPLES_FILE
+from storage.sql.catalog import Catalog
+from storage.sql.reading import find_signal
+from stream.errors import BadInput
+
+_NS = 10**9
+_MOST_RAW = 6_000_000
+_GAP_INTERVALS = 1.5
+_PARTS = """
+select channel, is_kept, filename, samples, t_first_ns, t_last_ns from internal.served_parts
+where unit = $unit and signal = $signal and run = $run order by t_first_ns
+"""
+_OF_ROLLUP = """
+select bucket - (bucket % {k} + {k}) % {k} as slot, sum(n)::bigint as n, sum(n * mean) / sum(n) as mean, min(lo) as lo,
+  max(hi) as hi
+from internal.lake_rollup_{seconds}s where channel in ({channels}) and bucket >= $first and bucket < $stop
+group by slot order by slot
+"""
+_VALUE = """
+select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value
+from read_parquet([{files}]) s join internal.lake_channels c using (channel)
+where s.channel in ({channels}) and s.t_ns >= $first and s.t_ns < $stop
+"""
+_OF_SAMPLES = """
+select t_ns - (t_ns % {width} + {width}) % {width} as slot, count(*) as n, avg(value) as mean, min(value) as lo,
+  max(value) as hi
+from ({values}) group by slot order by slot
+"""
+
+
+class SignalAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which stretch: moments as ns or ISO 8601 with a zone, the whole record by default; and how many points."""
+
+    from_: str | None = msgspec.field(default=None, name="from")
+    to: str | None = None
+    points: Annotated[int, msgspec.Meta(ge=2, le=10_000, description="Buckets, at most.")] = 1000
+
+
+class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
+    """A stretch of a signal.
+
+    Bucket i begins at ``t_ns[i]`` and is `bucket_ns` long; buckets that the stretch touches are whole, buckets without
+    samples are left out. `source` says what they are made of: ``rollup_10s``, ``rollup_1s``, ``raw`` (all samples), or
+    ``samples``: then each is one sample and `bucket_ns` is 0. Every sample is in its bucket's min and max. `gaps` are
+    stretches without samples, longer than 1.5 intervals. Values are in `unit_of_measure`.
+    """
+
+    unit: str
+    run: str
+    signal: str
+    unit_of_measure: str
+    source: str
+    bucket_ns: int
+    from_ns: int
+    to_ns: int
+    t_ns: list[int]
+    min: list[float]
+    max: list[float]
+    mean: list[float]
+    n: list[int]
+    gaps: list[tuple[int, int]]
+    samples: int
+    sample_interval_s: float
+    date_known: bool
+    first_ns: int
+    last_ns: int
+    first: str | None
+    last: str | None
+    note: str | None = None
+
+    def columns(self) -> Mapping[str, Sequence[Any]]:
+        """Its table, for Arrow and CSV."""
+        columns = {name: getattr(self, name) for name in ("t_ns", "min", "max", "mean", "n")}
+        return {"time": [iso(each) for each in self.t_ns], **columns}
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """What is asked of a record, and where it lies."""
+
+    first_ns: int
+    stop_ns: int
+    points: int
+    parts: list[dict[str, Any]]
+
+    @property
+    def width_ns(self) -> int:
+        """Length of a bucket so that no more than `points` touch the stretch."""
+        return max(-(-(self.stop_ns - self.first_ns) // (self.points - 1)), 1)
+
+    @property
+    def channels(self) -> str:
+        """Channels as a list in SQL."""
+        return ", ".join(str(each) for each in sorted({part["channel"] for part in self.parts}))
+
+    @property
+    def raw_samples(self) -> float:
+        """About how many samples it has."""
+        return sum(int(part["samples"]) * self._share(part) for part in self.parts)
+
+    @property
+    def is_raw(self) -> bool:
+        """Whether its raw rows are all there."""
+        return all(part["is_kept"] for part in self.parts)
+
+    def _share(self, part: Mapping[str, Any]) -> float:
+        first, last = int(part["t_first_ns"]), int(part["t_last_ns"])
+        inside = min(last, self.stop_ns) - max(first, self.first_ns)
+        return max(inside, 0) / max(last - first, 1)
+
+
+@get("/api/signals/{unit}/{run}/{signal}", table="")
+def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
+    """A stretch of a signal in buckets with least, greatest and mean value; a single outlier is in it at any width."""
+    views, path = call.views, call.path
+    record = find_signal(views, path["unit"], path["signal"], path["run"])
+    of = {name: path[name] for name in ("unit", "signal", "run")}
+    (about,) = dictionaries(
+        views,
+        "select t_first_ns, t_last_ns, sample_interval_s, coalesce(r.date_known, true) as date_known "
+        "from signals s left join internal.served_runs r using (run) "
+        "where s.unit = $unit and s.signal = $signal and s.run = $run",
+        of,
+    )
+    first_ns = moment(asked.from_, "from")
+    stop_ns = moment(asked.to, "to")
+    first_ns = about["t_first_ns"] if first_ns is None else first_ns
+    stop_ns = about["t_last_ns"] + 1 if stop_ns is None else stop_ns
+    if stop_ns <= first_ns:
+        raise BadInput(f"to ({stop_ns}) is not after from ({first_ns})")
+    parts = [
+        part
+        for part in dictionaries(views, _PARTS, of)
+        if part["t_last_ns"] >= first_ns and part["t_first_ns"] < stop_ns
+    ]
+    interval_s = float(about["sample_interval_s"])
+    source, bucket_ns, rows, note = _buckets(views, _Stretch(first_ns, stop_ns, asked.points, parts))
+    t_ns = [int(row["slot"]) for row in rows]
+    longest_ns = max(bucket_ns, 0 if record.irregular else _GAP_INTERVALS * interval_s * _NS)
+    return SignalBuckets(
+        **of, unit_of_measure=record.unit_of_measure, source=source, bucket_ns=bucket_ns, from_ns=first_ns,
+        to_ns=stop_ns, t_ns=t_ns, min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
+        mean=[row["mean"] for row in rows], n=[int(row["n"]) for row in rows],
+        gaps=[] if record.irregular and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns),
+        samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
+        first_ns=about["t_first_ns"], last_ns=about["t_last_ns"], first=iso(about["t_first_ns"]),
+        last=iso(about["t_last_ns"]), note=note,
+    )  # fmt: skip
+
+
+def _buckets(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]], str | None]:
+    """Source, length and rows of the buckets, and a note where raw samples are missing."""
+    if not of.parts:
+        return "samples", 0, [], None
+    note = None
+    if of.width_ns < _NS and of.raw_samples <= _MOST_RAW:
+        if of.is_raw:
+            return *_of_samples(views, of), None
+        note = "raw samples of this stretch were dropped to make room: buckets of 1 s are the finest that is kept"
+    seconds = 10 if of.width_ns >= 10 * _NS else 1
+    k = max(-(-of.width_ns // (seconds * _NS)), 1)
+    unit_ns = seconds * _NS
+    sql = _OF_ROLLUP.format(k=k, seconds=seconds, channels=of.channels)
+    bounds = {"first": of.first_ns // unit_ns // k * k, "stop": -(-of.stop_ns // unit_ns // k) * k + k}
+    rows = [
+        row | {"slot": row["slot"] * unit_ns}
+        for row in dictionaries(views, sql, bounds)
+        if row["slot"] * unit_ns < of.stop_ns and (row["slot"] + k) * unit_ns > of.first_ns
+    ]
+    return f"rollup_{seconds}s", k * unit_ns, rows, note
+
+
+def _of_samples(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]]]:
+    paths = {str(Path(part["filename"]).with_name(SAMPLES_FILE)) for part in of.parts}
+    files = ", ".join("'" + path.replace("'", "''") + "'" for path in sorted(paths))
+    values = _VALUE.format(files=files, channels=of.channels)
+    width = of.width_ns
+    first = of.first_ns // width * width
+    rows = dictionaries(
+        views, _OF_SAMPLES.format(width=width, values=values), {"first": first, "stop": -(-of.stop_ns // width) * width}
+    )
+    if sum(row["n"] for row in rows) > of.points:
+        return "raw", width, rows
+    single = dictionaries(views, f"{values} order by s.t_ns", {"first": of.first_ns, "stop": of.stop_ns})
+    same = (
+        {"slot": row["t_ns"], "n": 1, "mean": row["value"]} | dict.fromkeys(("lo", "hi"), row["value"])
+        for row in single
+    )
+    return "samples", 0, list(same)
+
+
+def _gaps(t_ns: list[int], bucket_ns: int, longest_ns: float) -> list[tuple[int, int]]:
+    """Stretches without samples: from the end of the bucket before to the begin of the one after."""
+    return [(before + bucket_ns, after) for before, after in itertools.pairwise(t_ns) if after - before > longest_ns]

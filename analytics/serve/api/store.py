@@ -1,0 +1,126 @@
+"""The store itself: segments of the log, parts of the lake, disk, who writes it, clocks, last verification."""
+
+import shutil
+from typing import Any
+
+import msgspec
+
+from analytics.serve.api.operation import Call, Nothing, get
+from analytics.serve.api.rows import dictionaries, iso
+from storage.log.files import sealed_segments
+from storage.log.recovery import left_open
+from storage.manifests.lake import left_aside, read_manifest
+from storage.manifests.log import read_log_manifest
+from storage.recording.store_status import StoreStatus, store_status
+from storage.store import Store, writer_endpoint, writer_is_active
+
+_CLOCKS = "select * from clocks order by unit, run, signal limit 500"
+_NOTES = """
+select t_ns, document->>'$.what' as what, document->>'$.text' as text from internal.lake_documents
+where kind = 'StoreNoted' order by arrival_ns desc limit 50
+"""
+
+
+class LogRow(msgspec.Struct, frozen=True, kw_only=True):
+    """The log: sealed segments, their size and content; those being written; what is set aside."""
+
+    segments: int
+    bytes: int
+    samples: int
+    messages: int
+    open_segments: int
+    open_bytes: int
+    lost_segments: int
+    damaged_manifest_lines: int
+    set_aside: list[str]
+    last_arrival_ns: int | None
+    last_arrival: str | None
+
+
+class LakeRow(msgspec.Struct, frozen=True, kw_only=True):
+    """The lake: parts in force, their size, rows whose raw samples were dropped, segments that are not in it yet."""
+
+    manifest: int
+    parts: int
+    bytes: int
+    samples: int
+    dropped_samples: int
+    quarantined_messages: int
+    behind: list[str]
+    set_aside: list[str]
+
+
+class DiskRow(msgspec.Struct, frozen=True, kw_only=True):
+    """The disk of the store, in bytes."""
+
+    total_bytes: int
+    free_bytes: int
+
+
+class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """A store and its state; `verified` is the last verification that this server ran, None if there was none."""
+
+    store: str
+    identity: str
+    is_written: bool
+    writer: str | None
+    log: LogRow
+    lake: LakeRow
+    disk: DiskRow
+    clocks: list[dict[str, Any]]
+    notes: list[dict[str, Any]]
+    verified: dict[str, Any] | None
+    verified_ns: int | None
+
+
+@get("/api/status", is_kept=False)
+def status(call: Call, asked: Nothing) -> StoreStatus:
+    """What is at work on the store, and what is wrong: as `gyrofleet status --json`."""
+    del asked
+    found = store_status(call.store)
+    return msgspec.structs.replace(found, store=call.store.folder.resolve().name)
+
+
+@get("/api/store", is_kept=False, table="clocks")
+def store(call: Call, asked: Nothing) -> StoreDocument:
+    """The store: log, lake, disk, who writes it, clocks of the sources, what it has noted, the last verification."""
+    del asked
+    folder = call.store.folder
+    verified = call.service.jobs.last("verify")
+    usage = shutil.disk_usage(folder)
+    notes = [row | {"time": iso(row["t_ns"])} for row in dictionaries(call.views, _NOTES)]
+    return StoreDocument(
+        store=folder.resolve().name, identity=call.store.identity, is_written=writer_is_active(folder),
+        writer=writer_endpoint(folder), log=_log(call.store), lake=_lake(call.store),
+        disk=DiskRow(total_bytes=usage.total, free_bytes=usage.free),
+        clocks=dictionaries(call.views, _CLOCKS), notes=notes, verified=None if verified is None else verified.result,
+        verified_ns=None if verified is None else verified.ended_ns,
+    )  # fmt: skip
+
+
+def _log(store: Store) -> LogRow:
+    manifest = read_log_manifest(store)
+    entries = manifest.entries.values()
+    open_bytes = [path.stat().st_size for path in left_open(store) if path.exists()]
+    last_ns = max((each.arrival_last_ns for each in entries), default=None)
+    aside = sorted(path.name for path in store.aside.iterdir()) if store.aside.is_dir() else []
+    return LogRow(
+        segments=len(manifest.entries), bytes=sum(each.size for each in entries),
+        samples=sum(each.samples for each in entries), messages=sum(each.messages for each in entries),
+        open_segments=len(open_bytes), open_bytes=sum(open_bytes), lost_segments=len(manifest.lost),
+        damaged_manifest_lines=len(manifest.damage), set_aside=aside, last_arrival_ns=last_ns,
+        last_arrival=iso(last_ns),
+    )  # fmt: skip
+
+
+def _lake(store: Store) -> LakeRow:
+    manifest = read_manifest(store)
+    sealed = {path.name.removesuffix(".mcap") for path in sealed_segments(store)}
+    return LakeRow(
+        manifest=manifest.number, parts=len(manifest.parts), bytes=sum(part.bytes for part in manifest.parts),
+        samples=sum(part.samples for part in manifest.parts),
+        dropped_samples=sum(part.dropped.samples for part in manifest.parts if part.dropped is not None),
+        quarantined_messages=sum(part.quarantined for part in manifest.parts),
+        behind=sorted(sealed - manifest.segments)[:100],
+        set_aside=[path.name for path in left_aside(store)],
+    )  # fmt: skip

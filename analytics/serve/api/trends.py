@@ -1,0 +1,162 @@
+"""Trends of metrics, yield, and what units fail by."""
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+
+from analytics.serve.api.operation import Call, Nothing, get
+from analytics.serve.api.rows import Name, Paged, dictionaries, page_of
+from stream.errors import BadInput, NotFound
+
+if TYPE_CHECKING:
+    from analytics.metric_registry.registry import MetricHeader
+
+_COUNTS = """
+select metric, count(value) as n, count(distinct unit) as units, count(*) - count(value) as without_value
+from unit_metrics group by metric
+"""
+_VERDICTS = """
+select * from unit_verdicts where unit > $after and ($verdict = '' or verdict = $verdict)
+  and ($product = '' or product = $product) and ($lot = '' or lot = $lot) order by unit limit $rows
+"""
+
+
+class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A metric with its names, and how many units have it."""
+
+    metric: str
+    en: str
+    zh: str
+    unit_of_measure: str
+    better: str
+    clauses: list[str]
+    values: int
+    units: int
+    without_value: int
+
+
+class Metrics(msgspec.Struct, frozen=True, kw_only=True):
+    """All metrics."""
+
+    metrics: list[MetricRow]
+
+
+class TrendAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which metric of which units; `parameter` as ``average_s=100``, `since` as 2026-11-21."""
+
+    metric: Name
+    by: Literal["", "unit", "station", "fixture", "lot"] = ""
+    unit: tuple[Name, ...] = ()
+    signal: Name = ""
+    standard: Name = ""
+    lot: Name = ""
+    station: Name = ""
+    fixture: Name = ""
+    product: Name = ""
+    parameter: tuple[Name, ...] = ()
+    since: Name = ""
+    baseline: Annotated[int, msgspec.Meta(ge=8)] | None = None
+    sigma: Literal["median_moving_range", "moving_range", "deviation"] = "median_moving_range"
+
+
+class YieldAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """By which group."""
+
+    by: Literal["lot", "station", "fixture", "day"] = "lot"
+
+
+class Yield(msgspec.Struct, frozen=True, kw_only=True):
+    """Yield of each group with its 95 % interval, of units that were judged; and what units fail by."""
+
+    by: str
+    groups: list[dict[str, Any]]
+    pareto: list[dict[str, Any]]
+
+
+class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which units."""
+
+    verdict: Name = ""
+    product: Name = ""
+    lot: Name = ""
+
+
+class UnitVerdicts(msgspec.Struct, frozen=True, kw_only=True):
+    """A page of verdicts by the specifications; `after` of the next page, None on the last."""
+
+    units: list[dict[str, Any]]
+    after: str | None
+
+
+@get("/api/metrics", table="metrics", is_slow=True)
+def list_metrics(call: Call, asked: Nothing) -> Metrics:
+    """All metrics: names, clauses, and how many units have a value."""
+    from analytics.metric_registry.registry import metrics
+
+    del asked
+    counts = {row["metric"]: row for row in dictionaries(call.metrics, _COUNTS)}
+    none = {"n": 0, "units": 0, "without_value": 0}
+    return Metrics(metrics=[_metric_row(metric.header, counts.get(name, none)) for name, metric in metrics().items()])
+
+
+def _metric_row(header: "MetricHeader", count: dict[str, int]) -> MetricRow:
+    return MetricRow(
+        metric=header.id, en=header.en, zh=header.zh, unit_of_measure=header.unit, better=header.better,
+        clauses=[f"{each.standard} {each.clause}" for each in header.sources], values=count["n"],
+        units=count["units"], without_value=count["without_value"],
+    )  # fmt: skip
+
+
+@get("/api/trends", is_slow=True)
+def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
+    """A metric over time: control charts, changes, drift, groups, capability, and a sentence on each result."""
+    from analytics.evaluation.selection import dated, standard_named
+    from analytics.trends.charts.capability import specified_limits
+    from analytics.trends.charts.control_chart import Spread
+    from analytics.trends.document import document
+    from analytics.trends.series import Choice, read_series
+    from analytics.trends.trend import trend_of
+
+    choice = Choice(
+        units=asked.unit, signal=asked.signal or None, parameters=_pairs(asked.parameter), lot=asked.lot or None,
+        standard=standard_named(asked.standard) if asked.standard else None, station=asked.station or None,
+        fixture=asked.fixture or None, product=asked.product or None,
+        since_ns=dated(asked.since) if asked.since else None,
+    )  # fmt: skip
+    try:
+        series = read_series(call.metrics, asked.metric, choice)
+    except NotFound as error:
+        return {"metric": asked.metric, "values": 0, "charts": [], "report": [], "reason": str(error)}
+    specification = specified_limits(call.store, series)
+    found = trend_of(
+        series, by=asked.by or None, baseline=asked.baseline, spread=Spread(asked.sigma), specification=specification
+    )
+    return document(found) | {"reason": None}
+
+
+@get("/api/yield", table="groups", is_slow=True)
+def list_yield(call: Call, asked: YieldAsked) -> Yield:
+    """Yield by lot, station, fixture or day, and the characteristics that units fail by."""
+    from analytics.specifications.verdicts import yield_by
+
+    pareto = dictionaries(call.metrics, "select * from failure_pareto")
+    return Yield(by=asked.by, groups=yield_by(call.metrics, asked.by), pareto=pareto)
+
+
+@get("/api/verdicts", table="units", is_slow=True)
+def list_verdicts(call: Call, asked: VerdictsAsked) -> UnitVerdicts:
+    """Units by name with their verdict by the specifications, and what they fail by."""
+    given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
+    del given["limit"]
+    units, has_more = page_of(dictionaries(call.metrics, _VERDICTS, given), asked.limit)
+    return UnitVerdicts(units=units, after=units[-1]["unit"] if has_more else None)
+
+
+def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
+    found = {}
+    for text in parameters:
+        name, equals, value = text.partition("=")
+        if not (equals and name and value):
+            raise BadInput(f"parameter {text!r} is not like average_s=100")
+        found[name.strip()] = value.strip()
+    return found

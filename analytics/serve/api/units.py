@@ -1,0 +1,177 @@
+"""Units: all of them by name, and one with its runs, metrics, verdicts and error models."""
+
+from typing import Any
+
+import msgspec
+
+from analytics.metric_registry.registry import alike
+from analytics.serve.api.models import ModelRow, models_of
+from analytics.serve.api.operation import Call, Nothing, get, link
+from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
+from storage.sql.catalog import Catalog
+from stream.errors import NotFound
+
+_UNITS = """
+with recorded as (
+  select unit, count(distinct run) as runs, count(distinct signal) as signals, sum(samples)::bigint as samples,
+    arg_max(run, arrival_last_ns) as last_run, arg_max(site, arrival_last_ns) as site,
+    arg_max(station, arrival_last_ns) as station, max(arrival_last_ns) as recorded_ns
+  from internal.lake_channels group by unit
+), mounted as (
+  select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot, arg_max(slot, t_ns) as slot,
+    arg_max(fixture, t_ns) as fixture, arg_max(firmware, t_ns) as firmware, arg_max(run, t_ns) as run
+  from internal.served_units group by unit
+), given as (
+  select unit, arg_max(verdict, arrival_ns) as verdict from internal.served_verdicts group by unit
+)
+select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, m.slot, m.fixture, m.firmware,
+  coalesce(r.runs, 0) as runs, coalesce(r.last_run, m.run) as last_run, coalesce(r.signals, 0) as signals,
+  coalesce(r.samples, 0) as samples, g.verdict, r.recorded_ns
+from recorded r full join mounted m using (unit) left join given g using (unit)
+"""
+_PAGE = f"""
+select * from ({_UNITS}) where unit > $after and contains(lower(unit), lower($search))
+  and ($product = '' or product = $product) and ($lot = '' or lot = $lot)
+  and ($station = '' or station = $station) and ($verdict = '' or coalesce(verdict, '') = $verdict)
+order by unit limit $rows
+"""  # noqa: S608  our own statement
+_RUNS = """
+select r.run, r.station, r.procedure, r.outcome, u.slot, u.lot, u.product, s.signals,
+  case when r.date_known then epoch_ns(r.started) end as started_ns,
+  case when r.date_known then epoch_ns(r.ended) end as ended_ns, r.duration_s, g.verdict
+from (select run, list(signal order by signal) as signals from signals where unit = $unit group by run) s
+join internal.served_runs r using (run)
+left join (select * from internal.served_units where unit = $unit) u using (run)
+left join (select run, verdict from internal.served_verdicts where unit = $unit) g using (run)
+order by r.recorded desc, r.run
+"""
+
+
+class UnitsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which units: all by default."""
+
+    search: Name = ""
+    product: Name = ""
+    lot: Name = ""
+    station: Name = ""
+    verdict: Name = ""
+
+
+class UnitRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A unit, with its last mounting and the last verdict that a run gave it."""
+
+    unit: str
+    product: str | None
+    lot: str | None
+    site: str | None
+    station: str | None
+    slot: str | None
+    fixture: str | None
+    firmware: str | None
+    runs: int
+    last_run: str | None
+    signals: int
+    samples: int
+    verdict: str | None
+    recorded_ns: int | None
+    recorded: str | None = None
+
+
+class Units(msgspec.Struct, frozen=True, kw_only=True):
+    """A page of units by name, how many there are with these properties, and the next page."""
+
+    units: list[UnitRow]
+    count: int
+    next: str | None
+
+
+class UnitRun(msgspec.Struct, frozen=True, kw_only=True):
+    """A run of a unit."""
+
+    run: str
+    station: str | None
+    procedure: str | None
+    outcome: str
+    slot: str | None
+    lot: str | None
+    product: str | None
+    signals: list[str]
+    started_ns: int | None
+    ended_ns: int | None
+    duration_s: float | None
+    verdict: str | None
+    started: str | None = None
+    ended: str | None = None
+
+
+class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything of a unit: its runs, characteristics, verdicts by the specifications, error models."""
+
+    unit: str
+    about: UnitRow
+    verdict: dict[str, Any] | None
+    runs: list[UnitRun]
+    metrics: list[dict[str, Any]]
+    verdicts: list[dict[str, Any]]
+    models: list[ModelRow]
+    warnings: list[dict[str, Any]]
+
+
+@get("/api/units", table="units")
+def list_units(call: Call, asked: UnitsAsked) -> Units:
+    """All units by name: their product, lot, last run and its verdict."""
+    given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
+    del given["limit"]
+    rows = [_unit_row(row) for row in dictionaries(call.views, _PAGE, given)]
+    units, has_more = page_of(rows, asked.limit)
+    every = _PAGE.replace("select *", "select count(*) as n", 1).replace("order by unit limit $rows", "")
+    del given["rows"]
+    (count,) = dictionaries(call.views, every, given | {"after": ""})
+    parameters = msgspec.to_builtins(asked) | {"after": units[-1].unit if units else None}
+    return Units(units=units, count=count["n"], next=link("api", "units", **parameters) if has_more else None)
+
+
+@get("/api/units/{unit}", table="metrics", is_slow=True)
+def unit(call: Call, asked: Nothing) -> UnitDocument:
+    """One unit: its runs, characteristics with limits and verdicts, error models."""
+    from analytics.evaluation.selection import Selection, selected
+    from analytics.specifications.verdicts import verdicts_of
+
+    del asked
+    name = call.path["unit"]
+    about = unit_row(call.views, name)
+    runs = dictionaries(call.views, _RUNS, {"unit": name})
+    has_steps = bool(call.metrics.rows("select 1 from unit_metrics where unit = $unit limit 1", {"unit": name}))
+    judged = verdicts_of(call.metrics, [name]) if _is_judged(call.metrics, name) else None
+    return UnitDocument(
+        unit=name, about=about, verdict=judged.units[0] if judged else None,
+        runs=[UnitRun(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"])) for row in runs],
+        metrics=[_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
+        verdicts=judged.verdicts if judged else [], models=models_of(call.store, name),
+        warnings=judged.warnings if judged else [],
+    )  # fmt: skip
+
+
+def unit_row(views: Catalog, name: str) -> UnitRow:
+    """A unit; NotFound names similar ones."""
+    found = dictionaries(views, f"select * from ({_UNITS}) where unit = $unit", {"unit": name})  # noqa: S608
+    if not found:
+        known = [each for (each,) in views.rows(f"select unit from ({_UNITS}) order by unit limit 2000")]  # noqa: S608
+        raise NotFound(f"unit {name!r} is not in the store; {alike(name, known, 'units are')}")
+    return _unit_row(found[0])
+
+
+def _unit_row(row: dict[str, Any]) -> UnitRow:
+    return UnitRow(**row, recorded=iso(row["recorded_ns"]))
+
+
+def _named(row: dict[str, Any]) -> dict[str, Any]:
+    """A characteristic with its names in both languages."""
+    from analytics.metric_registry.registry import metrics
+
+    header = metrics()[row["metric"]].header
+    return row | {"en": header.en, "zh": header.zh}
+
+
+def _is_judged(catalog: Catalog, name: str) -> bool:
+    return bool(catalog.rows("select 1 from unit_verdicts where unit = $unit", {"unit": name}))

@@ -1,0 +1,1 @@
+"""Who may enter: token, users with roles, sessions, protection against other sites."""

@@ -1,0 +1,82 @@
+"""The gate before all routes: names of the host, who asks, headers of every answer."""
+
+from collections.abc import Callable, Collection
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request, cookie_parser
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.doors.headers import SECURITY_HEADERS
+from analytics.serve.doors.origin import is_named
+from analytics.serve.doors.roles import Person
+from analytics.serve.problems import Misdirected
+from stream.errors import GyrofleetError
+
+PERSON = "gyrofleet.person"
+
+
+class Gate:
+    """Puts the person who asks into the scope of each request, or refuses it.
+
+    Parameters
+    ----------
+    app: What is behind the gate.
+    doorkeeper: Who knows people and programs.
+    names: Names of the host.
+    refuse: Makes the answer of a problem.
+    count: Called for each request.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        doorkeeper: Doorkeeper,
+        names: Collection[str],
+        refuse: Callable[[Request, GyrofleetError], Response],
+        count: Callable[[], None],
+    ) -> None:
+        self._app, self._doorkeeper, self._names = app, doorkeeper, names
+        self._refuse, self._count = refuse, count
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+                headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        self._count()
+        scope[PERSON] = None
+        try:
+            scope[PERSON] = self._known(scope)
+        except GyrofleetError as problem:
+            response = self._refuse(Request(scope, receive), problem)
+            await response(scope, receive, send_with_headers)
+            return
+        await self._app(scope, receive, send_with_headers)
+
+    def _known(self, scope: Scope) -> Person | None:
+        headers = Headers(scope=scope)
+        if not is_named(headers.get("host", ""), self._names):
+            raise Misdirected(
+                "the request is for another host; call this server by its address, or start it with --name HOST"
+            )
+        return self._doorkeeper.identify(headers, cookie_parser(headers.get("cookie", "")), address_of(scope))
+
+
+def address_of(scope: Scope) -> str:
+    """Address of who sends a request."""
+    client = scope.get("client")
+    return str(client[0]) if client else "unknown"

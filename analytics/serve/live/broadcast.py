@@ -1,0 +1,56 @@
+"""Changes for all who listen: each encoded once, the last ones kept for those who come back."""
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator
+
+_KEPT = 120
+HEARTBEAT_S = 15.0
+
+
+class Broadcast:
+    """Numbered changes; used from the event loop."""
+
+    def __init__(self, stopping: asyncio.Event) -> None:
+        self._kept: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)
+        self._stopping = stopping
+        self._news = asyncio.Event()
+        self.listeners = 0
+
+    def send(self, version: int, event: bytes) -> None:
+        """Send a change to all."""
+        self._kept.append((version, event))
+        self.wake()
+
+    def wake(self) -> None:
+        """Let all look whether there is something new, or whether the server stops."""
+        self._news.set()
+        self._news = asyncio.Event()
+
+    def has_after(self, version: int) -> bool:
+        """Whether all changes after a version are kept."""
+        return bool(self._kept) and self._kept[0][0] <= version + 1 and version <= self._kept[-1][0]
+
+    async def after(self, version: int) -> AsyncIterator[bytes | None]:
+        """Changes after a version as they come; None where there was none for a while. Ends when the server stops."""
+        self.listeners += 1
+        try:
+            while not self._stopping.is_set():
+                news = self._news
+                found = [(number, event) for number, event in self._kept if number > version]
+                for number, event in found:
+                    version = number
+                    yield event
+                if found:
+                    continue
+                try:
+                    await asyncio.wait_for(news.wait(), HEARTBEAT_S)
+                except TimeoutError:
+                    yield None
+        finally:
+            self.listeners -= 1
+
+
+def event(kind: str, number: str, data: bytes) -> bytes:
+    """A server-sent event."""
+    return b"id: %s\nevent: %s\ndata: %s\n\n" % (number.encode(), kind.encode(), data)

@@ -1,0 +1,127 @@
+"""The floor as rows of numbers: all of it, and what has changed, small enough for 10,000 units."""
+
+import time
+from collections import Counter, defaultdict
+from typing import Any
+
+from analytics.serve.live.floor import Floor, RunNow, UnitNow
+from stream.events import Verdict
+
+VERDICTS = ("", *(each.value for each in Verdict))
+UNIT_COLUMNS = ("number", "unit", "run", "slot", "product")
+STATE_COLUMNS = ("number", "verdict", "early", "silent", "step", "left_s", "ratio", "last_s")
+_CODES = {word: code for code, word in enumerate(VERDICTS)}
+_NS = 10**9
+
+
+class FloorRows:
+    """Rows of a floor; steps are numbered as they appear."""
+
+    def __init__(self) -> None:
+        self.version = 0
+        self._steps: dict[str, int] = {"": 0}
+        self._told_steps = 1
+
+    def begin(self) -> None:
+        """Begin a floor whose units have other numbers."""
+        self.version += 1
+        self._steps, self._told_steps = {"": 0}, 1
+
+    def document(self, floor: Floor) -> dict[str, Any]:
+        """All of it; `columns` and `state_columns` name the cells of the rows.
+
+        A unit's `state` has the code of its verdict so far in `verdicts`, whether early decisions gave it, whether it
+        is silent, the number of its step in `steps`, the seconds left, the value nearest its limit divided by that
+        limit, and the second (since 1970) in which its last sample arrived.
+        """
+        units = list(floor.units.values())
+        states = [self._state(unit) for unit in units]
+        return {
+            "version": self.version,
+            "time_ns": time.time_ns(),
+            "verdicts": VERDICTS,
+            "columns": UNIT_COLUMNS,
+            "state_columns": STATE_COLUMNS,
+            "steps": list(self._steps),
+            "runs": runs_of(floor),
+            "units": [unit_row(unit) for unit in units],
+            "states": states,
+        }
+
+    def changes(self, floor: Floor) -> dict[str, Any] | None:
+        """What has changed since the last time; None if nothing has."""
+        fresh = [floor.units[name] for name in floor.fresh if name in floor.units]
+        changed = [floor.units[name] for name in floor.changed if name in floor.units]
+        if not (changed or fresh or floor.gone or floor.changed_runs):
+            return None
+        self.version += 1
+        states = [self._state(unit) for unit in changed]
+        names = list(self._steps)[self._told_steps :]
+        first, self._told_steps = self._told_steps, len(self._steps)
+        runs = floor.changed_runs | {unit.run.run for unit in changed}
+        return {
+            "version": self.version,
+            "time_ns": time.time_ns(),
+            "steps": {first + at: name for at, name in enumerate(names)},
+            "runs": runs_of(floor, runs),
+            "units": [unit_row(unit) for unit in fresh],
+            "states": states,
+            "gone": list(floor.gone),
+        }
+
+    def _state(self, unit: UnitNow) -> list[int | float | None]:
+        early = unit.early if not unit.verdict else ""
+        step = self._steps.setdefault(unit.step, len(self._steps))
+        worst, left_s = unit.worst, unit.left_s
+        ratio = None if worst is None or worst.value is None else float(f"{worst.value / worst.limit.upper:.3g}")
+        return [
+            unit.number,
+            _CODES.get(unit.verdict or early, 0),
+            int(bool(early)),
+            int(unit.is_silent),
+            step,
+            None if left_s is None else round(left_s),
+            ratio,
+            unit.arrival_ns // _NS,
+        ]
+
+
+def unit_row(unit: UnitNow) -> list[int | str | None]:
+    """What seldom changes of a unit."""
+    return [unit.number, unit.unit, unit.run.run, unit.slot, unit.product]
+
+
+def runs_of(floor: Floor, wanted: set[str] | None = None) -> list[dict[str, Any]]:
+    """Runs on the floor with their units by verdict, silent ones, and the longest time left."""
+    verdicts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    silent: Counter[str] = Counter()
+    left: defaultdict[str, list[float]] = defaultdict(list)
+    for unit in floor.units.values():
+        run = unit.run.run
+        if wanted is not None and run not in wanted:
+            continue
+        verdicts[run][unit.so_far] += 1
+        silent[run] += unit.is_silent
+        if (left_s := unit.left_s) is not None:
+            left[run].append(left_s)
+    runs = [run for name, run in floor.runs.items() if wanted is None or name in wanted]
+    return [_run_row(run, verdicts[run.run], silent[run.run], left[run.run]) for run in runs]
+
+
+def _run_row(run: RunNow, verdicts: Counter[str], silent: int, left: list[float]) -> dict[str, Any]:
+    return {
+        "run": run.run,
+        "site": run.place.site,
+        "station": run.place.station,
+        "procedure": run.procedure,
+        "operator": run.operator,
+        "lot": run.lot,
+        "started_ns": run.started_ns if run.date_known else None,
+        "outcome": run.outcome,
+        "resumptions": run.resumptions,
+        "planned_s": run.planned_s,
+        "left_s": round(max(left)) if left else None,
+        "units": sum(verdicts.values()),
+        "silent": silent,
+        "verdicts": dict(sorted(verdicts.items())),
+    }

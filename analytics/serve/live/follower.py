@@ -1,0 +1,127 @@
+"""A thread that keeps the floor: reads the log twice a second, and tells what has changed once a second."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
+
+from analytics.serve.live.first_floor import fill_floor
+from analytics.serve.live.floor import Floor, UnitNow
+from analytics.serve.live.floor_rows import FloorRows
+from analytics.serve.shared_lake import SharedLake
+from storage.log.follower import FollowedMessage, LogFollower
+from storage.store import Store
+from stream.closing import Closing
+from stream.console import json_text
+from stream.errors import GyrofleetError
+from stream.identity import SampleKey, parse_key
+from stream.wire.batches import RawBatch
+
+_LOOK_S = 0.5
+_TELL_S = 1.0
+_TRY_AGAIN_S = 5.0
+_FILLED_WITHIN_S = 10.0
+_ENTERED = ("SpecificationEntered", "CheckEntered", "ModelActivated")
+Tell = Callable[[int, str, bytes], None]
+"""Takes a version of the floor, whether it is the whole ``floor`` or a ``change``, and its JSON."""
+
+
+class FloorFollower(Closing):
+    """Follows a store's log; `lag_s` is how long the last look took, `problem` why it does not work, if so."""
+
+    def __init__(self, store: Store) -> None:
+        self.floor, self.rows = Floor(), FloorRows()
+        self.lag_s = 0.0
+        self.problem: str | None = None
+        self._store = store
+        self._lock = threading.Lock()
+        self._ends = threading.Event()
+        self._is_filled = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, lake: SharedLake, tell: Tell) -> None:
+        """Begin; `tell` gets each version with its changes."""
+        self._thread = threading.Thread(target=self._follow, args=(lake, tell), daemon=True, name="floor")
+        self._thread.start()
+
+    def document(self) -> dict[str, Any]:
+        """The floor now; waits for the first one."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
+        with self._lock:
+            return self.rows.document(self.floor) | {"problem": self.problem, "lag_s": round(self.lag_s, 3)}
+
+    @contextmanager
+    def unit(self, name: str) -> Iterator[UnitNow | None]:
+        """A unit on the floor, which stays as it is within."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
+        with self._lock:
+            yield self.floor.units.get(name)
+
+    def entered(self) -> str:
+        """Changes with each document that changes limits, checks or models."""
+        return str(sum(self.floor.entered[name] for name in _ENTERED))
+
+    def close(self) -> None:
+        """End the thread."""
+        self._ends.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+
+    def _follow(self, lake: SharedLake, tell: Tell) -> None:
+        while not self._ends.is_set():
+            try:
+                self._follow_store(lake, tell)
+            except (GyrofleetError, OSError) as error:
+                self.problem = str(error)
+                self._ends.wait(_TRY_AGAIN_S)
+
+    def _follow_store(self, lake: SharedLake, tell: Tell) -> None:
+        state = lake.state()
+        fresh = Floor()
+        with lake.views.lease(state) as catalog:
+            fill_floor(fresh, catalog)
+        in_lake = {segment for part in state.parts for segment in part.segments}
+        with self._lock:
+            self.floor = fresh
+            self.rows.begin()
+            document = self.rows.document(fresh)
+        tell(document["version"], "floor", json_text(document).encode())
+        self._is_filled.set()
+        told_s = 0.0
+        with LogFollower(self._store, in_lake) as messages:
+            while not self._ends.is_set():
+                began_s = time.monotonic()
+                with self._lock:
+                    for message in messages.poll():
+                        take(self.floor, message)
+                self.lag_s, self.problem = time.monotonic() - began_s, None
+                if began_s - told_s >= _TELL_S:
+                    told_s = began_s
+                    self._tell(tell)
+                self._ends.wait(_LOOK_S)
+
+    def _tell(self, tell: Tell) -> None:
+        with self._lock:
+            self.floor.listen(time.time_ns())
+            changes = self.rows.changes(self.floor)
+            self.floor.forget_changes()
+        if changes is not None:
+            tell(changes["version"], "change", json_text(changes).encode())
+
+
+_parsed = lru_cache(100_000)(parse_key)
+
+
+def take(floor: Floor, message: FollowedMessage) -> None:
+    """Put a message of the log on the floor; one that cannot be read is left to `gyrofleet verify`."""
+    place, content, arrival_ns = message.place, message.content, message.record.arrival_ns
+    if place is None or isinstance(content, GyrofleetError):
+        return
+    key = _parsed(place.stream.key)
+    if isinstance(content, RawBatch):
+        assert isinstance(key, SampleKey)
+        floor.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
+    else:
+        floor.take(key.place, content, arrival_ns)

@@ -1,0 +1,61 @@
+"""Forms of pages that change something: the same operations as those of the API, then back to the page."""
+
+import functools
+from typing import Any
+from urllib.parse import parse_qsl
+
+import anyio.to_thread
+import msgspec
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from analytics.serve.api import alerts, diagnosis, jobs, notes
+from analytics.serve.api.endpoint import limited_body
+from analytics.serve.api.operation import Call, Operation
+from analytics.serve.doors.admission import admitted, check_change
+from analytics.serve.pages.login import local_path
+from analytics.serve.service import Service
+from stream.errors import BadInput, NotFound
+
+_ACTIONS: dict[str, Operation[Any, Any]] = {
+    each.name: each
+    for each in (
+        diagnosis.diagnose_unit,
+        diagnosis.promote_model,
+        diagnosis.roll_back_model,
+        jobs.cancel_job,
+        jobs.verify_store,
+        notes.add_note,
+        alerts.acknowledge_alert,
+    )
+}
+_APART = ("csrf", "back")
+_OF_PATH = "path."
+
+
+async def act(request: Request, *, service: Service) -> Response:
+    """Do what a form asks; parameters of the operation's path are fields ``path.NAME``."""
+    operation = _ACTIONS.get(request.path_params["action"])
+    if operation is None:
+        raise NotFound(f"there is no action {request.path_params['action']!r}; there are {', '.join(_ACTIONS)}")
+    person = admitted(request.scope, operation.role)
+    content = await limited_body(request)
+    try:
+        fields = dict(parse_qsl(content.decode(), keep_blank_values=True, max_num_fields=50))
+    except ValueError as error:
+        raise BadInput(f"the form cannot be read: {error}") from error
+    check_change(request.scope, fields.get("csrf"))
+    path = {name.removeprefix(_OF_PATH): value for name, value in fields.items() if name.startswith(_OF_PATH)}
+    given = {name: each for name, each in fields.items() if name not in _APART and not name.startswith(_OF_PATH)}
+    try:
+        asked = msgspec.convert(given, operation.asked, strict=False)
+    except msgspec.ValidationError as error:
+        raise BadInput(f"the form is not complete: {error}") from error
+
+    def done() -> None:
+        with Call(service, person, service.lake.state(), path) as call:
+            operation(call, asked)
+
+    run = functools.partial(anyio.to_thread.run_sync, limiter=service.slow, abandon_on_cancel=True)
+    await run(done)
+    return RedirectResponse(local_path(fields.get("back", "/")), 303)

@@ -1,0 +1,27 @@
+"""The page of events: documents of the store with filters."""
+
+from typing import Any
+
+import msgspec
+
+from analytics.serve.api import events as api
+from analytics.serve.api.operation import Call
+from analytics.serve.pages.page import shown
+
+_SHOWN_CHARACTERS = 400
+
+
+@shown("/events", "events.html.jinja")
+def events(call: Call, asked: api.EventsAsked) -> dict[str, Any]:
+    """The documents."""
+    found = api.list_events(call, asked)
+    next_page = None if found.next is None else found.next.removeprefix("/api")
+    rows = [(row, _text(row.document)) for row in found.events]
+    return {"found": found, "rows": rows, "next": next_page, "data": f"/api{call.url}"}
+
+
+def _text(document: dict[str, Any]) -> str:
+    """The content of a document in one line, without what its row shows."""
+    rest = {name: each for name, each in document.items() if name not in {"kind", "run", "unit", "t_ns", "uid"}}
+    text = msgspec.json.encode(rest).decode()
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]} ..."

@@ -1,0 +1,35 @@
+"""Problems as answers: JSON for programs, a page with a sentence for people, the login where nobody is known."""
+
+from urllib.parse import urlencode
+
+import msgspec
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from analytics.serve.pages.render import page
+from analytics.serve.problems import Unauthorised, document_of, headers_of, status_of
+from stream.errors import GyrofleetError
+
+_OF_PROGRAMS = ("/api/", "/health", "/metrics", "/static/")
+
+
+def problem_response(request: Request, error: GyrofleetError) -> Response:
+    """The answer to a request that fails."""
+    status = status_of(error)
+    path = request.url.path
+    if path.startswith(_OF_PROGRAMS) or "text/html" not in request.headers.get("accept", ""):
+        return Response(msgspec.json.encode(document_of(error)), status, headers_of(error), "application/json")
+    if isinstance(error, Unauthorised):
+        return _to_login(request)
+    answer = page(request, "problem.html.jinja", {"status": status, "message": str(error)}, status)
+    answer.headers.update(headers_of(error))
+    return answer
+
+
+def _to_login(request: Request) -> Response:
+    """The login page; after a click on another site the page asks once more, now with the cookie."""
+    wanted = request.url.path + (f"?{request.url.query}" if request.url.query else "")
+    if request.method == "GET" and request.headers.get("sec-fetch-site") == "cross-site":
+        return page(request, "again.html.jinja", {"url": wanted})
+    parameters = urlencode({"next": wanted}) if request.method == "GET" and wanted != "/" else ""
+    return RedirectResponse(f"/login?{parameters}" if parameters else "/login", 303)

@@ -1,0 +1,118 @@
+"""Templates: every text escaped, numbers and moments in one manner."""
+
+import math
+from functools import cache
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+from markupsafe import Markup
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
+
+from analytics.serve.api.operation import link
+from analytics.serve.api.rows import iso
+from analytics.serve.doors.gate import PERSON
+from analytics.serve.doors.roles import Role
+from analytics.serve.pages.language import COOKIE, LANGUAGES, Texts, language_of
+from stream.events import Verdict
+
+_YEAR_S = 365 * 86_400
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("analytics.serve.pages"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds}
+    environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment}
+    return environment
+
+
+def page(request: Request, template: str, context: dict[str, Any], status: int = 200) -> HTMLResponse:
+    """A page in the language of the request."""
+    texts = Texts(language_of(request))
+    common = {
+        "t": texts,
+        "lang": texts.language,
+        "other": next(each for each in LANGUAGES if each != texts.language),
+        "other_url": str(request.url.include_query_params(lang="zh" if texts.language == "en" else "en").query),
+        "path": request.url.path,
+        "person": request.scope.get(PERSON),
+    }
+    answer = HTMLResponse(_environment().get_template(template).render(common | context), status)
+    answer.headers["Content-Language"] = texts.language
+    answer.headers["Vary"] = "Accept-Language, Cookie"
+    if request.query_params.get("lang") in LANGUAGES:
+        answer.set_cookie(COOKIE, texts.language, max_age=_YEAR_S, samesite="strict", path="/")
+    return answer
+
+
+def number(value: object, uncertainty: float | None = None) -> str:
+    """A number for people: to two digits of its uncertainty, else six digits; other values as their text.
+
+    >>> number(12.3456789, 0.0123), number(1234567), number(None), number(True)
+    ('12.346', '1,234,567', '', 'yes')
+    """
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if not isinstance(value, float):
+        return str(value)
+    if not math.isfinite(value):
+        return str(value)
+    if uncertainty is not None and uncertainty > 0 and math.isfinite(uncertainty) and 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{min(max(1 - math.floor(math.log10(uncertainty)), 0), 9)}f}"
+    return f"{value:.6g}"
+
+
+def moment(t_ns: int | None) -> Markup:
+    """A moment as an element that programs can read; UTC, to the second."""
+    text = iso(t_ns)
+    if text is None:
+        return Markup("")
+    shown = text[:19].replace("T", " ")
+    return Markup('<time datetime="{}">{}</time>').format(text, shown)
+
+
+def duration(seconds: float | None) -> str:
+    """A duration for people.
+
+    >>> duration(59.0), duration(7_500.0), duration(200_000.0), duration(None)
+    ('59 s', '2 h 05 min', '2 d 7 h', '')
+    """
+    if seconds is None:
+        return ""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.3g} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    if whole < 86_400:
+        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    return f"{whole // 86_400} d {whole % 86_400 // 3600} h"
+
+
+def _verdicts(texts: Texts) -> list[tuple[str, str]]:
+    """Verdicts as options of a form."""
+    return [(each.value, texts.word(each.value, "verdict")) for each in Verdict]
+
+
+def _runs(runs: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Runs as options of a form."""
+    return [(run["run"], f"{run['station']}: {run['run']}") for run in runs]
+
+
+def _kinds(kinds: dict[str, int], texts: Texts) -> list[tuple[str, str]]:
+    """Kinds of documents as options of a form."""
+    return [(kind, f"{texts.word(kind, 'kind')} ({n:,})") for kind, n in kinds.items()]
+
+
+def _segment(text: str) -> str:
+    """A name as one segment of a path."""
+    return quote(text, safe="")

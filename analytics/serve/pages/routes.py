@@ -1,0 +1,49 @@
+"""All pages, and their routes."""
+
+import functools
+
+from starlette.routing import Route
+
+from analytics.serve.pages import (
+    actions,
+    at_work,
+    diagnosis,
+    events,
+    floor,
+    login,
+    runs,
+    signal,
+    sql,
+    store,
+    trends,
+    units,
+)
+from analytics.serve.service import Service
+
+PAGES = (
+    floor.floor,
+    runs.list_runs,
+    runs.run,
+    units.list_units,
+    units.unit,
+    signal.signal,
+    trends.trends,
+    diagnosis.list_diagnoses,
+    diagnosis.diagnosis,
+    diagnosis.job,
+    events.events,
+    store.store,
+    at_work.at_work,
+)
+
+
+def page_routes(service: Service) -> list[Route]:
+    """Routes of the pages."""
+    both = ["GET", "POST"]
+    return [
+        *(each.route(service) for each in PAGES),
+        Route("/sql", functools.partial(sql.sql, service=service), methods=both, name="page_sql"),
+        Route("/login", functools.partial(login.login, service=service), methods=both, name="login"),
+        Route("/logout", functools.partial(login.logout, service=service), methods=["POST"], name="logout"),
+        Route("/act/{action}", functools.partial(actions.act, service=service), methods=["POST"], name="act"),
+    ]

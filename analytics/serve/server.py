@@ -1,0 +1,103 @@
+"""The server's process: sockets, signals, an end at once."""
+
+import asyncio
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import uvicorn
+
+from analytics.serve.app import application
+from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.doors.users_file import UsersFile
+from analytics.serve.live.follower import FloorFollower
+from analytics.serve.service import Service
+from analytics.serve.settings import Settings
+from analytics.serve.shared_lake import SharedLake
+from analytics.serve.sql_pool import SqlPool
+from storage.store import Store
+from stream.errors import BadInput
+
+_GRACE_S = 2
+_KEEP_ALIVE_S = 20
+_BACKLOG = 512
+# the recorder of the same machine goes first
+_NICER = 5
+
+
+class _Server(uvicorn.Server):
+    """A server whose signals are handled by `serve`, and which says when it is ready."""
+
+    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._on_ready = on_ready
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave signals alone."""
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and say so."""
+        await super().startup(sockets)
+        self._on_ready()
+
+
+def serve(store: Store, settings: Settings, on_ready: Callable[[str], None]) -> None:
+    """Serve a store until SIGINT or SIGTERM; `on_ready` gets the server's URL, without a path."""
+    settings.check()
+    users = None if settings.users_path is None else UsersFile(settings.users_path)
+    listening = _listening(settings)
+    port = listening.getsockname()[1]
+    name = f"gyrofleet_{port}"
+    doorkeeper = Doorkeeper(
+        token=settings.token, token_role=settings.token_role, users=users,
+        cookie=f"__Host-{name}" if settings.is_secure else name, is_secure=settings.is_secure,
+    )  # fmt: skip
+    live = FloorFollower(store)
+    service = Service(
+        store, doorkeeper, SharedLake(store, live.entered), SqlPool(store), live, is_on_loopback=settings.is_on_loopback
+    )
+    config = uvicorn.Config(
+        application(service, settings.names), log_config=None, access_log=False, ws="none", server_header=False,
+        proxy_headers=False, lifespan="on", timeout_graceful_shutdown=_GRACE_S, timeout_keep_alive=_KEEP_ALIVE_S,
+        ssl_certfile=settings.certificate, ssl_keyfile=settings.key,
+    )  # fmt: skip
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    url = f"{'https' if settings.is_secure else 'http'}://{host}:{port}"
+    with suppress(OSError):
+        os.nice(_NICER)
+    try:
+        asyncio.run(_run(_Server(config, lambda: on_ready(url)), listening, service))
+    finally:
+        service.close()
+
+
+async def _run(server: _Server, listening: socket.socket, service: Service) -> None:
+    def stop() -> None:
+        server.force_exit = server.should_exit  # a second signal waits for nobody
+        server.should_exit = True
+        service.stop()
+
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop)
+    await server.serve(sockets=[listening])
+
+
+def _listening(settings: Settings) -> socket.socket:
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    listening = socket.socket(family)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((settings.host, settings.port))
+        listening.listen(_BACKLOG)
+    except (OSError, OverflowError) as error:
+        listening.close()
+        raise BadInput(
+            f"cannot listen on {settings.host}, port {settings.port}: {error}; give another --port, or 0 for a free one"
+        ) from error
+    listening.setblocking(False)
+    return listening

@@ -1,0 +1,118 @@
+"""What all requests of a server share."""
+
+import asyncio
+import os
+import secrets
+import shutil
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+
+import anyio
+
+from analytics.serve.answer_cache import AnswerCache
+from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.jobs import Jobs
+from analytics.serve.live.broadcast import Broadcast, event
+from analytics.serve.live.follower import FloorFollower
+from analytics.serve.shared_lake import SharedLake
+from analytics.serve.sql_pool import SqlPool
+from storage.recording.status_board import StatusBoard
+from storage.store import Store
+from stream.errors import GyrofleetError
+from stream.status import role_status
+from stream.status.reporter import StatusReporter
+from stream.status.role_status import RoleStatus, new_status
+
+
+def _threads(least: int) -> anyio.CapacityLimiter:
+    return anyio.CapacityLimiter(max(least, 2 * (os.cpu_count() or 1)))
+
+
+@dataclass
+class Service:
+    """The parts of a server.
+
+    Parameters
+    ----------
+    fast: Threads for views and rollups.
+    slow: Threads for metrics and long computations, so that they hold up nobody else.
+    nonce: Distinguishes the ETags of this process from those of one before it.
+    requests: How many were answered.
+    """
+
+    store: Store
+    doorkeeper: Doorkeeper
+    lake: SharedLake
+    sql: SqlPool
+    live: FloorFollower
+    is_on_loopback: bool
+    jobs: Jobs = field(default_factory=Jobs)
+    cache: AnswerCache = field(default_factory=AnswerCache)
+    fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
+    slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
+    nonce: str = field(default_factory=lambda: secrets.token_hex(4))
+    began_ns: int = field(default_factory=time.time_ns)
+    requests: int = 0
+    stopping: asyncio.Event = field(default_factory=asyncio.Event)
+    changes: Broadcast = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Connect the floor's changes with the end of the server."""
+        self.changes = Broadcast(self.stopping)
+
+    @property
+    def busy_threads(self) -> int:
+        """Requests that threads are answering."""
+        return self.fast.borrowed_tokens + self.slow.borrowed_tokens
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Follow the floor beside the requests."""
+        loop = asyncio.get_running_loop()
+
+        def tell(version: int, kind: str, data: bytes) -> None:
+            with suppress(RuntimeError):  # the server has ended
+                loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
+
+        self.live.start(self.lake, tell)
+        with StatusReporter(self.status, StatusBoard(self.store).put):
+            try:
+                yield
+            finally:
+                self.stop()
+
+    def status(self) -> RoleStatus:
+        """What the server reports of itself."""
+        numbers: dict[str, float] = {
+            "requests_total": self.requests,
+            "cache_hits_total": self.cache.hits,
+            "cache_misses_total": self.cache.misses,
+            "cache_bytes": self.cache.bytes,
+            "busy_threads": self.busy_threads,
+            "sessions": len(self.doorkeeper.sessions),
+            "listeners": self.changes.listeners,
+            "lag_seconds": self.live.lag_s,
+        }
+        trouble, free_bytes = self.live.problem or "", shutil.disk_usage(self.store.folder).free
+        try:
+            state = self.lake.state()
+            numbers |= {"lake_manifest": state.number, "lake_samples": sum(part.samples for part in state.parts)}
+        except GyrofleetError as error:
+            trouble = str(error)
+        whole = {name: float(value) for name, value in numbers.items()} | {"free_bytes": float(free_bytes)}
+        return new_status(role_status.Role.SERVE, self.began_ns, trouble=trouble[:4000], numbers=whole)
+
+    def stop(self) -> None:
+        """End what would keep the server from ending: event streams, statements."""
+        self.stopping.set()
+        self.changes.wake()
+        self.sql.close()
+
+    def close(self) -> None:
+        """Close what is open."""
+        self.live.close()
+        self.jobs.close()
+        self.sql.close()
+        self.lake.close()

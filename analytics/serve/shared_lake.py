@@ -1,0 +1,160 @@
+"""Catalogues shared by requests: one of each version of the lake, replaced when its manifest changes."""
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import msgspec
+
+from storage.manifests.lake import MANIFEST, Part, read_manifest
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.closing import Closing
+
+# what many requests ask, read from the files once
+_SERVED = """
+create table internal.served_parts as
+  select channel, unit, signal, run, is_kept, filename, samples, t_first_ns, t_last_ns from internal.lake_channel_parts;
+create table internal.served_runs as select * from runs;
+create table internal.served_units as select * from units;
+create table internal.served_verdicts as
+  select run, unit, arg_max(document->>'$.verdict', arrival_ns) as verdict, max(arrival_ns) as arrival_ns
+  from internal.lake_documents where kind = 'VerdictGiven' group by run, unit;
+"""
+
+
+@dataclass(frozen=True)
+class LakeState:
+    """A version of the lake; `tag` names it, also with the documents that specifications and models are read from."""
+
+    tag: str
+    number: int
+    parts: tuple[Part, ...]
+
+
+@dataclass
+class _Opened:
+    state: LakeState
+    catalog: Catalog
+    users: int = 0
+    is_current: bool = True
+
+
+class SharedCatalogue(Closing):
+    """The catalogue of the newest version that was asked for; those before it are closed when nobody uses them."""
+
+    def __init__(self, open_catalogue: Callable[[LakeState], Catalog]) -> None:
+        self._open_catalogue = open_catalogue
+        self._current: _Opened | None = None
+        self._lock = threading.Lock()
+        self._opening = threading.Lock()
+
+    @contextmanager
+    def lease(self, state: LakeState) -> Iterator[Catalog]:
+        """A catalogue of that version, to read from any thread; it stays open within."""
+        opened = self._taken(state)
+        if opened is None:
+            with self._opening:  # others wait for it instead of opening another one
+                opened = self._taken(state) or self._put(state, self._open_catalogue(state))
+        try:
+            yield opened.catalog
+        finally:
+            self._release(opened)
+
+    def _taken(self, state: LakeState) -> _Opened | None:
+        with self._lock:
+            opened = self._current
+            if opened is None or opened.state.tag != state.tag:
+                return None
+            opened.users += 1
+            return opened
+
+    def _put(self, state: LakeState, catalog: Catalog) -> _Opened:
+        opened = _Opened(state, catalog, users=1)
+        with self._lock:
+            before = self._current
+            if before is not None and before.state.number > state.number:
+                opened.is_current = False
+                return opened
+            self._current = opened
+            if before is not None:
+                before.is_current = False
+        if before is not None:
+            self._close_unused(before)
+        return opened
+
+    def _release(self, opened: _Opened) -> None:
+        with self._lock:
+            opened.users -= 1
+        self._close_unused(opened)
+
+    def _close_unused(self, opened: _Opened) -> None:
+        with self._lock:
+            is_over = not opened.is_current and opened.users == 0
+        if is_over:
+            opened.catalog.close()
+
+    def close(self) -> None:
+        """Close it, at once or when the last request has ended."""
+        with self._lock:
+            opened, self._current = self._current, None
+            if opened is not None:
+                opened.is_current = False
+        if opened is not None:
+            self._close_unused(opened)
+
+
+class SharedLake(Closing):
+    """The lake of a store as requests see it.
+
+    `views` are the store's own views, `metrics` have the tables of all layers as well, computed when they are first
+    needed. `entered` counts the documents of specifications, checks and models that came since, which change the
+    metrics' tables and not the lake.
+    """
+
+    def __init__(self, store: Store, entered: Callable[[], str]) -> None:
+        self._store, self._entered = store, entered
+        self._seen: tuple[tuple[int, int, int], LakeState] | None = None
+        self.views = SharedCatalogue(self._viewed)
+        self.metrics = SharedCatalogue(self._filled)
+
+    def state(self) -> LakeState:
+        """The version in force now; StoreError if its manifest is damaged."""
+        path = self._store.lake / MANIFEST
+        try:
+            status = path.stat()
+            stamp = (status.st_mtime_ns, status.st_size, status.st_ino)
+        except OSError:
+            stamp = (0, 0, 0)
+        seen = self._seen
+        if seen is None or seen[0] != stamp:
+            manifest = read_manifest(self._store)
+            digest = hashlib.sha256(msgspec.json.encode(manifest)).hexdigest()[:12]
+            seen = stamp, LakeState(f"{manifest.number}-{digest}", manifest.number, manifest.parts)
+            self._seen = seen
+        return LakeState(f"{seen[1].tag}-{self._entered()}", seen[1].number, seen[1].parts)
+
+    def _viewed(self, state: LakeState) -> Catalog:
+        catalog = Catalog(self._store, parts=state.parts, frozen=True)
+        try:
+            catalog.define(_SERVED)
+        except BaseException:
+            catalog.close()
+            raise
+        return catalog
+
+    def _filled(self, state: LakeState) -> Catalog:
+        catalog = Catalog(self._store, parts=state.parts)
+        try:
+            catalog.fill()
+        except BaseException:
+            catalog.close()
+            raise
+        return catalog
+
+    def close(self) -> None:
+        """Close all catalogues."""
+        self.views.close()
+        self.metrics.close()

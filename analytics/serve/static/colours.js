@@ -1,0 +1,21 @@
+// The page's colours, as a canvas needs them.
+const probe = document.createElement("span");
+probe.hidden = true;
+document.body.append(probe);
+
+/** The colour of a custom property, such as "--pass", in the theme that is shown. */
+export function colour(name) {
+  probe.style.color = `var(${name})`;
+  return getComputedStyle(probe).color;
+}
+
+/** A colour with less opacity. */
+export function faint(rgb, alpha) {
+  const [red, green, blue] = rgb.match(/[\d.]+/g);
+  return `rgba(${red}, ${green}, ${blue}, ${alpha})`;
+}
+
+/** Call when the theme changes. */
+export function onTheme(redraw) {
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+}

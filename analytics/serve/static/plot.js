@@ -1,0 +1,82 @@
+// A plot by uPlot that can be used by keyboard and read aloud; its values are in a table beside it.
+import uPlot from "./uplot/uPlot.esm.js";
+import {colour, onTheme} from "./colours.js";
+import {element} from "./texts.js";
+
+const HEIGHT = 340, DAY = 86_400;
+
+/** Times of an axis in UTC on 24 hours, as fine as their distance needs; the date where it changes. */
+function clock(_plot, splits, _axis, _space, step) {
+  let day = "";
+  return splits.map(seconds => {
+    const text = new Date(Math.round(seconds * 1e3)).toISOString(), date = text.slice(0, 10);
+    const time = step >= DAY ? "" : text.slice(11, step >= 60 ? 16 : step >= 1 ? 19 : 23);
+    const shown = date === day ? time : [time, date].filter(Boolean).join("\n");
+    day = date;
+    return shown;
+  });
+}
+
+/**
+ * A plot in `host`. `options(colours)` gives uPlot's, `label()` says what it shows, `read(i)` the values at point i.
+ * Keys: arrows read, those of `keys` do what they say.
+ */
+export class Plot {
+  constructor(host, {options, data, label, read, keys = {}}) {
+    this.parts = {options, label, read, keys};
+    this.data = data;
+    this.at = -1;
+    this.frame = element("div", {className: "plot", tabIndex: 0, role: "application", "aria-roledescription": "chart"});
+    this.reading = element("p", {className: "soft reading", role: "status", "aria-live": "polite"});
+    host.append(this.frame, this.reading);
+    this.frame.addEventListener("keydown", event => this.#key(event));
+    new ResizeObserver(() => this.#fit()).observe(this.frame);
+    onTheme(() => this.#draw());
+    this.#draw();
+  }
+
+  /** Show other data. */
+  show(data) {
+    this.data = data;
+    this.at = -1;
+    this.#draw();
+  }
+
+  #draw() {
+    const ink = colour("--ink"), line = colour("--line");
+    const axis = {stroke: ink, grid: {stroke: line, width: 1}, ticks: {stroke: line, width: 1}};
+    const given = this.parts.options({ink, line, link: colour("--link"), soft: colour("--soft"), fail: colour("--fail"), pass: colour("--pass"), marginal: colour("--marginal")});
+    const axes = (given.axes ?? [{}, {}]).map(each => ({...axis, ...each}));
+    if (given.scales?.x?.time !== false) axes[0].values = clock;
+    this.uplot?.destroy();
+    const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), "Etc/UTC");
+    this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: HEIGHT, tzDate, ...given, axes}, this.data, this.frame);
+    this.frame.setAttribute("aria-label", this.parts.label());
+    this.uplot.over.addEventListener("mousemove", () => this.#read(this.uplot.cursor.idx));
+  }
+
+  #fit() {
+    const width = this.frame.clientWidth;
+    if (width && this.uplot && Math.abs(width - this.uplot.width) > 1) this.uplot.setSize({width, height: HEIGHT});
+  }
+
+  #key(event) {
+    const last = this.data[0].length - 1;
+    const moves = {ArrowLeft: this.at - 1, ArrowRight: this.at + 1, Home: 0, End: last, PageUp: this.at - 50, PageDown: this.at + 50};
+    const act = this.parts.keys[event.key];
+    if (act) act();
+    else if (event.key in moves && last >= 0) this.#read(Math.min(Math.max(moves[event.key], 0), last), true);
+    else return;
+    event.preventDefault();
+  }
+
+  #read(index, moves = false) {
+    if (index === null || index === undefined || this.data[0][index] === undefined) return;
+    this.at = index;
+    this.reading.textContent = this.parts.read(index);
+    if (moves) {
+      const y = this.data.slice(1).map(values => values[index]).find(value => value !== null && value !== undefined);
+      this.uplot.setCursor({left: this.uplot.valToPos(this.data[0][index], "x"), top: y === undefined ? 10 : this.uplot.valToPos(y, "y")}, false);
+    }
+  }
+}

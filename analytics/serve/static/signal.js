@@ -1,0 +1,172 @@
+// A signal from a month to one sample: least and greatest value of each stretch, so that no single sample is lost.
+import {Plot} from "./plot.js";
+import {faint} from "./colours.js";
+import {asked, element, figure, moment, say} from "./texts.js";
+
+const POINTS = 1200, WAIT_MS = 90, TABLE_ROWS = 100;
+const ns = seconds => (BigInt(Math.round(seconds * 1e6)) * 1000n).toString();
+
+export async function start(section) {
+  const host = element("div");
+  section.querySelector("h2").after(host);
+  const view = new View(section, host);
+  await view.show(section.dataset.from, section.dataset.to, false);
+}
+
+class View {
+  constructor(section, host) {
+    this.section = section;
+    this.host = host;
+    this.status = section.querySelector("[role=status]");
+    this.beside = null;
+    this.#chooser();
+  }
+
+  /** Ask for a stretch and show it; `kept` puts it into the address. */
+  async show(from, to, kept = true) {
+    const query = new URLSearchParams({points: POINTS});
+    if (from) query.set("from", from);
+    if (to) query.set("to", to);
+    this.wanted = query.toString();
+    const mine = this.wanted;
+    const answers = await Promise.allSettled([this.section.dataset.url, this.beside].filter(Boolean).map(url => asked(`${url}?${query}`)));
+    if (mine !== this.wanted) return; // a later stretch was asked for meanwhile
+    if (answers[0].status === "rejected") {
+      this.status.textContent = say("failed", {why: answers[0].reason.message});
+      return;
+    }
+    this.found = answers[0].value;
+    this.other = answers[1]?.value ?? null;
+    if (kept) {
+      const url = new URL(location.href);
+      url.searchParams.set("from", this.found.from_ns);
+      url.searchParams.set("to", this.found.to_ns);
+      if (from) url.searchParams.set("from", from);
+      if (to) url.searchParams.set("to", to);
+      history.replaceState(null, "", url);
+      this.#table();
+    }
+    this.#draw();
+  }
+
+  get span() {
+    return [Number(this.found.from_ns) / 1e9, Number(this.found.to_ns) / 1e9];
+  }
+
+  zoom(factor, around = 0.5) {
+    const [from, to] = this.span, length = (to - from) * factor, middle = from + (to - from) * around;
+    this.ask(middle - length * around, middle + length * (1 - around));
+  }
+
+  move(by) {
+    const [from, to] = this.span, step = (to - from) * by;
+    this.ask(from + step, to + step);
+  }
+
+  ask(from, to) {
+    if (to - from < 1e-6) return;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.show(ns(from), ns(to)), WAIT_MS);
+  }
+
+  #columns() {
+    const {t_ns, min, max, mean, bucket_ns, gaps} = this.found;
+    const columns = [[], [], [], []];
+    const ends = new Set(gaps.map(gap => gap[0]));
+    t_ns.forEach((t, i) => {
+      const at = (t + bucket_ns / 2) / 1e9;
+      [at, min[i], max[i], mean[i]].forEach((value, column) => columns[column].push(value));
+      if (ends.has(t + bucket_ns)) [at + 1e-6, null, null, null].forEach((value, column) => columns[column].push(value));
+    });
+    if (this.other) columns.push(beside(columns[0], this.other));
+    return columns;
+  }
+
+  #draw() {
+    const data = this.#columns(), {unit_of_measure: unit, bucket_ns} = this.found, single = bucket_ns === 0;
+    const [from, to] = this.span;
+    const options = colours => ({
+      scales: {x: {time: true, range: () => [from, to]}, z: {}},
+      cursor: {drag: {x: true, y: false, setScale: false}},
+      legend: {show: false},
+      series: [
+        {},
+        {stroke: colours.link, width: 1, points: {show: single && data[0].length < 400}},
+        {stroke: colours.link, width: 1, points: {show: false}, show: !single},
+        {stroke: colours.ink, width: 1, points: {show: false}, show: !single},
+        ...(this.other ? [{stroke: colours.marginal, width: 1, scale: "z", points: {show: false}}] : []),
+      ],
+      bands: single ? [] : [{series: [2, 1], fill: faint(colours.link, 0.35)}],
+      axes: [{}, {label: unit, size: 70}, ...(this.other ? [{scale: "z", side: 1, label: `${this.other.signal} / ${this.other.unit_of_measure}`, size: 70, grid: {show: false}}] : [])],
+      hooks: {setSelect: [plot => this.#selected(plot)]},
+    });
+    const parts = {
+      options, data,
+      label: () => say("signal", {signal: this.found.signal, unit, n: this.found.t_ns.length}),
+      read: i => this.#reading(i, data),
+      keys: {"+": () => this.zoom(0.5), "=": () => this.zoom(0.5), "-": () => this.zoom(2), 0: () => this.show("", ""), "[": () => this.move(-0.5), "]": () => this.move(0.5)},
+    };
+    if (this.plot) {
+      Object.assign(this.plot.parts, parts);
+      this.plot.show(data);
+    } else {
+      this.plot = new Plot(this.host, parts);
+      this.plot.frame.addEventListener("wheel", event => this.#wheel(event), {passive: false});
+      this.plot.frame.addEventListener("dblclick", () => this.show("", ""));
+    }
+    const n = this.found.t_ns.length;
+    this.status.textContent = n ? `${moment(from, to - from)} – ${moment(to, to - from)}: ${figure(Math.min(...this.found.min))} – ${figure(Math.max(...this.found.max))} ${unit}` : say("none");
+  }
+
+  #reading(i, data) {
+    const [from, to] = this.span, time = moment(data[0][i], to - from), unit = this.found.unit_of_measure;
+    if (this.found.bucket_ns === 0) return say("sample", {time, value: figure(data[1][i]), unit});
+    return say("bucket", {time, lo: figure(data[1][i]), hi: figure(data[2][i]), mean: figure(data[3][i]), unit});
+  }
+
+  #selected(plot) {
+    const {left, width} = plot.select;
+    if (width > 3) this.ask(plot.posToVal(left, "x"), plot.posToVal(left + width, "x"));
+    if (width) plot.setSelect({left: 0, top: 0, width: 0, height: 0}, false);
+  }
+
+  #wheel(event) {
+    if (!event.ctrlKey && !event.shiftKey) return; // the page scrolls
+    event.preventDefault();
+    const plot = this.plot.uplot, around = (event.clientX - plot.over.getBoundingClientRect().left) / plot.over.clientWidth;
+    this.zoom(event.deltaY < 0 ? 0.5 : 2, Math.min(Math.max(around, 0), 1));
+  }
+
+  #table() {
+    const body = document.querySelector("#signal-buckets tbody"), {t_ns, min, max, mean, n} = this.found;
+    const step = Math.max(1, Math.ceil(t_ns.length / TABLE_ROWS)), rows = [];
+    for (let i = 0; i < t_ns.length; i += step) {
+      const to = Math.min(i + step, t_ns.length), part = values => values.slice(i, to);
+      const count = part(n).reduce((a, b) => a + b, 0);
+      const average = part(mean).reduce((a, value, k) => a + value * n[i + k], 0) / count;
+      const cells = [figure(Math.min(...part(min))), figure(Math.max(...part(max))), figure(average), count];
+      rows.push(element("tr", {}, element("td", {textContent: moment(t_ns[i] / 1e9, 1)}), ...cells.map(text => element("td", {className: "number", textContent: text}))));
+    }
+    body.replaceChildren(...rows);
+  }
+
+  #chooser() {
+    const links = [...document.querySelectorAll("section[aria-labelledby=others] a")];
+    if (!links.length) return;
+    const select = element("select", {}, element("option", {value: "", textContent: say("nothing")}), ...links.map(link => element("option", {value: link.pathname, textContent: link.textContent})));
+    select.addEventListener("change", () => {
+      this.beside = select.value ? `/api${select.value}` : null;
+      this.show(this.found?.from_ns, this.found?.to_ns, false);
+    });
+    this.host.before(element("p", {}, element("label", {}, say("beside"), " ", select)));
+  }
+}
+
+/** Means of another signal at the times of this one: of the last stretch that began before. */
+function beside(times, other) {
+  let i = -1;
+  return times.map(time => {
+    while (i + 1 < other.t_ns.length && other.t_ns[i + 1] / 1e9 <= time) i += 1;
+    return i < 0 ? null : other.mean[i];
+  });
+}

@@ -1,0 +1,71 @@
+// Texts of the scripts in both languages; those of the pages are in pages/texts.toml.
+const TEXTS = {
+  en: {
+    floor: "{n} units by verdict so far; arrow keys move, Enter opens the unit",
+    open: "undecided", silent: "silent", left: "{time} left", nearest: "at {ratio} of its limit",
+    live: "live, {time}", away: "the connection is lost; trying again", count: "{n} {word}",
+    signal: "{signal} in {unit}, least and greatest value of each of {n} stretches; arrow keys read values, plus and minus zoom, 0 shows all",
+    bucket: "{time}: {lo} to {hi}, mean {mean} {unit}", sample: "{time}: {value} {unit}", none: "no samples in this stretch",
+    beside: "beside it", nothing: "nothing", loading: "loading", failed: "{why}",
+    allan: "Allan deviation over averaging time, both logarithmic, with 95 % bounds; arrow keys read values",
+    point: "{tau} s: {value} ({lo} to {hi}) {unit}", trend: "{name}: values in the order of time with control limits; arrow keys read values",
+    value: "{time}, {unit}: {value}", tau: "averaging time / s", centre: "centre", limits: "control limits",
+    history: "earlier statements", rows: "{n} rows in {s} s", cut: "cut at {n}", plot: "first column of numbers or times across, the others up",
+    least: "least", greatest: "greatest", mean: "mean", bound: "95 % bounds", deviation: "deviation",
+  },
+  zh: {
+    floor: "{n}个产品按当前判定着色；方向键移动，回车打开产品",
+    open: "未判定", silent: "无数据", left: "剩余{time}", nearest: "达到限值的{ratio}倍",
+    live: "实时，{time}", away: "连接中断，正在重试", count: "{word} {n}",
+    signal: "{signal}（{unit}），{n}个区间的最小值与最大值；方向键读数，加减号缩放，0显示全部",
+    bucket: "{time}：{lo}至{hi}，均值{mean} {unit}", sample: "{time}：{value} {unit}", none: "该区间无采样",
+    beside: "并列显示", nothing: "无", loading: "读取中", failed: "{why}",
+    allan: "阿伦偏差随平均时间变化，双对数坐标，含95%置信界；方向键读数",
+    point: "{tau} s：{value}（{lo}至{hi}）{unit}", trend: "{name}：按时间排列的数值与控制限；方向键读数",
+    value: "{time}，{unit}：{value}", tau: "平均时间 / s", centre: "中心线", limits: "控制限",
+    history: "以往语句", rows: "{n}行，{s} s", cut: "在{n}行截断", plot: "横轴为第一列数值或时间，其余为纵轴",
+    least: "最小值", greatest: "最大值", mean: "均值", bound: "95%置信界", deviation: "偏差",
+  },
+};
+
+export const LANG = document.documentElement.lang.startsWith("zh") ? "zh" : "en";
+
+/** A text of the page's language with its parts filled in. */
+export function say(key, parts = {}) {
+  return TEXTS[LANG][key].replace(/\{(\w+)\}/g, (_, name) => parts[name] ?? "");
+}
+
+/** A number with four significant digits. */
+export function figure(value) {
+  return value === null || value === undefined || Number.isNaN(value) ? "–" : String(Number(value.toPrecision(4)));
+}
+
+/** A moment in UTC, as fine as `span` seconds need. */
+export function moment(seconds, span = 0) {
+  const text = new Date(seconds * 1000).toISOString();
+  return text.slice(0, 10) + " " + text.slice(11, span && span < 10 ? 23 : 19);
+}
+
+/** A duration. */
+export function duration(seconds) {
+  const minutes = Math.round(seconds / 60);
+  return minutes < 1 ? `${Math.round(seconds)} s` : minutes < 60 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+/** An element with properties and children; text is never taken for markup. */
+export function element(name, properties = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(properties)) {
+    if (key.includes("-") || key === "role" || key === "scope") made.setAttribute(key, value); else made[key] = value;
+  }
+  made.append(...children);
+  return made;
+}
+
+/** JSON of an address; an Error with the server's sentence where it refuses. */
+export async function asked(url, options = {}) {
+  const answer = await fetch(url, {headers: {Accept: "application/json", ...options.headers}, ...options});
+  const body = await answer.json();
+  if (!answer.ok) throw new Error(body.error?.message ?? body.message ?? body.error ?? answer.statusText);
+  return body;
+}

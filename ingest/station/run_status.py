@@ -1,0 +1,37 @@
+"""The status of a run at a station."""
+
+from collections.abc import Sequence
+
+from ingest.procedures.plan import PlannedStep
+from ingest.station.operator_console import ConsoleOperator
+from ingest.station.run_limits import LimitReport
+from ingest.station.run_log import RunLog
+from ingest.station.station import Station
+from ingest.station_clock import StationClock
+from stream.delivery.publisher import DurablePublisher
+from stream.status.role_status import Role, RoleState, RoleStatus, RunProgress, new_status
+
+
+def run_status(
+    log: RunLog, steps: Sequence[PlannedStep], station: Station, clock: StationClock, operator: ConsoleOperator,
+    decisions: LimitReport, publisher: DurablePublisher, began_ns: int,
+) -> RoleStatus:  # fmt: skip
+    """How far a run is, and what keeps its samples from being recorded."""
+    state, paused = log.state, publisher.paused
+    trouble = publisher.warning or (f"the recorder pauses: {paused}" if paused else "")
+    forecast_s = decisions.forecast_s()
+    progress = RunProgress(
+        run=state.run, procedure=state.procedure, units=state.units, step=min(state.step + 1, len(steps)),
+        steps=len(steps), doing=operator.doing, left_s=clock.computer_s(operator.left_s),
+        decided_at_s=None if forecast_s is None else clock.computer_s(forecast_s),
+        verdicts=decisions.so_far(), undecided=decisions.undecided(),
+    )  # fmt: skip
+    numbers = {
+        "samples_total": float(log.samples), "short_records_total": float(state.short_records),
+        **publisher.numbers,
+    }  # fmt: skip
+    is_paused = operator.is_paused or bool(paused)
+    return new_status(
+        Role.RUN, began_ns, name=station.table.name, state=RoleState.PAUSED if is_paused else RoleState.WORKING,
+        trouble=trouble, numbers=numbers, run=progress,
+    )  # fmt: skip

@@ -1,0 +1,101 @@
+"""The command `gyrofleet status`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stream.console import notes, print_json, reporting, results, store_option, until_stopped
+from stream.result_table import ResultTable
+
+if TYPE_CHECKING:
+    from storage.recording.store_status import RoleReport, StoreStatus
+
+_EVERY_S = 2.0
+
+
+@click.command("status")
+@store_option
+@click.option("--watch", "is_watch", is_flag=True, help="Show it again every 2 s, until stopped.")
+@reporting
+def status(folder: Path, *, is_watch: bool, as_json: bool) -> None:
+    """Show what is at work on a store: recorder, estimators, runs with step and time left, units by verdict, disk.
+
+    The exit code is 0 where all that is at work is well, 1 where a role has failed, was killed, is silent or paused,
+    lags, or has trouble; the troubles are listed. Each role reports once a second, also over the bus from another
+    computer. --status-listen of a role serves the same to Prometheus.
+    """
+    from storage.recording.store_status import store_status
+    from storage.store import Store
+
+    store = Store.open(folder)
+    with until_stopped() as stopped:
+        while True:
+            found = store_status(store)
+            if as_json:
+                print_json(found)
+            else:
+                if is_watch and results().is_terminal:
+                    results().clear()
+                _show(found)
+            if not is_watch or stopped.wait(_EVERY_S):
+                break
+    sys.exit(1 if found.troubles else 0)
+
+
+def _show(found: "StoreStatus") -> None:
+    from storage.recording.disk_watch import format_bytes
+
+    console = results()
+    if found.roles:
+        table = ResultTable("role", "name", "state", "for", "what")
+        for role in found.roles:
+            table.add_row(role.status.role, role.status.name, role.condition, _duration(role.works_s), _what(role))
+        console.print(table)
+    else:
+        console.print("nothing is at work on this store")
+    if found.verdicts:
+        listed = ", ".join(f"{count} {verdict}" for verdict, count in sorted(found.verdicts.items()))
+        console.print(f"units of the runs at work, so far: {listed}")
+    if found.last_message_age_s is not None:
+        console.print(f"last message {found.last_message_age_s:,.1f} s ago")
+    spool = f"; {format_bytes(found.spool_bytes)} in spools" if found.spool_bytes else ""
+    console.print(
+        f"{found.segments:,} sealed segments, {found.segments_not_in_lake:,} of them not in the lake; "
+        f"{format_bytes(found.free_bytes)} free of {format_bytes(found.disk_bytes)}{spool}"
+    )
+    for trouble in found.troubles:
+        notes().print(f"trouble: {trouble}", soft_wrap=True, markup=False)
+
+
+def _what(role: "RoleReport") -> str:
+    status, run = role.status, role.status.run
+    if run is not None:
+        left = "" if run.left_s is None else f", {_duration(run.left_s)} left"
+        waits = status.numbers.get("outstanding_messages", 0.0)
+        waiting = f"; {waits:,.0f} messages not recorded yet" if waits else ""
+        decided = sum(count == 0 for count in run.undecided.values())
+        early = f"; {decided} of {len(run.undecided)} units decided" if run.undecided else ""
+        return f"{run.run}: step {run.step} of {run.steps}, {run.doing}{left}{early}{waiting}"
+    samples = status.numbers.get("samples_total")
+    lag_s = status.numbers.get("lag_seconds")
+    parts = [] if samples is None else [f"{samples:,.0f} samples"]
+    parts += [] if lag_s is None else [f"{lag_s:,.1f} s behind"]
+    segments = status.numbers.get("segments_total")
+    parts += [] if segments is None else [f"{segments:,.0f} segments"]
+    return ", ".join(parts)
+
+
+def _duration(seconds: float) -> str:
+    """A duration for people.
+
+    >>> _duration(75.0), _duration(3 * 3600 + 120), _duration(9.4)
+    ('1 min 15 s', '3 h 02 min', '9 s')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"

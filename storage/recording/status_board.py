@@ -1,0 +1,63 @@
+"""The status of every role of a store, each a small file in its folder `status`."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from storage.store import Store
+from stream.atomic_file import replacement
+from stream.errors import WireError
+from stream.status.role_status import RoleStatus, decode_status, encode_status
+
+FOLDER = "status"
+_MOST_FILES = 2_000  # more roles than this are no station floor
+_FORGET_AFTER_S = 7 * 86_400.0
+
+
+class StatusBoard:
+    """Keeps the newest status of every role of a store; where the disk refuses, the old one stays."""
+
+    def __init__(self, store: Store) -> None:
+        self._folder = store.folder / FOLDER
+        self._lock = threading.Lock()
+        self._names: set[str] = set()
+
+    def put(self, status: RoleStatus) -> None:
+        """Keep a status in place of the role's last one."""
+        with self._lock, suppress(OSError):
+            if not self._names:
+                self._folder.mkdir(exist_ok=True)
+                self._names = {path.name for path in _files(self._folder) if not _forgotten(path)}
+            if status.file_name not in self._names and len(self._names) >= _MOST_FILES:
+                return
+            self._names.add(status.file_name)
+            with replacement(self._folder / status.file_name) as fresh:
+                fresh.write_bytes(encode_status(status))
+
+    def on_message(self, _key: str, payload: bytes) -> None:
+        """Keep what a role sent over the bus; what is no status is left out."""
+        with suppress(WireError):
+            self.put(decode_status(payload))
+
+
+def read_statuses(store: Store) -> list[RoleStatus]:
+    """The newest status of every role of a store, by role and name; unreadable files are left out."""
+    found = []
+    for path in _files(store.folder / FOLDER):
+        with suppress(OSError, WireError):
+            found.append(decode_status(path.read_bytes()))
+    return sorted(found, key=lambda each: (each.role, each.name))
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    return folder.glob("*-*.json")
+
+
+def _forgotten(path: Path) -> bool:
+    """Remove the status of a role that was not heard of for a week."""
+    if time.time() - path.stat().st_mtime < _FORGET_AFTER_S:
+        return False
+    path.unlink(missing_ok=True)
+    return True

@@ -1,0 +1,130 @@
+"""The status of a role: what a recorder, estimator, builder of the lake or run reports of itself."""
+
+import hashlib
+import os
+import socket
+import time
+from enum import StrEnum
+from typing import Annotated
+
+import msgspec
+
+from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
+from stream.errors import WireError
+from stream.identity import ROOT
+
+STATUS_KEY = f"{ROOT}/@status"
+SILENT_AFTER_S = 10.0  # a role reports every second
+_Text = Annotated[str, msgspec.Meta(max_length=4_000)]
+_Name = Annotated[str, msgspec.Meta(max_length=MAX_NAME_CHARS)]
+
+
+class Role(StrEnum):
+    """The roles that report a status."""
+
+    RECORD = "record"
+    ESTIMATE = "estimate"
+    LAKE = "lake"
+    RUN = "run"
+    SERVE = "serve"
+
+
+class RoleState(StrEnum):
+    """How a role is doing."""
+
+    WORKING = "working"
+    PAUSED = "paused"
+    FAILED = "failed"
+    ENDED = "ended"
+
+
+class RunProgress(msgspec.Struct, frozen=True, kw_only=True):
+    """How far a run is; times at the computer, not at a simulated station."""
+
+    run: _Name
+    procedure: _Text = ""
+    units: tuple[_Name, ...] = ()
+    step: int = 0  # from 1
+    steps: int = 0
+    doing: _Text = ""
+    left_s: float | None = None  # if nothing is decided early
+    decided_at_s: float | None = None  # of the record, where the last limit is forecast to be decided
+    verdicts: dict[str, str] = {}  # by unit: what the live limits say so far
+    undecided: dict[str, int] = {}  # by unit: limits that are not decided yet
+
+
+class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """What a role reports of itself once a second; `numbers` end with their unit or `_total`, as Prometheus has it."""
+
+    role: Role
+    name: _Name  # the station of a run, else the host
+    at_ns: int  # by the clock of its host
+    began_ns: int
+    state: RoleState = RoleState.WORKING
+    trouble: _Text = ""
+    host: _Name = ""
+    pid: int = 0
+    numbers: dict[str, float] = {}
+    run: RunProgress | None = None
+
+    @property
+    def file_name(self) -> str:
+        """Name of its file, of nothing that the role chose; a store has one recorder and one builder."""
+        if self.role in {Role.RECORD, Role.LAKE}:
+            return f"{self.role}-role.json"
+        digest = hashlib.sha256(f"{self.role}/{self.host}/{self.name}".encode()).hexdigest()[:16]
+        return f"{self.role}-{digest}.json"
+
+    @property
+    def age_s(self) -> float:
+        """Seconds since it was reported; negative where the clocks of two hosts differ."""
+        return (time.time_ns() - self.at_ns) / 1e9
+
+    @property
+    def condition(self) -> str:
+        """Its state, or ``silent`` where it should have reported and has not, or ``killed`` where its process is gone.
+
+        >>> RoleStatus(role=Role.LAKE, name="a", at_ns=0, began_ns=0).condition
+        'silent'
+        """
+        if self.state is RoleState.ENDED or self.age_s <= SILENT_AFTER_S:
+            return self.state.value
+        return "killed" if self.host == socket.gethostname() and not _is_alive(self.pid) else "silent"
+
+
+def new_status(role: Role, began_ns: int, *, name: str = "", **parts: object) -> RoleStatus:
+    """The status of a role of this process, now."""
+    host = socket.gethostname()[:MAX_NAME_CHARS]
+    return msgspec.structs.replace(
+        RoleStatus(role=role, name=name or host, at_ns=time.time_ns(), began_ns=began_ns, host=host, pid=os.getpid()),
+        **parts,
+    )
+
+
+def encode_status(status: RoleStatus) -> bytes:
+    """The wire form of a status, which is JSON."""
+    return msgspec.json.encode(status)
+
+
+def decode_status(payload: bytes) -> RoleStatus:
+    """Read a status; raises WireError.
+
+    >>> decode_status(encode_status(RoleStatus(role=Role.LAKE, name="a", at_ns=0, began_ns=0))).role.value
+    'lake'
+    """
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise WireError(f"{len(payload)} bytes are more than a status may have")
+    try:
+        return msgspec.json.decode(payload, type=RoleStatus)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise WireError(f"no status of a role: {error}") from error
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

@@ -1,0 +1,205 @@
+"""The resources of the API: the same figures as those of the commands, pages, kept answers, the OpenAPI document."""
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.analytics.serve.conftest import Served
+from tests.analytics.serve.served_store import HOSTILE
+
+Run = Callable[..., Any]
+
+
+def got(api: httpx.Client, path: str, **parameters: Any) -> Any:
+    answer = api.get(path, params=parameters or None)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_units_come_by_name_in_pages(api: httpx.Client) -> None:
+    whole = got(api, "/api/units")
+    names = [each["unit"] for each in whole["units"]]
+    assert names == sorted([*HOSTILE, "FOG-0001", "FOG-0002", "FOG-0003"])
+    assert (whole["count"], whole["next"]) == (len(names), None)
+    page, seen = got(api, "/api/units", limit=3), []
+    while True:
+        assert page["count"] == len(names)
+        seen += [each["unit"] for each in page["units"]]
+        if page["next"] is None:
+            break
+        page = got(api, page["next"])
+    assert seen == names
+
+
+def test_units_are_found_by_a_part_of_the_name(api: httpx.Client) -> None:
+    assert [each["unit"] for each in got(api, "/api/units", search="g-0002")["units"]] == ["FOG-0002"]
+    assert got(api, "/api/units", lot="none")["count"] == 0
+
+
+def test_a_unit_has_the_figures_of_the_commands(api: httpx.Client, served: Served, run_command: Run) -> None:
+    found = got(api, "/api/units/FOG-0001")
+    told = run_command("metrics", "--unit", "FOG-0001", "--store", "S", "--json", cwd=served.folder).json
+    keys = ("metric", "signal", "run", "value", "lo", "hi", "unit_of_measure", "reason")
+    assert [{key: row[key] for key in keys} for row in found["metrics"]] == [
+        {key: row[key] for key in keys} for row in told
+    ]
+    assert found["verdict"]["verdict"] in ("PASS", "FAIL", "MARGINAL")
+    assert {row["metric"] for row in found["verdicts"]} == {"bias"}
+    assert [each["run"] for each in found["runs"]] in (["run-1", "run-2"], ["run-2", "run-1"])
+
+
+@pytest.mark.long
+def test_verdicts_are_those_of_the_command(api: httpx.Client, served: Served, run_command: Run) -> None:
+    found = got(api, "/api/units/FOG-0001")
+    told = run_command("verdicts", "--unit", "FOG-0001", "--store", "S", "--json", cwd=served.folder).json
+    assert found["verdict"]["verdict"] == told["units"][0]["verdict"]
+    assert [row["verdict"] for row in found["verdicts"]] == [row["verdict"] for row in told["verdicts"]]
+
+
+@pytest.mark.long
+def test_a_trend_is_that_of_the_command(api: httpx.Client, served: Served, run_command: Run) -> None:
+    told = run_command("trend", "bias", "--by", "unit", "--store", "S", "--json", cwd=served.folder).json
+    assert got(api, "/api/trends", metric="bias", by="unit") == told | {"reason": None}
+
+
+def test_a_trend_without_values_says_why(api: httpx.Client) -> None:
+    found = got(api, "/api/trends", metric="bandwidth")
+    assert (found["values"], found["charts"]) == (0, [])
+    assert "bandwidth" in found["reason"]
+
+
+def test_an_allan_curve_is_that_of_the_command(api: httpx.Client, served: Served, run_command: Run) -> None:
+    found = got(api, "/api/allan/FOG-0001/run-1/rate", source="samples")
+    told = run_command(
+        "allan", "--unit", "FOG-0001", "--signal", "rate", "--run", "run-1", "--store", "S", "--json", cwd=served.folder
+    ).json
+    assert (found["tau_s"], found["adev"], found["lo"], found["hi"]) == (
+        told["tau_s"], told["value"], told["lo"], told["hi"],
+    )  # fmt: skip
+    assert found["unit_of_measure"] == told["unit_of_measure"]
+
+
+def test_too_few_samples_for_a_curve_are_a_reason(api: httpx.Client) -> None:
+    path = f"/api/allan/{HOSTILE[0]}/{HOSTILE[0]}/temperature"
+    found = got(api, path)
+    assert found["reason"] or found["tau_s"]
+
+
+def test_a_run_has_its_steps_units_and_course(api: httpx.Client) -> None:
+    found = got(api, "/api/runs/run-1")
+    assert found["run"]["started"] == "2026-11-21T10:00:00Z"
+    assert found["run"]["started_ns"] == 1_795_255_200 * 10**9
+    assert [each["unit"] for each in found["units"]] == ["FOG-0001", "FOG-0002", "FOG-0003"]
+    assert [(each["repeat"], each["units"]) for each in found["steps"]] == [(1, 3), (2, 3), (3, 3), (4, 3)]
+    assert {"RunStarted", "RunEnded"} <= {each["kind"] for each in found["documents"]}
+    assert found["verdicts"] == {"OPEN": 3}
+
+
+def test_runs_come_in_pages_without_loss(api: httpx.Client) -> None:
+    whole = [each["run"] for each in got(api, "/api/runs")["runs"]]
+    assert sorted(whole) == sorted([*HOSTILE, "run-1", "run-2"])
+    page, seen = got(api, "/api/runs", limit=2), []
+    while True:
+        seen += [each["run"] for each in page["runs"]]
+        if page["next"] is None:
+            break
+        page = got(api, page["next"])
+    assert seen == whole
+
+
+def test_events_come_in_pages_with_filters(api: httpx.Client) -> None:
+    whole = got(api, "/api/events", limit=10_000)
+    page, seen = got(api, "/api/events", limit=7), []
+    while True:
+        seen += [each["uid"] for each in page["events"]]
+        if page["next"] is None:
+            break
+        page = got(api, page["next"])
+    assert seen == [each["uid"] for each in whole["events"]]
+    assert sum(whole["kinds"].values()) == len(seen)
+    steps = got(api, "/api/events", kind="StepStarted", unit="FOG-0002", run="run-2")["events"]
+    assert [(each["kind"], each["unit"], each["run"]) for each in steps] == [("StepStarted", "FOG-0002", "run-2")] * 4
+    last = whole["events"][0]["arrival_ns"]
+    assert got(api, "/api/events", **{"from": last + 1})["events"] == []
+
+
+def test_the_store_says_what_it_has(api: httpx.Client, served: Served) -> None:
+    found = got(api, "/api/store")
+    assert found["log"]["samples"] == found["lake"]["samples"] > 700_000
+    assert found["disk"]["free_bytes"] > 0
+    assert found["lake"]["behind"] == []
+    assert str(served.folder) not in str(found)
+
+
+def test_what_is_at_work_and_alerts(api: httpx.Client, served: Served, run_command: Run) -> None:
+    found = got(api, "/api/status")
+    (serve,) = (each for each in found["roles"] if each["status"]["role"] == "serve")
+    assert serve["condition"] == "working"
+    told = run_command("status", "--store", "S", "--json", cwd=served.folder).json
+    assert "serve" in {each["status"]["role"] for each in told["roles"]}
+    assert api.post("/api/alerts/none/acknowledge", json={}).status_code == 404
+
+
+def test_yield_and_verdicts(api: httpx.Client) -> None:
+    assert got(api, "/api/yield", by="station")["by"] == "station"
+    verdicts = got(api, "/api/verdicts", limit=2)
+    assert verdicts["after"] == verdicts["units"][-1]["unit"]
+    metrics = {each["metric"]: each for each in got(api, "/api/metrics")["metrics"]}
+    assert metrics["bias"]["zh"] == "零偏"
+    assert metrics["bias"]["values"] > 0
+
+
+def test_an_answer_is_kept_until_the_lake_changes(api: httpx.Client) -> None:
+    first = api.get("/api/units")
+    again = api.get("/api/units", headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert first.headers["cache-control"] == "private, no-cache"
+    other = api.get("/api/units", headers={"Accept": "application/vnd.apache.arrow.stream"})
+    assert other.headers["etag"] != first.headers["etag"]
+
+
+def test_a_form_that_is_not_there_is_named(api: httpx.Client) -> None:
+    answer = api.get("/api/units", headers={"Accept": "application/xml"})
+    assert answer.status_code == 406
+    assert "application/vnd.apache.arrow.stream" in answer.json()["error"]["message"]
+
+
+@pytest.mark.parametrize(("path", "word"), [("/api/units/FOG-0O01", "FOG-0001"), ("/api/runs/run1", "run-1")])
+def test_a_mistyped_name_is_answered_with_the_nearest(api: httpx.Client, path: str, word: str) -> None:
+    answer = api.get(path)
+    assert answer.status_code == 404
+    assert word in answer.json()["error"]["message"]
+
+
+def test_the_document_describes_every_route(api: httpx.Client) -> None:
+    from analytics.serve.api.routes import OPERATIONS
+
+    document = got(api, "/api/openapi.json")
+    described = {(path, method.upper()) for path, each in document["paths"].items() for method in each}
+    assert described == {(each.path, each.method) for each in OPERATIONS}
+    for path, methods in document["paths"].items():
+        for operation in methods.values():
+            in_path = {each["name"] for each in operation["parameters"] if each["in"] == "path"}
+            assert in_path == set(re.findall(r"\{(\w+)\}", path))
+            assert operation["summary"].endswith(".")
+            assert "401" in operation["responses"]
+    references = set(re.findall(r'"#/components/schemas/([^"]+)"', api.get("/api/openapi.json").text))
+    assert references <= set(document["components"]["schemas"])
+
+
+@pytest.mark.parametrize("method", ["DELETE", "PUT", "PATCH", "TRACE"])
+def test_other_methods_are_refused(api: httpx.Client, method: str) -> None:
+    answer = api.request(method, "/api/units")
+    assert answer.status_code == 405
+    assert "GET" in answer.headers["allow"]
+
+
+def test_figures_for_prometheus(api: httpx.Client, served: Served) -> None:
+    text = api.get("/metrics").text
+    assert re.search(r"^gyrofleet_serve_lake_samples\{.*\} \d", text, re.MULTILINE)
+    assert "FOG" not in text
+    with served.nobody() as client:  # the server listens on loopback
+        assert client.get("/metrics").status_code == 200

@@ -1,0 +1,52 @@
+"""What is at work and alerts, over the API and on the page."""
+
+import httpx
+
+from analytics.alerts.book import AlertBook
+from analytics.alerts.conditions.verdict import VerdictCondition
+from analytics.alerts.finding import Finding
+from analytics.alerts.rules import Rule
+from analytics.loop.bilingual import Bilingual
+from storage.store import Store
+from tests.analytics.serve.conftest import Served
+
+
+def raised(served: Served, key: str) -> str:
+    """An alert in the book of the store, as `gyrofleet alert run` puts it there."""
+    book = AlertBook(Store.open(served.store))
+    rule = Rule(name="verdict", condition=VerdictCondition(), to=())
+    finding = Finding(key, "FOG-0001", Bilingual("unit FOG-0001 has FAIL", "产品FOG-0001判定为FAIL"), is_event=True)
+    book.see(rule, finding, 1_795_255_200 * 10**9)
+    book.save()
+    return next(each.id for each in book.alerts() if each.key == key)
+
+
+def test_the_status_of_a_store_at_rest(api: httpx.Client) -> None:
+    found = api.get("/api/status").json()
+    assert found["troubles"] == []
+    assert found["segments"] >= 1
+
+
+def test_an_alert_is_seen_by_all_and_acknowledged_by_an_operator(served: Served, api: httpx.Client) -> None:
+    alert = raised(served, "of the API")
+    assert alert in {each["id"] for each in api.get("/api/alerts").json()["alerts"]}
+    with served.program("viewer") as viewer:
+        assert viewer.post(f"/api/alerts/{alert}/acknowledge", json={}).status_code == 403
+    assert api.post("/api/alerts/nothing/acknowledge", json={}).status_code == 404
+    with served.program("operator") as operator:
+        done = operator.post(f"/api/alerts/{alert}/acknowledge", json={"note": "supply replaced"})
+    assert done.status_code == 200, done.text
+    assert done.json()["document"]["by"] == "operator-program"
+    rows = api.post(
+        "/api/sql", json={"sql": "select document->>'$.note' as note from events where kind = 'AlertAcknowledged'"}
+    )
+    assert {"note": "supply replaced"} in rows.json()["rows"]
+
+
+def test_the_page_shows_alerts_in_both_languages(served: Served) -> None:
+    raised(served, "of the page")
+    with served.browser("vera") as viewer:
+        english, chinese = (viewer.get(f"/work?lang={lang}").text for lang in ("en", "zh"))
+    assert "unit FOG-0001 has FAIL" in english
+    assert "产品FOG-0001判定为FAIL" in chinese
+    assert "/act/acknowledge_alert" not in english  # a viewer may not

@@ -1,0 +1,163 @@
+"""The pages in a real browser: plots, keys, zoom, statements, theme and width, what a screen reader finds."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.analytics.serve.conftest import TOKEN, Served
+from tests.analytics.serve.served_store import RATE_HZ, SPIKE_AT, START_NS, STEP_S, STEPS
+from tests.browser import IS_THERE, Browser
+
+pytestmark = pytest.mark.skipif(not IS_THERE, reason="chromium and chromedriver are not installed")
+AXE = Path(__file__).parents[2] / "vendor" / "axe.min.js"
+SIGNAL = "/signals/FOG-0001/run-1/rate"
+PAGES = (
+    "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", SIGNAL, "/trends?metric=bias", "/diagnosis", "/sql",
+    "/events", "/work", "/store",
+)  # fmt: skip
+# pixels of the curve in the uppermost fifth of the plot
+PIXELS = """(() => {
+  const canvas = document.querySelector('#signal-plot canvas'), over = document.querySelector('#signal-plot .u-over');
+  const ratio = devicePixelRatio, box = canvas.getBoundingClientRect(), inner = over.getBoundingClientRect();
+  const x = (inner.left - box.left) * ratio, y = (inner.top - box.top) * ratio;
+  const seen = canvas.getContext('2d').getImageData(x, y, inner.width * ratio, inner.height * ratio / 5).data;
+  let count = 0;
+  for (let i = 0; i < seen.length; i += 4) count += seen[i + 3] > 128 && seen[i + 2] > seen[i] + 60;
+  return count;
+})()"""
+# what sticks out of the window, beside what scrolls by itself
+BEYOND = """(() => {
+  const width = document.documentElement.clientWidth, all = [...document.querySelectorAll('body *')];
+  const out = all.filter(each => !each.closest('.wide') && each.getBoundingClientRect().right > width + 1);
+  return out.map(each => each.outerHTML.slice(0, 200));
+})()"""
+
+
+@pytest.fixture(scope="module")
+def window(served: Served) -> Iterator[Browser]:
+    with Browser() as browser:
+        browser.open(f"{served.url}/login?token={TOKEN}")
+        yield browser
+
+
+def until(look: Callable[[], Any], timeout_s: float = 30.0) -> Any:
+    deadline = time.monotonic() + timeout_s
+    while not (found := look()):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    return found
+
+
+def press(window: Browser, key: str) -> None:
+    event = f"new KeyboardEvent('keydown', {{key: {json.dumps(key)}, bubbles: true, cancelable: true}})"
+    window.ask(f"document.querySelector('#signal-plot .plot').dispatchEvent({event})")
+
+
+def reading(window: Browser, section: str = "#signal-plot") -> str:
+    return str(window.ask(f"document.querySelector('{section} .reading').textContent"))
+
+
+def status(window: Browser) -> str:
+    return str(window.ask("document.querySelector('#signal-plot [role=status]:not(.reading)').textContent"))
+
+
+def plotted(window: Browser, url: str, section: str = "#signal-plot") -> None:
+    window.open(url)
+    until(lambda: window.ask(f"!!document.querySelector('{section} canvas')"))
+
+
+@pytest.mark.parametrize("width_s", [600.0, 60.0, 2.0, 0.1])
+def test_a_spike_of_one_sample_is_seen_at_every_zoom(window: Browser, served: Served, width_s: float) -> None:
+    at_ns = START_NS + SPIKE_AT * 10**9 // RATE_HZ
+    half_ns = round(width_s * 0.5e9)
+    plotted(window, f"{served.url}{SIGNAL}?from={at_ns - half_ns}&to={at_ns + half_ns}")
+    assert "50 deg/s" in until(lambda: status(window))
+    assert window.ask(PIXELS) > 0
+    assert window.complaints() == []
+
+
+def test_keys_read_values_zoom_and_go_back(window: Browser, served: Served) -> None:
+    plotted(window, served.url + SIGNAL)
+    label = window.ask("document.querySelector('#signal-plot .plot').getAttribute('aria-label')")
+    assert "rate in deg/s" in label
+    press(window, "Home")
+    press(window, "ArrowRight")
+    assert "mean" in until(lambda: reading(window))
+    press(window, "+")
+    until(lambda: "from=" in window.ask("location.search"))
+    shown = until(lambda: status(window))
+    assert (
+        len(window.ask("[...document.querySelectorAll('#signal-buckets tbody tr')].map(row => row.cells.length)")) > 10
+    )
+    press(window, "0")
+    until(lambda: status(window) != shown)
+    window.ask("document.querySelector('#signal-plot select').value = '/signals/FOG-0001/run-1/temperature'")
+    window.ask("document.querySelector('#signal-plot select').dispatchEvent(new Event('change'))")
+    until(lambda: window.ask("document.querySelectorAll('#signal-plot .u-axis').length") == 3)
+    assert window.complaints() == []
+
+
+def test_a_statement_is_answered_without_leaving_the_page(window: Browser, served: Served) -> None:
+    window.open(f"{served.url}/sql?sql=select+1")
+    until(lambda: window.ask("!!document.querySelector('#sql-form select')"))
+    sql = "select t_ns, mean from rollup_10s where unit = 'FOG-0001' and run = 'run-1' and signal = 'rate'"
+    window.ask(f"document.querySelector('#sql').value = {json.dumps(sql)}")
+    window.ask("document.querySelector('#sql-form').requestSubmit()")
+    until(lambda: window.ask("document.querySelectorAll('#sql-result .wide tbody tr').length") == STEPS * STEP_S // 10)
+    assert window.ask("!!document.querySelector('#sql-result canvas')")
+    assert "rollup_10s" in window.ask("location.search")
+    window.ask("document.querySelector('#sql').value = 'drop table samples'")
+    window.ask("document.querySelector('#sql-form').requestSubmit()")
+    assert "only" in until(lambda: window.ask("document.querySelector('#sql-result [role=alert]')?.textContent"))
+    first = window.ask("document.querySelector('#sql-form select').options[1].value")
+    assert first == "drop table samples"
+    assert all("400" in each for each in window.complaints())
+
+
+def test_allan_deviation_and_trend_are_drawn_and_read(window: Browser, served: Served) -> None:
+    plotted(window, served.url + SIGNAL, "#allan-plot")
+    plot = "document.querySelector('#allan-plot .plot')"
+    window.ask(f"{plot}.dispatchEvent(new KeyboardEvent('keydown', {{key: 'Home'}}))")
+    assert " s: " in until(lambda: reading(window, "#allan-plot"))
+    window.open(f"{served.url}/trends?metric=bias")
+    until(lambda: window.ask("!!document.querySelector('#trend-plot canvas')"))
+    assert window.complaints() == []
+
+
+@pytest.mark.parametrize("lang", ["en", "zh"])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(
+    "page", [PAGES[5], *(pytest.param(page, marks=pytest.mark.long) for page in PAGES if page != PAGES[5])]
+)
+def test_axe_finds_nothing(window: Browser, served: Served, page: str, theme: str, lang: str) -> None:
+    window.emulate(theme)
+    window.open(f"{served.url}{page}{'&' if '?' in page else '?'}lang={lang}")
+    time.sleep(0.5)  # scripts draw
+    window.ask(f"(() => {{ {AXE.read_text()}; return 1 }})()")
+    window.ask("axe.run(document).then(found => { window.found = found; }) && 1")
+    until(lambda: window.ask("!!window.found"))
+    assert window.ask("window.found.violations.map(each => [each.id, each.nodes.map(node => node.html)])") == []
+    assert window.ask("window.found.passes.length") > 10
+    assert window.complaints() == []
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.long
+def test_no_page_is_wider_than_the_window(window: Browser, served: Served, page: str, width: int) -> None:
+    window.open(served.url + page, width=width)
+    time.sleep(0.5)
+    assert window.ask(BEYOND) == []
+
+
+def test_what_a_first_visit_loads_is_small(window: Browser, served: Served) -> None:
+    plotted(window, served.url + SIGNAL)
+    loaded = window.ask(
+        "performance.getEntriesByType('resource').concat(performance.getEntriesByType('navigation'))"
+        ".reduce((sum, each) => sum + each.encodedBodySize, 0)"
+    )
+    assert 20_000 < loaded < 300_000

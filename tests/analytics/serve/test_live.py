@@ -1,0 +1,83 @@
+"""The floor and its changes over HTTP, beside a recorder at work."""
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from storage.log.tail import documents_beyond
+from storage.store import Store
+from stream.events import RunStarted
+from tests.analytics.serve.conftest import TOKEN, Served, start
+from tests.forked_commands import CommandServer
+
+
+class Stream:
+    """Server-sent events as they come."""
+
+    def __init__(self, answer: httpx.Response) -> None:
+        self._lines = answer.iter_lines()
+
+    def event(self) -> dict[str, Any]:
+        """The next event that is no heartbeat."""
+        found: dict[str, Any] = {}
+        for line in self._lines:
+            name, _, value = line.partition(": ")
+            if line == "" and "data" in found:
+                return found | {"data": json.loads(found["data"])}
+            if name in ("id", "event", "data"):
+                found[name] = value
+        raise AssertionError("the stream has ended")
+
+
+@pytest.fixture
+def beside(tmp_path: Path, command_server: CommandServer, run_command: Callable[..., Any]) -> Iterator[Served]:
+    """A server of its own, over a store that is written while it runs."""
+    words = ("run-simulated", "--run", "before", "--simulate", 1, "--hours", 0.001, "--speed", 0, "--store", "S")
+    done = run_command(*words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    process, ready = start(command_server, "--store", "S", "--port", 0, "--token", TOKEN, cwd=tmp_path)
+    yield Served(ready["url"], tmp_path, {})
+    process.terminate()
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err, err
+
+
+def test_a_run_is_on_the_floor_within_two_seconds(beside: Served, command_server: CommandServer) -> None:
+    with beside.program() as client, client.stream("GET", "/api/live") as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        stream = Stream(answer)
+        first = stream.event()
+        assert first["event"] == "floor"
+        assert [run["run"] for run in first["data"]["runs"]] == ["before"]
+        words = ["run-simulated", "--run", "now", "--simulate", "3", "--hours", "0.01", "--speed", "4", "--store", "S"]
+        process = command_server.start(words, cwd=beside.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        change = stream.event()
+        while not any(row[2] == "now" for row in change["data"]["units"]):
+            change = stream.event()
+        assert change["event"] == "change"
+        assert change["data"]["time_ns"] - arrival_ns(beside.store) < 2 * 10**9
+        assert first["data"]["units"][0][0] in change["data"]["gone"]  # the station has a new run
+        # who comes back gets what it has missed
+        number = change["id"].rpartition("-")[2]
+        headers = {"Last-Event-ID": change["id"]}
+        with client.stream("GET", "/api/live", headers=headers) as again:
+            later = Stream(again).event()
+        assert later["event"] == "change"
+        assert int(later["id"].rpartition("-")[2]) > int(number)
+        process.kill()
+        process.communicate()
+    with beside.program() as client:
+        floor = client.get("/api/floor").json()
+    assert {row[1] for row in floor["units"]} == {"SIM-0001", "SIM-0002", "SIM-0003"}
+
+
+def arrival_ns(store: Path) -> int:
+    """When the recorder had the start of the run."""
+    documents = documents_beyond(Store.open(store), set())
+    return next(at_ns for document, at_ns in documents if isinstance(document, RunStarted) and document.run == "now")

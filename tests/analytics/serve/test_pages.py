@@ -1,0 +1,117 @@
+"""Pages: whole in both languages, without scripts in them, and every link of a page leads somewhere."""
+
+import re
+from html import unescape
+from html.parser import HTMLParser
+
+import httpx
+import pytest
+
+from tests.analytics.serve.conftest import Served
+
+PAGES = (
+    "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", "/signals/FOG-0001/run-1/rate", "/trends",
+    "/trends?metric=bias&by=unit", "/diagnosis", "/diagnosis/FOG-0001", "/sql", "/sql?sql=select%201",
+    "/events?kind=RunStarted", "/store",
+)  # fmt: skip
+HEADINGS = {
+    "/": ("Floor", "车间"),
+    "/runs": ("Runs", "试验"),
+    "/units": ("Units", "产品"),
+    "/trends": ("Trends", "趋势"),
+}
+
+
+class Found(HTMLParser):
+    """Links, tags and attributes of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[str] = []
+        self.labels: dict[str, bool] = {}
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [name for name, _ in attrs]
+        given = dict(attrs)
+        if tag == "a" and given.get("href"):
+            self.links.append(given["href"] or "")
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_a_page_is_whole_in_both_languages(api: httpx.Client, path: str) -> None:
+    for language, code in (("en", "en"), ("zh", "zh-CN")):
+        answer = api.get(path, headers={"Accept-Language": f"fr, {code};q=0.9", "Accept": "text/html"})
+        assert answer.status_code == 200, answer.text
+        assert answer.headers["content-language"] == language
+        assert f'<html lang="{code}">' in answer.text
+        for heading in HEADINGS.get(path, ("", ""))[language == "zh" :][:1]:
+            assert f"<h1>{heading}" in answer.text
+        found = Found(answer.text)
+        # the policy allows neither, and scripts are modules in static/
+        assert not [each for each in found.attributes if each == "style" or each.startswith("on")]
+        assert "style" not in found.tags
+        assert not re.search(r"<script(?![^>]*src=\"/static/)", answer.text)
+        assert found.tags.count("h1") == 1
+        assert "{{" not in answer.text.replace("{{7-7}}", "")
+
+
+@pytest.mark.parametrize("each", [3, pytest.param(1000, marks=pytest.mark.long)])
+def test_every_link_of_the_pages_leads_somewhere(api: httpx.Client, each: int) -> None:
+    seen: set[str] = set()
+    for path in PAGES:
+        links = Found(api.get(path, headers={"Accept": "text/html"}).text).links
+        fresh = [link for link in dict.fromkeys(links) if not link.startswith(("#", "?")) and link not in seen]
+        for link in fresh[:each]:
+            seen.add(link)
+            answer = api.get(link, headers={"Accept": "text/html"})
+            assert answer.status_code == 200, (path, link, answer.text)
+    assert len(seen) > 20
+
+
+def test_the_language_is_asked_for_and_remembered(served: Served) -> None:
+    with served.browser("vera") as browser:
+        assert '<html lang="zh-CN">' in browser.get("/units?lang=zh").text
+        assert '<html lang="zh-CN">' in browser.get("/units").text
+        assert '<html lang="en">' in browser.get("/units?lang=en").text
+
+
+def test_figures_on_a_page_are_those_of_the_api(api: httpx.Client) -> None:
+    text = unescape(api.get("/units/FOG-0001").text)
+    found = api.get("/api/units/FOG-0001").json()
+    for row in found["verdicts"]:
+        assert row["metric"] in text
+        assert f"{row['upper']:.6g}" in text
+    assert "Bias" in text
+    rows = api.get("/api/signals/FOG-0001/run-1/rate", params={"points": 100}).json()
+    assert f"{max(rows['max']):.6g}" in api.get("/signals/FOG-0001/run-1/rate").text
+
+
+def test_a_statement_is_answered_without_scripts(served: Served) -> None:
+    with served.browser("vera") as browser:
+        fields = {"sql": "select 6 * 7 as answer, '<b>' as text", "csrf": browser.csrf}
+        text = browser.post("/sql", data=fields).text
+        assert ">42<" in text
+        assert "&lt;b&gt;" in text
+        wrong = browser.post("/sql", data=fields | {"sql": "copy (select 1) to 'x'"}).text
+        assert 'role="alert"' in wrong
+        assert "COPY is refused" in wrong
+
+
+@pytest.mark.parametrize(("path", "status"), [("/units/FOG-9", 404), ("/units?limit=x", 400), ("/nothing", 404)])
+def test_a_problem_is_a_page_with_a_sentence(api: httpx.Client, path: str, status: int) -> None:
+    answer = api.get(path, headers={"Accept": "text/html"})
+    assert answer.status_code == status
+    assert 'role="alert"' in answer.text
+    assert api.get(path).headers["content-type"] == "application/json"
+
+
+def test_changes_are_offered_to_those_who_may(served: Served) -> None:
+    with served.browser("vera") as viewer, served.browser("eva") as engineer:
+        assert "/act/diagnose_unit" not in viewer.get("/diagnosis/FOG-0001").text
+        assert "/act/diagnose_unit" in engineer.get("/diagnosis/FOG-0001").text
+        assert "/act/verify_store" not in viewer.get("/store").text
+        assert "/act/verify_store" in engineer.get("/store").text

@@ -1,0 +1,125 @@
+"""SQL over HTTP: forms of the result, limits, and statements that would do more than read."""
+
+import io
+import time
+
+import httpx
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+
+def test_rows_are_objects_with_columns_and_types(api: httpx.Client) -> None:
+    found = api.post(
+        "/api/sql", json={"sql": "select unit, count(*) as n from samples where run = 'run-1' group by unit"}
+    )
+    rows = found.json()
+    assert rows["columns"] == [{"name": "unit", "type": "string"}, {"name": "n", "type": "int64"}]
+    assert {"unit": "FOG-0001", "n": 120_000} in rows["rows"]
+    assert (rows["count"], rows["truncated"]) == (3, False)
+
+
+def test_arrays_repeated_names_and_values_that_json_lacks(api: httpx.Client) -> None:
+    body = {
+        "sql": "select 1 as a, 2 as a, 'nan'::double as b, make_timestamp_ns(1) as t, [1, null] as l, "
+        "'\\x01'::blob as d",
+        "shape": "arrays",
+    }
+    rows = api.post("/api/sql", json=body).json()
+    assert [each["name"] for each in rows["columns"]] == ["a", "a_2", "b", "t", "l", "d"]
+    assert rows["rows"][0][:3] == [1, 2, None]
+    assert rows["rows"][0][3].endswith("00:00:00.000000001")
+
+
+def test_parameters_fill_the_statement(api: httpx.Client) -> None:
+    body = {"sql": "select $x as x, $y as y", "parameters": {"x": "O'Brien\";--", "y": 2}}
+    assert api.post("/api/sql", json=body).json()["rows"] == [{"x": "O'Brien\";--", "y": 2}]
+
+
+def test_more_rows_than_asked_are_cut_and_it_says_so(api: httpx.Client) -> None:
+    found = api.post("/api/sql", json={"sql": "select * from range(1000)", "rows": 10}).json()
+    assert (found["count"], found["truncated"]) == (10, True)
+    assert api.post("/api/sql", json={"sql": "select 1 as one"}).json()["rows"] == [{"one": 1}]
+
+
+def test_arrow_parquet_and_csv(api: httpx.Client) -> None:
+    body = {"sql": "select 7 as n, '=1+1' as formula, null as nothing"}
+    arrow = api.post("/api/sql", json=body, headers={"Accept": "application/vnd.apache.arrow.stream"})
+    assert pa.ipc.open_stream(io.BytesIO(arrow.content)).read_all()["n"].to_pylist() == [7]
+    parquet = api.post("/api/sql", json=body | {"format": "parquet"})
+    assert parquet.headers["content-type"] == "application/vnd.apache.parquet"
+    assert pq.read_table(io.BytesIO(parquet.content))["formula"].to_pylist() == ["=1+1"]
+    text = api.post("/api/sql", json=body | {"format": "csv"})
+    assert text.headers["content-type"].startswith("text/csv")
+    assert text.text.splitlines() == ["n,formula,nothing", "7,'=1+1,"]
+
+
+REFUSED = (
+    "copy (select 1) to '/tmp/x.csv'",
+    "explain analyze copy (select 1) to '/tmp/x.csv'",
+    "select * from read_text('/etc/passwd')",
+    "from '/etc/passwd'",
+    "attach '/tmp/x.db'",
+    "install httpfs",
+    "create table t as select 1",
+    "drop view samples",
+    "delete from units",
+    "set memory_limit = '100GB'",
+    "pragma database_list",
+    "select 1; select 2",
+    "with gone as (delete from units returning *) select * from gone",
+    "select getenv('HOME')",
+    "select nonsense from nowhere",
+    "",
+    "\x00",
+    "select '\ud800'",
+)
+
+
+@pytest.mark.parametrize("statement", REFUSED)
+def test_what_does_not_only_read_is_refused_with_a_sentence(api: httpx.Client, statement: str) -> None:
+    content = b'{"sql": ' + ascii_json(statement) + b"}"
+    answer = api.post("/api/sql", content=content)
+    assert answer.status_code == 400, answer.text
+    message = answer.json()["error"]["message"]
+    assert message
+    assert "Traceback" not in message
+    assert "root:" not in answer.text
+
+
+def ascii_json(text: str) -> bytes:
+    import json
+
+    return json.dumps(text).encode()
+
+
+BOMBS = ("select count(*) from range(1000000000000) a, range(1000) b", "select list(i) from range(3000000000) t(i)")
+
+
+@pytest.mark.parametrize("statement", [BOMBS[1], pytest.param(BOMBS[0], marks=pytest.mark.long)])
+def test_a_bomb_ends_and_harms_nobody(api: httpx.Client, statement: str) -> None:
+    began = time.monotonic()
+    answer = api.post("/api/sql", json={"sql": statement})
+    assert answer.status_code == 400
+    assert "less" in answer.json()["error"]["message"]
+    assert time.monotonic() - began < 50
+    assert api.post("/api/sql", json={"sql": "select 1 as one"}).json()["rows"] == [{"one": 1}]
+
+
+@pytest.mark.parametrize(
+    ("content", "status"),
+    [(b"{", 400), (b"[]", 400), (b'{"statement": 1}', 400), (b'{"sql": "select 1", "rows": 0}', 400),
+     (b'{"sql": "' + b"x" * (1 << 20) + b'"}', 413), (b"[" * 100_000, 400)],
+    ids=["cut", "list", "other", "rows", "long", "deep"],
+)  # fmt: skip
+def test_a_body_that_is_not_right(api: httpx.Client, content: bytes, status: int) -> None:
+    answer = api.post("/api/sql", content=content)
+    assert answer.status_code == status
+    assert answer.json()["error"]["message"]
+
+
+def test_the_tables_and_examples_work(api: httpx.Client) -> None:
+    found = api.get("/api/sql/tables").json()
+    assert {"samples", "unit_metrics", "verdicts"} <= {each["table"] for each in found["tables"]}
+    assert all(each["columns"] for each in found["tables"])
+    assert api.post("/api/sql", json={"sql": found["examples"][0]["sql"]}).status_code == 200
