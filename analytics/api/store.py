@@ -117,7 +117,8 @@ class FleetStore:
         """
         from storage.sql.reading import find_signal
 
-        record = find_signal(self._catalog, unit, signal, run)
+        self._check_open()
+        record = find_signal(self._sql, unit, signal, run)
         given = {"unit": unit, "signal": signal, "run": record.run}
         bounds = {"start": _moment_ns(start, "start"), "stop": _moment_ns(stop, "stop")}
         import polars as pl

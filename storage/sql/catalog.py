@@ -184,11 +184,11 @@ class Catalog(Closing):
 
     def prepare(self, sql: str) -> tuple[str, ...]:
         """Check a user's statement, and make the tables that it names; returns notes on what of the log they lack."""
-        live = self._prepared(sql)
-        return () if live is None else tuple(live.notes)
+        self._prepared(sql).close()
+        return () if self._live is None else tuple(self._live.notes)
 
-    def _prepared(self, sql: str) -> LiveTables | None:
-        """Prepare a user's statement; the live tables, if it is to see them."""
+    def _prepared(self, sql: str) -> duckdb.DuckDBPyConnection:
+        """Prepare a user's statement; a cursor to run it."""
         of_layers = {table for layer in layers() for table in layer.tables}
         try:
             named = check_statement(self._connection, sql, {"adev", *of_layers})
@@ -197,17 +197,16 @@ class Catalog(Closing):
                 raise _failed(error.__cause__) from error
             raise
         self._fill(sql)
-        # tables of layers have no live rows
-        if self._live is None or (named.isdisjoint(VIEWS) and not named.isdisjoint(of_layers)):
-            return None
+        needs_layers = not named.isdisjoint(of_layers)
+        if self._live is None or (needs_layers and named.isdisjoint(VIEWS)):  # tables of layers have no live rows
+            return self._connection.cursor()
         self._live.fill(named)
-        return self._live
+        return self._live.cursor(of_layers=needs_layers)
 
     def user_reader(self, sql: str, parameters: object = None) -> pa.RecordBatchReader:
         """Result of a user's statement, which may read the store's views and no files."""
-        live = self._prepared(sql)
+        cursor = self._prepared(sql)
         try:
-            cursor = self._connection.cursor() if live is None else live.cursor()
             cursor.execute("begin transaction read only")
             return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
         except duckdb.Error as error:

@@ -18,7 +18,7 @@ from storage.lake.tables import MESSAGE_COLUMNS, TABLES
 from storage.manifests.lake import Part
 from storage.manifests.log import read_log_manifest
 from storage.sql.guard import plain_message
-from storage.sql.views import VIEWS, define_views, reading_lake
+from storage.sql.views import define_views, reading_lake
 from storage.store import Store
 from stream.errors import QueryError, StoreError
 
@@ -60,7 +60,6 @@ class LiveTables:
         self.notes: list[str] = []
         self._contents: list[SegmentContent] | None = None
         self._has_samples = self._has_rollups = False
-        self._shown: set[str] = set()
 
     @classmethod
     def beyond(cls, store: Store, parts: Iterable[Part], connection: duckdb.DuckDBPyConnection) -> Self | None:
@@ -71,10 +70,11 @@ class LiveTables:
             return None
         return cls(store, in_lake, connection)
 
-    def cursor(self) -> duckdb.DuckDBPyConnection:
-        """A cursor on the views with live rows."""
+    def cursor(self, *, of_layers: bool = False) -> duckdb.DuckDBPyConnection:
+        """A cursor on the views with live rows, and if asked on the tables that layers have made of the lake."""
         cursor = self._connection.cursor()
-        cursor.execute(f"use {_DATABASE}")
+        behind = f",{self._lake}.main" if of_layers else ""
+        cursor.execute(f"set search_path = '{_DATABASE}.main{behind}'")
         return cursor
 
     def fill(self, named: Collection[str]) -> None:
@@ -86,7 +86,6 @@ class LiveTables:
                     with reading_lake(self._store):
                         self._define(cursor, contents)
                     self._contents = contents
-                self._pass_on(cursor)
                 is_inner = any(name.startswith(("lake_", "live_")) for name in named)
                 if not self._has_samples and (is_inner or "samples" in named):
                     self._put_samples(cursor)
@@ -161,16 +160,6 @@ class LiveTables:
         )
         cursor.execute(_SAMPLES.format(lake=self._lake))
         define_views(cursor)
-
-    def _pass_on(self, cursor: duckdb.DuckDBPyConnection) -> None:
-        """Define views of the tables that layers have made of the lake since."""
-        made = self._connection.execute(
-            "select table_name from information_schema.tables "
-            "where table_catalog = current_database() and table_schema = 'main'"
-        ).fetchall()
-        for name in {str(name) for (name,) in made} - self._shown - set(VIEWS):
-            cursor.execute(f'create view "{name}" as from {self._lake}.main."{name}"')
-            self._shown.add(name)
 
     def _put_samples(self, cursor: duckdb.DuckDBPyConnection) -> None:
         tables = chain.from_iterable(channel.message_tables() for channel in _channels(self._contents or []))

@@ -53,6 +53,15 @@ class OpenedStore(Closing):
         result = self.door.ask(statement, parameters)
         return Answer(result.read_all(), result.notes)
 
+    @property
+    def store(self) -> Store:
+        """The store."""
+        return self.door.store
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[object, ...]]:
+        """All rows of a statement's result."""
+        return [tuple(row.values()) for row in self.sql(sql, parameters).rows()]
+
     def close(self) -> None:
         """Close it."""
         self.door.close()

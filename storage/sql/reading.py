@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 from uuid import UUID
 
 import numpy as np
@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from storage.lake.tables import SAMPLES_FILE, damaged, open_table
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers
+from storage.store import Store
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
 
@@ -34,7 +35,18 @@ class SignalRecord:
     runs: int = 1
 
 
-def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalRecord:
+class Asked(Protocol):
+    """A catalogue, or a store that is asked through its door."""
+
+    @property
+    def store(self) -> Store:
+        """The store."""
+
+    def rows(self, sql: str, parameters: object = None, /) -> list[tuple[Any, ...]]:
+        """All rows of a statement's result."""
+
+
+def find_signal(catalog: Asked, unit: str, signal: str, run: str | None = None) -> SignalRecord:
     """The record of a signal; without `run` the longest one, of equally long ones that measured last.
 
     A run of unknown date counts as measured when it was recorded. NotFound lists what the store holds.
@@ -55,7 +67,7 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
     return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]), int(row[5]))
 
 
-def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict[str, str]) -> None:
+def _check_held(catalog: Asked, column: str, wanted: str, of: str, given: dict[str, str]) -> None:
     where = " and ".join(["true", *(f"{name} = ${name}" for name in given)])
     sql = f"select distinct {column} from signals where {where} order by 1"  # noqa: S608
     held = [str(row[0]) for row in catalog.rows(sql, given)]
