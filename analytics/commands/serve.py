@@ -1,5 +1,6 @@
 """The command `gyrofleet serve`: pages and an HTTP API over a store, for browsers and programs."""
 
+import faulthandler
 import secrets
 from pathlib import Path
 
@@ -74,6 +75,7 @@ def serve(
         else:
             results().print(f"serving {folder}: {login}", soft_wrap=True)
 
+    faulthandler.enable()  # a crash of a library says where
     serve_store(store, settings, say)
     if as_json:
         print_json({"event": "ended"})

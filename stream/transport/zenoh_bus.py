@@ -109,7 +109,10 @@ class ZenohBus(Closing):
                 sample: zenoh.Sample | None = first
                 while sample is not None:
                     call_handlers(handlers, str(sample.key_expr), sample.payload.to_bytes())
-                    sample = subscriber.try_recv()
+                    try:
+                        sample = subscriber.try_recv()
+                    except zenoh.ZError:  # undeclared meanwhile
+                        return
 
         thread = threading.Thread(target=take, name=f"gyrofleet-bus {key_expression}", daemon=True)
         thread.start()
