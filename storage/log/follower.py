@@ -51,7 +51,7 @@ class LogFollower(Closing):
     """
 
     def __init__(
-        self, store: Store, without: Collection[str] = (), *, wanted: Callable[[str], bool] = lambda _key: True
+        self, store: Store, without: Collection[str] = (), *, wanted: Callable[[str], bool] | None = None
     ) -> None:
         self.damaged_bytes: dict[str, int] = {}  # by segment
         self._store, self._without, self._wanted = store, frozenset(without), wanted
@@ -88,7 +88,7 @@ class LogFollower(Closing):
 
     def _new(self, number: str, record: LogRecord) -> FollowedMessage | None:
         """The message, if it is numbered, wanted, and beyond what has been read of its stream."""
-        if not self._wanted(record.topic):
+        if self._wanted is not None and not self._wanted(record.topic):
             return None
         try:
             parsed = parse_record(record)
@@ -97,8 +97,10 @@ class LogFollower(Closing):
         if parsed is None:
             return None
         stream, next_seq = parsed.place.stream, parsed.place.next_seq
-        if next_seq <= max(self._reached.get(stream, 0), self._copied.get(number, {}).get(stream, 0)):
+        if next_seq <= self._reached.get(stream, 0):
             return None  # of a segment's copy, or written again because it was not durable
+        if self._copied and next_seq <= self._copied.get(number, {}).get(stream, 0):
+            return None
         self._reached[stream] = next_seq
         return FollowedMessage(number, record, *parsed)
 
