@@ -26,11 +26,11 @@ pytestmark = [
 
 def test_a_million_rows_at_100_hz(deliver: Tool) -> None:
     table = TableFile(DATA / "adis16405_static_run1.parquet", G1)
-    begin = time.perf_counter()
+    begin = time.process_time()
     summary = table.check()
-    middle = time.perf_counter()
+    middle = time.process_time()
     batches = deliver(table)
-    end = time.perf_counter()
+    end = time.process_time()
     assert (summary.rows, summary.bad_rows, summary.date_known) == (1_000_000, 0, False)
     for found in summary.signals:
         assert (found.sampling.samples, found.sampling.dt_ns, found.sampling.off_grid) == (1_000_000, 10**7, 0)
