@@ -5,7 +5,8 @@ from typing import Any
 from analytics.trends.charts.capability import Capability
 from analytics.trends.charts.nelson_rules import RULES
 from analytics.trends.groups.between_stations import Difference, GroupComparison, Pairs
-from analytics.trends.levels.change_points import Changes, Drift
+from analytics.trends.levels.change_points import Changes
+from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.report import moment, sentences, stands_out
 from analytics.trends.series import MetricSeries, Variant

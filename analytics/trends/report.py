@@ -7,7 +7,8 @@ from analytics.trends.charts.capability import Capability
 from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.charts.nelson_rules import RULES, wild_point_chance
 from analytics.trends.groups.between_stations import Difference, GroupComparison
-from analytics.trends.levels.change_points import Changes, Drift
+from analytics.trends.levels.change_points import Changes
+from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS, NS_PER_DAY
 from analytics.trends.series import MetricSeries

@@ -14,9 +14,11 @@ from analytics.trends.charts.control_chart import EwmaChart, IndividualsChart, S
 from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components
 from analytics.trends.groups.mixed_model import ComponentDeviation
-from analytics.trends.levels.change_points import ChangePoint, Changes, Drift, change_points, drift
+from analytics.trends.levels.change_points import ChangePoint, Changes, change_points
+from analytics.trends.levels.drift import Drift, drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts, level_shifts
 from analytics.trends.levels.sessions import NS_PER_DAY
+from analytics.trends.levels.wander import NOISES
 from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.words import NotComputed, Words, joined, not_computed, words
 from stream.batch import FloatArray, IntArray
@@ -175,8 +177,10 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     z = (values - limits.centre) / limits.sigma
     flags = rule_flags(z)
     counts = flags.sum(axis=-1)
-    is_few = charts <= _MOST_SIMULATED
-    chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread) if is_few else None
+    noise = changes.noise if isinstance(changes, Changes) and changes.noise is not None else NOISES[0]
+    chance = None
+    if charts <= _MOST_SIMULATED:
+        chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread, noise=noise)
     is_wild = wild_point_chance(values) <= share
     return chart._replace(
         z=z, signals=points_of(flags, z), counts=tuple(int(each) for each in counts),

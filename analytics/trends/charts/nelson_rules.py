@@ -1,4 +1,4 @@
-"""Nelson's eight rules for a chart of individual values, and the probability of its signals under white noise.
+"""Nelson's eight rules for a chart of individual values, and the probability of its signals in noise.
 
 L. S. Nelson, Journal of Quality Technology 16, 1984, 237-239. On a chart of 300 points noise alone meets some rule
 about four times; only what exceeds that is significant.
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from analytics.methods.distributions import student_sf
 from analytics.trends.charts.control_chart import Spread, centre_and_sigma
+from analytics.trends.levels.wander import NOISES, Noise, simulated
 from analytics.trends.words import words
 from stream.batch import FloatArray, IntArray
 
@@ -91,33 +92,39 @@ def _of_last(condition: BoolArray, least: int, of: int) -> BoolArray:
 
 
 class ChartChance(NamedTuple):
-    """Probabilities under white noise of results at least as extreme as those of the chart."""
+    """Probabilities in noise alone of results at least as extreme as those of the chart."""
 
     wild_point: float  # of the most distant point; a bound (Bonferroni), 1 where there are too few points
     signals: float  # of the number of signals of the most significant rule, adjusted for all eight
     rule: int | None  # that rule
-    expected: tuple[float, ...]  # mean number of signals of each rule on such a chart of white noise
+    expected: tuple[float, ...]  # mean number of signals of each rule on such a chart of noise
 
 
 class _NullSignals(NamedTuple):
-    counts: IntArray  # signals of each rule in simulated white noise, sorted
+    counts: IntArray  # signals of each rule in simulated noise, sorted
     least: FloatArray  # the least probability over the rules in each series, sorted
     mean: tuple[float, ...]
 
 
-def chart_chance(values: FloatArray, counts: IntArray, *, baseline: int, spread: Spread) -> ChartChance:
+def chart_chance(
+    values: FloatArray, counts: IntArray, *, baseline: int, spread: Spread, noise: Noise = NOISES[0]
+) -> ChartChance:
     """Significance of a chart whose rules have these `counts` of signals.
 
-    White noise is simulated on the same chart, with limits from the same points by the same rule, and the least of the
-    eight probabilities is compared with the least of the eight in the simulated charts. Its lower end is one over the
-    simulated charts (400 to 4000).
+    White noise, and `noise` where points are correlated, are simulated on the same chart, with limits from the same
+    points by the same rule, and the least of the eight probabilities is compared with the least of the eight in the
+    simulated charts; the larger result counts. Its lower end is one over the simulated charts (400 to 4000).
     """
-    null = _null(values.size, baseline, spread)
-    series = null.counts.shape[1]
-    chances = np.array([_chances(of_rule, count) for of_rule, count in zip(null.counts, counts, strict=True)])
-    rule = int(chances.argmin())
-    signals = float((np.searchsorted(null.least, chances[rule], side="right") + 1) / (series + 1))
-    return ChartChance(wild_point_chance(values), min(signals, 1.0), rule + 1 if counts[rule] else None, null.mean)
+    wild_point = wild_point_chance(values)
+    found = []
+    for each in dict.fromkeys((NOISES[0], noise)):
+        null = _null(values.size, baseline, spread, each)
+        series = null.counts.shape[1]
+        chances = np.array([_chances(of_rule, count) for of_rule, count in zip(null.counts, counts, strict=True)])
+        rule = int(chances.argmin())
+        signals = float((np.searchsorted(null.least, chances[rule], side="right") + 1) / (series + 1))
+        found.append(ChartChance(wild_point, min(signals, 1.0), rule + 1 if counts[rule] else None, null.mean))
+    return max(found, key=lambda each: each.signals)
 
 
 def wild_point_chance(values: FloatArray) -> float:
@@ -134,16 +141,16 @@ def wild_point_chance(values: FloatArray) -> float:
 
 
 @lru_cache(maxsize=64)
-def _null(points: int, baseline: int, spread: Spread) -> _NullSignals:
+def _null(points: int, baseline: int, spread: Spread, noise: Noise) -> _NullSignals:
     series = int(np.clip(_SIMULATED_POINTS // points, _LEAST_SERIES, _MOST_SERIES))
     rng = np.random.default_rng([_SEED, points, baseline])
     counts = np.empty((8, series), np.int64)
     at_once = max(1, _SIMULATED_POINTS // points // 4)
     for start in range(0, series, at_once):
-        noise = rng.standard_normal((min(at_once, series - start), points))
-        centre, sigma = centre_and_sigma(noise[:, :baseline], spread)
-        z = (noise - centre[:, None]) / sigma[:, None]
-        counts[:, start : start + noise.shape[0]] = rule_flags(z).sum(axis=-1)
+        values = simulated(noise, min(at_once, series - start), points, rng)
+        centre, sigma = centre_and_sigma(values[:, :baseline], spread)
+        z = (values - centre[:, None]) / sigma[:, None]
+        counts[:, start : start + values.shape[0]] = rule_flags(z).sum(axis=-1)
     ordered = np.sort(counts, axis=1)
     chances = np.array([_chances(*pair) for pair in zip(ordered, counts, strict=True)])
     return _NullSignals(ordered, np.sort(chances.min(axis=0)), tuple(float(each) for each in counts.mean(axis=1)))

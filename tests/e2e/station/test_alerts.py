@@ -6,11 +6,13 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from email import message_from_bytes
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from aiosmtpd.controller import Controller
 
@@ -202,3 +204,42 @@ def test_wrong_rules_are_refused(gyrofleet: Callable[..., Any], tmp_path: Path, 
     refused = gyrofleet("alert", "check", "--rules", "rules.toml")
     assert refused.code == 1
     assert told in refused.err
+
+
+def test_a_change_of_level_is_told_of_the_unit_that_changes(
+    gyrofleet: Callable[..., Any], spawn: Spawn, hook: tuple[int, list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    """One record a day of two units; the bias of one of them changes on the 25th day."""
+    rng = np.random.default_rng(20261207)
+    lines = ["unit,run,time,rate[deg/h]"]
+    for day in range(36):
+        start = datetime(2026, 1, 1, 8, tzinfo=UTC) + timedelta(days=day)
+        for unit, bias in (("FOG-1", 0.5), ("FOG-2", 0.9 if day >= 24 else 0.5)):
+            level = bias + 0.05 * rng.standard_normal()
+            lines += [
+                f"{unit},day-{day:02},{(start + timedelta(seconds=at)).isoformat()},{level + 0.1 * noise:.5f}"
+                for at, noise in enumerate(rng.standard_normal(60))
+            ]
+    (tmp_path / "days.csv").write_text("\n".join(lines))
+    done = gyrofleet("import", "days.csv", "--procedure", "static_bias", "--position", "IRA_up", "--latitude", "30")
+    assert done.code == 0, done.err
+    port, posted = hook
+    path = tmp_path / "alerts.toml"
+    path.write_text(
+        f"""
+        [targets.line]
+        kind = "webhook"
+        url = "http://127.0.0.1:{port}/alerts"
+        [[rules]]
+        kind = "level_change"
+        metric = "bias"
+        """
+    )
+    watch = watching(spawn, path)
+    try:
+        (told,) = until(lambda: [*posted])
+    finally:
+        watch.terminate()
+        watch.wait(30)
+    assert told["subject"] == "FOG-2"
+    assert "changes at 2026-01-25" in told["text"]
