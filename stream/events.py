@@ -105,6 +105,19 @@ class PowerOff(Document, frozen=True, kw_only=True, tag=True):
     epoch: str
 
 
+class UnitReleased(Document, frozen=True, kw_only=True, tag=True):
+    """A unit is released from its run before the end, since its limits are decided: `verdict` is PASS or FAIL.
+
+    Of its record of `planned_s` it has `recorded_s`.
+    """
+
+    unit: str
+    verdict: Verdict
+    planned_s: float
+    recorded_s: float
+    slot: str | None = None
+
+
 class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
     """A unit is mounted in a slot of the station; `details` are free."""
 
@@ -422,10 +435,10 @@ class RunEnded(Document, frozen=True, kw_only=True, tag=True):
 
 
 AnyDocument = (
-    RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitMounted | NoteAdded | StationStated | CheckEntered
-    | SpecificationEntered | LimitsApplied | EstimatePublished | NoiseFitted | SpectralLinesFound | EarlyDecision
-    | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched | RunResumed | StoreNoted | RunEnded
-    | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged
+    RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitReleased | UnitMounted | NoteAdded | StationStated
+    | CheckEntered | SpecificationEntered | LimitsApplied | EstimatePublished | NoiseFitted | SpectralLinesFound
+    | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched | RunResumed | StoreNoted
+    | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged
 )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from analytics.alerts.finding import UnitLife
 from storage.log.follower import FollowedMessage
 from stream.errors import GyrofleetError
-from stream.events import AnyDocument, PowerOff, RunEnded, StepStarted
+from stream.events import AnyDocument, PowerOff, RunEnded, StepStarted, UnitReleased
 from stream.wire.batches import RawBatch
 
 
@@ -38,8 +38,8 @@ class Floor:
         if isinstance(document, RunEnded):
             self.units = {name: life for name, life in self.units.items() if life.run != document.run}
             self.commands_deg_c.pop(document.run, None)
-        elif isinstance(document, PowerOff):
-            self.units.pop(document.unit, None)  # what has no power delivers nothing
+        elif isinstance(document, PowerOff | UnitReleased):
+            self.units.pop(document.unit, None)  # what has no power, or is done, delivers nothing
         elif isinstance(document, StepStarted):
             self.commands_deg_c.pop(document.run, None)
             if (command := document.words.temperature_command_deg_c) is not None:

@@ -9,6 +9,7 @@ import click
 from stream.command_group import CommandGroup
 from stream.completion import ListedName
 from stream.console import notes, print_json, reporting, results
+from stream.duration import duration
 from stream.errors import BadInput
 from stream.result_table import ResultTable
 
@@ -154,19 +155,6 @@ def estimate_time(name: str, choices: tuple[str, ...], *, as_json: bool, **given
         table.add_row(part, str(each.steps), *map(duration, uses))
     results().print(f"{found.name}: {duration(total.total_s)} in all ({total.total_s:,.0f} s)")
     results().print(table)
-
-
-def duration(seconds: float) -> str:
-    """Seconds as a readable duration.
-
-    >>> duration(0.0), duration(12.5), duration(5400.0), duration(200000.0)
-    ('-', '12.5 s', '1 h 30 min', '2 d 7 h 33 min')
-    """
-    if seconds < 60.0:
-        return f"{seconds:.3g} s" if seconds else "-"
-    minutes = round(seconds / 60.0)
-    parts = ((minutes // 1440, "d"), (minutes // 60 % 24, "h"), (minutes % 60, "min"))
-    return " ".join(f"{count} {unit}" for count, unit in parts if count)
 
 
 def _given(choices: tuple[str, ...]) -> dict[str, str]:

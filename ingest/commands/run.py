@@ -60,6 +60,12 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Longest settling time of an instrument, at the station.",
 )  # fmt: skip
 @click.option("--every", "every_s", type=click.FloatRange(min=1.0), help="Seconds between estimates.")
+@click.option(
+    "--stop-when-decided",
+    "stops_when_decided",
+    is_flag=True,
+    help="Release each unit once all its limits are decided; its supply is switched off.",
+)
 @estimates_option
 @status_listen_option
 @destination_options

@@ -18,9 +18,10 @@ from ingest.procedures.procedure import Procedure, load_procedure
 from ingest.procedures.run_steps import resume_index
 from ingest.run import run_path
 from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
-from ingest.station.bench import check_limits, check_station
+from ingest.station.bench import StationBench, check_limits, check_station
 from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
+from ingest.station.releases import Release, Releases
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
 from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
@@ -54,6 +55,7 @@ class ProcedureRun(NamedTuple):
     every_s: float | None
     estimated: EstimatedSignals
     status_listen: str | None
+    stops_when_decided: bool = False
 
 
 class _Job(NamedTuple):
@@ -111,12 +113,13 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             run_path.path_to(destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see)
         )
         trouble = TroubleWatch(path.publisher, operator.report)
+        releases = _releases(asked, job, limits, decisions)
         about = (log, job.steps, job.station, job.clock, operator, decisions, path.publisher, time.time_ns())
         collect = partial(run_status, *about)
         stack.enter_context(served(asked.status_listen, collect))
         stack.enter_context(StatusReporter(collect, path.put_status))
         operator.watch(trouble.look)
-        for remark in limits.remarks:
+        for remark in (*limits.remarks, *(releases.remarks() if releases else ())):
             operator.report(remark)
         log.begin(
             path.sender, mounted_documents(job.entries, run, log.state.t0_ns),
@@ -130,7 +133,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         report("running", f"{resumed}{path.where}")
         try:
-            code = _carried_out(log, job, asked, sources, operator)
+            code = _carried_out(log, job, asked, sources, operator, releases, decisions)
         except (RunStopped, InstrumentError) as stopped:
             return _leave(str(stopped), path, stop, report)
         run_path.drain(path, trouble, stop)
@@ -138,6 +141,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             return _leave("interrupted before all of it was recorded", path, stop, report)
         path.finish()
         log.close()
+        for line in log.savings():
+            operator.report(line)
         short = log.state.short_records
         lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
         where = "every sample is recorded"
@@ -162,15 +167,23 @@ def _job(asked: ProcedureRun) -> _Job:
     return _Job(procedure, steps, plan, station, entries, serials, clock, instruments)
 
 
+def _releases(asked: ProcedureRun, job: _Job, limits: RunLimits, decisions: LimitReport) -> Releases | None:
+    if not asked.stops_when_decided:
+        return None
+    return Releases(job.station, StationBench(job.station, job.instruments), job.entries, limits, decisions)
+
+
 def _carried_out(
-    log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator
-) -> int:
+    log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator,
+    releases: Releases | None, decisions: LimitReport,
+) -> int:  # fmt: skip
     if log.state.phase != "running":
         log.end(log.state.outcome)  # it was killed while it waited for the recorder
         return 0
     live = StationRun(
-        log, job.steps, job.station, job.instruments, operator, job.clock, settle_timeout_s=asked.settle_timeout_s
-    )
+        log, job.steps, job.station, job.instruments, operator, job.clock, settle_timeout_s=asked.settle_timeout_s,
+        releases=releases, on_record=decisions.begin_record,
+    )  # fmt: skip
     if sources is None:
         with ExitStack() as stack:  # the station was left as it was, perhaps by a run that was killed
             for instrument in job.instruments.values():
@@ -242,12 +255,27 @@ def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark:
         about = {"event": event, "run": state.run, "procedure": state.procedure, "units": list(state.units)}
         done = {"steps": steps, "steps_done": state.steps_done, "samples": log.samples}
         short = {"short_records": state.short_records, "resumed": log.is_resumed, "gap_s": log.gap_s}
+        released = {unit: _release(each) for unit, each in state.released.items()}
         outcome = state.outcome if event == "ended" else None
-        print_json({**about, **done, **short, "outcome": outcome, "verdicts": decisions.verdicts, "remark": remark})
+        print_json(
+            {
+                **about,
+                **done,
+                **short,
+                "outcome": outcome,
+                "verdicts": decisions.verdicts,
+                "released": released,
+                "remark": remark,
+            }
+        )
         return
     ended, console = (f" ({state.outcome})", results()) if event == "ended" else ("", notes())
     progress = f"{state.steps_done} of {steps} steps, {log.samples:,} samples"
     console.print(f"run {state.run} {event}{ended}: {progress}; {remark}", soft_wrap=True)
+
+
+def _release(release: Release) -> dict[str, object]:
+    return {**msgspec.to_builtins(release), "saved_s": release.saved_s}
 
 
 def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bool) -> None:

@@ -3,7 +3,7 @@
 import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import NamedTuple
 from uuid import NAMESPACE_URL, uuid5
@@ -15,12 +15,16 @@ from storage.store import Store, writer_endpoint
 from stream.console import Stop, notes
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
-from stream.errors import BadInput, DeliveryError
-from stream.events import AnyDocument
+from stream.errors import BadInput, DeliveryError, WireError
+from stream.events import AnyDocument, EarlyDecision, VerdictGiven
+from stream.identity import Place, estimate_key
 from stream.status.reporter import on_bus
 from stream.status.role_status import RoleStatus
 from stream.transport.zenoh_bus import ZenohBus
+from stream.wire.event_validation import decode_received
 from stream.worker.estimated_signals import EstimatedSignals
+from stream.worker.limit_checks import VERDICT
+from stream.worker.signal_analysis import EARLY_DECISION
 
 INTERRUPTED = 130  # exit code
 PATIENCE_S = 5.0
@@ -120,6 +124,8 @@ def path_to(
                 claim = stack.enter_context(HeldClaim(client, owners, f"gyrofleet run {run}", holder=holder))
             only_store = None if client is None else client.store
             publisher = stack.enter_context(DurablePublisher(bus, spool=spool, only_store=only_store))
+            if on_document is not None:
+                _listen(bus, run, units, on_document)
             if claim is not None:
                 claim.on_loss = publisher.fail
             where = f"to the recorder at {to.connect}"
@@ -133,6 +139,20 @@ def path_to(
         ) as pipeline:  # fmt: skip
             where = f"recorded in this process to {to.folder}"
             yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, to.folder, pipeline.put_status)
+
+
+def _listen(bus: ZenohBus, run: str, units: Sequence[str], on_document: Callable[[AnyDocument], None]) -> None:
+    """Take early decisions and verdicts on a run's units from the estimators on the bus."""
+    wanted = frozenset(units)
+
+    def take(_key: str, payload: bytes) -> None:
+        with suppress(BadInput, WireError):  # the recorder quarantines and reports it
+            document = decode_received(payload).document
+            if isinstance(document, EarlyDecision | VerdictGiven) and document.run == run and document.unit in wanted:
+                on_document(document)
+
+    for what in (EARLY_DECISION, VERDICT):
+        bus.subscribe(estimate_key(Place("*", "*"), "*", "*", what), take)
 
 
 def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:

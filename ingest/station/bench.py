@@ -1,6 +1,6 @@
 """The instruments of a station as a run uses them, and whether they can do its procedure."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 from ingest.instruments.base import Instrument
 from ingest.instruments.scpi_instrument import ScpiInstrument
@@ -30,21 +30,25 @@ class StationBench:
                 troubles[name] = str(error)
         return troubles
 
-    def is_dead(self) -> bool:
-        """Whether a supply of the units measures no voltage."""
-        for name in self.supplies():
+    def is_dead(self, but: Collection[str] = ()) -> bool:
+        """Whether a supply of the units measures no voltage; not asked of some supplies."""
+        for name in (each for each in self.supplies() if each not in but):
             with self._instruments[name].lock:
                 readings = self._instruments[name].sample()
             if any(each.signal == "supply_voltage" and abs(each.value) < _UNPOWERED_V for each in readings):
                 return True
         return False
 
-    def switch(self, on: float) -> bool:
-        """Switch the units on (1) or off (0); True when done."""
-        for name in self.supplies():
+    def switch(self, on: float, but: Collection[str] = ()) -> bool:
+        """Switch the units on (1) or off (0), not those of some supplies; True when done."""
+        self.switch_supplies([name for name in self.supplies() if name not in but], on)
+        return True
+
+    def switch_supplies(self, names: Sequence[str], on: float) -> None:
+        """Switch supplies on (1) or off (0)."""
+        for name in names:
             with self._instruments[name].lock:
                 self._instruments[name].set("output", on)
-        return True
 
     def supplies(self) -> list[str]:
         """What powers the slots, else every supply that the station has."""

@@ -9,6 +9,7 @@ from ingest.instruments.base import Instrument
 from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
+from ingest.station.releases import Releases
 from ingest.station.run_log import RunLog
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
@@ -52,14 +53,20 @@ class RunStopped(RunAborted):
 
 
 class StationRun:
-    """Carries out the remaining steps of a procedure; `unsafe` are instruments that could not be made safe."""
+    """Carries out the remaining steps of a procedure; `unsafe` are instruments that could not be made safe.
+
+    With `releases` units are released once their limits are decided. `on_record` is called with the time, nanoseconds,
+    from which a record counts.
+    """
 
     def __init__(
         self, log: RunLog, steps: Sequence[PlannedStep], station: Station, instruments: Mapping[str, Instrument],
         operator: Operator, clock: StationClock, *, settle_timeout_s: float = 6 * 3600.0,
+        releases: Releases | None = None, on_record: Callable[[int], None] = lambda _: None,
     ) -> None:  # fmt: skip
         self._log, self._steps, self._operator, self._clock = log, steps, operator, clock
         self._bench = StationBench(station, instruments)
+        self._releases, self._on_record = releases, on_record
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
         self.unsafe: tuple[str, ...] = ()
@@ -112,7 +119,8 @@ class StationRun:
 
     def _power_up(self) -> None:
         """Power the units, unless the step that is due begins without power; units that lost it have a new epoch."""
-        if self._log.state.is_powered and self._bench.is_dead():
+        idle = self._idle()
+        if self._log.state.is_powered and self._bench.is_dead(idle):
             self.report("the units have lost their power since the run was left")
             self._log.mark_unpowered()
         if self._log.state.is_powered:
@@ -120,8 +128,12 @@ class StationRun:
         self._log.power_off()  # where a crash came before it was sent
         rest = self._steps[self._log.state.step :]
         if rest and rest[0].power not in {"cycle", "off"}:
-            self._bench.switch(1.0)
+            self._bench.switch(1.0, idle)
             self._log.power_on()
+
+    def _idle(self) -> Sequence[str]:
+        """Supplies that power nobody any more."""
+        return () if self._releases is None else self._releases.idle_supplies(self._log.state.released)
 
     def _restart(self, active: list[RunSource], sources: Callable[[], Sequence[RunSource]]) -> None:
         _stop(active)
@@ -148,21 +160,44 @@ class StationRun:
         for what in dict.fromkeys([*(each for each in due if each not in step.settings), *step.wait_settled]):
             self._until(step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s)
         if step.power in {"cycle", "on"}:
-            self._until(step, "switching on", partial(self._bench.switch, 1.0), self._settle_timeout_s)
+            self._until(step, "switching on", partial(self._bench.switch, 1.0, self._idle()), self._settle_timeout_s)
             self._log.power_on()
             restart()
         self._pause(step, "warming up", step.warm_up_s)
         if step.is_recorded:
             began_ns = self._log.begin_step(step)
+            since_ns = began_ns + round(step.settle_s * 1e9)
+            self._on_record(since_ns)
             # what settles is in the data, and dropped when the step is evaluated
-            lasts_s = step.settle_s + step.record_s
-            self._pause(step, "recording", lasts_s, began_ns)
-            end_ns = began_ns + round(lasts_s * 1e9)
+            end_ns = since_ns + round(step.record_s * 1e9)
+            is_over = lambda: self._clock.now_ns() >= end_ns or self._is_released(step, since_ns)  # noqa: E731
+            self._until(step, "recording", is_over, None)
+            if not self._log.units_left:
+                self.report("every unit is decided: the record ends early")
+                self._log.pass_step()
+                return
             self._await_last(step)
             self._log.end_steps("completed", end_ns - 1)
         else:
             self._pause(step, "settling", step.settle_s)
             self._log.pass_step()
+
+    def _is_released(self, step: PlannedStep, since_ns: int) -> bool:
+        """Release the units that are decided; whether none is left. Raises InstrumentError if a supply fails."""
+        releases = self._releases
+        if releases is None:
+            return False
+        now_ns = self._clock.now_ns()
+        for release in list(releases.due(self._log.state.released, now_ns, since_ns, step.record_s)):
+            self._log.release(release)
+            self.report(releases.sentence(release))
+        idle = releases.idle_supplies(self._log.state.released)
+        off = [unit for unit in releases.without_power(idle) if unit not in self._log.state.unpowered]
+        if off:
+            releases.switch_off(idle)
+            self._log.release_power(off)
+            self.report(releases.free_sentence(idle, off))
+        return not self._log.units_left
 
     def _await_last(self, step: PlannedStep) -> None:
         coverage = self._log.coverage

@@ -56,6 +56,7 @@ class LimitReport:
         self._report = report
         self._decided: set[tuple[str, Limit, str]] = set()
         self._looks: dict[str, dict[Limit, EarlyDecision]] = {}
+        self._since_ns = 0
         self.verdicts: dict[str, str] = {}
 
     def so_far(self) -> dict[str, str]:
@@ -66,6 +67,20 @@ class LimitReport:
             if unit not in found and ("FAIL" in outcomes or outcomes == {"PASS"}):
                 found[unit] = "FAIL" if "FAIL" in outcomes else "PASS"
         return found
+
+    def begin_record(self, since_ns: int) -> None:
+        """A record begins: looks at one before it count no more."""
+        self._since_ns = since_ns
+        self._looks.clear()
+
+    def early(self, unit: str) -> dict[Limit, str]:
+        """Outcome of each limit of a unit that is decided early."""
+        looks = self._looks.get(unit, {}).copy()
+        return {
+            limit: each.outcome
+            for limit, each in looks.items()
+            if each.outcome != "UNDECIDED" and each.looked_at_fraction < 1.0
+        }
 
     def undecided(self) -> dict[str, int]:
         """How many limits of each unit are not decided yet."""
@@ -81,6 +96,8 @@ class LimitReport:
 
     def see(self, document: AnyDocument) -> None:
         """Take a document of the estimators; from their thread."""
+        if isinstance(document, EarlyDecision) and document.t_ns < self._since_ns:
+            return
         if isinstance(document, EarlyDecision):
             self._looks.setdefault(document.unit, {})[document.limit] = document
         if isinstance(document, EarlyDecision) and document.outcome != "UNDECIDED":

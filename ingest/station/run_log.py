@@ -13,6 +13,7 @@ import msgspec
 
 from ingest.procedures.plan import PlannedStep
 from ingest.run_record import Outcome, Phase, RunRecord, document_uid, read_state
+from ingest.station.releases import Release
 from ingest.station.run_limits import NO_LIMITS, RunLimits
 from ingest.station.station import Station
 from ingest.station.step_coverage import StepCoverage
@@ -51,6 +52,9 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     closed_as: str = ""  # how it ended
     closed_ns: int = 0  # when it ended
     short_records: int = 0  # records of a unit in a step that lack samples
+    released: dict[str, Release] = {}  # units that were released, since their limits are decided
+    released_steps: dict[str, str] = {}  # identity of the document of the step that each was released from
+    unpowered: dict[str, int] = {}  # released units whose supply is off, and since when
 
 
 def read_station_run(folder: Path) -> StationRunState | None:
@@ -131,7 +135,13 @@ class RunLog(RunRecord[StationRunState]):
         self._counting = threading.Lock()
         self._notes = 0
         self.gap_s = 0.0  # how long nothing was measured before it was resumed, seconds at the station
-        self.coverage = StepCoverage(found.units)
+        self.late_samples = 0  # of units that were released; not recorded
+        self.coverage = StepCoverage(self.units_left)
+
+    @property
+    def units_left(self) -> tuple[str, ...]:
+        """Units that are not released."""
+        return tuple(unit for unit in self.state.units if unit not in self.state.released)
 
     def epoch_of(self, name: str) -> UUID:
         """Epoch of a unit's present power-on."""
@@ -140,6 +150,9 @@ class RunLog(RunRecord[StationRunState]):
     def deliver(self, batch: SampleBatch) -> None:
         """Send samples, from the thread of any source; they are numbered on, also where a source counts anew from 0."""
         assert self._sender is not None
+        if batch.unit in self.state.released:  # another unit may be in its slot by now
+            self.late_samples += len(batch)
+            return
         key = sample_key(self.place, batch.unit, batch.signal)
         stream = StreamId(key, batch.epoch.hex)
         if stream not in self._first:
@@ -200,10 +213,11 @@ class RunLog(RunRecord[StationRunState]):
         t_ns = self._clock.now_ns()
         settled_ns = t_ns + round(step.settle_s * 1e9)
         self.coverage.begin(settled_ns, settled_ns + round(step.record_s * 1e9))
-        uids = {unit: self._uid("step", str(step.number), unit, str(t_ns)) for unit in self.state.units}
+        uids = {unit: self._uid("step", str(step.number), unit, str(t_ns)) for unit in self.units_left}
         self._save(open_steps=uids)  # first, so that no crash leaves a step that nobody ends
         for document in self._limits.at_record(self.state.run, t_ns, settled_ns, step.record_s):
-            self._send(document)
+            if document.unit not in self.state.released:
+                self._send(document)
         for unit, uid in uids.items():
             self._send(events.StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
         return t_ns
@@ -218,6 +232,53 @@ class RunLog(RunRecord[StationRunState]):
                 step=self.state.step + done, steps_done=self.state.steps_done + done,
             )  # fmt: skip
             self._send_step_ends()
+
+    def release(self, release: Release) -> None:
+        """Release a unit from the step that is being recorded: its record ends."""
+        open_steps = dict(self.state.open_steps)
+        uid = open_steps.pop(release.unit)
+        self.coverage.release(release.unit)
+        self._save(
+            open_steps=open_steps, released=self.state.released | {release.unit: release},
+            released_steps=self.state.released_steps | {release.unit: uid},
+        )  # fmt: skip
+        self._send_release(release)
+
+    def release_power(self, units: Iterable[str]) -> None:
+        """The supplies of these released units are off."""
+        now_ns = self._clock.now_ns()
+        self._save(unpowered=self.state.unpowered | dict.fromkeys(units, now_ns))
+        self._send_released_power_offs()
+
+    def savings(self) -> Iterator[str]:
+        """What the releases have saved, each as a sentence."""
+        released = self.state.released.values()
+        if released:
+            hours = sum(each.saved_s for each in released) / 3600.0
+            yield f"{len(released)} of {len(self.state.units)} units were decided early: {hours:,.1f} unit hours saved"
+            if not self.units_left:
+                spared = min(each.saved_s for each in released) / 3600.0
+                yield f"the station is free {spared:,.1f} h early"
+        if self.late_samples:
+            yield f"{self.late_samples:,} samples came from units that were released; they are not recorded"
+
+    def _send_release(self, release: Release) -> None:
+        run, unit, t_ns = self.state.run, release.unit, release.t_ns
+        step = self.state.released_steps[unit]
+        uid = self._uid("step-ended", step)
+        self._send(events.StepEnded(run=run, t_ns=t_ns, uid=uid, unit=unit, step_uid=step))
+        self._send(
+            events.UnitReleased(
+                run=run, t_ns=t_ns, uid=self._uid("released", unit), unit=unit, verdict=release.verdict,
+                planned_s=release.planned_s, recorded_s=release.recorded_s, slot=release.slot,
+            )
+        )  # fmt: skip
+
+    def _send_released_power_offs(self) -> None:
+        for unit, t_ns in self.state.unpowered.items():
+            if (epoch := self.state.epochs.get(unit)) is not None and t_ns >= self.state.powered_ns:
+                uid = self._uid("off", epoch)
+                self._send(events.PowerOff(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, epoch=epoch))
 
     def pass_step(self) -> None:
         """Complete a step that leaves no data."""
@@ -245,8 +306,9 @@ class RunLog(RunRecord[StationRunState]):
         """No unit has power, from now on or from another time; sent once."""
         t_ns = self._clock.now_ns() if t_ns is None else t_ns
         for unit, epoch in self.state.epochs.items():
-            uid = self._uid("off", epoch)
-            self._send(events.PowerOff(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, epoch=epoch))
+            if unit not in self.state.unpowered:
+                uid = self._uid("off", epoch)
+                self._send(events.PowerOff(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, epoch=epoch))
         self._save(is_powered=False, epochs={})
 
     def _save(self, **changes: Any) -> None:
@@ -257,8 +319,11 @@ class RunLog(RunRecord[StationRunState]):
         gap_ns = max(0, now_ns - self.state.seen_ns)  # a clock that was set back says nothing of a gap
         self.gap_s = gap_ns / 1e9
         self._send_step_ends()  # the crash may have come before it
+        for release in self.state.released.values():
+            self._send_release(release)
         if self.state.is_powered:
             self._send_power_ons()
+            self._send_released_power_offs()
         self.end_steps("interrupted", self.state.seen_ns)
         again = f"step {self.state.step + 1} is begun again"
         cut = again if self.state.closed_as == "interrupted" else "no step was cut"
@@ -275,6 +340,8 @@ class RunLog(RunRecord[StationRunState]):
 
     def _send_power_ons(self) -> None:
         for unit, epoch in self.state.epochs.items():
+            if unit in self.state.unpowered and self.state.powered_ns > self.state.unpowered[unit]:
+                continue  # it has stayed off
             uid = self._uid("on", epoch)
             self._send(events.PowerOn(run=self.state.run, t_ns=self.state.powered_ns, uid=uid, unit=unit, epoch=epoch))
 

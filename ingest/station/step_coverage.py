@@ -58,6 +58,13 @@ class StepCoverage:
             seen.inside += self._inside(times_ns)
             seen.recent.append(times_ns)
 
+    def release(self, unit: str) -> None:
+        """Expect nothing of a unit any more."""
+        with self._lock:
+            self._units = tuple(each for each in self._units if each != unit)
+            self._known = frozenset(self._units)
+            self._seen = {key: seen for key, seen in self._seen.items() if key[0] != unit}
+
     @property
     def is_whole(self) -> bool:
         """Whether every signal that has ever come has come up to the end of the step, and each unit has one."""

@@ -12,7 +12,7 @@ import msgspec
 
 from stream.atomic_file import write_durably
 from stream.errors import CheckpointDamaged, EstimatorError
-from stream.events import CompensationStarted, LimitsApplied
+from stream.events import CompensationStarted, LimitsApplied, UnitReleased
 from stream.worker.signal_analysis import SignalState
 
 CHECKPOINT_VERSION = 2
@@ -26,7 +26,7 @@ class Checkpoint(msgspec.Struct, frozen=True):
 
     `positions` are key, epoch and next number of every stream; messages of `ended` runs beyond those are left out.
     `limits` and `signals` are those of the runs in progress; `compensated` are signals among them whose samples the end
-    of a run waits for.
+    of a run waits for; `released` are units that were released from them.
     """
 
     store: str
@@ -35,6 +35,7 @@ class Checkpoint(msgspec.Struct, frozen=True):
     limits: list[LimitsApplied]
     signals: list[SignalState]
     compensated: list[CompensationStarted] = []
+    released: list[UnitReleased] = []
 
 
 _decoder = msgspec.msgpack.Decoder(Checkpoint)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from stream.errors import BadInput, WireError
 from stream.estimators.base import PointEstimator
-from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded
+from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded, UnitReleased
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import WireBatch, read_wire_batch
@@ -59,6 +59,7 @@ class Estimation:
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[tuple[str, str | None], LimitsApplied] = {}
         self._compensated: dict[str, list[CompensationStarted]] = {}
+        self._released: dict[str, dict[str, UnitReleased]] = {}  # by run and unit
         self._pending = PendingEnds()
         self.positions: dict[StreamId, int] = {}
         self.catching_up = self.left_out = False
@@ -85,6 +86,7 @@ class Estimation:
             limits=list(self._limits.values()),
             compensated=[each for begun in self._compensated.values() for each in begun],
             signals=[analysis.export_state() for analysis in self._signals.values()],
+            released=[each for of_run in self._released.values() for each in of_run.values()],
         )
 
     def resume(self, checkpoint: Checkpoint) -> None:
@@ -95,6 +97,9 @@ class Estimation:
         self._compensated = {}
         for begun in checkpoint.compensated:
             self._compensated.setdefault(begun.run, []).append(begun)
+        self._released = {}
+        for each in checkpoint.released:
+            self._released.setdefault(each.run, {})[each.unit] = each
         self.positions = {StreamId(key, epoch): next_seq for key, epoch, next_seq in checkpoint.positions}
         self.ended = frozenset(checkpoint.ended)
 
@@ -199,6 +204,8 @@ class Estimation:
                     analysis.apply_limits(document)
         elif isinstance(document, CompensationStarted):
             self._compensated.setdefault(document.run, []).append(document)
+        elif isinstance(document, UnitReleased):
+            self._released.setdefault(document.run, {})[document.unit] = document
         elif isinstance(document, RunEnded):
             self._compensated.pop(document.run, None)
             finished = [self._signals.pop(name) for name in [each for each in self._signals if each[0] == document.run]]
@@ -206,7 +213,9 @@ class Estimation:
                 self._publish_all(analysis, analysis.finish())
             applied = [self._limits.pop(each) for each in [each for each in self._limits if each[0] == document.run]]
             final = [estimate for analysis in finished for estimate in analysis.judged]
-            for verdict in unit_verdicts(document, applied, final):
+            early = [decision for analysis in finished for decision in analysis.decided]
+            released = self._released.pop(document.run, {})
+            for verdict in unit_verdicts(document, applied, final, early, released):
                 signal = verdict.checks[0].limit.signal
                 self._publish(estimate_key(place, verdict.unit, signal, VERDICT), verdict)
             self._forget_not_estimated(document.run)

@@ -4,12 +4,27 @@ A check passes or fails only where the whole confidence interval of the estimate
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 from uuid import UUID, uuid5
 
+import msgspec
+
+from stream.duration import duration
 from stream.errors import UnknownUnit
-from stream.events import Check, EstimatePoint, EstimatePublished, Limit, LimitsApplied, RunEnded, Verdict, VerdictGiven
+from stream.events import (
+    Check,
+    EarlyDecision,
+    EstimatePoint,
+    EstimatePublished,
+    Limit,
+    LimitsApplied,
+    RunEnded,
+    UnitReleased,
+    Verdict,
+    VerdictGiven,
+)
 from stream.quantities import conversion
 
 ANGLE_RANDOM_WALK = "angle_random_walk"
@@ -126,10 +141,28 @@ def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
     return next((verdict for verdict in _WORST_FIRST if verdict in found), Verdict.NO_DATA)
 
 
+def decided_early(check: Check, decision: EarlyDecision, released: UnitReleased) -> Check:
+    """The check of a unit that was released early: the early decision stands in place of the short record.
+
+    Where the estimate, all of it, lies on the other side of the limit, the two contradict each other: MARGINAL.
+    """
+    outcome = Verdict(decision.outcome)
+    when = f"after {duration(released.recorded_s)} of {duration(released.planned_s)}"
+    reason = f"decided early, {when}: {decision.reason}"
+    if {outcome, check.verdict} == {Verdict.PASS, Verdict.FAIL}:
+        outcome, reason = Verdict.MARGINAL, f"{outcome} was {reason}; the estimate says {check.verdict}: test it again"
+    return msgspec.structs.replace(check, verdict=outcome, reason=reason)
+
+
 def unit_verdicts(
-    ended: RunEnded, applied: Iterable[LimitsApplied], final: Sequence[EstimatePublished]
-) -> Iterator[VerdictGiven]:
-    """Verdict of each unit with limits by its `final` estimates; a unit's own limits replace those of the run."""
+    ended: RunEnded, applied: Iterable[LimitsApplied], final: Sequence[EstimatePublished],
+    early: Iterable[EarlyDecision] = (), released: Mapping[str, UnitReleased] = MappingProxyType({}),
+) -> Iterator[VerdictGiven]:  # fmt: skip
+    """Verdict of each unit with limits by its `final` estimates; a unit's own limits replace those of the run.
+
+    Limits of a `released` unit that were decided `early` stay decided.
+    """
+    decisions = {(each.unit, each.limit): each for each in early if each.outcome != "UNDECIDED"}
     by_unit = {each.unit: each for each in applied}
     common = by_unit.pop(None, None)
     of_unit = {unit: each for unit, each in by_unit.items() if unit is not None}
@@ -140,6 +173,11 @@ def unit_verdicts(
         if limits.limits:
             own = [each for each in final if each.unit == unit]
             checks = tuple(judge(limit, own) for limit in limits.limits)
+            if (gone := released.get(unit)) is not None:
+                checks = tuple(
+                    decided_early(check, decision, gone) if (decision := decisions.get((unit, check.limit))) else check
+                    for check in checks
+                )
             verdict = unit_verdict(checks, aborted=ended.outcome == "aborted")
             uid = uuid5(_NAMESPACE, f"{ended.run}/{unit}/{ended.t_ns}").hex
             yield VerdictGiven(run=ended.run, t_ns=ended.t_ns, uid=uid, unit=unit, verdict=verdict, checks=checks)

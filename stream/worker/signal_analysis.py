@@ -12,7 +12,7 @@ from stream.estimators.base import Estimator, NoEstimate, PointEstimator
 from stream.estimators.noise.noise_fit import fit_noise
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
-from stream.events import AnyDocument, EstimatePublished, LimitsApplied, NoiseFitted, SpectralLinesFound
+from stream.events import AnyDocument, EarlyDecision, EstimatePublished, LimitsApplied, NoiseFitted, SpectralLinesFound
 from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.wire.batches import WireBatch
@@ -61,6 +61,7 @@ class SignalAnalysis:
         self._first_ns: int | None = None
         self._last_ns = 0
         self.judged: tuple[EstimatePublished, ...] = ()  # once finished: the estimates that limits are compared with
+        self.decided: tuple[EarlyDecision, ...] = ()  # once finished: the last look at each limit
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
@@ -119,9 +120,13 @@ class SignalAnalysis:
                 msgspec.structs.replace(each, points=(*exact, *each.points)) if key == AllanDeviation.key else each
                 for key, each in points.items()
             )
-        for number, looked in enumerate(self._decisions.look(elapsed_s, points)):
-            found.append((EARLY_DECISION, decision_document(self._head(f"decision-{number}", final=final), *looked)))
-        return found
+        looks = [
+            decision_document(self._head(f"decision-{number}", final=final), *looked)
+            for number, looked in enumerate(self._decisions.look(elapsed_s, points))
+        ]
+        if final:
+            self.decided = tuple(looks)
+        return [*found, *((EARLY_DECISION, each) for each in looks)]
 
     def _head(self, what: str, *, final: bool) -> dict[str, Any]:
         name = f"{self.run}/{self.unit}/{self.signal}/{what}/{self._last_ns}/{final}"

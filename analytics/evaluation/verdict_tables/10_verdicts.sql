@@ -115,6 +115,27 @@ where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
   and (s.signal is null or s.signal = m.signal)
   and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard));
 
+-- The early decisions on units that were released from their runs: on those limits they stand, since the record is short.
+create or replace view internal.released_decisions as
+with released as (
+  select unit, run, max((document->>'$.recorded_s')::double) as recorded_s, max((document->>'$.planned_s')::double) as planned_s
+  from internal.lake_documents where kind = 'UnitReleased' group by unit, run
+), decided as (
+  select d.unit, d.run, d.t_ns, d.document->>'$.signal' as signal, d.document->>'$.limit.characteristic' as characteristic,
+    (d.document->>'$.limit.tau_s')::double as tau_s, (d.document->>'$.limit.upper')::double as upper,
+    d.document->>'$.limit.unit_of_measure' as unit_of_measure, d.document->>'$.outcome' as outcome,
+    d.document->>'$.reason' as reason
+  from internal.lake_documents d join released using (unit, run)
+  where d.kind = 'EarlyDecision' and d.document->>'$.outcome' <> 'UNDECIDED'
+)
+select d.unit, d.run, d.signal,
+  case d.characteristic when 'bias_stability' then 'bias_stability_averaged' else d.characteristic end as metric,
+  d.tau_s, d.upper, d.unit_of_measure, arg_max(d.outcome, d.t_ns) as outcome,
+  'decided early, after ' || printf('%.3g', any_value(r.recorded_s) / 3600) || ' h of '
+    || printf('%.3g', any_value(r.planned_s) / 3600) || ' h: ' || arg_max(d.reason, d.t_ns) as reason
+from decided d join released r using (unit, run)
+group by d.unit, d.run, d.signal, metric, d.tau_s, d.upper, d.unit_of_measure;
+
 create or replace table verdicts as
 with candidate as materialized (
   select * from internal.limit_candidates
@@ -123,19 +144,35 @@ with candidate as materialized (
   from candidate c
   left join internal.result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
   where c.is_valid
-), judged as (
+), by_value as (
   select *,
     case
       when v is null then 'NO_DATA'
       when coalesce(v_lo, v) > upper or coalesce(v_hi, v) < lower then 'FAIL'
       when (upper is null or coalesce(v_hi, v) <= upper) and (lower is null or coalesce(v_lo, v) >= lower) then 'PASS'
       else 'MARGINAL'
-    end as verdict
+    end as by_value
   from converted
+), judged as (                          -- an early decision stands, unless the value says the opposite
+  select b.*, d.reason as early_reason, d.outcome as early,
+    case
+      when d.outcome is null then by_value
+      when d.outcome = 'PASS' and by_value = 'FAIL' or d.outcome = 'FAIL' and by_value = 'PASS' then 'MARGINAL'
+      else d.outcome
+    end as verdict
+  from by_value b
+  left join internal.released_decisions d on d.unit = b.unit and d.run = b.run and d.signal = b.signal
+    and d.metric = b.metric and b.lower is null
+    and abs(d.upper - b.upper * coalesce((select f.factor from internal.result_factors f
+      where f.source = b.limit_unit and f.target = d.unit_of_measure), 1)) <= 1e-9 * d.upper
+    and (d.metric = 'angle_random_walk'
+      or abs(d.tau_s - coalesce((b.parameters->>'$.average_s')::double, (b.parameters->>'$.tau_s')::double)) <= 1e-6 * d.tau_s)
 ), of_values as (
   select unit, signal, run, metric, subject, verdict, v as value, v_lo as lo, v_hi as hi, lower, upper,
     limit_unit as unit_of_measure, parameters, runs, standard, clause, specification, revision,
     case
+      when early = verdict then early_reason
+      when early is not null then early || ' was ' || early_reason || '; the value says ' || by_value || ': test it again'
       when v is null and value is null then reason
       when v is null then 'the value is in ' || unit_of_measure || ', the limit in ' || limit_unit
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'

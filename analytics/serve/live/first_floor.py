@@ -22,7 +22,7 @@ select run from (
 _DOCUMENTS = """
 select site, station, document, arrival_ns from internal.lake_documents
 where list_contains($runs, run) and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'LimitsApplied', 'UnitMounted',
-  'PowerOn', 'PowerOff',
+  'PowerOn', 'PowerOff', 'UnitReleased',
   'StepStarted', 'StepEnded', 'EarlyDecision', 'VerdictGiven')
 order by arrival_ns, t_ns
 """

@@ -20,6 +20,7 @@ from stream.events import (
     StepStarted,
     StepWords,
     UnitMounted,
+    UnitReleased,
     Verdict,
     VerdictGiven,
 )
@@ -27,7 +28,10 @@ from stream.identity import Place
 from stream.worker.limit_checks import estimator_key, judge
 
 SILENT_AFTER_NS = 10 * 10**9
-OfUnit = UnitMounted | StepStarted | StepEnded | PowerOn | PowerOff | EstimatePublished | EarlyDecision | VerdictGiven
+OfUnit = (
+    UnitMounted | StepStarted | StepEnded | PowerOn | PowerOff | UnitReleased | EstimatePublished | EarlyDecision
+    | VerdictGiven
+)  # fmt: skip
 _DECIDED = (Verdict.PASS, Verdict.FAIL)
 
 
@@ -162,8 +166,8 @@ class Floor:
                 unit.step = ""
             case PowerOn():
                 unit.is_off = False
-            case PowerOff():
-                unit.is_off = True  # what has no power delivers nothing
+            case PowerOff() | UnitReleased():
+                unit.is_off = True  # what has no power, or is done, delivers nothing
             case EstimatePublished():
                 self._estimate(unit, document)
             case EarlyDecision():

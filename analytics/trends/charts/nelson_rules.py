@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from analytics.methods.distributions import student_sf
 from analytics.trends.charts.control_chart import Spread, centre_and_sigma
-from analytics.trends.levels.wander import NOISES, Noise, simulated
+from analytics.trends.wander import NOISES, Noise, simulated
 from analytics.trends.words import words
 from stream.batch import FloatArray, IntArray
 

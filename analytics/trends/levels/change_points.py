@@ -12,7 +12,7 @@ from scipy.special import stdtr
 from analytics.trends.charts.control_chart import MEDIAN_RANGE
 from analytics.trends.levels.change_search import ChangeSearch
 from analytics.trends.levels.divisions import divisions
-from analytics.trends.levels.wander import NOISES, Noise
+from analytics.trends.wander import NOISES, Noise
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray
 

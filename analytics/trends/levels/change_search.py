@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.levels.wander import NOISES, Noise, Reduced, prior, products, reduced
+from analytics.trends.wander import NOISES, Noise, Reduced, prior, products, reduced
 from stream.batch import FloatArray, IntArray
 
 LEAST_SEGMENT = 4

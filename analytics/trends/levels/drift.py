@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
-from analytics.trends.levels.wander import NOISES, prior, products
+from analytics.trends.wander import NOISES, prior, products
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray
 

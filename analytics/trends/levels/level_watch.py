@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.trends.levels.change_points import clipped
-from analytics.trends.levels.wander import NOISES, prior, reduced
+from analytics.trends.wander import NOISES, prior, reduced
 from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from analytics.trends.levels.level_watch import LEAST_POINTS, LevelWatch, level_watch
-from analytics.trends.levels.wander import Noise, simulated
+from analytics.trends.wander import Noise, simulated
 from analytics.trends.words import NotComputed
 
 

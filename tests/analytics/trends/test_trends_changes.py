@@ -9,7 +9,7 @@ from scipy.stats import binom
 from analytics.trends.levels.change_points import Changes, change_points
 from analytics.trends.levels.change_search import LEAST_SEGMENT, ChangeSearch
 from analytics.trends.levels.divisions import divisions
-from analytics.trends.levels.wander import NOISES, Noise, products, reduced, simulated
+from analytics.trends.wander import NOISES, Noise, products, reduced, simulated
 from analytics.trends.words import NotComputed
 
 

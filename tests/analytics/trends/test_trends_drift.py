@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from analytics.trends.levels.drift import Drift, drift
-from analytics.trends.levels.wander import Noise, simulated
+from analytics.trends.wander import Noise, simulated
 from analytics.trends.words import NotComputed
 
 
