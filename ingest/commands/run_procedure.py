@@ -114,6 +114,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         )
         trouble = TroubleWatch(path.publisher, operator.report)
         releases = _releases(asked, job, limits, decisions)
+        operator.may_end_early = releases is not None
         about = (log, job.steps, job.station, job.clock, operator, decisions, path.publisher, time.time_ns())
         collect = partial(run_status, *about)
         stack.enter_context(served(asked.status_listen, collect))

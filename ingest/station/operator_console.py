@@ -38,6 +38,7 @@ class ConsoleOperator:
         self._task = self._progress.add_task("", total=1.0)
         self._total_s = 0.0
         self._look: Callable[[], None] | None = None
+        self.may_end_early = False
         self._listens = listens
         if listens:
             signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background reading fails, and the run goes on
@@ -99,7 +100,8 @@ class ConsoleOperator:
         self._total_s = max(self._total_s, left_s)
         minutes = round(left_s / 60.0)
         left = f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
-        text = f"step {step.number} {step.words.step or ''}: {doing}, {left} left"
+        most = "at most " if self.may_end_early else ""
+        text = f"step {step.number} {step.words.step or ''}: {doing}, {most}{left} left"
         self._progress.update(self._task, description=text, completed=1.0 - left_s / max(self._total_s, 1e-9))
         now = time.monotonic()
         if not self._quiet and not self._console.is_terminal and now - self._reported_at >= _REPORT_EVERY_S:

@@ -96,7 +96,7 @@ class Releases:
         """What the operator is told of a release."""
         slot = f" (slot {release.slot})" if release.slot else ""
         names = self._supplies[release.unit]
-        power = f"it has power until supply {' and '.join(names)} is off" if names else "switch it off by hand"
+        power = f"it has power until {' and '.join(names)} is off" if names else "switch it off by hand"
         return (
             f"unit {release.unit}{slot}: {release.verdict} is decided after {duration(release.recorded_s)}, "
             f"{duration(release.saved_s)} early; {power}"
@@ -106,7 +106,7 @@ class Releases:
         """What the operator is told when supplies are off."""
         slots = [slot for unit in units if (slot := self._slots[unit])]
         places = f"slots {', '.join(slots)} are free" if slots else "their places are free"
-        return f"supply {', '.join(supplies)} is off; {places} (units {_listed(units)})"
+        return f"{', '.join(supplies)} is switched off; {places} (units {_listed(units)})"
 
 
 def _listed(units: Sequence[str]) -> str:

@@ -1,7 +1,9 @@
 """Units are released once their limits are decided: power off, slot free, and a verdict that rests on the decision."""
 
 import json
+import signal
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -69,7 +71,7 @@ def documents(kept: Kept, kind: str) -> dict[str, dict[str, Any]]:
 
 def verdicts(gyrofleet: Gyrofleet) -> dict[str, dict[str, Any]]:
     reported = json.loads(gyrofleet("verdicts", "--store", "S", "--json").out)
-    return {row["unit"]: row for row in reported["verdicts"]}
+    return {row["unit"]: row for row in reported["verdicts"] if row["metric"] == "allan_deviation"}
 
 
 def test_all_are_decided_and_the_run_ends_early(gyrofleet: Gyrofleet, kept: Kept, bench: Bench, tmp_path: Path) -> None:
@@ -82,7 +84,7 @@ def test_all_are_decided_and_the_run_ends_early(gyrofleet: Gyrofleet, kept: Kept
     assert set(last["released"]) == set(PRODUCTS)
     assert "every unit is decided: the record ends early" in done.err
     assert "4 of 4 units were decided early" in done.err
-    assert "is off; " in done.err
+    assert "supply is switched off; slots S1, S2, S3, S4 are free" in done.err
     released = documents(kept, "UnitReleased")
     for unit, each in released.items():
         assert each["verdict"] == last["verdicts"][unit]
@@ -113,3 +115,53 @@ def test_a_unit_with_limits_after_the_run_is_released_only_as_a_failure(
     spans = {row["unit"]: row["t_end_ns"] - row["t_start_ns"] for row in kept.rows("select * from steps")}
     assert spans["SIM-0002"] < 0.95 * spans["SIM-0001"]
     assert spans["SIM-0001"] >= 1800 * 10**9 - 2 * 10**8
+
+
+def test_decisions_of_estimators_in_other_processes_release_units(
+    gyrofleet: Gyrofleet, kept: Kept, bench: Bench, spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    specify(gyrofleet, tmp_path, SPECIFICATION)
+    record = spawn("record", "--listen", endpoint, "--store", "S", "--json")
+    assert record.stdout is not None
+    assert record.stdout.readline()
+    estimate = spawn("estimate", "--store", "S", "--every", "20", "--json")
+    assert estimate.stderr is not None
+    assert estimate.stdout is not None
+    assert "estimating" in estimate.stderr.readline()
+    # it waits where nobody reads its estimates
+    reader = threading.Thread(target=estimate.stdout.read)
+    reader.start()
+    done = gyrofleet(*bench.run("static_bias", *SHORT[:4], "--stop-when-decided"))
+    assert done.code == 0, done.err
+    assert set(json.loads(done.out.splitlines()[-1])["released"]) == set(PRODUCTS)
+    for process in (estimate, record):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+    reader.join(10)
+    assert {unit: each["verdict"] for unit, each in documents(kept, "VerdictGiven").items()} == {
+        unit: "PASS" if what == "GOOD" else "FAIL" for unit, what in PRODUCTS.items()
+    }
+
+
+def test_a_run_that_is_killed_after_a_release_goes_on_with_the_others(
+    gyrofleet: Gyrofleet, kept: Kept, bench: Bench, spawn: Spawn, tmp_path: Path
+) -> None:
+    specify(gyrofleet, tmp_path, SPECIFICATION + AFTER)
+    command = bench.run("static_bias", *SHORT)
+    process = spawn(*command)
+    assert process.stderr is not None
+    lines = iter(process.stderr.readline, "")
+    assert any("is decided after" in line for line in lines)
+    process.kill()
+    process.wait(30)
+    done = gyrofleet(*command)
+    assert done.code == 0, done.err
+    last = json.loads(done.out.splitlines()[-1])
+    assert last["resumed"]
+    assert set(last["released"]) == {"SIM-0002", "SIM-0004"}
+    released = kept.rows("select unit, count(*) as n from events where kind = 'UnitReleased' group by unit")
+    assert {row["unit"]: row["n"] for row in released} == {"SIM-0002": 1, "SIM-0004": 1}
+    completed = kept.rows("select unit, count(*) as n from steps where outcome = 'completed' group by unit")
+    assert {row["unit"]: row["n"] for row in completed} == dict.fromkeys(PRODUCTS, 1)
+    found = {unit: row["verdict"] for unit, row in verdicts(gyrofleet).items()}
+    assert found == {unit: "PASS" if what == "GOOD" else "FAIL" for unit, what in PRODUCTS.items()}
