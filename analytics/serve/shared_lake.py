@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 
@@ -33,6 +34,11 @@ class LakeState:
     tag: str
     number: int
     parts: tuple[Part, ...]
+
+    @cached_property
+    def segments(self) -> frozenset[str]:
+        """Segments of the log that are in it."""
+        return frozenset(segment for part in self.parts for segment in part.segments)
 
 
 @dataclass

@@ -9,6 +9,7 @@ from analytics.serve.api.operation import Call, get
 from analytics.serve.api.rows import dictionaries, iso
 from storage.sql.reading import find_signal
 from stream.errors import NotFound
+from stream.events import EstimatePublished
 
 if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve
@@ -18,6 +19,7 @@ select tau_s, value, lo, hi, edf, n, unit_of_measure, t_ns, final, samples, miss
 where unit = $unit and signal = $signal and run = $run and estimator = 'allan_deviation' and tau_s is not null
 qualify t_ns = max(t_ns) over () order by tau_s
 """
+_IS_THERE = "select 1 from internal.served_signals where unit = $unit and signal = $signal and run = $run"
 _FITTED = """
 select document from internal.lake_documents
 where kind = 'NoiseFitted' and run = $run and unit = $unit and document->>'$.signal' = $signal
@@ -63,12 +65,17 @@ class Allan(msgspec.Struct, frozen=True, kw_only=True):
         return {name: getattr(self, name) for name in ("tau_s", "adev", "lo", "hi", "edf")}
 
 
-@get("/api/allan/{unit}/{run}/{signal}", table="", is_slow=True)
+@get("/api/allan/{unit}/{run}/{signal}", table="", is_slow=True, is_live=True)
 def allan(call: Call, asked: AllanAsked) -> Allan:
     """Overlapping Allan deviation of a signal over averaging time, with 95 % confidence bounds."""
     from analytics.curves.allan_curve import allan_curve
 
     of = {name: call.path[name] for name in ("unit", "run", "signal")}
+    newest = call.service.live.tail.curve((of["unit"], of["run"], of["signal"]))
+    if newest is not None and asked.source == "stored" and not newest.final:
+        return _newest(newest, of)
+    if not call.views.rows(_IS_THERE, of) and call.service.live.tail.version((of["unit"], of["run"], of["signal"])):
+        return _not_yet(of)
     record = find_signal(call.views, of["unit"], of["signal"], of["run"])
     fitted = call.views.rows(_FITTED, of)
     noise = msgspec.json.decode(fitted[0][0]) if fitted else None
@@ -83,6 +90,26 @@ def allan(call: Call, asked: AllanAsked) -> Allan:
             noise=noise, reason=str(error),
         )  # fmt: skip
     return _of_samples(curve, of, noise)
+
+
+def _newest(of_run: EstimatePublished, of: dict[str, str]) -> Allan:
+    """A live estimate that may not be in the lake yet."""
+    points = of_run.points
+    return Allan(
+        **of, unit_of_measure=of_run.unit_of_measure, source="live", final=False, t_ns=of_run.t_ns,
+        time=iso(of_run.t_ns), samples=of_run.samples, missing=of_run.missing,
+        sample_interval_s=of_run.sample_interval_s, tau_s=[each.tau_s for each in points],
+        adev=[each.value for each in points], lo=[each.lo for each in points], hi=[each.hi for each in points],
+        edf=[each.edf for each in points], noise=None,
+    )  # fmt: skip
+
+
+def _not_yet(of: dict[str, str]) -> Allan:
+    return Allan(
+        **of, unit_of_measure="", source="live", final=False, t_ns=None, time=None, samples=0, missing=0,
+        sample_interval_s=0.0, tau_s=[], adev=[], lo=[], hi=[], edf=[], noise=None,
+        reason="no estimate has been published yet: the run has just begun, or no `gyrofleet estimate` is at work",
+    )  # fmt: skip
 
 
 def _stored(rows: list[dict[str, Any]], of: dict[str, str], noise: dict[str, Any] | None) -> Allan:

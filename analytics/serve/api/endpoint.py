@@ -61,11 +61,12 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
     if not operation.is_kept:
         made = await compute()
         return Response(made.body, operation.status, media_type=made.media_type)
-    tag = f'"{service.nonce}-{state.tag}-{form}"'
+    version = operation.version(service, state, request.path_params)
+    tag = f'"{service.nonce}-{version}-{form}"'
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Accept"}
     if tag in {each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")}:
         return Response(status_code=304, headers=headers)
-    made = await service.cache.answer((url_of(request), form, state.tag), compute)
+    made = await service.cache.answer((url_of(request), form, version), compute)
     return Response(made.body, operation.status, headers, made.media_type)
 
 

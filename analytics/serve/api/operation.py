@@ -75,6 +75,7 @@ class Operation(Generic[Asked, Given]):
     role: Who may.
     table: Field of the answer that Arrow and CSV have; empty if the answer has columns itself, None for neither.
     is_kept: The answer depends on the lake alone: it has an ETag and is kept.
+    is_live: The answer depends on the newest samples of the signal in its path as well.
     is_slow: It needs metrics or long computations, in a pool of threads of their own.
     status: Of its answer.
     """
@@ -87,12 +88,24 @@ class Operation(Generic[Asked, Given]):
     is_kept: bool = False
     is_slow: bool = False
     status: int = 200
+    is_live: bool = False
+
+    def version(self, service: Service, state: LakeState, path: Mapping[str, str]) -> str:
+        """Names all that a kept answer depends on."""
+        if not self.is_live:
+            return state.tag
+        return f"{state.tag}-{service.live.tail.version((path['unit'], path['run'], path['signal']))}"
 
     def __call__(self, call: Call, asked: Asked) -> Given:
         """Answer; what takes long and depends on the lake alone is computed once for pages and programs."""
         if not (self.is_kept and self.is_slow):
             return self.handler(call, asked)
-        key = (self.path, tuple(call.path.items()), msgspec.json.encode(asked), call.state.tag)
+        key = (
+            self.path,
+            tuple(call.path.items()),
+            msgspec.json.encode(asked),
+            self.version(call.service, call.state, call.path),
+        )
         found: Given = call.service.memo.result(key, lambda: self.handler(call, asked))
         return found
 
@@ -124,12 +137,18 @@ class Operation(Generic[Asked, Given]):
 
 
 def get(
-    path: str, *, table: str | None = None, role: Role = Role.VIEWER, is_kept: bool = True, is_slow: bool = False
+    path: str,
+    *,
+    table: str | None = None,
+    role: Role = Role.VIEWER,
+    is_kept: bool = True,
+    is_slow: bool = False,
+    is_live: bool = False,
 ) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
     """Declare an operation that reads."""
 
     def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
-        return Operation("GET", path, handler, role, table, is_kept, is_slow)
+        return Operation("GET", path, handler, role, table, is_kept, is_slow, is_live=is_live)
 
     return declare
 

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 
 from analytics.serve.api.operation import Call, get
 from analytics.serve.api.rows import dictionaries, iso, moment
+from analytics.serve.live.tail import LiveSamples
 from storage.lake.tables import SAMPLES_FILE
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal
+from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 
 _NS = 10**9
@@ -60,7 +63,8 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     Bucket i begins at ``t_ns[i]`` and is `bucket_ns` long; buckets that the stretch touches are whole, buckets without
     samples are left out. `source` says what they are made of: ``rollup_10s``, ``rollup_1s``, ``raw`` (all samples), or
     ``samples``: then each is one sample and `bucket_ns` is 0. Every sample is in its bucket's min and max. `gaps` are
-    stretches without samples, longer than 1.5 intervals. Values are in `unit_of_measure`.
+    stretches without samples, longer than 1.5 intervals. Values are in `unit_of_measure`. `is_live`: some samples have
+    not come to the lake yet, so that the record probably goes on.
     """
 
     unit: str
@@ -85,6 +89,7 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     first: str | None
     last: str | None
     note: str | None = None
+    is_live: bool = False
 
     def columns(self) -> Mapping[str, Sequence[Any]]:
         """Its table, for Arrow and CSV."""
@@ -100,6 +105,35 @@ class _Stretch:
     stop_ns: int
     points: int
     parts: list[dict[str, Any]]
+    live: LiveSamples | None = None
+
+    @property
+    def live_times(self) -> IntArray:
+        """Times of the samples that the lake does not have yet, shape (n,)."""
+        return np.empty(0, np.int64) if self.live is None else self.live.t_ns
+
+    @property
+    def live_values(self) -> FloatArray:
+        """Their values, shape (n,)."""
+        return np.empty(0) if self.live is None else self.live.values
+
+    def live_buckets(self, width_ns: int, first_ns: int, stop_ns: int) -> list[dict[str, Any]]:
+        """Their buckets, of those from `first_ns` to before `stop_ns`."""
+        inside = (self.live_times >= first_ns) & (self.live_times < stop_ns)
+        if not inside.any():
+            return []
+        times, values = self.live_times[inside], self.live_values[inside]
+        slots, of = np.unique(times // width_ns * width_ns, return_inverse=True)
+        order = np.argsort(of, kind="stable")
+        begins = np.searchsorted(of[order], np.arange(slots.size))
+        ordered, counts = values[order], np.bincount(of)
+        least, most = np.minimum.reduceat(ordered, begins), np.maximum.reduceat(ordered, begins)
+        means = np.add.reduceat(ordered, begins) / counts
+        columns = (each.tolist() for each in (slots, counts, means, least, most))
+        return [
+            {"slot": slot, "n": n, "mean": mean, "lo": lo, "hi": hi}
+            for slot, n, mean, lo, hi in zip(*columns, strict=True)
+        ]
 
     @property
     def width_ns(self) -> int:
@@ -114,7 +148,7 @@ class _Stretch:
     @property
     def raw_samples(self) -> float:
         """About how many samples it has."""
-        return sum(int(part["samples"]) * self._share(part) for part in self.parts)
+        return self.live_times.size + sum(int(part["samples"]) * self._share(part) for part in self.parts)
 
     @property
     def is_raw(self) -> bool:
@@ -127,15 +161,17 @@ class _Stretch:
         return max(inside, 0) / max(last - first, 1)
 
 
-@get("/api/signals/{unit}/{run}/{signal}", table="")
+@get("/api/signals/{unit}/{run}/{signal}", table="", is_live=True)
 def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     """A stretch of a signal in buckets with least, greatest and mean value; a single outlier is in it at any width."""
     views, path = call.views, call.path
     of = {name: path[name] for name in ("unit", "signal", "run")}
+    name = (of["unit"], of["run"], of["signal"])
+    live = call.service.live.tail.samples(name, call.state.segments)
     found = dictionaries(views, _ABOUT, of)
-    if not found:
+    if not found and live is None:
         find_signal(views, of["unit"], of["signal"], of["run"])  # NotFound lists what there is
-    about = found[0]
+    about = _about(found, live)
     first_ns = moment(asked.from_, "from")
     stop_ns = moment(asked.to, "to")
     first_ns = about["t_first_ns"] if first_ns is None else first_ns
@@ -148,7 +184,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
         if part["t_last_ns"] >= first_ns and part["t_first_ns"] < stop_ns
     ]
     interval_s = float(about["sample_interval_s"])
-    source, bucket_ns, rows, note = _buckets(views, _Stretch(first_ns, stop_ns, asked.points, parts))
+    stretch = _Stretch(first_ns, stop_ns, asked.points, parts, live)
+    source, bucket_ns, rows, note = _buckets(views, stretch)
     t_ns = [int(row["slot"]) for row in rows]
     longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
     return SignalBuckets(
@@ -158,13 +195,27 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
         gaps=[] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns),
         samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
         first_ns=about["t_first_ns"], last_ns=about["t_last_ns"], first=iso(about["t_first_ns"]),
-        last=iso(about["t_last_ns"]), note=note,
+        last=iso(about["t_last_ns"]), note=note, is_live=live is not None,
     )  # fmt: skip
+
+
+def _about(found: list[dict[str, Any]], live: LiveSamples | None) -> dict[str, Any]:
+    """What is known of the signal, with the samples that the lake does not have yet."""
+    if live is None:
+        return found[0]
+    about: dict[str, Any] = found[0] if found else {
+        "unit_of_measure": live.unit_of_measure, "irregular": live.irregular, "date_known": True,
+        "sample_interval_s": live.sample_interval_s, "t_first_ns": 2**63 - 1, "t_last_ns": 0,
+    }  # fmt: skip
+    if live.t_ns.size:
+        first_ns, last_ns = int(live.t_ns.min()), int(live.t_ns.max())
+        about |= {"t_first_ns": min(about["t_first_ns"], first_ns), "t_last_ns": max(about["t_last_ns"], last_ns)}
+    return about
 
 
 def _buckets(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]], str | None]:
     """Source, length and rows of the buckets, and a note where raw samples are missing."""
-    if not of.parts:
+    if not of.parts and not of.live_times.size:
         return "samples", 0, [], None
     note = None
     if of.width_ns < _NS and of.raw_samples <= _MOST_RAW:
@@ -174,33 +225,57 @@ def _buckets(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any
     seconds = 10 if of.width_ns >= 10 * _NS else 1
     k = max(-(-of.width_ns // (seconds * _NS)), 1)
     unit_ns = seconds * _NS
-    sql = _OF_ROLLUP.format(k=k, seconds=seconds, channels=of.channels)
-    bounds = {"first": of.first_ns // unit_ns // k * k, "stop": -(-of.stop_ns // unit_ns // k) * k + k}
-    rows = [
-        row | {"slot": row["slot"] * unit_ns}
-        for row in dictionaries(views, sql, bounds)
-        if row["slot"] * unit_ns < of.stop_ns and (row["slot"] + k) * unit_ns > of.first_ns
-    ]
-    return f"rollup_{seconds}s", k * unit_ns, rows, note
+    rows: list[dict[str, Any]] = []
+    if of.parts:
+        sql = _OF_ROLLUP.format(k=k, seconds=seconds, channels=of.channels)
+        bounds = {"first": of.first_ns // unit_ns // k * k, "stop": -(-of.stop_ns // unit_ns // k) * k + k}
+        rows = [row | {"slot": row["slot"] * unit_ns} for row in dictionaries(views, sql, bounds)]
+    width = k * unit_ns
+    # whole buckets, also where the stretch begins or ends in one
+    whole = _together(rows, of.live_buckets(width, of.first_ns // width * width, -(-of.stop_ns // width) * width))
+    asked = [row for row in whole if row["slot"] < of.stop_ns and row["slot"] + width > of.first_ns]
+    return f"rollup_{seconds}s", width, asked, note
 
 
 def _of_samples(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]]]:
-    paths = {str(Path(part["filename"]).with_name(SAMPLES_FILE)) for part in of.parts}
-    files = ", ".join("'" + path.replace("'", "''") + "'" for path in sorted(paths))
-    values = _VALUE.format(files=files, channels=of.channels)
     width = of.width_ns
-    first = of.first_ns // width * width
-    rows = dictionaries(
-        views, _OF_SAMPLES.format(width=width, values=values), {"first": first, "stop": -(-of.stop_ns // width) * width}
-    )
+    first, stop = of.first_ns // width * width, -(-of.stop_ns // width) * width
+    rows: list[dict[str, Any]] = []
+    if of.parts:
+        paths = {str(Path(part["filename"]).with_name(SAMPLES_FILE)) for part in of.parts}
+        files = ", ".join("'" + path.replace("'", "''") + "'" for path in sorted(paths))
+        values = _VALUE.format(files=files, channels=of.channels)
+        bounds = {"first": first, "stop": stop}
+        rows = dictionaries(views, _OF_SAMPLES.format(width=width, values=values), bounds)
+    rows = _together(rows, of.live_buckets(width, first, stop))
     if sum(row["n"] for row in rows) > of.points:
         return "raw", width, rows
-    single = dictionaries(views, f"{values} order by s.t_ns", {"first": of.first_ns, "stop": of.stop_ns})
+    single: list[tuple[int, float]] = []
+    if of.parts:
+        bounds = {"first": of.first_ns, "stop": of.stop_ns}
+        single = [(row["t_ns"], row["value"]) for row in dictionaries(views, values, bounds)]
+    inside = (of.live_times >= of.first_ns) & (of.live_times < of.stop_ns)
+    single += zip(of.live_times[inside].tolist(), of.live_values[inside].tolist(), strict=True)
     same = (
-        {"slot": row["t_ns"], "n": 1, "mean": row["value"]} | dict.fromkeys(("lo", "hi"), row["value"])
-        for row in single
+        {"slot": t_ns, "n": 1, "mean": value} | dict.fromkeys(("lo", "hi"), value)
+        for t_ns, value in sorted(single, key=lambda each: each[0])
     )
     return "samples", 0, list(same)
+
+
+def _together(rows: list[dict[str, Any]], live: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Buckets of the lake and of what it does not have yet, one of each slot, in order."""
+    slots: dict[int, dict[str, Any]] = {row["slot"]: row for row in rows}
+    for row in live:
+        before = slots.get(row["slot"])
+        if before is None:
+            slots[row["slot"]] = dict(row)
+            continue
+        n = before["n"] + row["n"]
+        mean = (before["n"] * before["mean"] + row["n"] * row["mean"]) / n
+        lo, hi = min(before["lo"], row["lo"]), max(before["hi"], row["hi"])
+        slots[row["slot"]] = {"slot": row["slot"], "n": n, "mean": mean, "lo": lo, "hi": hi}
+    return [slots[slot] for slot in sorted(slots)]
 
 
 def _gaps(t_ns: list[int], bucket_ns: int, longest_ns: float) -> list[tuple[int, int]]:

@@ -10,12 +10,14 @@ from typing import Any
 from analytics.serve.live.first_floor import fill_floor
 from analytics.serve.live.floor import Floor, UnitNow
 from analytics.serve.live.floor_rows import FloorRows
+from analytics.serve.live.tail import LiveTail
 from analytics.serve.shared_lake import SharedLake
 from storage.log.follower import FollowedMessage, LogFollower
 from storage.store import Store
 from stream.closing import Closing
 from stream.console import json_text
 from stream.errors import GyrofleetError
+from stream.events import EstimatePublished
 from stream.identity import SampleKey, parse_key
 from stream.wire.batches import RawBatch
 
@@ -32,7 +34,7 @@ class FloorFollower(Closing):
     """Follows a store's log; `lag_s` is how long the last look took, `problem` why it does not work, if so."""
 
     def __init__(self, store: Store) -> None:
-        self.floor, self.rows = Floor(), FloorRows()
+        self.floor, self.rows, self.tail = Floor(), FloorRows(), LiveTail()
         self.lag_s = 0.0
         self.problem: str | None = None
         self._store = store
@@ -82,9 +84,9 @@ class FloorFollower(Closing):
         fresh = Floor()
         with lake.views.lease(state) as catalog:
             fill_floor(fresh, catalog)
-        in_lake = {segment for part in state.parts for segment in part.segments}
+        in_lake = state.segments
         with self._lock:
-            self.floor = fresh
+            self.floor, self.tail = fresh, LiveTail()
             self.rows.begin()
             document = self.rows.document(fresh)
         tell(document["version"], "floor", json_text(document).encode())
@@ -96,10 +98,15 @@ class FloorFollower(Closing):
                 with self._lock:
                     for message in messages.poll():
                         take(self.floor, message)
+                        if isinstance(message.content, RawBatch) and message.place is not None:
+                            self.tail.take(message.segment, message.content)
+                        elif isinstance(message.content, EstimatePublished):
+                            self.tail.take_estimate(message.content)
                 self.lag_s, self.problem = time.monotonic() - began_s, None
                 if began_s - told_s >= _TELL_S:
                     told_s = began_s
                     self._tell(tell)
+                    self.tail.forget(lake.state().segments)
                 self._ends.wait(_LOOK_S)
 
     def _tell(self, tell: Tell) -> None:

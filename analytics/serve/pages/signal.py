@@ -20,10 +20,11 @@ def signal(call: Call, asked: api.SignalAsked) -> dict[str, Any]:
         "select signal from signals where unit = $unit and run = $run order by signal",
         {"unit": found.unit, "run": found.run},
     )
+    live = call.service.live.tail.signals(found.unit, found.run)
     return {
         "found": found,
         "allan": allan_api.allan(call, allan_api.AllanAsked()),
-        "others": [name for (name,) in others if name != found.signal],
+        "others": sorted(({name for (name,) in others} | set(live)) - {found.signal}),
         "zooms": _zooms(found),
         "sql": _statement(found),
         "data": link("api", "signals", *of, points=1000, **{"from": asked.from_, "to": asked.to}),

@@ -3,14 +3,14 @@ import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
 import {asked, element, figure, moment, say} from "./texts.js";
 
-const POINTS = 1200, WAIT_MS = 90, TABLE_ROWS = 100;
+const POINTS = 1200, WAIT_MS = 90, FOLLOW_MS = 1000, TABLE_ROWS = 100;
 const ns = seconds => (BigInt(Math.round(seconds * 1e6)) * 1000n).toString();
 
 export async function start(section) {
   const host = element("div");
   section.querySelector("h2").after(host);
   const view = new View(section, host);
-  await view.show(section.dataset.from, section.dataset.to, false);
+  await view.show(section.dataset.asked === "all" ? "" : section.dataset.from, section.dataset.asked === "all" ? "" : section.dataset.to, false);
 }
 
 class View {
@@ -23,7 +23,8 @@ class View {
   }
 
   /** Ask for a stretch and show it; `kept` puts it into the address. */
-  async show(from, to, kept = true) {
+  async show(from, to, kept = true, quiet = false) {
+    clearTimeout(this.following);
     const query = new URLSearchParams({points: POINTS});
     if (from) query.set("from", from);
     if (to) query.set("to", to);
@@ -46,7 +47,21 @@ class View {
       history.replaceState(null, "", url);
       this.#table();
     }
-    this.#draw();
+    this.#draw(quiet);
+    this.#follow(from, to);
+  }
+
+  /** Show what comes, while the record goes on and its end is in view. */
+  #follow(from, to) {
+    const {is_live: live, last_ns: last, to_ns: end} = this.found;
+    if (!live || end <= last - 2e9) return;
+    const began = performance.now();
+    this.following = setTimeout(() => {
+      if (document.hidden) return this.#follow(from, to);
+      const by = BigInt(Math.round(performance.now() - began)) * 1000000n;
+      const moved = at => (at ? (BigInt(at) + by).toString() : at);
+      this.show(to ? moved(from) : from, moved(to), false, true);
+    }, FOLLOW_MS);
   }
 
   get span() {
@@ -82,7 +97,7 @@ class View {
     return columns;
   }
 
-  #draw() {
+  #draw(quiet = false) {
     const data = this.#columns(), {unit_of_measure: unit, bucket_ns} = this.found, single = bucket_ns === 0;
     const [from, to] = this.span;
     const options = colours => ({
@@ -114,6 +129,7 @@ class View {
       this.plot.frame.addEventListener("wheel", event => this.#wheel(event), {passive: false});
       this.plot.frame.addEventListener("dblclick", () => this.show("", ""));
     }
+    if (quiet) return; // a screen reader would never end
     const n = this.found.t_ns.length;
     this.status.textContent = n ? `${moment(from, to - from)} – ${moment(to, to - from)}: ${figure(Math.min(...this.found.min))} – ${figure(Math.max(...this.found.max))} ${unit}` : say("none");
   }

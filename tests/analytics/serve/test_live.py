@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ from typing import Any
 import httpx
 import pytest
 
+from storage.log.follower import LogFollower
 from storage.log.tail import documents_beyond
 from storage.store import Store
 from stream.events import RunStarted
+from stream.wire.batches import RawBatch
 from tests.analytics.serve.conftest import TOKEN, Served, start
 from tests.forked_commands import CommandServer
 
@@ -81,3 +84,34 @@ def arrival_ns(store: Path) -> int:
     """When the recorder had the start of the run."""
     documents = documents_beyond(Store.open(store), set())
     return next(at_ns for document, at_ns in documents if isinstance(document, RunStarted) and document.run == "now")
+
+
+def test_a_sample_is_seen_once_and_soon_after_its_acknowledgement(
+    beside: Served, command_server: CommandServer
+) -> None:
+    """While a run goes on, and through the moment in which its segment comes to the lake."""
+    words = ["run-simulated", "--run", "now", "--simulate", "1", "--hours", "0.02", "--speed", "6", "--rate-hz", "100"]
+    process = command_server.start(
+        [*words, "--store", "S"], cwd=beside.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    name = ("SIM-0001", "now", "rate")
+    store = Store.open(beside.folder / "S")
+    with beside.program() as client, LogFollower(store) as log:
+        in_log, seen = 0, []
+        while process.poll() is None:
+            of_log = [each.content for each in log.poll() if isinstance(each.content, RawBatch)]
+            heads = [raw.message for raw in of_log]
+            in_log += sum(head.samples for head in heads if (head.unit, head.run, head.signal) == name)
+            time.sleep(2.0)  # what the log has now is seen by then
+            answer = client.get("/api/signals/SIM-0001/now/rate", params={"points": 10_000})
+            if in_log or answer.status_code == 200:
+                assert answer.status_code == 200, answer.text
+                seen.append(sum(answer.json()["n"]))
+                assert seen[-1] >= in_log
+        _, err = process.communicate()
+        assert process.returncode == 0, err
+        assert sorted(seen) == seen
+        assert len(set(seen)) >= 3
+        whole = client.get("/api/signals/SIM-0001/now/rate", params={"points": 10_000}).json()
+        assert sum(whole["n"]) == 7200  # each once
+        assert client.get("/api/allan/SIM-0001/now/rate").json()["tau_s"]

@@ -1,0 +1,120 @@
+"""Samples that only the log has so far, as they are on the wire: the newest minutes of each signal."""
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from stream.batch import FloatArray, IntArray
+from stream.events import EstimatePublished
+from stream.wire.batches import RawBatch
+from stream.worker.limit_checks import ALLAN_DEVIATION
+
+SignalName = tuple[str, str, str]
+"""Unit, run, signal."""
+
+# a request may still look at the version of the lake before
+_KEPT_S = 15.0
+_MOST_BYTES = 1 << 30
+
+
+class LiveSamples(NamedTuple):
+    """Samples of a signal that are not in the lake."""
+
+    unit_of_measure: str
+    sample_interval_s: float
+    irregular: bool
+    t_ns: IntArray  # shape (n,), not ordered where epochs overlap
+    values: FloatArray  # shape (n,); without those that are no numbers
+
+
+class LiveTail:
+    """Keeps messages of samples until the lake has them; of more than 1 GiB the oldest segments are left out."""
+
+    def __init__(self) -> None:
+        self._batches: dict[SignalName, list[tuple[str, RawBatch]]] = defaultdict(list)
+        self._bytes: dict[str, int] = defaultdict(int)  # by segment
+        self._in_lake: dict[str, float] = {}  # segments, and since when
+        self._taken: dict[SignalName, int] = defaultdict(int)
+        self._curves: dict[SignalName, EstimatePublished] = {}
+        self._lock = threading.Lock()
+
+    def take(self, segment: str, raw: RawBatch) -> None:
+        """Keep a message."""
+        head = raw.message
+        name = (head.unit, head.run, head.signal)
+        with self._lock:
+            self._batches[name].append((segment, raw))
+            self._taken[name] += 1
+            self._bytes[segment] += head.ByteSize()
+
+    def take_estimate(self, document: EstimatePublished) -> None:
+        """Keep the newest Allan deviation of a signal."""
+        if document.estimator == ALLAN_DEVIATION and document.points:
+            name = (document.unit, document.run, document.signal)
+            with self._lock:
+                self._curves[name] = document
+                self._taken[name] += 1
+
+    def curve(self, name: SignalName) -> EstimatePublished | None:
+        """The newest Allan deviation of a signal that came since the server began."""
+        return self._curves.get(name)
+
+    def forget(self, in_lake: Collection[str]) -> None:
+        """Leave out what has been in the lake for some seconds, and what is too much."""
+        now_s = time.monotonic()
+        with self._lock:
+            self._in_lake = {each: self._in_lake.get(each, now_s) for each in self._bytes if each in in_lake}
+            gone = {each for each, since_s in self._in_lake.items() if now_s - since_s > _KEPT_S}
+            room = _MOST_BYTES
+            for segment in sorted(self._bytes.keys() - gone, reverse=True):
+                room -= self._bytes[segment]
+                if room < 0:
+                    gone.add(segment)
+            if not gone:
+                return
+            for name in list(self._batches):
+                kept = [each for each in self._batches[name] if each[0] not in gone]
+                if kept:
+                    self._batches[name] = kept
+                else:
+                    del self._batches[name]
+            for segment in gone:
+                del self._bytes[segment]
+
+    def version(self, name: SignalName) -> int:
+        """Number that grows with every message of a signal."""
+        return self._taken.get(name, 0)
+
+    def signals(self, unit: str, run: str) -> list[str]:
+        """Signals of a unit in a run, of which it has samples."""
+        with self._lock:
+            return sorted(signal for of_unit, of_run, signal in self._batches if (of_unit, of_run) == (unit, run))
+
+    def samples(
+        self, name: SignalName, in_lake: Collection[str], first_ns: int | None = None, stop_ns: int | None = None
+    ) -> LiveSamples | None:
+        """Samples of a stretch that segments in the lake do not have; None if it has no message of the signal."""
+        with self._lock:
+            found = [raw for segment, raw in self._batches.get(name, ()) if segment not in in_lake]
+        if not found:
+            return None
+        head = found[-1].message
+        inside = [
+            raw.decoded()
+            for raw in found
+            if (first_ns is None or raw.last_ns >= first_ns) and (stop_ns is None or raw.message.t0_ns < stop_ns)
+        ]
+        empty = np.empty(0)
+        t_ns = np.concatenate([empty.astype(np.int64), *(batch.time_array for batch in inside)])
+        values = np.concatenate([empty, *(batch.value_array for batch in inside)])
+        is_asked = np.isfinite(values)
+        if first_ns is not None:
+            is_asked &= t_ns >= first_ns
+        if stop_ns is not None:
+            is_asked &= t_ns < stop_ns
+        irregular = found[-1].decoded().irregular
+        return LiveSamples(head.unit_of_measure, head.dt_ns / 1e9, irregular, t_ns[is_asked], values[is_asked])
