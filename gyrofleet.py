@@ -99,6 +99,7 @@ def _add_commands() -> None:
     from analytics.commands.verdicts import verdicts
     from ingest.commands.can import can
     from ingest.commands.check import check
+    from ingest.commands.control import control
     from ingest.commands.import_files import import_files
     from ingest.commands.procedure import procedure
     from ingest.commands.replay import replay
@@ -112,7 +113,7 @@ def _add_commands() -> None:
     from storage.commands.verify import recover, verify
     from stream.completion import completion
 
-    main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, run_simulated, check)
+    main.add_section("Bring data in", demo, import_files, can, procedure, run, control, simulate, run_simulated, check)
     main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)

@@ -367,6 +367,44 @@ class ResidualWatched(Document, frozen=True, kw_only=True, tag=True):
     reason: str | None = None
 
 
+class RunAction(StrEnum):
+    """What the station of a run can be commanded."""
+
+    PAUSE = "pause"
+    RESUME = "resume"
+    ABORT = "abort"
+
+
+class RunCommandGiven(Document, frozen=True, kw_only=True, tag=True):
+    """A person or a program commands the station of a run; the `uid` names the command.
+
+    `t_ns` is when the station took it, `given_ns` when it was given, by the clock of whoever gave it.
+    """
+
+    action: RunAction
+    by: str
+    reason: str
+    given_ns: Moment
+
+
+class CommandOutcome(StrEnum):
+    """What came of a command."""
+
+    ACCEPTED = "accepted"  # it is being carried out
+    DONE = "done"
+    REFUSED = "refused"  # by the station, or since the run has ended
+    UNANSWERED = "unanswered"  # withdrawn before the station took it
+
+
+class RunCommandAnswered(Document, frozen=True, kw_only=True, tag=True):
+    """What came of the command whose RunCommandGiven has the uid `command`."""
+
+    command: str
+    outcome: CommandOutcome
+    text: str
+    text_zh: str = ""
+
+
 class RunResumed(Document, frozen=True, kw_only=True, tag=True):
     """A run continues under its id after an interruption of `gap_ns`."""
 
@@ -438,7 +476,7 @@ AnyDocument = (
     RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitReleased | UnitMounted | NoteAdded | StationStated
     | CheckEntered | SpecificationEntered | LimitsApplied | EstimatePublished | NoiseFitted | SpectralLinesFound
     | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched | RunResumed | StoreNoted
-    | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged
+    | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged | RunCommandGiven | RunCommandAnswered
 )  # fmt: skip
 
 

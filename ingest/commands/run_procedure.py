@@ -17,12 +17,14 @@ from ingest.procedures.plan import PlannedStep
 from ingest.procedures.procedure import Procedure, load_procedure
 from ingest.procedures.run_steps import resume_index
 from ingest.run import run_path
+from ingest.run.command_boxes import command_box
 from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
 from ingest.station.bench import StationBench, check_limits, check_station
 from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
 from ingest.station.releases import Release, Releases
 from ingest.station.run import RunStopped, StationRun
+from ingest.station.run_commands import RunCommands
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
 from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.run_status import run_status
@@ -84,7 +86,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             no_run = f"no run of {job.procedure.name} with these units has been left unfinished"
             raise BadInput(f"there is nothing to end: {no_run}")
         phase = "starting" if known is None else known.phase
-        is_over = phase not in {"starting", "running"} or (phase == "running" and asked.is_ended)
+        is_ending = asked.is_ended or (known is not None and known.aborted_by is not None)
+        is_over = phase not in {"starting", "running"} or (phase == "running" and is_ending)
         sources = None if is_over else StationSources(job.station, job.instruments, job.clock, job.serials)
         found = _checked(stack, job, sources, destination, job.procedure.duration_s(asked.parameters))
         t0_ns = job.clock.now_ns() if known is None else known.t0_ns
@@ -129,12 +132,16 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             lot=asked.lot or _common(job.entries, "lot"), at=resume_index(job.steps, log.state.step),
             warnings=found.warnings, limits=limits,
         )  # fmt: skip
+        box = command_box(destination, run, operator.report)
+        commands = stack.enter_context(RunCommands(box, log, time.time_ns, operator.report))
+        commands.begin()
+        operator.attend(commands)
         for warning in other_unfinished(destination.spools, job.procedure.name, run):
             operator.report(warning)
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         report("running", f"{resumed}{path.where}")
         try:
-            code = _carried_out(log, job, asked, sources, operator, releases, decisions)
+            code = _carried_out(log, job, asked, sources, operator, releases, decisions, commands)
         except (RunStopped, InstrumentError) as stopped:
             return _leave(str(stopped), path, stop, report)
         run_path.drain(path, trouble, stop)
@@ -176,7 +183,7 @@ def _releases(asked: ProcedureRun, job: _Job, limits: RunLimits, decisions: Limi
 
 def _carried_out(
     log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator,
-    releases: Releases | None, decisions: LimitReport,
+    releases: Releases | None, decisions: LimitReport, commands: RunCommands,
 ) -> int:  # fmt: skip
     if log.state.phase != "running":
         log.end(log.state.outcome)  # it was killed while it waited for the recorder
@@ -192,16 +199,21 @@ def _carried_out(
                     instrument.open()
                     stack.callback(instrument.close)
             live.make_safe()
-        log.end("stopped")
-        return 0
+        commands.finish_abort(live.unsafe)
+        commands.end()
+        log.end("aborted" if commands.is_aborted else "stopped")
+        return int(commands.is_aborted)
     try:
         live.go(partial(sources.make, log, live.report), sources.samplers(log, live.report))
     except RunStopped:
         raise
     except RunAborted as aborted:
         operator.report(str(aborted))
+        commands.finish_abort(live.unsafe)
+        commands.end()
         log.end("aborted")
         return 1
+    commands.end()
     log.end("completed")
     return len(live.unsafe[:1])  # reported already; whoever waits for the command is to look as well
 

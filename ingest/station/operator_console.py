@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ingest.procedures.plan import PlannedStep
 from ingest.station.run import RunStopped
+from ingest.station.run_commands import RunCommands
 from stream.console import Stop
 
 _REPORT_EVERY_S = 5.0
@@ -38,6 +39,7 @@ class ConsoleOperator:
         self._task = self._progress.add_task("", total=1.0)
         self._total_s = 0.0
         self._look: Callable[[], None] | None = None
+        self._commands: RunCommands | None = None
         self.may_end_early = False
         self._listens = listens
         if listens:
@@ -54,6 +56,12 @@ class ConsoleOperator:
     def watch(self, look: Callable[[], None]) -> None:
         """Have `look` called repeatedly, which reports other troubles."""
         self._look = look
+
+    def attend(self, commands: RunCommands) -> None:
+        """Take commands that people give elsewhere; a run that was killed while it was paused stays so."""
+        self._commands, self._paused = commands, commands.is_paused
+        if self._paused:
+            self.report("the run was paused when its process ended, and stays so until it is told to go on")
 
     def report(self, text: str) -> None:
         """Print what has happened."""
@@ -88,10 +96,16 @@ class ConsoleOperator:
         self._read()
         if self._look is not None:
             self._look()
-        if self._stop.asked_at is not None:
-            return "stop"
+        if self._commands is not None:
+            was_paused = self._commands.is_paused
+            self._commands.look()
+            if self._commands.is_paused is not was_paused:
+                self._paused = self._commands.is_paused
+            self._aborted = self._aborted or self._commands.is_aborted
         if self._aborted:
             return "abort"
+        if self._stop.asked_at is not None:
+            return "stop"
         return "pause" if self._paused else None
 
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:

@@ -253,8 +253,7 @@ class StationRun:
                 )
             left_s = sum(map(lasts_s, self._steps[self._log.state.step :])) - passed_s
             self._operator.at(step, doing, max(0.0, left_s))
-            if now_ns - self._log.state.seen_ns > _SAVE_EVERY_S * self._clock.speed * 1e9:
-                self._log.mark_seen()
+            self._mark_seen()
             time.sleep(_LOOK_S)
 
     def _obey(self) -> None:
@@ -263,15 +262,23 @@ class StationRun:
         paused = False
         while (request := self._operator.poll_request()) is not None:
             if request == "stop":
+                self._log.mark_paused(is_paused=False)  # whoever gives the command again means it to go on
                 raise RunStopped(at.format("was stopped"))
             if request == "abort":
                 raise RunAborted(at.format("was aborted"))
             if not paused:
                 paused = True
+                self._log.mark_paused(is_paused=True)
                 self.report(at.format("is paused"))
+            self._mark_seen()
             time.sleep(_LOOK_S)
         if paused:
+            self._log.mark_paused(is_paused=False)
             self.report(at.format("goes on"))
+
+    def _mark_seen(self) -> None:
+        if self._clock.now_ns() - self._log.state.seen_ns > _SAVE_EVERY_S * self._clock.speed * 1e9:
+            self._log.mark_seen()
 
 
 def _stop(sources: list[RunSource]) -> None:

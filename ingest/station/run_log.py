@@ -18,6 +18,8 @@ from ingest.station.run_limits import NO_LIMITS, RunLimits
 from ingest.station.station import Station
 from ingest.station.step_coverage import StepCoverage
 from ingest.station_clock import StationClock
+from storage.recording.command_box import CommandAnswer, RunCommand
+from storage.recording.run_command import answered_document, given_document
 from stream import events
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
@@ -27,6 +29,15 @@ from stream.identity import sample_key
 from stream.wire.acknowledgement import StreamId
 
 STATE_FILE = "procedure.json"
+_COMMANDS_KEPT = 50
+
+
+class DecidedCommand(msgspec.Struct, frozen=True, kw_only=True):
+    """A command of somebody elsewhere, and its answers in their order, each with its time at the station."""
+
+    command: RunCommand
+    taken_ns: int
+    answers: tuple[tuple[CommandAnswer, int], ...]
 
 
 class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -55,6 +66,9 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     released: dict[str, Release] = {}  # units that were released, since their limits are decided
     released_steps: dict[str, str] = {}  # identity of the document of the step that each was released from
     unpowered: dict[str, int] = {}  # released units whose supply is off, and since when
+    is_paused: bool = False
+    aborted_by: str | None = None  # identity of the command that aborts it
+    commands: dict[str, DecidedCommand] = {}  # the last ones, by identity; none is carried out twice
 
 
 def read_station_run(folder: Path) -> StationRunState | None:
@@ -262,6 +276,42 @@ class RunLog(RunRecord[StationRunState]):
         if self.late_samples:
             yield f"{self.late_samples:,} samples came from units that were released; they are not recorded"
 
+    def mark_paused(self, *, is_paused: bool) -> None:
+        """Record that the run is paused, or goes on; killed while it is paused, it stays so."""
+        if self.state.is_paused != is_paused:
+            self._save(is_paused=is_paused)
+
+    def command_answer(self, command_id: str) -> CommandAnswer | None:
+        """The last answer to a command; None if it is not decided yet."""
+        decided = self.state.commands.get(command_id)
+        return None if decided is None else decided.answers[-1][0]
+
+    def decide_command(self, command: RunCommand, answer: CommandAnswer) -> None:
+        """Record what is done with a command and what it does to the run, as one, and send it."""
+        now_ns = self._clock.now_ns()
+        decided = DecidedCommand(command=command, taken_ns=now_ns, answers=((answer, now_ns),))
+        kept = dict(list(self.state.commands.items())[1 - _COMMANDS_KEPT :]) | {command.id: decided}
+        effect: dict[str, Any] = {}
+        if answer.outcome in {events.CommandOutcome.ACCEPTED, events.CommandOutcome.DONE}:
+            is_abort = command.action is events.RunAction.ABORT
+            is_pause = command.action is events.RunAction.PAUSE
+            effect = {"aborted_by": command.id} if is_abort else {"is_paused": is_pause}
+        self._save(commands=kept, **effect)
+        self._send_command(decided)
+
+    def complete_command(self, command_id: str, answer: CommandAnswer) -> None:
+        """Record and send the final answer to a command that was accepted; once."""
+        decided = self.state.commands[command_id]
+        if all(each.outcome is not answer.outcome for each, _ in decided.answers):
+            decided = msgspec.structs.replace(decided, answers=(*decided.answers, (answer, self._clock.now_ns())))
+            self._save(commands=self.state.commands | {command_id: decided})
+        self._send_command(decided)
+
+    def _send_command(self, decided: DecidedCommand) -> None:
+        self._send(given_document(decided.command, decided.taken_ns))
+        for answer, t_ns in decided.answers:
+            self._send(answered_document(decided.command, answer, t_ns))
+
     def _send_release(self, release: Release) -> None:
         run, unit, t_ns = self.state.run, release.unit, release.t_ns
         step = self.state.released_steps[unit]
@@ -321,6 +371,8 @@ class RunLog(RunRecord[StationRunState]):
         self._send_step_ends()  # the crash may have come before it
         for release in self.state.released.values():
             self._send_release(release)
+        for decided in self.state.commands.values():
+            self._send_command(decided)
         if self.state.is_powered:
             self._send_power_ons()
             self._send_released_power_offs()

@@ -1,0 +1,53 @@
+"""The command `gyrofleet control`."""
+
+import getpass
+import sys
+from pathlib import Path
+
+import click
+
+from stream.console import notes, print_json, reporting, results, store_option
+from stream.errors import BadInput, NotFound
+from stream.events import CommandOutcome, RunAction
+
+_ACTIONS = tuple(each.value for each in RunAction)
+
+
+@click.command("control")
+@click.argument("run")
+@click.argument("action", type=click.Choice(_ACTIONS), metavar="|".join(_ACTIONS))
+@click.option("--reason", required=True, help="Why; it is in the log with your name.")
+@click.option("--by", help="Who; by default the name of the user.")
+@store_option
+@reporting
+def control(run: str, action: str, reason: str, by: str | None, folder: Path, *, as_json: bool) -> None:
+    """Pause, resume or abort the RUN of a procedure that a station on this computer carries out.
+
+    The station answers within some seconds: the exit code is 0 if it does as it is told, 1 if it refuses, or nobody
+    answers; a command that the station has not taken by then is withdrawn. Command and answer are in `events`.
+    """
+    from storage.recording.run_command import give_command, is_at_work
+    from storage.sql.catalog import Catalog
+    from storage.store import Store
+
+    if not reason.strip():
+        raise BadInput("--reason is empty; say why")
+    store = Store.open(folder)
+    ended_as: str | None = None
+    if not is_at_work(store.folder, run):
+        with Catalog(store) as catalog:
+            found = catalog.rows("select outcome from runs where run = $run", {"run": run})
+        if not found:
+            raise NotFound(f"run {run!r} is not in {folder}; `gyrofleet status` has the runs that are at work")
+        ended_as = None if found[0][0] == "open" else str(found[0][0])
+    given = give_command(
+        store, run, RunAction(action), by=by or getpass.getuser(), reason=reason.strip(), ended_as=ended_as
+    )
+    answer = given.answer
+    is_obeyed = answer.outcome in {CommandOutcome.ACCEPTED, CommandOutcome.DONE}
+    if as_json:
+        print_json({"run": run, "action": action, "command": given.command.id, "outcome": answer.outcome.value,
+                    "text": answer.text, "is_logged": given.is_logged})  # fmt: skip
+    else:
+        (results() if is_obeyed else notes()).print(f"{action} {answer.outcome}: {answer.text}", soft_wrap=True)
+    sys.exit(0 if is_obeyed else 1)
