@@ -13,6 +13,7 @@ import anyio
 
 from analytics.serve.answer_cache import AnswerCache
 from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
@@ -25,6 +26,8 @@ from stream.errors import GyrofleetError
 from stream.status import role_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
+
+_COMMANDS_AT_ONCE, _COMMAND_EVERY_S = 6, 5.0
 
 
 def _threads(least: int) -> anyio.CapacityLimiter:
@@ -39,6 +42,7 @@ class Service:
     ----------
     fast: Threads for views and rollups.
     slow: Threads for metrics and long computations, so that they hold up nobody else.
+    command_tries: How often a person may command stations.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
     """
@@ -54,6 +58,7 @@ class Service:
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
+    command_tries: RateLimit = field(default_factory=lambda: RateLimit(_COMMANDS_AT_ONCE, _COMMAND_EVERY_S))
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
     began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from analytics.alerts.book import AlertBook
+from analytics.alerts.book import Alert, AlertBook
 from analytics.alerts.service import PLACE
 from analytics.serve.api.operation import Call, get, post
 from analytics.serve.api.rows import iso
@@ -66,15 +66,23 @@ def list_alerts(call: Call, asked: AlertsAsked) -> Alerts:
     """Alerts that `gyrofleet alert run` has raised: open ones, or all."""
     rows = []
     for alert in AlertBook(call.store).alerts():
-        is_open = alert.acknowledged_ns is None if alert.is_event else alert.cleared_ns is None
-        if asked.which == "open" and not is_open:
+        if asked.which == "open" and not _is_open(alert):
             continue
-        names = ("id", "rule", "severity", "subject", "text", "text_zh", "unit", "raised_ns", "cleared_ns")
-        values = {name: getattr(alert, name) for name in (*names, "acknowledged_ns", "acknowledged_by")}
-        sent = [each.target for each in alert.deliveries if each.sent_ns is not None]
-        not_sent = {each.target: each.error for each in alert.deliveries if each.sent_ns is None}
-        rows.append(AlertRow(**values, is_open=is_open, raised=iso(alert.raised_ns), sent=sent, not_sent=not_sent))
+        rows.append(alert_row(alert))
     return Alerts(alerts=rows)
+
+
+def alert_row(alert: Alert) -> AlertRow:
+    """An alert as an answer."""
+    names = ("id", "rule", "severity", "subject", "text", "text_zh", "unit", "raised_ns", "cleared_ns")
+    values = {name: getattr(alert, name) for name in (*names, "acknowledged_ns", "acknowledged_by")}
+    sent = [each.target for each in alert.deliveries if each.sent_ns is not None]
+    not_sent = {each.target: each.error for each in alert.deliveries if each.sent_ns is None}
+    return AlertRow(**values, is_open=_is_open(alert), raised=iso(alert.raised_ns), sent=sent, not_sent=not_sent)
+
+
+def _is_open(alert: Alert) -> bool:
+    return alert.acknowledged_ns is None if alert.is_event else alert.cleared_ns is None
 
 
 @post("/api/alerts/{alert}/acknowledge", role=Role.OPERATOR)

@@ -11,7 +11,7 @@ class Role(IntEnum):
     """What a person may do; each role may do what those before it may."""
 
     VIEWER = 1  # read everything, ask in SQL
-    OPERATOR = 2  # enter notes, verify the store
+    OPERATOR = 2  # enter notes, command runs, verify the store
     ENGINEER = 3  # diagnose, promote and roll back error models
     APPROVER = 4  # approve
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
+from analytics.serve.live.course import LiveCourse
 from analytics.serve.live.first_floor import fill_floor
 from analytics.serve.live.floor import Floor, UnitNow
 from analytics.serve.live.floor_rows import FloorRows
@@ -34,7 +35,7 @@ class FloorFollower(Closing):
     """Follows a store's log; `lag_s` is how long the last look took, `problem` why it does not work, if so."""
 
     def __init__(self, store: Store) -> None:
-        self.floor, self.rows, self.tail = Floor(), FloorRows(), LiveTail()
+        self.floor, self.rows, self.tail, self.course = Floor(), FloorRows(), LiveTail(), LiveCourse()
         self.lag_s = 0.0
         self.problem: str | None = None
         self._store = store
@@ -84,20 +85,20 @@ class FloorFollower(Closing):
         fresh = Floor()
         with lake.views.lease(state) as catalog:
             fill_floor(fresh, catalog)
-        in_lake = state.segments
         with self._lock:
-            self.floor, self.tail = fresh, LiveTail()
+            self.floor, self.tail, self.course = fresh, LiveTail(), LiveCourse()
             self.rows.begin()
             document = self.rows.document(fresh)
         tell(document["version"], "floor", json_text(document).encode())
         self._is_filled.set()
         told_s = 0.0
-        with LogFollower(self._store, in_lake) as messages:
+        with LogFollower(self._store, state.segments) as messages:
             while not self._ends.is_set():
                 began_s = time.monotonic()
                 with self._lock:
                     for message in messages.poll():
                         take(self.floor, message)
+                        _keep(self.course, message)
                         if isinstance(message.content, RawBatch) and message.place is not None:
                             self.tail.take(message.segment, message.content)
                         elif isinstance(message.content, EstimatePublished):
@@ -106,7 +107,9 @@ class FloorFollower(Closing):
                 if began_s - told_s >= _TELL_S:
                     told_s = began_s
                     self._tell(tell)
-                    self.tail.forget(lake.state().segments)
+                    in_lake = lake.state().segments
+                    self.tail.forget(in_lake)
+                    self.course.forget(in_lake)
                 self._ends.wait(_LOOK_S)
 
     def _tell(self, tell: Tell) -> None:
@@ -132,3 +135,10 @@ def take(floor: Floor, message: FollowedMessage) -> None:
         floor.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
     else:
         floor.take(key.place, content, arrival_ns)
+
+
+def _keep(course: LiveCourse, message: FollowedMessage) -> None:
+    """Keep a document of a run's course."""
+    if message.place is not None and not isinstance(message.content, RawBatch | GyrofleetError):
+        place = _parsed(message.place.stream.key).place
+        course.take(message.segment, place, message.content, message.record.arrival_ns)

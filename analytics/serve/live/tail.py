@@ -94,6 +94,15 @@ class LiveTail:
         with self._lock:
             return sorted(signal for of_unit, of_run, signal in self._batches if (of_unit, of_run) == (unit, run))
 
+    def channels(self, run: str) -> dict[tuple[str, str], str]:
+        """Units and signals of a run of which it has samples, with their unit of measure."""
+        with self._lock:
+            return {
+                (unit, signal): batches[-1][1].message.unit_of_measure
+                for (unit, of_run, signal), batches in self._batches.items()
+                if of_run == run and batches
+            }
+
     def samples(
         self, name: SignalName, in_lake: Collection[str], first_ns: int | None = None, stop_ns: int | None = None
     ) -> LiveSamples | None:

@@ -9,7 +9,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from analytics.serve.api import alerts, diagnosis, jobs, notes
+from analytics.serve.api import alerts, diagnosis, jobs, notes, run_commands
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
@@ -27,6 +27,7 @@ _ACTIONS: dict[str, Operation[Any, Any]] = {
         jobs.verify_store,
         notes.add_note,
         alerts.acknowledge_alert,
+        run_commands.command_run,
     )
 }
 _APART = ("csrf", "back")

@@ -11,6 +11,10 @@ const TEXTS = {
     point: "{tau} s: {value} ({lo} to {hi}) {unit}", trend: "{name}: values in the order of time with control limits; arrow keys read values",
     value: "{time}, {unit}: {value}", tau: "averaging time / s", centre: "centre", limits: "control limits",
     history: "earlier statements", rows: "{n} rows in {s} s", cut: "cut at {n}", plot: "first column of numbers or times across, the others up",
+    course: "{what}: commanded and measured over time; arrow keys read values", commanded: "commanded", current: "going on",
+    at: "{time}: {values}", allans: "Allan deviation of {n} units over averaging time, both logarithmic, with 95 % bounds and limits; arrow keys read values",
+    answered: "{action}: {text}", waiting: "waiting for the station", limit: "limit",
+    rate: "rate / (deg/s)", temperature: "temperature / degC",
     least: "least", greatest: "greatest", mean: "mean", bound: "95 % bounds", deviation: "deviation",
   },
   zh: {
@@ -24,6 +28,10 @@ const TEXTS = {
     point: "{tau} s：{value}（{lo}至{hi}）{unit}", trend: "{name}：按时间排列的数值与控制限；方向键读数",
     value: "{time}，{unit}：{value}", tau: "平均时间 / s", centre: "中心线", limits: "控制限",
     history: "以往语句", rows: "{n}行，{s} s", cut: "在{n}行截断", plot: "横轴为第一列数值或时间，其余为纵轴",
+    course: "{what}：指令值与实测值随时间变化；方向键读数", commanded: "指令值", current: "进行中",
+    at: "{time}：{values}", allans: "{n}个产品的阿伦偏差随平均时间变化，双对数坐标，含95%置信界与限值；方向键读数",
+    answered: "{action}：{text}", waiting: "等待试验台答复", limit: "限值",
+    rate: "角速率 / (deg/s)", temperature: "温度 / degC",
     least: "最小值", greatest: "最大值", mean: "均值", bound: "95%置信界", deviation: "偏差",
   },
 };

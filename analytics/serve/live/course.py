@@ -1,0 +1,72 @@
+"""Documents of runs that only the log has so far: what was commanded, noted, limited, and how they began and ended."""
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Collection
+from typing import NamedTuple
+
+from stream.events import (
+    AnyDocument,
+    LimitsApplied,
+    NoteAdded,
+    RunCommandAnswered,
+    RunCommandGiven,
+    RunEnded,
+    RunResumed,
+    RunStarted,
+    StepEnded,
+    StepStarted,
+)
+from stream.identity import Place
+
+OfCourse = (
+    RunStarted | RunResumed | RunEnded | StepStarted | StepEnded | LimitsApplied | NoteAdded | RunCommandGiven
+    | RunCommandAnswered
+)  # fmt: skip
+# a request may still look at the version of the lake before
+_KEPT_S = 15.0
+
+
+class Heard(NamedTuple):
+    """A document, and when and where it came to the log."""
+
+    arrival_ns: int
+    place: Place
+    document: OfCourse
+
+
+class LiveCourse:
+    """Keeps documents of runs until the lake has them; for several threads."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, list[tuple[str, Heard]]] = defaultdict(list)
+        self._in_lake: dict[str, float] = {}  # segments, and since when
+        self._lock = threading.Lock()
+
+    def take(self, segment: str, place: Place, document: AnyDocument, arrival_ns: int) -> None:
+        """Keep a document, if it is one of a run's course."""
+        if isinstance(document, OfCourse) and document.run:
+            with self._lock:
+                self._heard[document.run].append((segment, Heard(arrival_ns, place, document)))
+
+    def heard(self, run: str, in_lake: Collection[str]) -> list[Heard]:
+        """Documents of a run that segments in the lake do not have, in their order."""
+        with self._lock:
+            return [each for segment, each in self._heard.get(run, ()) if segment not in in_lake]
+
+    def forget(self, in_lake: Collection[str]) -> None:
+        """Leave out what has been in the lake for some seconds."""
+        now_s = time.monotonic()
+        with self._lock:
+            segments = {segment for heard in self._heard.values() for segment, _ in heard}
+            self._in_lake = {each: self._in_lake.get(each, now_s) for each in segments if each in in_lake}
+            gone = {each for each, since_s in self._in_lake.items() if now_s - since_s > _KEPT_S}
+            if not gone:
+                return
+            for run in list(self._heard):
+                kept = [each for each in self._heard[run] if each[0] not in gone]
+                if kept:
+                    self._heard[run] = kept
+                else:
+                    del self._heard[run]
