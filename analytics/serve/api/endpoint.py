@@ -16,6 +16,7 @@ from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form, encoded, form_of
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
+from analytics.serve.doors.roles import Role
 from analytics.serve.problems import TooLarge
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
@@ -57,7 +58,8 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
             return encoded(operation(leased, asked), form, operation.table)
 
     limiter = service.slow if operation.is_slow else service.fast
-    compute = functools.partial(computed, service, state, answer, limiter)
+    is_repeated = operation.role is Role.VIEWER  # what changes something is done once
+    compute = functools.partial(computed, service, state, answer, limiter, is_repeated=is_repeated)
     if not operation.is_kept:
         made = await compute()
         return Response(made.body, operation.status, media_type=made.media_type)
@@ -71,15 +73,16 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
 
 
 async def computed(
-    service: Service, state: LakeState, answer: Callable[[LakeState], Answer], limiter: anyio.CapacityLimiter
-) -> Answer:
-    """Compute an answer in a thread; once more if the lake has changed under it."""
+    service: Service, state: LakeState, answer: Callable[[LakeState], Answer], limiter: anyio.CapacityLimiter,
+    *, is_repeated: bool = True,
+) -> Answer:  # fmt: skip
+    """Compute an answer in a thread; once more if the lake has changed under it, where it `is_repeated`."""
     run = functools.partial(anyio.to_thread.run_sync, limiter=limiter, abandon_on_cancel=True)
     try:
         return await run(answer, state)
     except GyrofleetError:
         fresh = await run(service.lake.state)
-        if fresh.number == state.number:
+        if not is_repeated or fresh.number == state.number:
             raise
         return await run(answer, fresh)
 

@@ -1,5 +1,6 @@
 """Commands of people to the station of a run: pause, resume, abort; its answer, and what nobody has answered."""
 
+import time
 from typing import Annotated
 
 import msgspec
@@ -9,7 +10,7 @@ from analytics.serve.api.run_course import CommandRow, run_course
 from analytics.serve.api.runs import run_row
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import Conflict, TooMany
-from storage.recording.run_command import give_command, is_at_work
+from storage.recording.run_command import command_documents, give_command, is_at_work
 from stream.errors import BadInput, NotFound
 from stream.events import CommandOutcome, RunAction
 
@@ -57,6 +58,8 @@ def command_run(call: Call, asked: CommandAsked) -> CommandGiven:
         call.store, run, asked.action, by=call.person.name, reason=reason, role=_ROLE, ended_as=ended_as
     )
     answer = given.answer
+    for document in command_documents(given.command, answer, time.time_ns()):
+        call.service.live.course.tell(document)
     if answer.outcome in {CommandOutcome.REFUSED, CommandOutcome.UNANSWERED}:
         raise Conflict(f"{asked.action} {answer.outcome}: {answer.text}")
     return CommandGiven(

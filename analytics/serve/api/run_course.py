@@ -153,7 +153,8 @@ def run_course(call: Call, asked: Nothing) -> RunCourse:
     name = call.path["run"]
     told: _Told = call.service.memo.result(("course", name, call.state.tag), lambda: _told(call, name))
     fresh = call.service.live.course.heard(name, call.state.segments)
-    heard = sorted({each.document.uid: each for each in (*told.heard, *fresh)}.values(), key=lambda each: each[0])
+    known = {each.document.uid: each for each in (*fresh, *told.heard)}
+    heard = sorted(known.values(), key=lambda each: each.arrival_ns)
     tested = next((each.document.units for each in heard if isinstance(each.document, RunStarted)), ())
     channels = {(row["unit"], row["signal"]): row["unit_of_measure"] for row in told.measured}
     channels |= call.service.live.tail.channels(name)

@@ -26,6 +26,8 @@ OfCourse = (
 )  # fmt: skip
 # a request may still look at the version of the lake before
 _KEPT_S = 15.0
+_TOLD, _TOLD_S = "", 30.0
+_HERE = Place("local", "entered")
 
 
 class Heard(NamedTuple):
@@ -50,6 +52,12 @@ class LiveCourse:
             with self._lock:
                 self._heard[document.run].append((segment, Heard(arrival_ns, place, document)))
 
+    def tell(self, document: OfCourse) -> None:
+        """Keep a document that this server knows of for as long as the log may take to have it."""
+        with self._lock:
+            now_ns = time.time_ns()
+            self._heard[document.run].append((_TOLD, Heard(now_ns, _HERE, document)))
+
     def heard(self, run: str, in_lake: Collection[str]) -> list[Heard]:
         """Documents of a run that segments in the lake do not have, in their order."""
         with self._lock:
@@ -62,10 +70,13 @@ class LiveCourse:
             segments = {segment for heard in self._heard.values() for segment, _ in heard}
             self._in_lake = {each: self._in_lake.get(each, now_s) for each in segments if each in in_lake}
             gone = {each for each, since_s in self._in_lake.items() if now_s - since_s > _KEPT_S}
-            if not gone:
-                return
+            oldest_ns = time.time_ns() - round(_TOLD_S * 1e9)
             for run in list(self._heard):
-                kept = [each for each in self._heard[run] if each[0] not in gone]
+                kept = [
+                    (segment, each)
+                    for segment, each in self._heard[run]
+                    if (each.arrival_ns > oldest_ns if segment == _TOLD else segment not in gone)
+                ]
                 if kept:
                     self._heard[run] = kept
                 else:

@@ -39,7 +39,7 @@ def test_only_its_owner_can_read_and_write_it(tmp_path: Path, folder: CommandFol
     for path, mode in ((tmp_path / "control", 0o700), (folder.path, 0o700), (folder.path / "c1.given", 0o600)):
         assert stat.S_IMODE(path.stat().st_mode) == mode
     folder.path.chmod(0o755)
-    with pytest.raises(StoreError, match="open to others .mode 0755."):
+    with pytest.raises(StoreError, match=r"open to others \(mode 0755\)"):
         CommandBox(tmp_path, "r")
 
 
