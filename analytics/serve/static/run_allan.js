@@ -87,8 +87,8 @@ function named(plot) {
 
 /** A scale in which the limits are seen too. */
 function around(low, high, limits) {
-  const values = [low, high, ...limits.map(each => each.upper)].filter(value => value > 0);
-  return [Math.min(...values) / 1.5, Math.max(...values) * 1.5];
+  const values = [low, high, ...limits.map(each => each.upper)].filter(value => value > 0 && Number.isFinite(value));
+  return values.length ? uPlot.rangeLog(Math.min(...values) / 1.2, Math.max(...values) * 1.2, 10, false) : [0.1, 1];
 }
 
 /** A limit as a bar at its averaging time. */
