@@ -117,9 +117,10 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
         assert over.status_code == 409
         assert "has ended (aborted)" in over.json()["error"]["message"]
     with served.program("engineer") as flood:
-        codes = [flood.post(url, json={"action": "abort", "reason": "!"}).status_code for _ in range(8)]
-        assert codes.count(429) >= 1, codes
-        assert set(codes) == {409, 429}
+        codes = []
+        while 429 not in codes and len(codes) < 60:
+            codes.append(flood.post(url, json={"action": "abort", "reason": "!"}).status_code)
+        assert set(codes) == {409, 429}, codes
     kept.sound()
     rows = [row for row in kept.rows(COMMANDS) if row["by"] != "engineer-program"]
     given = {row["command"]: (row["action"], row["by"], row["reason"]) for row in rows if row["by"]}
