@@ -5,9 +5,10 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import anyio
 
@@ -18,8 +19,10 @@ from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.memo import Memo
+from analytics.serve.problems import Stopping
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
+from analytics.serve.warming import Warming
 from storage.recording.status_board import StatusBoard
 from storage.store import Store
 from stream.errors import GyrofleetError
@@ -28,6 +31,7 @@ from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
 
 _COMMANDS_AT_ONCE, _COMMAND_EVERY_S = 6, 5.0
+Result = TypeVar("Result")
 
 
 def _threads(least: int) -> anyio.CapacityLimiter:
@@ -64,15 +68,29 @@ class Service:
     requests: int = 0
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
+    warming: Warming = field(init=False)
 
     def __post_init__(self) -> None:
-        """Connect the floor's changes with the end of the server."""
+        """Connect the parts with each other."""
         self.changes = Broadcast(self.stopping)
+        self.warming = Warming(self.lake)
 
     @property
     def busy_threads(self) -> int:
         """Requests that threads are answering."""
         return self.fast.borrowed_tokens + self.slow.borrowed_tokens
+
+    async def result(self, work: Awaitable[Result]) -> Result:
+        """The result of some work; raises Stopping where the server ends before."""
+        task, ends = asyncio.ensure_future(work), asyncio.ensure_future(self.stopping.wait())
+        try:
+            await asyncio.wait({task, ends}, return_when=asyncio.FIRST_COMPLETED)
+            if not task.done():
+                raise Stopping
+            return task.result()
+        finally:
+            task.cancel()
+            ends.cancel()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -84,6 +102,7 @@ class Service:
                 loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
 
         self.live.start(self.lake, tell)
+        self.warming.start()
         with StatusReporter(self.status, StatusBoard(self.store).put):
             try:
                 yield
@@ -119,6 +138,7 @@ class Service:
 
     def close(self) -> None:
         """Close what is open."""
+        self.warming.close()
         self.live.close()
         self.jobs.close()
         self.sql.close()
