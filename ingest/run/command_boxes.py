@@ -6,6 +6,7 @@ from ingest.run.run_path import Destination
 from ingest.station.run_commands import Box
 from storage.recording.command_box import BadCommand, CommandAnswer, CommandBox, RunCommand
 from stream.errors import StoreError
+from stream.events import NoteAdded
 
 
 class NoBox:
@@ -17,10 +18,14 @@ class NoBox:
 
     withdrawn = take = taken
 
+    def notes(self) -> Iterator[NoteAdded]:
+        """None."""
+        return iter(())
+
     def answer(self, command_id: str, answer: CommandAnswer) -> None:
         """Nobody waits for it."""
 
-    def forget(self, command_id: str) -> None:
+    def forget(self, name: str) -> None:
         """There is none."""
 
     def close(self) -> None:

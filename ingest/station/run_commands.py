@@ -9,7 +9,7 @@ from storage.recording.command_box import BadCommand, CommandAnswer, RunCommand
 from storage.recording.run_command import withdrawal
 from stream.closing import Closing
 from stream.errors import StoreError
-from stream.events import CommandOutcome, RunAction
+from stream.events import CommandOutcome, NoteAdded, RunAction
 
 
 class Box(Protocol):
@@ -27,8 +27,11 @@ class Box(Protocol):
     def answer(self, command_id: str, answer: CommandAnswer) -> None:
         """Answer a command."""
 
-    def forget(self, command_id: str) -> None:
-        """Forget a withdrawn command, which is in the log."""
+    def notes(self) -> Iterator[NoteAdded]:
+        """Notes that wait."""
+
+    def forget(self, name: str) -> None:
+        """Forget a withdrawn command, or a note, which is in the log."""
 
     def close(self) -> None:
         """Take no more."""
@@ -74,6 +77,10 @@ class RunCommands(Closing):
         for command in self._good(self._box.withdrawn()):
             self._log.decide_command(command, withdrawal(command.run))
             self._box.forget(command.id)
+        for note in self._box.notes():
+            self._log.enter_note(note)
+            self._report(f"note by {note.author}: {note.text}")
+            self._box.forget(note.uid)
         for command in self._good(self._box.take()):
             answer = self._log.command_answer(command.id)
             if answer is None:

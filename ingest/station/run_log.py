@@ -222,6 +222,10 @@ class RunLog(RunRecord[StationRunState]):
         run, t_ns, uid = self.state.run, self._clock.now_ns(), self._uid("note", str(self.state.starts), str(number))
         self._send(events.NoteAdded(run=run, t_ns=t_ns, uid=uid, text=text, author="station", unit=unit))
 
+    def enter_note(self, note: events.NoteAdded) -> None:
+        """Enter a person's note, with the station's time; entered twice, it is the same."""
+        self._send(msgspec.structs.replace(note, t_ns=self._clock.now_ns()))
+
     def begin_step(self, step: PlannedStep) -> int:
         """Start a recorded step of all units now; the time, nanoseconds."""
         t_ns = self._clock.now_ns()

@@ -3,7 +3,8 @@
 The folder ``control/DIGEST`` of a run holds each command as one file, whose name says how far it is. ``ID.given`` waits
 for the station, which takes it by renaming it to ``ID.taken``; whoever gave it withdraws it by renaming it to
 ``ID.withdrawn``. Only one of the two renames succeeds. The station answers in ``ID.answer``, and holds a lock on
-``held`` as long as it looks for commands.
+``held`` as long as it looks for commands. Notes to a run whose process alone can write the log wait there as
+``ID.note``.
 """
 
 import fcntl
@@ -21,10 +22,10 @@ import msgspec
 
 from stream.closing import Closing
 from stream.errors import StoreError
-from stream.events import CommandOutcome, RunAction
+from stream.events import CommandOutcome, NoteAdded, RunAction
 
 FOLDER = "control"
-GIVEN, TAKEN, WITHDRAWN, ANSWER = "given", "taken", "withdrawn", "answer"
+GIVEN, TAKEN, WITHDRAWN, ANSWER, NOTE = "given", "taken", "withdrawn", "answer", "note"
 _HELD = "held"
 _MOST_BYTES = 64 << 10
 _KEPT_S = 86_400.0
@@ -63,7 +64,7 @@ class BadCommand(NamedTuple):
     why: str
 
 
-Content = TypeVar("Content", RunCommand, CommandAnswer)
+Content = TypeVar("Content", RunCommand, CommandAnswer, NoteAdded)
 
 
 class CommandFolder(Closing):
@@ -113,7 +114,7 @@ class CommandFolder(Closing):
         with suppress(FileNotFoundError):
             os.unlink(f"{command_id}.{state}", dir_fd=self._folder)
 
-    def write(self, command_id: str, state: str, content: RunCommand | CommandAnswer) -> None:
+    def write(self, command_id: str, state: str, content: RunCommand | CommandAnswer | NoteAdded) -> None:
         """Put a file into the folder, whole or not at all; StoreError if the disk refuses."""
         fresh = f"{command_id}.{uuid4().hex}.new"
         try:
@@ -220,9 +221,19 @@ class CommandBox(Closing):
         self._folder.write(command_id, ANSWER, answer)
         self._folder.remove(command_id, TAKEN)
 
-    def forget(self, command_id: str) -> None:
-        """Remove a command that is in the log."""
-        self._folder.remove(command_id, WITHDRAWN)
+    def notes(self) -> Iterator[NoteAdded]:
+        """Notes that wait; one that another user has put there, or that is to another run, is removed."""
+        for name in self._folder.names(NOTE):
+            note = self._folder.read(name, NOTE, NoteAdded)
+            if isinstance(note, NoteAdded) and (note.uid, note.run) == (name, self._folder.run):
+                yield note
+            else:
+                self._folder.remove(name, NOTE)
+
+    def forget(self, name: str) -> None:
+        """Remove a withdrawn command, or a note, that is in the log."""
+        self._folder.remove(name, WITHDRAWN)
+        self._folder.remove(name, NOTE)
 
     def close(self) -> None:
         """Take no more commands."""

@@ -11,6 +11,7 @@ from storage.recording.command_box import (
     ANSWER,
     FOLDER,
     GIVEN,
+    NOTE,
     TAKEN,
     WITHDRAWN,
     BadCommand,
@@ -20,7 +21,7 @@ from storage.recording.command_box import (
 )
 from storage.store import Store
 from stream.errors import GyrofleetError
-from stream.events import CommandOutcome, RunAction, RunCommandAnswered, RunCommandGiven
+from stream.events import CommandOutcome, NoteAdded, RunAction, RunCommandAnswered, RunCommandGiven
 from stream.identity import Place
 
 PATIENCE_S = 5.0
@@ -68,6 +69,12 @@ def give_command(
             why = _silent(run, patience_s) if folder.is_held else _nobody(run)
             return _not_taken(store, folder, command, why, role)
         return GivenCommand(command, _late(folder, command.id), is_logged=True)
+
+
+def give_note(store: Store, note: NoteAdded) -> None:
+    """Have the station of a run enter a note, which it does soon; StoreError if the folder cannot be written."""
+    with closing(CommandFolder(store.folder, note.run)) as folder:
+        folder.write(note.uid, NOTE, note)
 
 
 def withdrawn_commands(store: Store, run: str) -> list[GivenCommand]:

@@ -10,6 +10,8 @@ from analytics.serve.api.runs import run_row
 from analytics.serve.api.units import unit_row
 from analytics.serve.doors.roles import Role
 from ingest.importing.entered import enter
+from storage.recording.run_command import give_note, is_at_work
+from stream.errors import StoreError
 from stream.events import NoteAdded
 
 _ROLE = "gyrofleet serve"
@@ -40,5 +42,12 @@ def add_note(call: Call, asked: NoteAsked) -> Noted:
     note = NoteAdded(
         run=asked.run, t_ns=time.time_ns(), text=asked.text.strip(), author=call.person.name, unit=asked.unit or None
     )
-    is_visible = enter(call.store.folder, [note], role=_ROLE)
+    try:
+        is_visible = enter(call.store.folder, [note], role=_ROLE)
+    except StoreError:  # a run writes the log alone: its process enters the note
+        if not is_at_work(call.store.folder, asked.run):
+            raise
+        give_note(call.store, note)
+        is_visible = False
+    call.service.live.course.tell(note)
     return Noted(document=msgspec.to_builtins(note), is_visible=is_visible)

@@ -91,7 +91,10 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
         step = stays(store, run)
         is_powered = state(lambda _: True)["is_powered"]
         assert bench.ask("supply", "OUTP?") == str(int(is_powered)), "a pause switches nothing"
+        noted = operator.post("/api/notes", json={"run": run, "text": "a lamp went out"})
+        assert noted.status_code == 200, noted.text  # the process of the run alone can write the log
         course = operator.get(f"/api/runs/{run}/course").json()
+        assert [each["text"] for each in course["notes"] if each["author"] == "operator-program"] == ["a lamp went out"]
         assert course["is_live"]
         assert [row["outcome"] for row in course["commands"]] == ["done"]
         for wrong, status in (
@@ -117,7 +120,7 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
         assert over.status_code == 409
         assert "has ended (aborted)" in over.json()["error"]["message"]
     with served.program("engineer") as flood:
-        codes = []
+        codes: list[int] = []
         while 429 not in codes and len(codes) < 60:
             codes.append(flood.post(url, json={"action": "abort", "reason": "!"}).status_code)
         assert set(codes) == {409, 429}, codes
@@ -138,6 +141,31 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
         ]
     )
     assert "curious" not in json.dumps(rows)
+    (note,) = kept.rows("select document->>'$.author' as author from events where document->>'$.text' like 'a lamp%'")
+    assert note["author"] == "operator-program"
+
+
+def test_a_run_that_sends_to_a_recorder_takes_commands_too(
+    store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept, endpoint: str
+) -> None:
+    record = spawn("record", "--listen", endpoint, "--store", "S", "--json")
+    assert record.stdout is not None
+    assert json.loads(record.stdout.readline())["event"] == "recording"
+    process = spawn(*bench.run("scale_factor", *SHORT))
+    run = at_work(store, state, lambda found: found["step"] >= 2)
+    opened = Store.open(store)
+    outcomes = [
+        give_command(opened, run, action, by="Li", reason="try", patience_s=20.0).answer.outcome
+        for action in (RunAction.PAUSE, RunAction.RESUME, RunAction.ABORT)
+    ]
+    assert outcomes == [CommandOutcome.DONE] * 3
+    bench.ended(process, code=1)
+    assert bench.is_safe()
+    record.send_signal(signal.SIGINT)
+    record.communicate(timeout=60)
+    kept.sound()
+    answers = [row["outcome"] for row in kept.rows(COMMANDS) if row["outcome"]]
+    assert answers == ["done", "done", "accepted", "done"]
 
 
 @contextmanager

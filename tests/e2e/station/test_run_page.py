@@ -4,6 +4,7 @@ import json
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def test_a_run_is_followed_and_commanded_on_its_page(
         until(lambda: client.get(f"/api/runs/{run}/course").json().get("measured"))
     window.open(f"{served.url}/runs/{run}")
     for panel in ("rate", "temperature"):
-        until(lambda panel=panel: window.ask(f"!!document.querySelector('#time-line-{panel} canvas')"))
+        until(partial(window.ask, f"!!document.querySelector('#time-line-{panel} canvas')"))
     legend = text(window, "#time-line-rate .u-legend")
     assert "commanded" in legend
     assert "table table_rate" in legend
