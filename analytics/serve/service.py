@@ -39,6 +39,7 @@ class Service:
     ----------
     fast: Threads for views and rollups.
     slow: Threads for metrics and long computations, so that they hold up nobody else.
+    logins: Threads for passwords and providers, so that a crowd of logins holds up no page.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
     """
@@ -54,6 +55,7 @@ class Service:
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
+    logins: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(4))
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
     began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0
@@ -95,6 +97,8 @@ class Service:
             "busy_threads": self.busy_threads,
             "sessions": len(self.doorkeeper.sessions),
             "listeners": self.changes.listeners,
+            "logins_refused_total": self.doorkeeper.watch.counts["login refused"],
+            "requests_refused_total": self.doorkeeper.watch.counts["refused"],
             "lag_seconds": self.live.lag_s,
         }
         trouble, free_bytes = self.live.problem or "", shutil.disk_usage(self.store.folder).free

@@ -10,6 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.doors.headers import SECURITY_HEADERS
 from analytics.serve.doors.origin import is_named
+from analytics.serve.doors.proxy import Caller, ForgedProxy
 from analytics.serve.doors.roles import Person
 from analytics.serve.problems import Misdirected
 from stream.errors import GyrofleetError
@@ -59,6 +60,8 @@ class Gate:
 
         self._count()
         scope[PERSON] = None
+        if self._doorkeeper.is_secure:
+            scope["scheme"] = "https"  # also where a proxy has ended TLS
         try:
             scope[PERSON] = self._known(scope)
         except GyrofleetError as problem:
@@ -73,7 +76,23 @@ class Gate:
             raise Misdirected(
                 "the request is for another host; call this server by its address, or start it with --name HOST"
             )
-        return self._doorkeeper.identify(headers, cookie_parser(headers.get("cookie", "")), address_of(scope))
+        caller = self._caller(headers, scope)
+        cookies = cookie_parser(headers.get("cookie", ""))
+        return self._doorkeeper.identify(headers, cookies, address_of(scope), caller)
+
+    def _caller(self, headers: Headers, scope: Scope) -> Caller | None:
+        """Whom the proxy names; its address is that of the request from here on. What is forged counts for nothing."""
+        proxy, peer = self._doorkeeper.proxy, address_of(scope)
+        if proxy is None:
+            return None
+        try:
+            caller = proxy.caller(headers, peer)
+        except ForgedProxy as problem:
+            self._doorkeeper.watch.saw("header ignored", peer, str(problem))
+            return None
+        if caller is not None:
+            scope["client"] = (caller.address, 0)
+        return caller
 
 
 def address_of(scope: Scope) -> str:

@@ -13,7 +13,7 @@ from analytics.serve.api import alerts, diagnosis, jobs, notes
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
-from analytics.serve.pages.login import local_path
+from analytics.serve.doors.origin import local_path
 from analytics.serve.service import Service
 from stream.errors import BadInput, NotFound
 
