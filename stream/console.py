@@ -40,7 +40,8 @@ _EXTRAS = {
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# what spreadsheets begin a formula with, also in the wide forms of Chinese and Japanese input
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 
 store_option = click.option(

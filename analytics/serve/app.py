@@ -20,14 +20,14 @@ from analytics.serve.doors.gate import PERSON, Gate, address_of
 from analytics.serve.doors.roles import Person
 from analytics.serve.pages.problem_page import problem_response
 from analytics.serve.pages.routes import page_routes
-from analytics.serve.problems import Forbidden, HttpProblem, Misdirected, TooLarge, TooMany, WrongMethod
+from analytics.serve.problems import Forbidden, HttpProblem, Misdirected, TooLarge, TooMany, TooSlow, WrongMethod
 from analytics.serve.service import Service
 from stream.errors import GyrofleetError, NotFound
 
 _LEAST_COMPRESSED_BYTES = 1000
 _COMPRESSION = 4
 # attempts, rather than slips
-_REPORTED = (Forbidden, Misdirected, TooLarge, TooMany)
+_REPORTED = (Forbidden, Misdirected, TooLarge, TooMany, TooSlow)
 
 
 def application(service: Service, names: tuple[str, ...]) -> ASGIApp:

@@ -12,8 +12,10 @@ import uvicorn
 
 from analytics.serve.app import application
 from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.doors.line import line_class
 from analytics.serve.doors.login_file import LoginFile
 from analytics.serve.doors.proxy import Proxy
+from analytics.serve.doors.server_log import watch_log
 from analytics.serve.doors.users_file import UsersFile
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.service import Service
@@ -75,10 +77,12 @@ def serve(store: Store, settings: Settings, on_ready: Callable[[str], None]) -> 
     service = Service(
         store, doorkeeper, SharedLake(store, live.entered), SqlPool(store), live, is_on_loopback=settings.is_on_loopback
     )
+    watch_log(doorkeeper.watch)
     config = uvicorn.Config(
         application(service, settings.all_names), log_config=None, access_log=False, ws="none", server_header=False,
         proxy_headers=False, lifespan="on", timeout_graceful_shutdown=_GRACE_S, timeout_keep_alive=_KEEP_ALIVE_S,
         ssl_certfile=settings.certificate, ssl_keyfile=settings.key,
+        http=line_class(doorkeeper.watch),
     )  # fmt: skip
     with suppress(OSError):
         os.nice(_NICER)

@@ -48,10 +48,13 @@ def is_named(host: str, names: Collection[str]) -> bool:
 def local_path(text: str) -> str:
     r"""A path of this server to go to; the first page for anything else.
 
-    >>> [local_path(each) for each in ("/units?lot=7", "//evil.example", "https://evil.example", "/\\evil.example")]
-    ['/units?lot=7', '/', '/', '/']
+    >>> [local_path(each) for each in ("/units?lot=7", "//evil.example", "https://e.example", "/\\e.example", "//[")]
+    ['/units?lot=7', '/', '/', '/', '/']
     """
-    parts = urlsplit(text)
+    try:
+        parts = urlsplit(text)
+    except ValueError:
+        return "/"
     is_local = text.startswith("/") and not (parts.netloc or parts.scheme or text.startswith("//") or "\\" in text)
     return text if is_local and text.isprintable() else "/"
 

@@ -39,6 +39,13 @@ class Watch:
             line = f"{now} {kind} from {_plain(address)}: {_plain(detail)}{more}"
             print(line, file=self._file or sys.stderr, flush=True)
 
+    def failed(self, text: str) -> None:
+        """Report a fault of the program itself, with all its lines."""
+        with self._lock:
+            self.counts["failed"] += 1
+            if self._limit.wait_s("failed") <= 0.0:
+                print(text, file=self._file or sys.stderr, flush=True)
+
 
 def _plain(text: str) -> str:
     """A text in one line that no terminal takes for commands."""

@@ -25,6 +25,9 @@ async def login(request: Request, *, service: Service) -> Response:
         target = local_path(request.query_params.get("next", "/"))
         if token is None:
             return _form(request, service, target, "")
+        if request.headers.get("sec-fetch-dest", "document") != "document":
+            # a picture of another site would use up the tries of this machine
+            raise Forbidden("a login by an address is for the browser's address bar; open it there")
         cookie = doorkeeper.begin_by_token(token, address)
         return _entered(request, service, cookie, target)
     if not is_of_this_site(request.headers, is_secure=request.scope["scheme"] == "https"):
