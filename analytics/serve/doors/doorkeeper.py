@@ -133,6 +133,7 @@ class Doorkeeper:
             for key in keys:
                 if (wait_s := self.wrong_logins.wait_s(key)) > 0.0:
                     right.append("")  # nothing was tried
+                    self.watch.saw("login refused", keys[0], f"too many logins have failed ({key})")
                     raise TooMany("too many logins have failed", wait_s)
                 taken.append(key)
             yield right

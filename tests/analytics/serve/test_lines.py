@@ -1,10 +1,11 @@
 """Slow requests, crowds of connections, and answers that go on after their reader has been thrown out."""
 
+import re
 import socket
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,6 +45,13 @@ def alone(
         process.terminate()
         process.communicate(timeout=20)
     assert "Traceback" not in (folder / "log").read_text()
+
+
+@contextmanager
+def logged_in(alone: Alone, name: str) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=alone.url, timeout=60, limits=httpx.Limits(max_connections=300)) as browser:
+        assert browser.post("/login", data={"name": name, "password": PASSWORD}).status_code == 200
+        yield browser
 
 
 def test_a_request_that_does_not_come_is_not_waited_for(alone: Alone) -> None:
@@ -101,13 +109,34 @@ def test_requests_that_are_none_do_not_fill_the_log(alone: Alone) -> None:
     assert alone.log.stat().st_size - before < 20_000
 
 
+def test_one_person_does_not_take_all_places_of_listeners(alone: Alone) -> None:
+    with ExitStack() as ends:
+        greedy = ends.enter_context(logged_in(alone, "vera"))
+        statuses, heard = [], []
+        for _ in range(205):
+            stream = ends.enter_context(greedy.stream("GET", "/api/live"))
+            statuses.append(stream.status_code)
+            if stream.status_code == 200:
+                heard.append(stream.iter_raw())
+                next(heard[-1])
+        assert statuses == [200] * 200 + [429] * 5
+        other = ends.enter_context(logged_in(alone, "otto"))
+        assert ends.enter_context(other.stream("GET", "/api/live")).status_code == 200
+    deadline = time.monotonic() + 60.0
+    with logged_in(alone, "vera") as again:  # places come back
+        status = 0
+        while status != 200:
+            assert time.monotonic() < deadline
+            with again.stream("GET", "/api/live") as stream:
+                status = stream.status_code
+
+
 def test_who_is_thrown_out_hears_no_more(alone: Alone) -> None:
     """By a logout, by a lower role, by being removed; who stays hears on."""
     with ExitStack() as ends:
         heard, browsers = {}, {}
         for name in ("vera", "otto", "eva", "anna"):
-            browser = browsers[name] = ends.enter_context(httpx.Client(base_url=alone.url, timeout=60))
-            assert browser.post("/login", data={"name": name, "password": PASSWORD}).status_code == 200
+            browser = browsers[name] = ends.enter_context(logged_in(alone, name))
             heard[name] = ends.enter_context(browser.stream("GET", "/api/live")).iter_raw()
             next(heard[name])
         csrf = browsers["vera"].get("/api/me").json()["csrf"]
@@ -123,3 +152,34 @@ def test_who_is_thrown_out_hears_no_more(alone: Alone) -> None:
         assert time.monotonic() - began_s < 40.0
         assert next(heard["anna"])
         assert browsers["anna"].get("/api/me").json()["role"] == "approver"
+
+
+REPORTED = (
+    "wrong password or name", "a token that nobody has", "the request is for another host",
+    "POST /api/sql as vera: the change lacks the secret", "a page of another site sent this change",
+    "as vera: this needs the role operator", "too many logins have failed",
+    "wrong password or name 'vera'", "login from 127.0.0.1: vera by password, viewer",
+)  # fmt: skip
+
+
+def test_what_is_refused_is_reported_in_one_line_each(alone: Alone) -> None:
+    begin = len(alone.log.read_text())
+    with httpx.Client(base_url=alone.url) as nobody, logged_in(alone, "vera") as vera:
+        nobody.post(
+            "/login", data={"name": "x\r\n2026-11-24T00:00:00Z login from 1.1.1.1: forged\x1b[2J", "password": "x"}
+        )
+        nobody.get("/api/me", headers={"Authorization": "Bearer wrong"})
+        nobody.get("/api/me", headers={"Host": "evil.example"})
+        vera.post("/api/sql", json={"sql": "select 1"})
+        vera.post("/api/sql", json={"sql": "select 1"}, headers={"Origin": "https://evil.example"})
+        vera.post("/api/notes", json={"run": "r", "text": "x"})
+        for _ in range(11):
+            nobody.post("/login", data={"name": "vera", "password": "wrong"})
+    lines = alone.log.read_text()[begin:].splitlines()
+    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ [a-z ]+ from 127\.0\.0\.1: ", line) for line in lines), lines
+    text = "\n".join(lines)
+    for part in REPORTED:
+        assert part in text, part
+    assert "\x1b" not in text
+    assert not any(line.startswith("2026-11-24T00:00:00Z login from 1.1.1.1") for line in lines)
+    assert PASSWORD not in text
