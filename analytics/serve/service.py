@@ -22,6 +22,7 @@ from analytics.serve.memo import Memo
 from analytics.serve.problems import Stopping
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
+from analytics.serve.warming import Warming
 from storage.recording.status_board import StatusBoard
 from storage.store import Store
 from stream.errors import GyrofleetError
@@ -68,10 +69,12 @@ class Service:
     listening: Counter[str] = field(default_factory=Counter)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
+    warming: Warming = field(init=False)
 
     def __post_init__(self) -> None:
-        """Connect the floor's changes with the end of the server."""
+        """Connect the parts with each other."""
         self.changes = Broadcast(self.stopping)
+        self.warming = Warming(self.lake)
 
     @property
     def busy_threads(self) -> int:
@@ -100,6 +103,7 @@ class Service:
                 loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
 
         self.live.start(self.lake, tell)
+        self.warming.start()
         with StatusReporter(self.status, StatusBoard(self.store).put):
             try:
                 yield
@@ -137,6 +141,7 @@ class Service:
 
     def close(self) -> None:
         """Close what is open."""
+        self.warming.close()
         self.live.close()
         self.jobs.close()
         self.sql.close()
