@@ -5,6 +5,7 @@ import os
 import secrets
 import shutil
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
@@ -47,8 +48,10 @@ class Service:
     fast: Threads for views and rollups.
     slow: Threads for metrics and long computations, so that they hold up nobody else.
     command_tries: How often a person may command stations.
+    logins: Threads for passwords and providers, so that a crowd of logins holds up no page.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
+    listening: Pages of each person that listen to the floor.
     """
 
     store: Store
@@ -63,9 +66,11 @@ class Service:
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
     command_tries: RateLimit = field(default_factory=lambda: RateLimit(_COMMANDS_AT_ONCE, _COMMAND_EVERY_S))
+    logins: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(4))
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
     began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0
+    listening: Counter[str] = field(default_factory=Counter)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
     warming: Warming = field(init=False)
@@ -119,6 +124,8 @@ class Service:
             "busy_threads": self.busy_threads,
             "sessions": len(self.doorkeeper.sessions),
             "listeners": self.changes.listeners,
+            "logins_refused_total": self.doorkeeper.watch.counts["login refused"],
+            "requests_refused_total": self.doorkeeper.watch.counts["refused"],
             "lag_seconds": self.live.lag_s,
         }
         trouble, free_bytes = self.live.problem or "", shutil.disk_usage(self.store.folder).free
