@@ -87,6 +87,9 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
         page = browser.post("/act/command_run", data=form | {"csrf": browser.csrf})
         assert page.status_code == 200, page.text
         assert "door open" in page.text  # the page shows the command
+        page = browser.post("/act/command_run", data=form | {"csrf": browser.csrf, "reason": "twice"})
+        assert page.status_code == 409
+        assert "it is paused already" in page.text
     with served.program("operator") as operator:
         step = stays(store, run)
         is_powered = state(lambda _: True)["is_powered"]
@@ -96,7 +99,7 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
         course = operator.get(f"/api/runs/{run}/course").json()
         assert [each["text"] for each in course["notes"] if each["author"] == "operator-program"] == ["a lamp went out"]
         assert course["is_live"]
-        assert [row["outcome"] for row in course["commands"]] == ["done"]
+        assert [row["outcome"] for row in course["commands"]] == ["refused", "done"]
         for wrong, status in (
             ({"action": "pause"}, 400), ({"action": "explode", "reason": "x"}, 400),
             ({"action": "resume", "reason": "  "}, 400), ({"action": "pause", "reason": "again"}, 409),
@@ -132,6 +135,7 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
     assert sorted(answers) == sorted(
         [
             ("pause", otto, "door open", "done"),
+            ("pause", otto, "twice", "refused"),
             ("pause", program, "again", "refused"),
             ("resume", program, "door shut", "done"),
             ("resume", "Li", "impatient", "refused"),
