@@ -16,8 +16,9 @@ from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
+from analytics.serve.live.fresh_views import FreshViews
 from analytics.serve.memo import Memo
-from analytics.serve.shared_lake import SharedLake
+from analytics.serve.shared_lake import SharedCatalogue, SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.recording.status_board import StatusBoard
 from storage.store import Store
@@ -59,9 +60,11 @@ class Service:
     requests: int = 0
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
+    fresh: SharedCatalogue[FreshViews] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Connect the floor's changes with the end of the server."""
+        """Connect the floor's changes with the end of the server, and the log's rows with the lake."""
+        self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state))
         self.changes = Broadcast(self.stopping)
 
     @property
@@ -117,4 +120,5 @@ class Service:
         self.live.close()
         self.jobs.close()
         self.sql.close()
+        self.fresh.close()
         self.lake.close()

@@ -10,12 +10,12 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
+from analytics.floor import UnitNow
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.live.broadcast import event
-from analytics.serve.live.floor import UnitNow
 from analytics.serve.problems import TooMany
 from analytics.serve.service import Service
 from stream.console import json_text

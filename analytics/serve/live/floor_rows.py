@@ -4,7 +4,7 @@ import time
 from collections import Counter, defaultdict
 from typing import Any
 
-from analytics.serve.live.floor import Floor, RunNow, UnitNow
+from analytics.floor import Floor, RunNow, UnitNow
 from stream.events import Verdict
 
 VERDICTS = ("", *(each.value for each in Verdict))

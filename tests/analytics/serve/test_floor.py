@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from analytics.serve.live.floor import SILENT_AFTER_NS, Floor
+from analytics.floor import SILENT_AFTER_NS, Floor
 from analytics.serve.live.floor_rows import STATE_COLUMNS, VERDICTS, FloorRows
 from stream.events import (
     Check,
