@@ -57,7 +57,7 @@ class Events(msgspec.Struct, frozen=True, kw_only=True):
 
 @get("/api/events", table="events", sees_log=True)
 def list_events(call: Call, asked: EventsAsked) -> Events:
-    """Documents of the store, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
+    """Documents, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
     at, uid = _cursor(asked.after)
     names = ("kind", "run", "unit", "station", "what")
     given = {name: getattr(asked, name) for name in names} | {
