@@ -18,9 +18,10 @@ _ROLE = "gyrofleet serve"
 
 
 class AlertsAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which alerts: open ones, or all that are kept."""
+    """Which alerts: open ones, or all that are kept; of one severity if it is given."""
 
     which: Literal["open", "all"] = "open"
+    severity: Literal["", "alarm", "warning"] = ""
 
 
 class AlertRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,7 +68,7 @@ def list_alerts(call: Call, asked: AlertsAsked) -> Alerts:
     rows = []
     for alert in AlertBook(call.store).alerts():
         is_open = alert.acknowledged_ns is None if alert.is_event else alert.cleared_ns is None
-        if asked.which == "open" and not is_open:
+        if (asked.which == "open" and not is_open) or asked.severity not in ("", alert.severity):
             continue
         names = ("id", "rule", "severity", "subject", "text", "text_zh", "unit", "raised_ns", "cleared_ns")
         values = {name: getattr(alert, name) for name in (*names, "acknowledged_ns", "acknowledged_by")}

@@ -20,4 +20,4 @@ def run(call: Call, asked: api.RunAsked) -> dict[str, Any]:
     """One run."""
     found = api.run(call, asked)
     next_page = None if found.next is None else found.next.removeprefix("/api")
-    return {"found": found, "next": next_page, "data": link("api", "runs", found.run.run)}
+    return {"found": found, "next": next_page, "data": link("api", "runs", found.run.run), "zone": found.run.time_zone}
