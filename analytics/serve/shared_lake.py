@@ -33,6 +33,11 @@ SERVED = {
       from internal.lake_documents where kind = 'UnitReleased'""",
 }
 
+# documents that these are made of
+SERVED_KINDS = (
+    "RunStarted", "RunResumed", "RunEnded", "StationStated", "UnitMounted", "UnitReleased", "VerdictGiven",
+)  # fmt: skip
+
 Shared = TypeVar("Shared", bound=Closing)
 
 

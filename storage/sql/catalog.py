@@ -1,7 +1,7 @@
 """SQL over a store: read-only DuckDB views on the lake."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
@@ -146,11 +146,13 @@ class Catalog(Closing):
         finally:
             self._connection.unregister("put_rows")
 
-    def overlay(self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str]) -> Overlay:
+    def overlay(
+        self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
+    ) -> Overlay:
         """Its views with further rows of channels and events, as long as it is open; see `Overlay`."""
         self._define_views()
         with reading_lake(self.store):
-            return Overlay(self._connection, name, channels, events, kept)
+            return Overlay(self._connection, name, channels, events, kept, kinds)
 
     def fill(self) -> None:
         """Compute the tables of all layers now."""

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 
 from analytics.serve.live.follower import FloorFollower
-from analytics.serve.shared_lake import SERVED, LakeState, SharedLake
+from analytics.serve.shared_lake import SERVED, SERVED_KINDS, LakeState, SharedLake
 from stream.closing import Closing
 
 _numbers = itertools.count()
@@ -25,7 +25,8 @@ class FreshViews(Closing):
         channels, events = live.beyond(state.segments)
         with ExitStack() as stack:
             catalog = stack.enter_context(lake.views.lease(replace(state, log_version=0)))
-            self._overlay = stack.enter_context(catalog.overlay(f"log_{next(_numbers)}", channels, events, SERVED))
+            name = f"log_{next(_numbers)}"
+            self._overlay = stack.enter_context(catalog.overlay(name, channels, events, SERVED, SERVED_KINDS))
             self._leases = stack.pop_all()
 
     def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:

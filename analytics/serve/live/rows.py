@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Collection
-from itertools import chain
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -38,7 +37,8 @@ class LiveRows:
     def __init__(self, version: int = 0) -> None:
         self.version = version
         self._channels: dict[str, dict[tuple[object, ...], ChannelRow]] = {}  # by segment
-        self._events: dict[str, list[dict[str, Any]]] = {}
+        self._events: dict[str, list[pa.Table]] = {}
+        self._new_events: dict[str, list[dict[str, Any]]] = {}  # not columns yet
         self._in_lake: dict[str, float] = {}  # segments, and since when
         self._has_news = False
 
@@ -50,7 +50,7 @@ class LiveRows:
         if not isinstance(content, RawBatch):
             if beyond_bounds(content) is None:
                 row = event_row(parse_key(record.topic).place, content, record.arrival_ns)
-                self._events.setdefault(segment, []).append(row)
+                self._new_events.setdefault(segment, []).append(row)
                 self._has_news = True
             return
         head = content.message
@@ -72,6 +72,9 @@ class LiveRows:
         """Let requests see what has come since."""
         self.version += self._has_news
         self._has_news = False
+        for segment, rows in self._new_events.items():
+            self._events.setdefault(segment, []).append(pa.Table.from_pylist(rows, schema=TABLES["events"]))
+        self._new_events.clear()
 
     def forget(self, in_lake: Collection[str]) -> None:
         """Leave out what has been in the lake for some seconds."""
@@ -83,10 +86,12 @@ class LiveRows:
             self._events.pop(segment, None)
 
     def beyond(self, in_lake: Collection[str]) -> RowTables:
-        """Rows of the segments that are not in a version of the lake."""
+        """Rows of the segments that are not in a version of the lake, as of the last `publish`."""
         channels = [own for segment, own in self._channels.items() if segment not in in_lake]
         rows = [channel.row() for own in channels for channel in own.values()]
-        events = list(chain.from_iterable(own for segment, own in self._events.items() if segment not in in_lake))
+        schema = TABLES["channels"]
+        columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+        events = [table for segment, own in self._events.items() if segment not in in_lake for table in own]
         return RowTables(
-            pa.Table.from_pylist(rows, schema=TABLES["channels"]), pa.Table.from_pylist(events, schema=TABLES["events"])
+            pa.Table.from_arrays(columns, schema=schema), pa.concat_tables([TABLES["events"].empty_table(), *events])
         )
