@@ -75,7 +75,7 @@ def test_released_units_are_on_the_pages(gyrofleet: Gyrofleet, bench: Bench, spa
             assert time.monotonic() < deadline_s
         assert ended["run"]["time_zone"] == ZONE
         assert ended["run"]["saved_s"] == pytest.approx(sum(each["saved_s"] or 0.0 for each in ended["units"]))
-        page = client.get(f"/runs/{name}", headers={"Accept": "text/html"}).text
+        page = client.get(f"/runs/{name}", params={"lang": "en"}, headers={"Accept": "text/html"}).text
         assert "Time of units saved" in page
         times = TIME.findall(page)
         assert times
