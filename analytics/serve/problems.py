@@ -55,6 +55,12 @@ class Conflict(HttpProblem):
     status = 409
 
 
+class TooSlow(HttpProblem):
+    """A request whose body does not come."""
+
+    status = 408
+
+
 class TooLarge(HttpProblem):
     """A request that is too long."""
 
@@ -75,6 +81,15 @@ class TooMany(HttpProblem):
     def __init__(self, what: str, wait_s: float) -> None:
         super().__init__(f"{what}; try again in {max(wait_s, 1.0):.0f} s")
         self.wait_s = wait_s
+
+
+class Stopping(HttpProblem):
+    """A request that the server does not finish, because it stops."""
+
+    status = 503
+
+    def __init__(self) -> None:
+        super().__init__("the server stops; ask again when it has started anew")
 
 
 _STATUS: tuple[tuple[type[GyrofleetError], int], ...] = (

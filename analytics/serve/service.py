@@ -5,9 +5,11 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import AsyncIterator
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import anyio
 
@@ -18,14 +20,18 @@ from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.live.fresh_views import FreshViews
 from analytics.serve.memo import Memo
+from analytics.serve.problems import Stopping
 from analytics.serve.shared_lake import SharedCatalogue, SharedLake
 from analytics.serve.sql_pool import SqlPool
+from analytics.serve.warming import Warming
 from storage.recording.status_board import StatusBoard
 from storage.store import Store
 from stream.errors import GyrofleetError
 from stream.status import role_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
+
+Result = TypeVar("Result")
 
 
 def _threads(least: int) -> anyio.CapacityLimiter:
@@ -40,8 +46,10 @@ class Service:
     ----------
     fast: Threads for views and rollups.
     slow: Threads for metrics and long computations, so that they hold up nobody else.
+    logins: Threads for passwords and providers, so that a crowd of logins holds up no page.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
+    listening: Pages of each person that listen to the floor.
     """
 
     store: Store
@@ -55,22 +63,38 @@ class Service:
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
+    logins: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(4))
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
     began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0
+    listening: Counter[str] = field(default_factory=Counter)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
     fresh: SharedCatalogue[FreshViews] = field(init=False)
+    warming: Warming = field(init=False)
 
     def __post_init__(self) -> None:
-        """Connect the floor's changes with the end of the server, and the log's rows with the lake."""
+        """Connect the parts with each other."""
         self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state))
         self.changes = Broadcast(self.stopping)
+        self.warming = Warming(self.lake)
 
     @property
     def busy_threads(self) -> int:
         """Requests that threads are answering."""
         return self.fast.borrowed_tokens + self.slow.borrowed_tokens
+
+    async def result(self, work: Awaitable[Result]) -> Result:
+        """The result of some work; raises Stopping where the server ends before."""
+        task, ends = asyncio.ensure_future(work), asyncio.ensure_future(self.stopping.wait())
+        try:
+            await asyncio.wait({task, ends}, return_when=asyncio.FIRST_COMPLETED)
+            if not task.done():
+                raise Stopping
+            return task.result()
+        finally:
+            task.cancel()
+            ends.cancel()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -82,6 +106,7 @@ class Service:
                 loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
 
         self.live.start(self.lake, tell)
+        self.warming.start()
         with StatusReporter(self.status, StatusBoard(self.store).put):
             try:
                 yield
@@ -98,6 +123,8 @@ class Service:
             "busy_threads": self.busy_threads,
             "sessions": len(self.doorkeeper.sessions),
             "listeners": self.changes.listeners,
+            "logins_refused_total": self.doorkeeper.watch.counts["login refused"],
+            "requests_refused_total": self.doorkeeper.watch.counts["refused"],
             "lag_seconds": self.live.lag_s,
         }
         trouble, free_bytes = self.live.problem or "", shutil.disk_usage(self.store.folder).free
@@ -117,6 +144,7 @@ class Service:
 
     def close(self) -> None:
         """Close what is open."""
+        self.warming.close()
         self.live.close()
         self.jobs.close()
         self.sql.close()

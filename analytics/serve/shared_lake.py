@@ -41,7 +41,7 @@ SERVED_KINDS = (
 Shared = TypeVar("Shared", bound=Closing)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class LakeState:
     """A version of the lake; `tag` names it, also with the documents that specifications and models are read from.
 
@@ -62,11 +62,9 @@ class LakeState:
         """Whether it is of a later manifest, or of the same one with later rows of the log."""
         return (self.number, self.log_version) > (other.number, other.log_version)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, LakeState) and (self.tag, self.log_version) == (other.tag, other.log_version)
-
-    def __hash__(self) -> int:
-        return hash((self.tag, self.log_version))
+    def has_all_of(self, other: "LakeState") -> bool:
+        """Whether it is of the same manifest, with the rows of the log that the other has, or more."""
+        return self.tag == other.tag and self.log_version >= other.log_version
 
 
 @dataclass
@@ -82,6 +80,7 @@ class SharedCatalogue(Closing, Generic[Shared]):
 
     def __init__(self, open_catalogue: Callable[[LakeState], Shared]) -> None:
         self._open_catalogue = open_catalogue
+        self.uses = 0  # leases so far
         self._current: _Opened[Shared] | None = None
         self._lock = threading.Lock()
         self._opening = threading.Lock()
@@ -89,6 +88,7 @@ class SharedCatalogue(Closing, Generic[Shared]):
     @contextmanager
     def lease(self, state: LakeState) -> Iterator[Shared]:
         """A catalogue of that version, to read from any thread; it stays open within."""
+        self.uses += 1
         opened = self._taken(state)
         if opened is None:
             with self._opening:  # others wait for it instead of opening another one
@@ -101,7 +101,7 @@ class SharedCatalogue(Closing, Generic[Shared]):
     def _taken(self, state: LakeState) -> _Opened[Shared] | None:
         with self._lock:
             opened = self._current
-            if opened is None or opened.state != state:
+            if opened is None or not opened.state.has_all_of(state):
                 return None
             opened.users += 1
             return opened

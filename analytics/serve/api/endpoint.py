@@ -16,12 +16,13 @@ from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form, encoded, form_of
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
-from analytics.serve.problems import TooLarge
+from analytics.serve.problems import TooLarge, TooSlow
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
 from stream.errors import BadInput, GyrofleetError
 
 MOST_BODY_BYTES = 1 << 20
+_LONGEST_BODY_S = 30.0
 _FORMAT = "format"
 
 
@@ -59,14 +60,14 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
     limiter = service.slow if operation.is_slow else service.fast
     compute = functools.partial(computed, service, state, answer, limiter)
     if not operation.is_kept:
-        made = await compute()
+        made = await service.result(compute())
         return Response(made.body, operation.status, media_type=made.media_type)
     version = operation.version(service, state, request.path_params)
     tag = f'"{service.nonce}-{version}-{form}"'
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Accept"}
     if tag in {each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")}:
         return Response(status_code=304, headers=headers)
-    made = await service.cache.answer((url_of(request), form, version), compute)
+    made = await service.result(service.cache.answer((url_of(request), form, version), compute))
     return Response(made.body, operation.status, headers, made.media_type)
 
 
@@ -85,12 +86,16 @@ async def computed(
 
 
 async def limited_body(request: Request) -> bytes:
-    """The body of a request; TooLarge if it has more than 1 MiB."""
+    """The body of a request; TooLarge if it has more than 1 MiB, TooSlow if it takes more than 30 s."""
     content = bytearray()
-    async for piece in request.stream():
-        content += piece
-        if len(content) > MOST_BODY_BYTES:
-            raise TooLarge(f"the request has more than {MOST_BODY_BYTES:,} bytes")
+    try:
+        with anyio.fail_after(_LONGEST_BODY_S):
+            async for piece in request.stream():
+                content += piece
+                if len(content) > MOST_BODY_BYTES:
+                    raise TooLarge(f"the request has more than {MOST_BODY_BYTES:,} bytes")
+    except TimeoutError as error:
+        raise TooSlow(f"the request has not come whole within {_LONGEST_BODY_S:.0f} s") from error
     return bytes(content)
 
 

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar, get_type_hints
 import anyio.to_thread
 import msgspec
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from analytics.serve.api.endpoint import query_of, url_of
@@ -17,6 +17,7 @@ from analytics.serve.api.operation import Call
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.render import page
+from analytics.serve.pages.waiting import Waiting
 from analytics.serve.pages.zones import common_zone
 from analytics.serve.service import Service
 
@@ -42,7 +43,7 @@ class Page(Generic[Asked]):
 
     def route(self, service: Service) -> Route:
         """Its route."""
-        respond = functools.partial(_respond, shown=self, service=service)
+        respond = functools.partial(_respond, shown=self, service=service, waiting=Waiting())
         return Route(self.path, respond, name=f"page_{self.handler.__name__}")
 
 
@@ -57,11 +58,11 @@ def shown(
     return declare
 
 
-async def _respond(request: Request, *, shown: Page[Any], service: Service) -> Response:
+async def _respond(request: Request, *, shown: Page[Any], service: Service, waiting: Waiting) -> Response:
     person = admitted(request.scope, Role.VIEWER)
     asked, _ = query_of(request, shown.asked, (_LANG,))
 
-    def made() -> HTMLResponse:
+    def made() -> Response:
         with Call(service, person, service.lake.state(), dict(request.path_params), url_of(request)) as call:
             found = {"asked": asked, **shown.handler(call, asked)}
             if found.get("zone") is None:
@@ -69,6 +70,7 @@ async def _respond(request: Request, *, shown: Page[Any], service: Service) -> R
             return page(request, shown.template, found)
 
     limiter = service.slow if shown.is_slow else service.fast
-    answer = await anyio.to_thread.run_sync(made, limiter=limiter, abandon_on_cancel=True)
+    make = functools.partial(anyio.to_thread.run_sync, made, limiter=limiter, abandon_on_cancel=True)
+    answer = await waiting.answer(request, service, make)
     answer.headers["Cache-Control"] = "private, no-cache"
     return answer

@@ -24,7 +24,7 @@ def signal(call: Call, asked: api.SignalAsked) -> dict[str, Any]:
     live = call.service.live.tail.signals(found.unit, found.run)
     return {
         "found": found,
-        "allan": allan_api.allan(call, allan_api.AllanAsked()),
+        "allan": _allan(call),
         "others": sorted(({name for (name,) in others} | set(live)) - {found.signal}),
         "zooms": _zooms(found),
         "sql": _statement(found),
@@ -32,6 +32,14 @@ def signal(call: Call, asked: api.SignalAsked) -> dict[str, Any]:
         "allan_data": link("api", "allan", *of),
         "zone": zone_of_run(call, found.run),
     }
+
+
+def _allan(call: Call) -> allan_api.Allan | None:
+    """Its curve; None if that takes long: the page asks for it when it is there."""
+    known = allan_api.known_allan(call)
+    if known is not None or allan_api.is_long(call):
+        return known
+    return allan_api.allan(call, allan_api.AllanAsked(source="samples"))
 
 
 def _zooms(found: api.SignalBuckets) -> dict[str, str | None]:
