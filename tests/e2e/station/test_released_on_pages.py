@@ -63,6 +63,7 @@ def test_released_units_are_on_the_pages(gyrofleet: Gyrofleet, bench: Bench, spa
             assert shown.count(word) == 2
             assert "SIM-0001" not in shown
         name = on_floor["run"]
+        time.sleep(2.0)  # the floor is told at once, rows of runs within this time
         going_on = client.get(f"/api/runs/{name}").json()
         assert going_on["run"]["outcome"] == "open"
         assert going_on["run"]["released"] == 2
