@@ -466,10 +466,15 @@ class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunEnded(Document, frozen=True, kw_only=True, tag=True):
-    """A run ends; `totals` are the contents of its complete record."""
+    """A run ends; `totals` are the contents of its complete record.
+
+    `released` units were released before, which has saved `saved_s` of their planned records together.
+    """
 
     outcome: str = "completed"
     totals: tuple[StreamTotal, ...] = ()
+    released: int = 0
+    saved_s: float = 0.0
 
 
 AnyDocument = (

@@ -1,11 +1,12 @@
 """What a condition finds, and what it looks at."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
 
+from analytics.floor import UnitNow
 from analytics.loop.bilingual import Bilingual
 from storage.recording.store_status import StoreStatus
 from storage.store import Store
@@ -26,23 +27,13 @@ class Finding(NamedTuple):
 
 
 @dataclass
-class UnitLife:
-    """What is known of a unit in a run that goes on."""
-
-    run: str
-    arrived_ns: int  # of its last sample, by this computer's clock
-    latest: dict[str, tuple[float, str]] = field(default_factory=dict)  # value and unit of measure by signal
-
-
-@dataclass
 class AlertView:
-    """What conditions look at: documents that are new, units of the runs at work, the roles."""
+    """What conditions look at: documents that are new, units on the floor, the roles."""
 
     now_ns: int
     began_ns: int  # since when the view is kept
     documents: Sequence[AnyDocument]
-    units: Mapping[str, UnitLife]
-    commands_deg_c: Mapping[str, float]  # temperature that the step at work commands, by run
+    units: Mapping[str, UnitNow]
     status: StoreStatus
     damaged_bytes: Mapping[str, int]  # by segment of the log
     store: Store

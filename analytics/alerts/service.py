@@ -7,9 +7,9 @@ from contextlib import suppress
 
 from analytics.alerts.book import Alert, AlertBook, Delivery
 from analytics.alerts.finding import AlertView, Finding
-from analytics.alerts.floor import Floor
 from analytics.alerts.rules import ALARM, Rules
 from analytics.alerts.targets import Message
+from analytics.floor import Floor
 from storage.log.files import sealed_segments
 from storage.log.follower import LogFollower
 from storage.recording.client import record_documents
@@ -55,13 +55,14 @@ class AlertService(Closing):
         segment, documents = "", list[AnyDocument]()
         for message in self._follower.poll():
             segment = max(segment, message.segment)
-            if (document := self._floor.take(message)) is not None:
+            if (document := self._floor.take_message(message)) is not None:
                 documents.append(document)
+        self._floor.forget_changes()
         now_ns = time.time_ns()
         view = AlertView(
             now_ns=now_ns, began_ns=self._began_ns, documents=documents, units=self._floor.units,
-            commands_deg_c=self._floor.commands_deg_c, status=store_status(self._store),
-            damaged_bytes=self._follower.damaged_bytes, store=self._store, kept=self._kept,
+            status=store_status(self._store), damaged_bytes=self._follower.damaged_bytes, store=self._store,
+            kept=self._kept,
         )  # fmt: skip
         for rule in self._rules.rules:
             for finding in self._findings(rule.condition.findings(view), rule.name):

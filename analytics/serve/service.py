@@ -19,9 +19,10 @@ from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
+from analytics.serve.live.fresh_views import FreshViews
 from analytics.serve.memo import Memo
 from analytics.serve.problems import Stopping
-from analytics.serve.shared_lake import SharedLake
+from analytics.serve.shared_lake import SharedCatalogue, SharedLake
 from analytics.serve.sql_pool import SqlPool
 from analytics.serve.warming import Warming
 from storage.recording.status_board import StatusBoard
@@ -73,10 +74,12 @@ class Service:
     listening: Counter[str] = field(default_factory=Counter)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
+    fresh: SharedCatalogue[FreshViews] = field(init=False)
     warming: Warming = field(init=False)
 
     def __post_init__(self) -> None:
         """Connect the parts with each other."""
+        self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state))
         self.changes = Broadcast(self.stopping)
         self.warming = Warming(self.lake)
 
@@ -149,4 +152,5 @@ class Service:
         self.live.close()
         self.jobs.close()
         self.sql.close()
+        self.fresh.close()
         self.lake.close()

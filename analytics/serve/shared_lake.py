@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import msgspec
 
@@ -15,52 +16,77 @@ from storage.store import Store
 from stream.closing import Closing
 
 # what many requests ask, read from the files once
-_SERVED = """
+_PARTS = """
 create table internal.served_parts as
-  select channel, unit, signal, run, is_kept, filename, samples, t_first_ns, t_last_ns from internal.lake_channel_parts;
-create table internal.served_signals as select * from signals;
-create table internal.served_runs as select * from runs;
-create table internal.served_units as select * from units;
-create table internal.served_verdicts as
-  select run, unit, arg_max(document->>'$.verdict', arrival_ns) as verdict, max(arrival_ns) as arrival_ns
-  from internal.lake_documents where kind = 'VerdictGiven' group by run, unit;
+  select channel, unit, signal, run, is_kept, filename, samples, t_first_ns, t_last_ns from internal.lake_channel_parts
 """
+SERVED = {
+    "served_signals": "select * from signals",
+    "served_runs": "select * from runs",
+    "served_units": "select * from units",
+    "served_verdicts": """
+      select run, unit, arg_max(document->>'$.verdict', arrival_ns) as verdict, max(arrival_ns) as arrival_ns
+      from internal.lake_documents where kind = 'VerdictGiven' group by run, unit""",
+    "served_releases": """
+      select run, unit, document->>'$.verdict' as verdict, t_ns, (document->>'$.planned_s')::double as planned_s,
+        (document->>'$.recorded_s')::double as recorded_s
+      from internal.lake_documents where kind = 'UnitReleased'""",
+}
+
+# documents that these are made of
+SERVED_KINDS = (
+    "RunStarted", "RunResumed", "RunEnded", "StationStated", "UnitMounted", "UnitReleased", "VerdictGiven",
+)  # fmt: skip
+
+Shared = TypeVar("Shared", bound=Closing)
 
 
 @dataclass(frozen=True)
 class LakeState:
-    """A version of the lake; `tag` names it, also with the documents that specifications and models are read from."""
+    """A version of the lake; `tag` names it, also with the documents that specifications and models are read from.
+
+    `log_version` is that of the rows beside it that only the log has.
+    """
 
     tag: str
     number: int
     parts: tuple[Part, ...]
+    log_version: int = 0
 
     @cached_property
     def segments(self) -> frozenset[str]:
         """Segments of the log that are in it."""
         return frozenset(segment for part in self.parts for segment in part.segments)
 
+    def is_newer_than(self, other: "LakeState") -> bool:
+        """Whether it is of a later manifest, or of the same one with later rows of the log."""
+        return (self.number, self.log_version) > (other.number, other.log_version)
+
+    def has_all_of(self, other: "LakeState") -> bool:
+        """Whether it is of the same manifest, with the rows of the log that the other has, or more."""
+        return self.tag == other.tag and self.log_version >= other.log_version
+
 
 @dataclass
-class _Opened:
+class _Opened(Generic[Shared]):
     state: LakeState
-    catalog: Catalog
+    catalog: Shared
     users: int = 0
     is_current: bool = True
 
 
-class SharedCatalogue(Closing):
+class SharedCatalogue(Closing, Generic[Shared]):
     """The catalogue of the newest version that was asked for; those before it are closed when nobody uses them."""
 
-    def __init__(self, open_catalogue: Callable[[LakeState], Catalog]) -> None:
+    def __init__(self, open_catalogue: Callable[[LakeState], Shared]) -> None:
         self._open_catalogue = open_catalogue
         self.uses = 0  # leases so far
-        self._current: _Opened | None = None
+        self._current: _Opened[Shared] | None = None
         self._lock = threading.Lock()
         self._opening = threading.Lock()
 
     @contextmanager
-    def lease(self, state: LakeState) -> Iterator[Catalog]:
+    def lease(self, state: LakeState) -> Iterator[Shared]:
         """A catalogue of that version, to read from any thread; it stays open within."""
         self.uses += 1
         opened = self._taken(state)
@@ -72,19 +98,19 @@ class SharedCatalogue(Closing):
         finally:
             self._release(opened)
 
-    def _taken(self, state: LakeState) -> _Opened | None:
+    def _taken(self, state: LakeState) -> _Opened[Shared] | None:
         with self._lock:
             opened = self._current
-            if opened is None or opened.state.tag != state.tag:
+            if opened is None or not opened.state.has_all_of(state):
                 return None
             opened.users += 1
             return opened
 
-    def _put(self, state: LakeState, catalog: Catalog) -> _Opened:
+    def _put(self, state: LakeState, catalog: Shared) -> _Opened[Shared]:
         opened = _Opened(state, catalog, users=1)
         with self._lock:
             before = self._current
-            if before is not None and before.state.number > state.number:
+            if before is not None and before.state.is_newer_than(state):
                 opened.is_current = False
                 return opened
             self._current = opened
@@ -94,12 +120,12 @@ class SharedCatalogue(Closing):
             self._close_unused(before)
         return opened
 
-    def _release(self, opened: _Opened) -> None:
+    def _release(self, opened: _Opened[Shared]) -> None:
         with self._lock:
             opened.users -= 1
         self._close_unused(opened)
 
-    def _close_unused(self, opened: _Opened) -> None:
+    def _close_unused(self, opened: _Opened[Shared]) -> None:
         with self._lock:
             is_over = not opened.is_current and opened.users == 0
         if is_over:
@@ -148,7 +174,9 @@ class SharedLake(Closing):
     def _viewed(self, state: LakeState) -> Catalog:
         catalog = Catalog(self._store, parts=state.parts, frozen=True)
         try:
-            catalog.define(_SERVED)
+            for name, statement in SERVED.items():
+                catalog.define(f"create table internal.{name} as {statement}")
+            catalog.define(_PARTS)
         except BaseException:
             catalog.close()
             raise

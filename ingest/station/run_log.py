@@ -212,7 +212,12 @@ class RunLog(RunRecord[StationRunState]):
         self.end_steps(outcome)
         self._save(phase="ending", outcome=outcome)
         run, now_ns, uid = self.state.run, self._clock.now_ns(), self._uid("ended")
-        self._send(events.RunEnded(run=run, t_ns=now_ns, uid=uid, outcome=outcome, totals=self._totals()))
+        self._send(
+            events.RunEnded(
+                run=run, t_ns=now_ns, uid=uid, outcome=outcome, totals=self._totals(),
+                released=len(self.state.released), saved_s=self.saved_s,
+            )
+        )  # fmt: skip
 
     def note(self, text: str, unit: str | None = None) -> None:
         """Add a note to the run, or to a unit in it; from any thread."""
@@ -268,11 +273,16 @@ class RunLog(RunRecord[StationRunState]):
         self._save(unpowered=self.state.unpowered | dict.fromkeys(units, now_ns))
         self._send_released_power_offs()
 
+    @property
+    def saved_s(self) -> float:
+        """By how much the records of released units together are shorter than planned."""
+        return sum(each.saved_s for each in self.state.released.values())
+
     def savings(self) -> Iterator[str]:
         """What the releases have saved, each as a sentence."""
         released = self.state.released.values()
         if released:
-            hours = sum(each.saved_s for each in released) / 3600.0
+            hours = self.saved_s / 3600.0
             yield f"{len(released)} of {len(self.state.units)} units were decided early: {hours:,.1f} unit hours saved"
             if not self.units_left:
                 spared = min(each.saved_s for each in released) / 3600.0

@@ -25,6 +25,7 @@ def run_status(
         steps=len(steps), doing=operator.doing, left_s=clock.computer_s(operator.left_s),
         decided_at_s=None if forecast_s is None else clock.computer_s(forecast_s),
         verdicts=decisions.so_far(), undecided=decisions.undecided(),
+        released={unit: each.verdict.value for unit, each in state.released.items()}, saved_s=log.saved_s,
     )  # fmt: skip
     numbers = {
         "samples_total": float(log.samples), "short_records_total": float(state.short_records),

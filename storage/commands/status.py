@@ -11,8 +11,11 @@ from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.recording.store_status import RoleReport, StoreStatus
+    from stream.status.role_status import RunProgress
 
 _EVERY_S = 2.0
+_NAMED = 8
+_CHINESE = {"PASS": "合格", "FAIL": "不合格"}
 
 
 @click.command("status")
@@ -58,6 +61,9 @@ def _show(found: "StoreStatus") -> None:
     if found.verdicts:
         listed = ", ".join(f"{count} {verdict}" for verdict, count in sorted(found.verdicts.items()))
         console.print(f"units of the runs at work, so far: {listed}")
+    for role in found.roles:
+        if role.status.run is not None and role.status.run.released:
+            console.print(_released(role.status.run), soft_wrap=True)
     if found.last_message_age_s is not None:
         console.print(f"last message {found.last_message_age_s:,.1f} s ago")
     spool = f"; {format_bytes(found.spool_bytes)} in spools" if found.spool_bytes else ""
@@ -77,6 +83,10 @@ def _what(role: "RoleReport") -> str:
         waiting = f"; {waits:,.0f} messages not recorded yet" if waits else ""
         decided = sum(count == 0 for count in run.undecided.values())
         early = f"; {decided} of {len(run.undecided)} units decided" if run.undecided else ""
+        if run.released:
+            early += (
+                f"; {len(run.released)} of {len(run.units)} units released, {run.saved_s / 3600:,.1f} unit hours saved"
+            )
         return f"{run.run}: step {run.step} of {run.steps}, {run.doing}{left}{early}{waiting}"
     samples = status.numbers.get("samples_total")
     lag_s = status.numbers.get("lag_seconds")
@@ -85,6 +95,19 @@ def _what(role: "RoleReport") -> str:
     segments = status.numbers.get("segments_total")
     parts += [] if segments is None else [f"{segments:,.0f} segments"]
     return ", ".join(parts)
+
+
+def _released(run: "RunProgress") -> str:
+    """Units that a run has released, in English and Chinese, some of them by name.
+
+    >>> from stream.status.role_status import RunProgress
+    >>> _released(RunProgress(run="r1", units=("U1", "U2"), released={"U1": "PASS"}, saved_s=5400.0))
+    'released 已释放 r1: U1 PASS 合格; 1.5 unit hours saved 节省产品小时'
+    """
+    named = [f"{unit} {verdict} {_CHINESE.get(verdict, '')}".rstrip() for unit, verdict in sorted(run.released.items())]
+    more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    hours = run.saved_s / 3600.0
+    return f"released 已释放 {run.run}: {', '.join(named[:_NAMED])}{more}; {hours:,.1f} unit hours saved 节省产品小时"
 
 
 def _duration(seconds: float) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from storage.lake.channel_row import OF_FIRST
 from storage.lake.clock_stretches import Messages, clock_table
 from storage.lake.rollups import Rollup, joined, merge, roll_up, rollup_table
 from storage.lake.tables import MESSAGE_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
@@ -19,7 +20,6 @@ from stream.wire.count_planes import join_batches, planes_of
 ByteArray = npt.NDArray[np.uint8]
 
 _FIELDS = 6  # of a message: seq, n, t0_ns, last_ns, dt_ns, arrival_ns
-_OF_FIRST = ("unit", "signal", "run", "unit_of_measure", "scale", "offset", "dt_ns")
 _BLOCK = 4096
 _STRETCH = 256
 _SMOOTH = 0.9
@@ -71,7 +71,7 @@ class ChannelBuffer:
     def row(self) -> dict[str, Any]:
         """Its row in the table of channels."""
         first, messages = self.first, self._matrix()
-        return {name: getattr(first, name) for name in _OF_FIRST} | {
+        return {name: getattr(first, name) for name in OF_FIRST} | {
             "channel": self.identity, "site": self.place.site, "station": self.place.station,
             "epoch": str(first.epoch), "is_counts": first.counts is not None, "irregular": self.irregular,
             "samples": self.samples, "seq_first": int(messages.seq.min()),

@@ -1,7 +1,7 @@
 """SQL over a store: read-only DuckDB views on the lake."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
@@ -16,6 +16,7 @@ from storage.lake.tables import TABLES
 from storage.manifests.lake import Part, read_manifest
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.live import LiveTables
+from storage.sql.overlay import Overlay
 from storage.sql.views import VIEWS, define_views, reading_lake
 from storage.store import Store
 from stream.closing import Closing
@@ -144,6 +145,14 @@ class Catalog(Closing):
             self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
         finally:
             self._connection.unregister("put_rows")
+
+    def overlay(
+        self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
+    ) -> Overlay:
+        """Its views with further rows of channels and events, as long as it is open; see `Overlay`."""
+        self._define_views()
+        with reading_lake(self.store):
+            return Overlay(self._connection, name, channels, events, kept, kinds)
 
     def fill(self) -> None:
         """Compute the tables of all layers now."""

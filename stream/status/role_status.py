@@ -51,6 +51,8 @@ class RunProgress(msgspec.Struct, frozen=True, kw_only=True):
     decided_at_s: float | None = None  # of the record, where the last limit is forecast to be decided
     verdicts: dict[str, str] = {}  # by unit: what the live limits say so far
     undecided: dict[str, int] = {}  # by unit: limits that are not decided yet
+    released: dict[str, str] = {}  # by unit: the verdict with which it was released before the end
+    saved_s: float = 0.0  # of the records of released units; at the station
 
 
 class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):

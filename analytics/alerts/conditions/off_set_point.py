@@ -19,8 +19,10 @@ class OffSetPointCondition(Condition, frozen=True, kw_only=True, tag="off_set_po
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Instruments that are off now."""
-        for name, life in view.units.items():
-            reading, command = life.latest.get(self.signal), view.commands_deg_c.get(life.run)
+        for name, unit in view.units.items():
+            if not unit.is_at_work:
+                continue
+            run, reading, command = unit.run.run, unit.temperature(self.signal), unit.run.temperature_command_deg_c
             if reading is None or command is None:
                 continue
             try:
@@ -30,7 +32,7 @@ class OffSetPointCondition(Condition, frozen=True, kw_only=True, tag="off_set_po
             measured = reading[0] * factor + offset
             if not abs(measured - command) <= self.within_deg_c:
                 text = Bilingual(
-                    f"{self.signal} of {name} is {measured:.1f} degC in run {life.run}, {command:g} degC are commanded",
-                    f"试验{life.run}中{name}的{self.signal}为{measured:.1f}°C，指令为{command:g}°C",
+                    f"{self.signal} of {name} is {measured:.1f} degC in run {run}, {command:g} degC are commanded",
+                    f"试验{run}中{name}的{self.signal}为{measured:.1f}°C，指令为{command:g}°C",
                 )
-                yield Finding(f"{life.run}/{name}/{self.signal}", name, text, unit=name)
+                yield Finding(f"{run}/{name}/{self.signal}", name, text, unit=name)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from analytics.alerts.finding import AlertView, Condition, Finding
+from analytics.floor import UnitNow
 from analytics.loop.bilingual import Bilingual
 
 
@@ -13,13 +14,12 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Units that are silent now."""
-        last = {(life.run, name): life.arrived_ns for name, life in view.units.items()}
+        last = {(unit.run.run, name): unit.arrival_ns for name, unit in view.units.items() if unit.is_at_work}
         for role in view.status.roles:
             if role.status.run is not None and role.condition == "working" and role.status.run.doing == "recording":
                 began_ns = max(role.status.began_ns, view.began_ns)
-                last |= {
-                    (role.status.run.run, unit): began_ns for unit in role.status.run.units if unit not in view.units
-                }
+                run, units = role.status.run.run, role.status.run.units
+                last |= {(run, unit): began_ns for unit in units if _is_awaited(view.units.get(unit), run)}
         for (run, name), arrived_ns in last.items():
             silent_s = (view.now_ns - arrived_ns) / 1e9
             if silent_s > self.silent_s:
@@ -28,3 +28,8 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
                     f"产品{name}在试验{run}中已{silent_s:,.0f}秒无数据；请检查供电与接线",
                 )
                 yield Finding(f"{run}/{name}", name, text, unit=name)
+
+
+def _is_awaited(unit: UnitNow | None, run: str) -> bool:
+    """Whether the first sample of a unit is still to come: it is neither off nor released."""
+    return unit is None or unit.run.run != run or (not unit.arrival_ns and not unit.is_off)

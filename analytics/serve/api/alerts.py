@@ -18,9 +18,10 @@ _ROLE = "gyrofleet serve"
 
 
 class AlertsAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which alerts: open ones, or all that are kept."""
+    """Which alerts: open ones, or all that are kept; of one severity if it is given."""
 
     which: Literal["open", "all"] = "open"
+    severity: Literal["", "alarm", "warning"] = ""
 
 
 class AlertRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,7 +67,7 @@ def list_alerts(call: Call, asked: AlertsAsked) -> Alerts:
     """Alerts that `gyrofleet alert run` has raised: open ones, or all."""
     rows = []
     for alert in AlertBook(call.store).alerts():
-        if asked.which == "open" and not _is_open(alert):
+        if (asked.which == "open" and not _is_open(alert)) or asked.severity not in ("", alert.severity):
             continue
         rows.append(alert_row(alert))
     return Alerts(alerts=rows)

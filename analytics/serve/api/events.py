@@ -55,9 +55,9 @@ class Events(msgspec.Struct, frozen=True, kw_only=True):
     next: str | None
 
 
-@get("/api/events", table="events")
+@get("/api/events", table="events", sees_log=True)
 def list_events(call: Call, asked: EventsAsked) -> Events:
-    """Documents in the lake, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
+    """Documents, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
     at, uid = _cursor(asked.after)
     names = ("kind", "run", "unit", "station", "what")
     given = {name: getattr(asked, name) for name in names} | {
@@ -67,8 +67,8 @@ def list_events(call: Call, asked: EventsAsked) -> Events:
         "uid": uid,
         "rows": asked.limit + 1,
     }
-    rows, has_more = page_of([_row(each) for each in dictionaries(call.views, _PAGE, given)], asked.limit)
-    kinds = {str(kind): int(n) for kind, n in call.views.rows(_KINDS)}
+    rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _PAGE, given)], asked.limit)
+    kinds = {str(kind): int(n) for kind, n in call.fresh.rows(_KINDS)}
     following = {name: getattr(asked, name) for name in names} | {"from": asked.from_, "to": asked.to}
     after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
     next_page = link("api", "events", limit=asked.limit, after=after, **following) if has_more else None

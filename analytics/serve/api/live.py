@@ -10,12 +10,12 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
+from analytics.floor import UnitNow
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.live.broadcast import event
-from analytics.serve.live.floor import UnitNow
 from analytics.serve.problems import TooMany
 from analytics.serve.service import Service
 from stream.console import json_text
@@ -31,7 +31,8 @@ class FloorDocument(msgspec.Struct, frozen=True, kw_only=True):
 
     `columns` names the cells of `units`, `state_columns` those of `states`: number of the unit, code of its verdict so
     far in `verdicts`, whether early decisions gave it, whether it is silent, number of its step in `steps`, seconds
-    left, the value nearest its limit divided by the limit, second since 1970 in which its last sample arrived.
+    left, the value nearest its limit divided by the limit, second since 1970 in which its last sample arrived,
+    whether it is released before the end of its run.
     """
 
     version: int
@@ -63,6 +64,7 @@ class UnitFloor(msgspec.Struct, frozen=True, kw_only=True):
     t_ns: int | None
     verdict: str
     early: str
+    released: str | None
     left_s: float | None
     checks: list[dict[str, Any]]
     estimates: list[dict[str, Any]]
@@ -91,7 +93,8 @@ def _unit_floor(unit: UnitNow) -> UnitFloor:
         unit=unit.unit, run=unit.run.run, site=unit.run.place.site, station=unit.run.place.station, slot=unit.slot,
         product=unit.product, step=unit.step, silent=unit.is_silent, last_arrival_ns=unit.arrival_ns,
         last_arrival=iso(unit.arrival_ns) if unit.arrival_ns else None, t_ns=unit.t_ns, verdict=unit.verdict,
-        early=unit.early, left_s=unit.left_s, checks=checks_of(unit),
+        early=unit.early, left_s=unit.left_s,
+        released=None if unit.released is None else unit.released.verdict.value, checks=checks_of(unit),
         estimates=[msgspec.to_builtins(each) for each in unit.estimates.values()],
     )  # fmt: skip
 

@@ -36,9 +36,9 @@ class Noted(msgspec.Struct, frozen=True, kw_only=True):
 def add_note(call: Call, asked: NoteAsked) -> Noted:
     """Add a note to a run; the log has who wrote it and when."""
     if asked.run not in call.service.live.floor.runs:
-        run_row(call.views, asked.run)  # NotFound names similar ones
+        run_row(call.fresh, asked.run)  # NotFound names similar ones
     if asked.unit and asked.unit not in call.service.live.floor.units:
-        unit_row(call.views, asked.unit)
+        unit_row(call.fresh, asked.unit)
     note = NoteAdded(
         run=asked.run, t_ns=time.time_ns(), text=asked.text.strip(), author=call.person.name, unit=asked.unit or None
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar, get_type_hints
 from urllib.parse import quote, urlencode
@@ -10,6 +10,7 @@ from urllib.parse import quote, urlencode
 import msgspec
 
 from analytics.serve.doors.roles import Person, Role
+from analytics.serve.live.fresh_views import FreshViews
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
 from storage.sql.catalog import Catalog
@@ -54,6 +55,12 @@ class Call:
         return self._leases.enter_context(self.service.lake.views.lease(self.state))
 
     @cached_property
+    def fresh(self) -> FreshViews:
+        """The store's own views with the channels and documents as well that only the log has."""
+        state = replace(self.state, log_version=self.service.live.log_version)
+        return self._leases.enter_context(self.service.fresh.lease(state))
+
+    @cached_property
     def metrics(self) -> Catalog:
         """All tables, those of metrics and verdicts included."""
         return self._leases.enter_context(self.service.lake.metrics.lease(self.state))
@@ -76,6 +83,7 @@ class Operation(Generic[Asked, Given]):
     table: Field of the answer that Arrow and CSV have; empty if the answer has columns itself, None for neither.
     is_kept: The answer depends on the lake alone: it has an ETag and is kept.
     is_live: The answer depends on the newest samples of the signal in its path as well.
+    sees_log: The answer depends on the rows of channels and documents as well that only the log has.
     is_slow: It needs metrics or long computations, in a pool of threads of their own.
     status: Of its answer.
     """
@@ -89,9 +97,12 @@ class Operation(Generic[Asked, Given]):
     is_slow: bool = False
     status: int = 200
     is_live: bool = False
+    sees_log: bool = False
 
     def version(self, service: Service, state: LakeState, path: Mapping[str, str]) -> str:
         """Names all that a kept answer depends on."""
+        if self.sees_log:
+            return f"{state.tag}-{service.live.log_version}"
         if not self.is_live:
             return state.tag
         return f"{state.tag}-{service.live.tail.version((path['unit'], path['run'], path['signal']))}"
@@ -144,11 +155,12 @@ def get(
     is_kept: bool = True,
     is_slow: bool = False,
     is_live: bool = False,
+    sees_log: bool = False,
 ) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
     """Declare an operation that reads."""
 
     def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
-        return Operation("GET", path, handler, role, table, is_kept, is_slow, is_live=is_live)
+        return Operation("GET", path, handler, role, table, is_kept, is_slow, is_live=is_live, sees_log=sees_log)
 
     return declare
 

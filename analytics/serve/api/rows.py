@@ -1,13 +1,13 @@
 """Rows of statements as answers, moments, and pages of long lists."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Protocol, TypeVar
 
 import msgspec
+import pyarrow as pa
 
 from ingest.moment import moment_ns
-from storage.sql.catalog import Catalog
 from stream.bounds import MAX_MOMENT_NS, MIN_MOMENT_NS
 from stream.errors import BadInput
 
@@ -19,6 +19,16 @@ Name = Annotated[str, msgspec.Meta(max_length=256)]
 T_NS = Annotated[int, msgspec.Meta(description="Nanoseconds since 1970-01-01 UTC.")]
 
 
+class Views(Protocol):
+    """Views that answer the project's own statements."""
+
+    def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:
+        """The batches of a statement's result."""
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
+        """All rows of a statement's result."""
+
+
 class Paged(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A page of a long list: `limit` rows, those after the key `after`, which the page before it names."""
 
@@ -26,7 +36,7 @@ class Paged(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     after: Name = ""
 
 
-def dictionaries(catalog: Catalog, sql: str, parameters: object = None) -> list[dict[str, Any]]:
+def dictionaries(catalog: Views, sql: str, parameters: object = None) -> list[dict[str, Any]]:
     """Rows of a statement as dictionaries."""
     return [row for batch in catalog.batches(sql, parameters) for row in batch.to_pylist()]
 

@@ -6,16 +6,16 @@ import msgspec
 
 from analytics.metric_registry.registry import alike
 from analytics.serve.api.operation import Call, get, link
-from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
-from storage.sql.catalog import Catalog
+from analytics.serve.api.rows import Name, Paged, Views, dictionaries, iso, page_of
 from stream.errors import NotFound
 
 _RUN = """
 select run, site, station, date_known, case when date_known then epoch_ns(started) end as started_ns,
   case when date_known then epoch_ns(ended) end as ended_ns, duration_s, outcome, resumptions, gap_s,
-  coalesce(len(units), 0) as units, coalesce(signals, 0) as signals, samples, "procedure", operator, lot, simulated,
-  source, epoch_ns(recorded) as recorded_ns
+  greatest(coalesce(len(units), 0), coalesce(mounted, 0)) as units, coalesce(signals, 0) as signals, samples,
+  "procedure", operator, lot, simulated, source, epoch_ns(recorded) as recorded_ns, released, saved_s, time_zone
 from internal.served_runs
+left join (select run, count(*) as mounted from internal.served_units group by run) using (run)
 """
 _PAGE = f"""
 with listed as ({_RUN}), seen as (select coalesce(recorded_ns, 0) as before from listed where run = $after)
@@ -48,9 +48,11 @@ with recorded as (
   ) group by unit
 )
 select coalesce(r.unit, u.unit) as unit, u.product, u.lot, u.slot, u.fixture, coalesce(r.signals, []) as signals,
-  coalesce(r.samples, 0) as samples, r.t_last_ns, r.arrival_last_ns, g.verdict, d.early
+  coalesce(r.samples, 0) as samples, r.t_last_ns, r.arrival_last_ns, g.verdict, d.early,
+  e.verdict as released, e.t_ns as released_ns, e.planned_s - e.recorded_s as saved_s
 from recorded r full join (select * from internal.served_units where run = $run) u using (unit)
 left join given g using (unit) left join decided d using (unit)
+left join (select * from internal.served_releases where run = $run) e using (unit)
 where coalesce(r.unit, u.unit) > $after order by 1 limit $rows
 """
 _COUNTS = f"select coalesce(verdict, 'OPEN'), count(*) from ({_UNITS}) group by 1 order by 1"  # noqa: S608  our own
@@ -73,7 +75,10 @@ class RunsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A run; without a known date it has no moments, and its samples count from 1970-01-01."""
+    """A run; without a known date it has no moments, and its samples count from 1970-01-01.
+
+    `released` units were released before the end, which saved `saved_s` of records; `time_zone` is that of the station.
+    """
 
     run: str
     site: str | None
@@ -94,6 +99,9 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     simulated: bool
     source: str | None
     recorded_ns: int | None
+    released: int
+    saved_s: float | None
+    time_zone: str | None
     started: str | None = None
     ended: str | None = None
 
@@ -135,7 +143,7 @@ class StepRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
-    """A unit in a run: its verdict so far, and the outcomes of its early decisions."""
+    """A unit in a run: its verdict so far, the outcomes of its early decisions, and its release before the end."""
 
     unit: str
     product: str | None
@@ -148,6 +156,9 @@ class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
     arrival_last_ns: int | None
     verdict: str | None
     early: str | None
+    released: str | None
+    released_ns: int | None
+    saved_s: float | None
 
 
 class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
@@ -161,29 +172,29 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
     next: str | None
 
 
-@get("/api/runs", table="runs")
+@get("/api/runs", table="runs", sees_log=True)
 def list_runs(call: Call, asked: RunsAsked) -> Runs:
     """All runs, the newest first: when, where, which procedure, how they ended."""
     given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
     del given["limit"]
-    runs, has_more = page_of([_run_row(row) for row in dictionaries(call.views, _PAGE, given)], asked.limit)
+    runs, has_more = page_of([_run_row(row) for row in dictionaries(call.fresh, _PAGE, given)], asked.limit)
     parameters = msgspec.to_builtins(asked) | {"after": runs[-1].run if runs else None}
     return Runs(runs=runs, next=link("api", "runs", **parameters) if has_more else None)
 
 
-@get("/api/runs/{run}", table="units")
+@get("/api/runs/{run}", table="units", sees_log=True)
 def run(call: Call, asked: RunAsked) -> RunDocument:
     """One run: its steps, documents, units, and their verdicts so far."""
     name = call.path["run"]
-    row = run_row(call.views, name)
+    row = run_row(call.fresh, name)
     given = {"run": name, "after": asked.after, "rows": asked.limit + 1}
-    units, has_more = page_of([RunUnit(**each) for each in dictionaries(call.views, _UNITS, given)], asked.limit)
-    steps = dictionaries(call.views, _STEPS, {"run": name, "unit": asked.unit})
+    units, has_more = page_of([RunUnit(**each) for each in dictionaries(call.fresh, _UNITS, given)], asked.limit)
+    steps = dictionaries(call.fresh, _STEPS, {"run": name, "unit": asked.unit})
     documents = [
         each | {"document": msgspec.json.decode(each["document"]), "time": iso(each["t_ns"])}
-        for each in dictionaries(call.views, _DOCUMENTS, {"run": name})
+        for each in dictionaries(call.fresh, _DOCUMENTS, {"run": name})
     ]
-    counts = call.views.rows(_COUNTS, {"run": name, "after": "", "rows": 2**31})
+    counts = call.fresh.rows(_COUNTS, {"run": name, "after": "", "rows": 2**31})
     parameters = {"limit": asked.limit, "after": units[-1].unit if units else None, "unit": asked.unit}
     return RunDocument(
         run=row, steps=[StepRow(**each) for each in steps], documents=documents, units=units,
@@ -192,7 +203,7 @@ def run(call: Call, asked: RunAsked) -> RunDocument:
     )  # fmt: skip
 
 
-def run_row(views: Catalog, name: str) -> RunRow:
+def run_row(views: Views, name: str) -> RunRow:
     """A run; NotFound names similar ones."""
     found = dictionaries(views, f"{_RUN} where run = $run", {"run": name})
     if not found:

@@ -7,7 +7,7 @@ import msgspec
 from analytics.metric_registry.registry import alike
 from analytics.serve.api.models import ModelRow, models_of
 from analytics.serve.api.operation import Call, Nothing, get, link
-from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
+from analytics.serve.api.rows import Name, Paged, Views, dictionaries, iso, page_of
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound
 
@@ -26,8 +26,9 @@ with recorded as (
 )
 select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, m.slot, m.fixture, m.firmware,
   coalesce(r.runs, 0) as runs, coalesce(r.last_run, m.run) as last_run, coalesce(r.signals, 0) as signals,
-  coalesce(r.samples, 0) as samples, g.verdict, r.recorded_ns
+  coalesce(r.samples, 0) as samples, g.verdict, r.recorded_ns, z.time_zone
 from recorded r full join mounted m using (unit) left join given g using (unit)
+left join (select run, time_zone from internal.served_runs) z on z.run = coalesce(r.last_run, m.run)
 """
 _PAGE = f"""
 select * from ({_UNITS}) where unit > $after and contains(lower(unit), lower($search))
@@ -36,12 +37,12 @@ select * from ({_UNITS}) where unit > $after and contains(lower(unit), lower($se
 order by unit limit $rows
 """  # noqa: S608  our own statement
 _RUNS = """
-select r.run, r.station, r.procedure, r.outcome, u.slot, u.lot, u.product, s.signals,
+select r.run, r.station, r.procedure, r.outcome, u.slot, u.lot, u.product, coalesce(s.signals, []) as signals,
   case when r.date_known then epoch_ns(r.started) end as started_ns,
-  case when r.date_known then epoch_ns(r.ended) end as ended_ns, r.duration_s, g.verdict
+  case when r.date_known then epoch_ns(r.ended) end as ended_ns, r.duration_s, r.time_zone, g.verdict
 from (select run, list(signal order by signal) as signals from signals where unit = $unit group by run) s
+full join (select * from internal.served_units where unit = $unit) u using (run)
 join internal.served_runs r using (run)
-left join (select * from internal.served_units where unit = $unit) u using (run)
 left join (select run, verdict from internal.served_verdicts where unit = $unit) g using (run)
 order by r.recorded desc, r.run
 """
@@ -74,6 +75,7 @@ class UnitRow(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     verdict: str | None
     recorded_ns: int | None
+    time_zone: str | None
     recorded: str | None = None
 
 
@@ -99,6 +101,7 @@ class UnitRun(msgspec.Struct, frozen=True, kw_only=True):
     started_ns: int | None
     ended_ns: int | None
     duration_s: float | None
+    time_zone: str | None
     verdict: str | None
     started: str | None = None
     ended: str | None = None
@@ -117,42 +120,54 @@ class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
     warnings: list[dict[str, Any]]
 
 
-@get("/api/units", table="units")
+@get("/api/units", table="units", sees_log=True)
 def list_units(call: Call, asked: UnitsAsked) -> Units:
     """All units by name: their product, lot, last run and its verdict."""
     given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
     del given["limit"]
-    rows = [_unit_row(row) for row in dictionaries(call.views, _PAGE, given)]
+    rows = [_unit_row(row) for row in dictionaries(call.fresh, _PAGE, given)]
     units, has_more = page_of(rows, asked.limit)
     every = _PAGE.replace("select *", "select count(*) as n", 1).replace("order by unit limit $rows", "")
     del given["rows"]
-    (count,) = dictionaries(call.views, every, given | {"after": ""})
+    (count,) = dictionaries(call.fresh, every, given | {"after": ""})
     parameters = msgspec.to_builtins(asked) | {"after": units[-1].unit if units else None}
     return Units(units=units, count=count["n"], next=link("api", "units", **parameters) if has_more else None)
 
 
-@get("/api/units/{unit}", table="metrics", is_slow=True)
+@get("/api/units/{unit}", table="metrics", is_slow=True, sees_log=True)
 def unit(call: Call, asked: Nothing) -> UnitDocument:
     """One unit: its runs, characteristics with limits and verdicts, error models."""
+    del asked
+    name = call.path["unit"]
+    about = unit_row(call.fresh, name)
+    runs = dictionaries(call.fresh, _RUNS, {"unit": name})
+    # the lake's, so that they are not computed again for every message that the log gets
+    found = call.service.memo.result(("unit", name, call.state.tag), lambda: _judged(call, name))
+    return UnitDocument(
+        unit=name,
+        about=about,
+        runs=[UnitRun(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"])) for row in runs],
+        models=models_of(call.store, name),
+        **found,
+    )
+
+
+def _judged(call: Call, name: str) -> dict[str, Any]:
+    """Characteristics and verdicts of a unit in the lake."""
     from analytics.evaluation.selection import Selection, selected
     from analytics.specifications.verdicts import verdicts_of
 
-    del asked
-    name = call.path["unit"]
-    about = unit_row(call.views, name)
-    runs = dictionaries(call.views, _RUNS, {"unit": name})
     has_steps = bool(call.metrics.rows("select 1 from unit_metrics where unit = $unit limit 1", {"unit": name}))
     judged = verdicts_of(call.metrics, [name]) if _is_judged(call.metrics, name) else None
-    return UnitDocument(
-        unit=name, about=about, verdict=judged.units[0] if judged else None,
-        runs=[UnitRun(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"])) for row in runs],
-        metrics=[_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
-        verdicts=judged.verdicts if judged else [], models=models_of(call.store, name),
-        warnings=judged.warnings if judged else [],
-    )  # fmt: skip
+    return {
+        "metrics": [_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
+        "verdict": judged.units[0] if judged else None,
+        "verdicts": judged.verdicts if judged else [],
+        "warnings": judged.warnings if judged else [],
+    }
 
 
-def unit_row(views: Catalog, name: str) -> UnitRow:
+def unit_row(views: Views, name: str) -> UnitRow:
     """A unit; NotFound names similar ones."""
     found = dictionaries(views, f"select * from ({_UNITS}) where unit = $unit", {"unit": name})  # noqa: S608
     if not found:

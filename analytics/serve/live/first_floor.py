@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import msgspec
 
-from analytics.serve.live.floor import Floor
+from analytics.floor import Floor
 from storage.sql.catalog import Catalog
 from stream.events import AnyDocument, EstimatePoint, EstimatePublished
 from stream.identity import Place

@@ -4,12 +4,12 @@ import time
 from collections import Counter, defaultdict
 from typing import Any
 
-from analytics.serve.live.floor import Floor, RunNow, UnitNow
+from analytics.floor import Floor, RunNow, UnitNow
 from stream.events import Verdict
 
 VERDICTS = ("", *(each.value for each in Verdict))
 UNIT_COLUMNS = ("number", "unit", "run", "slot", "product")
-STATE_COLUMNS = ("number", "verdict", "early", "silent", "step", "left_s", "ratio", "last_s")
+STATE_COLUMNS = ("number", "verdict", "early", "silent", "step", "left_s", "ratio", "last_s", "released")
 _CODES = {word: code for code, word in enumerate(VERDICTS)}
 _NS = 10**9
 
@@ -34,7 +34,8 @@ class FloorRows:
 
         A unit's `state` has the code of its verdict so far in `verdicts`, whether early decisions gave it, whether it
         is silent, the number of its step in `steps`, the seconds left, the value nearest its limit divided by that
-        limit, and the second (since 1970) in which its last sample arrived.
+        limit, the second (since 1970) in which its last sample arrived, and whether it is released before the end
+        of its run.
         """
         units = list(floor.units.values())
         states = [self._state(unit) for unit in units]
@@ -78,7 +79,7 @@ class FloorRows:
         return told
 
     def _state(self, unit: UnitNow) -> list[int | float | None]:
-        early = unit.early if not unit.verdict else ""
+        early = unit.decided_early if not unit.verdict else ""
         step = self._steps.setdefault(unit.step, len(self._steps))
         worst, left_s = unit.worst, unit.left_s
         ratio = None if worst is None or worst.value is None else float(f"{worst.value / worst.limit.upper:.3g}")
@@ -91,6 +92,7 @@ class FloorRows:
             None if left_s is None else round(left_s),
             ratio,
             unit.arrival_ns // _NS,
+            int(unit.released is not None),
         ]
 
 
@@ -103,6 +105,8 @@ def runs_of(floor: Floor, wanted: set[str] | None = None) -> list[dict[str, Any]
     """Runs on the floor with their units by verdict, silent ones, and the longest time left."""
     verdicts: defaultdict[str, Counter[str]] = defaultdict(Counter)
     silent: Counter[str] = Counter()
+    released: Counter[str] = Counter()
+    saved_s: Counter[str] = Counter()
     left: defaultdict[str, list[float]] = defaultdict(list)
     for unit in floor.units.values():
         run = unit.run.run
@@ -110,13 +114,20 @@ def runs_of(floor: Floor, wanted: set[str] | None = None) -> list[dict[str, Any]
             continue
         verdicts[run][unit.so_far] += 1
         silent[run] += unit.is_silent
+        if unit.released is not None:
+            released[run] += 1
+            saved_s[run] += round(unit.released.planned_s - unit.released.recorded_s)
         if (left_s := unit.left_s) is not None:
             left[run].append(left_s)
     runs = [run for name, run in floor.runs.items() if wanted is None or name in wanted]
-    return [_run_row(run, verdicts[run.run], silent[run.run], left[run.run]) for run in runs]
+    return [
+        _run_row(run, verdicts[run.run], left[run.run])
+        | {"silent": silent[run.run], "released": released[run.run], "saved_s": saved_s[run.run]}
+        for run in runs
+    ]
 
 
-def _run_row(run: RunNow, verdicts: Counter[str], silent: int, left: list[float]) -> dict[str, Any]:
+def _run_row(run: RunNow, verdicts: Counter[str], left: list[float]) -> dict[str, Any]:
     return {
         "run": run.run,
         "site": run.place.site,
@@ -130,6 +141,6 @@ def _run_row(run: RunNow, verdicts: Counter[str], silent: int, left: list[float]
         "planned_s": run.planned_s,
         "left_s": round(max(left)) if left else None,
         "units": sum(verdicts.values()),
-        "silent": silent,
+        "time_zone": run.time_zone,
         "verdicts": dict(sorted(verdicts.items())),
     }

@@ -2,24 +2,23 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
 from typing import Any
 
+from analytics.floor import Floor, UnitNow, parsed_key
 from analytics.serve.live.course import LiveCourse
 from analytics.serve.live.first_floor import fill_floor
-from analytics.serve.live.floor import Floor, UnitNow
 from analytics.serve.live.floor_rows import FloorRows
+from analytics.serve.live.rows import LiveRows, RowTables
 from analytics.serve.live.tail import LiveTail
 from analytics.serve.shared_lake import SharedLake
-from storage.log.follower import FollowedMessage, LogFollower
+from storage.log.follower import LogFollower
 from storage.store import Store
 from stream.closing import Closing
 from stream.console import json_text
 from stream.errors import GyrofleetError
 from stream.events import EstimatePublished
-from stream.identity import SampleKey, parse_key
 from stream.wire.batches import RawBatch
 
 _LOOK_S = 0.05
@@ -36,12 +35,14 @@ class FloorFollower(Closing):
 
     def __init__(self, store: Store) -> None:
         self.floor, self.rows, self.tail, self.course = Floor(), FloorRows(), LiveTail(), LiveCourse()
+        self.fresh = LiveRows()
         self.lag_s = 0.0
         self.problem: str | None = None
         self._store = store
         self._lock = threading.Lock()
         self._ends = threading.Event()
         self._is_filled = threading.Event()
+        self._is_read = threading.Event()
         self._thread: threading.Thread | None = None
 
     def start(self, lake: SharedLake, tell: Tell) -> None:
@@ -62,6 +63,17 @@ class FloorFollower(Closing):
         with self._lock:
             yield self.floor.units.get(name)
 
+    @property
+    def log_version(self) -> int:
+        """Grows as channels and documents come that the lake does not have."""
+        return self.fresh.version
+
+    def beyond(self, in_lake: Collection[str]) -> RowTables:
+        """Rows of what a version of the lake does not have; waits until the log has been read once."""
+        self._is_read.wait(_FILLED_WITHIN_S)
+        with self._lock:
+            return self.fresh.beyond(in_lake)
+
     def entered(self) -> str:
         """Changes with each document that changes limits, checks or models."""
         return str(sum(self.floor.entered[name] for name in _ENTERED))
@@ -78,6 +90,7 @@ class FloorFollower(Closing):
                 self._follow_store(lake, tell)
             except (GyrofleetError, OSError) as error:
                 self.problem = str(error)
+                self._is_read.set()  # requests get what there is
                 self._ends.wait(_TRY_AGAIN_S)
 
     def _follow_store(self, lake: SharedLake, tell: Tell) -> None:
@@ -92,13 +105,17 @@ class FloorFollower(Closing):
         tell(document["version"], "floor", json_text(document).encode())
         self._is_filled.set()
         told_s = 0.0
+        rows = LiveRows(self.fresh.version + 1)
         with LogFollower(self._store, state.segments) as messages:
             while not self._ends.is_set():
                 began_s = time.monotonic()
                 with self._lock:
                     for message in messages.poll():
-                        take(self.floor, message)
-                        _keep(self.course, message)
+                        entered = self.floor.take_message(message)
+                        if entered is not None and message.place is not None:
+                            place = parsed_key(message.place.stream.key).place
+                            self.course.take(message.segment, place, entered, message.record.arrival_ns)
+                        rows.take(message)
                         if isinstance(message.content, RawBatch) and message.place is not None:
                             self.tail.take(message.segment, message.content)
                         elif isinstance(message.content, EstimatePublished):
@@ -110,6 +127,11 @@ class FloorFollower(Closing):
                     in_lake = lake.state().segments
                     self.tail.forget(in_lake)
                     self.course.forget(in_lake)
+                    with self._lock:
+                        rows.forget(in_lake)
+                        rows.publish()
+                        self.fresh = rows
+                    self._is_read.set()
                 self._tell(tell, with_runs=is_due)
                 # as long again as the look took, so that requests have their turn
                 self._ends.wait(max(_LOOK_S, time.monotonic() - began_s))
@@ -122,26 +144,3 @@ class FloorFollower(Closing):
             self.floor.forget_changes()
         if changes is not None:
             tell(changes["version"], "change", json_text(changes).encode())
-
-
-_parsed = lru_cache(100_000)(parse_key)
-
-
-def take(floor: Floor, message: FollowedMessage) -> None:
-    """Put a message of the log on the floor; one that cannot be read is left to `gyrofleet verify`."""
-    place, content, arrival_ns = message.place, message.content, message.record.arrival_ns
-    if place is None or isinstance(content, GyrofleetError):
-        return
-    key = _parsed(place.stream.key)
-    if isinstance(content, RawBatch):
-        assert isinstance(key, SampleKey)
-        floor.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
-    else:
-        floor.take(key.place, content, arrival_ns)
-
-
-def _keep(course: LiveCourse, message: FollowedMessage) -> None:
-    """Keep a document of a run's course."""
-    if message.place is not None and not isinstance(message.content, RawBatch | GyrofleetError):
-        place = _parsed(message.place.stream.key).place
-        course.take(message.segment, place, message.content, message.record.arrival_ns)

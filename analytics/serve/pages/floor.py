@@ -1,10 +1,13 @@
 """The floor: stations with their runs, and the units by how much they need somebody."""
 
+from collections import Counter
 from typing import Any, Literal
 
 import msgspec
 
+from analytics.alerts.rules import ALARM, WARNING
 from analytics.serve.api import live as api
+from analytics.serve.api.alerts import AlertsAsked, list_alerts
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.live.floor_rows import STATE_COLUMNS, UNIT_COLUMNS
@@ -17,12 +20,13 @@ _SILENT = 4
 
 
 class FloorAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which units: those of a run, of a verdict so far, or silent ones."""
+    """Which units: those of a run, of a verdict so far, silent ones, or released ones."""
 
     run: Name = ""
     station: Name = ""
     verdict: Name = ""
     silent: Literal["", "1"] = ""
+    released: Literal["", "1"] = ""
     page: int = 1
 
 
@@ -41,10 +45,18 @@ def floor(call: Call, asked: FloorAsked) -> dict[str, Any]:
         "rows": chosen[first : first + _ROWS],
         "count": len(chosen),
         "stations": stations,
+        "zones": {run["run"]: run["time_zone"] for run in found.runs},
+        "alerts": _open_alerts(call),
         "next": link("", **asked_for) if len(chosen) > first + _ROWS else None,
         "data": "/api/floor",
         "has_table": False,
     }
+
+
+def _open_alerts(call: Call) -> dict[str, int]:
+    """How many alerts are open by severity, alarms first."""
+    counts = Counter(each.severity for each in list_alerts(call, AlertsAsked()).alerts)
+    return {severity: counts[severity] for severity in (ALARM, WARNING) if counts[severity]}
 
 
 def _row(found: api.FloorDocument, unit: list[Any], state: list[Any]) -> dict[str, Any]:
@@ -59,4 +71,5 @@ def _is_chosen(row: dict[str, Any], stations: dict[str, str], asked: FloorAsked)
         and asked.station in ("", stations.get(row["run"], ""))
         and asked.verdict in ("", verdict)
         and (not asked.silent or bool(row["silent"]))
+        and (not asked.released or bool(row["released"]))
     )

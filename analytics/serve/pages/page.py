@@ -18,6 +18,7 @@ from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.render import page
 from analytics.serve.pages.waiting import Waiting
+from analytics.serve.pages.zones import common_zone
 from analytics.serve.service import Service
 
 Asked = TypeVar("Asked", bound=msgspec.Struct)
@@ -63,7 +64,10 @@ async def _respond(request: Request, *, shown: Page[Any], service: Service, wait
 
     def made() -> Response:
         with Call(service, person, service.lake.state(), dict(request.path_params), url_of(request)) as call:
-            return page(request, shown.template, {"asked": asked, **shown.handler(call, asked)})
+            found = {"asked": asked, **shown.handler(call, asked)}
+            if found.get("zone") is None:
+                found["zone"] = common_zone(call)
+            return page(request, shown.template, found)
 
     limiter = service.slow if shown.is_slow else service.fast
     make = functools.partial(anyio.to_thread.run_sync, made, limiter=limiter, abandon_on_cancel=True)

@@ -15,6 +15,7 @@ from analytics.serve.api.rows import iso
 from analytics.serve.doors.gate import PERSON
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.language import COOKIE, LANGUAGES, Texts, language_of
+from analytics.serve.pages.zones import DEFAULT, local
 from stream.events import Verdict
 
 _YEAR_S = 365 * 86_400
@@ -41,6 +42,7 @@ def page(request: Request, template: str, context: dict[str, Any], status: int =
         "other_url": str(request.url.include_query_params(lang="zh" if texts.language == "en" else "en").query),
         "path": request.url.path,
         "person": request.scope.get(PERSON),
+        "zone": DEFAULT,
     }
     answer = HTMLResponse(_environment().get_template(template).render(common | context), status)
     answer.headers["Content-Language"] = texts.language
@@ -71,13 +73,13 @@ def number(value: object, uncertainty: float | None = None) -> str:
     return f"{value:.6g}"
 
 
-def moment(t_ns: int | None) -> Markup:
-    """A moment as an element that programs can read; UTC, to the second."""
-    text = iso(t_ns)
-    if text is None:
+@jinja2.pass_context
+def moment(context: jinja2.runtime.Context, t_ns: int | None, zone: str | None = None) -> Markup:
+    """A moment in a time zone, by default that of the page, as an element that has it in UTC for programs."""
+    if t_ns is None:
         return Markup("")
-    shown = text[:19].replace("T", " ")
-    return Markup('<time datetime="{}">{}</time>').format(text, shown)
+    text, named = local(t_ns, zone or str(context["zone"]))
+    return Markup('<time datetime="{}">{} <span class="zone">{}</span></time>').format(iso(t_ns), text, named)
 
 
 def duration(seconds: float | None) -> str:

@@ -3,13 +3,11 @@
 from typing import Any
 
 from analytics.serve.api import runs as api
-from analytics.serve.api.fresh_run import fresh_run
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.api.run_allan import MOST_UNITS, RunAllan, RunAllanAsked, run_allan
 from analytics.serve.api.run_course import RunCourse, run_course
 from analytics.serve.pages.page import shown
-from stream.errors import NotFound
 
 _CHOICES = 200
 
@@ -33,13 +31,7 @@ def list_runs(call: Call, asked: api.RunsAsked) -> dict[str, Any]:
 def run(call: Call, asked: RunPageAsked) -> dict[str, Any]:
     """One run."""
     page = {name: getattr(asked, name) for name in ("unit", "limit", "after")}
-    try:
-        found = api.run(call, api.RunAsked(**page))
-    except NotFound as missing:
-        try:
-            found = fresh_run(call, call.path["run"])  # as long as only the log has it
-        except NotFound:
-            raise missing from None
+    found = api.run(call, api.RunAsked(**page))
     course = run_course(call, Nothing())
     show = asked.show[:MOST_UNITS]
     curves = run_allan(call, RunAllanAsked(unit=show, signal=asked.signal))
@@ -50,7 +42,7 @@ def run(call: Call, asked: RunPageAsked) -> dict[str, Any]:
         "choices": _choices(course, curves), "course_data": link("api", "runs", course.run, "course"),
         "allan_data": link("api", "runs", course.run, "allan", unit=[each.unit for each in curves.units],
                            signal=curves.signal),
-        "commands_data": link("api", "runs", course.run, "commands"),
+        "commands_data": link("api", "runs", course.run, "commands"), "zone": found.run.time_zone,
     }  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from analytics.serve.api import allan as allan_api
 from analytics.serve.api import signals as api
 from analytics.serve.api.operation import Call, link
 from analytics.serve.pages.page import shown
+from analytics.serve.pages.zones import zone_of_run
 
 _TABLE_POINTS = 100
 
@@ -29,6 +30,7 @@ def signal(call: Call, asked: api.SignalAsked) -> dict[str, Any]:
         "sql": _statement(found),
         "data": link("api", "signals", *of, points=1000, **{"from": asked.from_, "to": asked.to}),
         "allan_data": link("api", "allan", *of),
+        "zone": zone_of_run(call, found.run),
     }
 
 

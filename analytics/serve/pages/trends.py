@@ -8,6 +8,7 @@ from analytics.serve.api import trends as api
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.pages.page import shown
+from analytics.serve.pages.zones import DEFAULT
 
 
 class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -41,4 +42,5 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
         "shares": api.list_yield(call, api.YieldAsked(by=asked.yield_by)),
         "data": link("api", "trends", **fields) if asked.metric else "/api/metrics",
         "has_table": not asked.metric,
+        "zone": DEFAULT,  # the trend itself gives its times in UTC
     }

@@ -1,6 +1,6 @@
 // The floor: every unit as a cell, coloured by its verdict so far, kept up to date by server-sent events.
 import {colour, faint, onTheme} from "./colours.js";
-import {duration, element, figure, moment, say} from "./texts.js";
+import {ZONE, duration, element, figure, moment, say} from "./texts.js";
 
 const LEAST = 6, MOST = 26, TOLD_MS = 10_000, TABLE_MS = 1000;
 const COLOURS = {"": "--no-data", PASS: "--pass", FAIL: "--fail", MARGINAL: "--marginal", NO_DATA: "--no-data", ABORTED: "--fail"};
@@ -102,13 +102,19 @@ class Floor {
     this.at = at;
     if (this.units[before]) this.#cell(before);
     this.#cell(at);
-    const [, verdict, , silent, step, left, nearest, last] = unit.state ?? [];
+    const [, verdict, , silent, step, left, nearest, last, released] = unit.state ?? [];
     const parts = [unit.unit, this.verdicts[verdict] || say("open"), unit.slot, unit.run, this.steps[step]];
+    if (released) parts.push(say("released"));
     if (silent) parts.push(say("silent"));
     if (nearest !== null && nearest !== undefined) parts.push(say("nearest", {ratio: figure(nearest)}));
     if (left !== null && left !== undefined) parts.push(say("left", {time: duration(left)}));
-    if (last) parts.push(moment(last));
+    if (last) parts.push(this.#moment(last, unit));
     this.reading.textContent = parts.filter(Boolean).join(" · ");
+  }
+
+  /** A moment in the time zone of the unit's station. */
+  #moment(seconds, unit) {
+    return moment(seconds, 0, this.runs.get(unit?.run)?.time_zone ?? ZONE);
   }
 
   #place() {
@@ -131,6 +137,14 @@ class Floor {
     const isOpen = !state?.[1];
     pen.fillStyle = isOpen ? faint(ink, 0.35) : ink;
     pen.fillRect(x + 1, y + 1, size - 2, size - 2);
+    if (state?.[8]) { // released: its slot is free, half of the cell
+      pen.fillStyle = this.inks.ground;
+      pen.beginPath();
+      pen.moveTo(x + size, y);
+      pen.lineTo(x + size, y + size);
+      pen.lineTo(x, y + size);
+      pen.fill();
+    }
     if (state?.[3]) { // silent: hollow, so that it is seen without colours
       pen.fillStyle = this.inks.ground;
       pen.fillRect(x + 3, y + 3, size - 6, size - 6);
@@ -169,11 +183,11 @@ class Floor {
       const [verdict, silent, , , , step, ratio, left, last] = row.querySelectorAll("td");
       const word = this.verdicts[state[1]];
       verdict.replaceChildren(element("span", {className: `verdict ${word.toLowerCase()}`, textContent: word || say("open")}));
-      silent.textContent = state[3] ? say("silent") : "";
+      silent.textContent = state[8] ? say("released") : state[3] ? say("silent") : "";
       step.textContent = this.steps[state[4]] ?? "";
       ratio.textContent = state[6] === null ? "" : figure(state[6]);
       left.textContent = state[5] === null ? "" : duration(state[5]);
-      last.textContent = state[7] ? moment(state[7]) : "";
+      last.textContent = state[7] ? this.#moment(state[7], this.units[this.places.get(number)]) : "";
     }
     this.waiting.clear();
   }

@@ -1,16 +1,16 @@
 // A plot by uPlot that can be used by keyboard and read aloud; its values are in a table beside it.
 import uPlot from "./uplot/uPlot.esm.js";
 import {colour, onTheme} from "./colours.js";
-import {element} from "./texts.js";
+import {ZONE, element, local} from "./texts.js";
 
 const HEIGHT = 340, DAY = 86_400;
 
-/** Times of an axis in UTC on 24 hours, as fine as their distance needs; the date where it changes. */
+/** Times of an axis in the zone of the page on 24 hours, as fine as their distance needs; the date where it changes. */
 function clock(_plot, splits, _axis, _space, step) {
   let day = "";
   return splits.map(seconds => {
-    const text = new Date(Math.round(seconds * 1e3)).toISOString(), date = text.slice(0, 10);
-    const time = step >= DAY ? "" : text.slice(11, step >= 60 ? 16 : step >= 1 ? 19 : 23);
+    const {date, time: fine} = local(seconds);
+    const time = step >= DAY ? "" : fine.slice(0, step >= 60 ? 5 : step >= 1 ? 8 : 12);
     const shown = date === day ? time : [time, date].filter(Boolean).join("\n");
     day = date;
     return shown;
@@ -49,7 +49,7 @@ export class Plot {
     const axes = (given.axes ?? [{}, {}]).map(each => ({...axis, ...each}));
     if (given.scales?.x?.time !== false) axes[0].values = clock;
     this.uplot?.destroy();
-    const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), "Etc/UTC");
+    const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), ZONE);
     this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: HEIGHT, tzDate, ...given, axes}, this.data, this.frame);
     this.frame.setAttribute("aria-label", this.parts.label());
     this.uplot.over.addEventListener("mousemove", () => this.#read(this.uplot.cursor.idx));

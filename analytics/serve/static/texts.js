@@ -2,7 +2,7 @@
 const TEXTS = {
   en: {
     floor: "{n} units by verdict so far; arrow keys move, Enter opens the unit",
-    open: "undecided", silent: "silent", left: "{time} left", nearest: "at {ratio} of its limit",
+    open: "undecided", silent: "silent", released: "released", left: "{time} left", nearest: "at {ratio} of its limit",
     live: "live, {time}", away: "the connection is lost; trying again", count: "{n} {word}",
     signal: "{signal} in {unit}, least and greatest value of each of {n} stretches; arrow keys read values, plus and minus zoom, 0 shows all",
     bucket: "{time}: {lo} to {hi}, mean {mean} {unit}", sample: "{time}: {value} {unit}", none: "no samples in this stretch",
@@ -20,7 +20,7 @@ const TEXTS = {
   },
   zh: {
     floor: "{n}个产品按当前判定着色；方向键移动，回车打开产品",
-    open: "未判定", silent: "无数据", left: "剩余{time}", nearest: "达到限值的{ratio}倍",
+    open: "未判定", silent: "无数据", released: "已释放", left: "剩余{time}", nearest: "达到限值的{ratio}倍",
     live: "实时，{time}", away: "连接中断，正在重试", count: "{word} {n}",
     signal: "{signal}（{unit}），{n}个区间的最小值与最大值；方向键读数，加减号缩放，0显示全部",
     bucket: "{time}：{lo}至{hi}，均值{mean} {unit}", sample: "{time}：{value} {unit}", none: "该区间无采样",
@@ -50,10 +50,35 @@ export function figure(value) {
   return value === null || value === undefined || Number.isNaN(value) ? "–" : String(Number(value.toPrecision(4)));
 }
 
-/** A moment in UTC, as fine as `span` seconds need. */
-export function moment(seconds, span = 0) {
-  const text = new Date(seconds * 1000).toISOString();
-  return text.slice(0, 10) + " " + text.slice(11, span && span < 10 ? 23 : 19);
+const CLOCKS = new Map();
+
+function clockOf(zone) {
+  if (!CLOCKS.has(zone)) {
+    const two = "2-digit", options = {year: "numeric", month: two, day: two, hour: two, minute: two, second: two, fractionalSecondDigits: 3, hourCycle: "h23"};
+    let found;
+    try {
+      found = {zone, format: new Intl.DateTimeFormat("en-GB", {...options, timeZone: zone})};
+    } catch { // a zone that this browser does not know
+      found = {zone: "UTC", format: new Intl.DateTimeFormat("en-GB", {...options, timeZone: "UTC"})};
+    }
+    CLOCKS.set(zone, found);
+  }
+  return CLOCKS.get(zone);
+}
+
+/** The time zone of the page. */
+export const ZONE = clockOf(document.body.dataset.zone || "UTC").zone;
+
+/** What clock and calendar of a time zone show: date, and time to the millisecond. */
+export function local(seconds, zone = ZONE) {
+  const parts = Object.fromEntries(clockOf(zone).format.formatToParts(new Date(Math.round(seconds * 1e3))).map(each => [each.type, each.value]));
+  return {date: `${parts.year}-${parts.month}-${parts.day}`, time: `${parts.hour}:${parts.minute}:${parts.second}.${parts.fractionalSecond}`};
+}
+
+/** A moment in a time zone, which is named, as fine as `span` seconds need. */
+export function moment(seconds, span = 0, zone = ZONE) {
+  const {date, time} = local(seconds, zone);
+  return `${date} ${time.slice(0, span && span < 10 ? 12 : 8)} ${clockOf(zone).zone}`;
 }
 
 /** A duration. */

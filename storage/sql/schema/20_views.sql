@@ -36,12 +36,21 @@ from internal.lake_samples s join internal.lake_channels c using (channel);
 
 create view runs as
 with started as (
-  select run, t_ns, site, station, document
+  select run, t_ns, arrival_ns, site, station, document
   from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
 ), ended as (
   select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
   from internal.lake_documents where kind = 'RunEnded' group by run
+), stated as (
+  select run, arg_max(document->>'$.details.time_zone', arrival_ns) as time_zone
+  from internal.lake_documents
+  where kind in ('RunStarted', 'StationStated') and document->>'$.details.time_zone' is not null
+  group by run
+), released as (
+  select run, count(distinct unit) as units,
+    sum((document->>'$.planned_s')::double - (document->>'$.recorded_s')::double) as saved_s
+  from internal.lake_documents where kind = 'UnitReleased' group by run
 ), resumed as (
   select run, count(*) as resumptions, sum(try_cast(document->>'$.gap_ns' as bigint)) / 1e9 as gap_s
   from internal.lake_documents where kind = 'RunResumed' group by run
@@ -70,16 +79,21 @@ select
   r.signals,
   coalesce(r.samples, 0) as samples,
   coalesce(r.live, 0) as live,
+  coalesce(u.units, 0) as released,
+  u.saved_s,
   s.document->>'$.procedure' as "procedure",
   s.document->>'$.operator' as operator,
   s.document->>'$.lot' as lot,
   coalesce((s.document->>'$.simulated')::boolean, false) as simulated,
   s.document->>'$.source' as source,
-  make_timestamp_ns(r.arrival_first_ns) as recorded
+  z.time_zone,
+  make_timestamp_ns(coalesce(r.arrival_first_ns, s.arrival_ns)) as recorded
 from recorded r
 full join started s using (run)
 left join ended e using (run)
-left join resumed g using (run);
+left join resumed g using (run)
+left join released u using (run)
+left join stated z using (run);
 
 create view steps as
 select

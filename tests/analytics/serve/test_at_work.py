@@ -50,3 +50,15 @@ def test_the_page_shows_alerts_in_both_languages(served: Served) -> None:
     assert "unit FOG-0001 has FAIL" in english
     assert "产品FOG-0001判定为FAIL" in chinese
     assert "/act/acknowledge_alert" not in english  # a viewer may not
+
+
+def test_the_floor_links_to_the_open_alerts_of_a_severity(served: Served, api: httpx.Client) -> None:
+    raised(served, "of the floor")
+    warnings = api.get("/api/alerts", params={"severity": "warning"}).json()["alerts"]
+    assert warnings
+    assert api.get("/api/alerts", params={"severity": "alarm"}).json()["alerts"] == []
+    with served.browser("vera") as viewer:
+        assert f'<a href="/work?severity=warning">warning {len(warnings)}</a>' in viewer.get("/?lang=en").text
+        assert f'<a href="/work?severity=warning">警告 {len(warnings)}</a>' in viewer.get("/?lang=zh").text
+        assert "unit FOG-0001 has FAIL" in viewer.get("/work?severity=warning&lang=en").text
+        assert "unit FOG-0001 has FAIL" not in viewer.get("/work?severity=alarm&lang=en").text

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from analytics.serve.live.floor import SILENT_AFTER_NS, Floor
+from analytics.floor import SILENT_AFTER_NS, Floor
 from analytics.serve.live.floor_rows import STATE_COLUMNS, VERDICTS, FloorRows
 from stream.events import (
     Check,
@@ -13,12 +13,14 @@ from stream.events import (
     EstimatePublished,
     Limit,
     LimitsApplied,
+    PowerOn,
     RunEnded,
     RunStarted,
     StepEnded,
     StepStarted,
     StepWords,
     UnitMounted,
+    UnitReleased,
     Verdict,
     VerdictGiven,
 )
@@ -206,3 +208,23 @@ def test_a_thousand_changes_a_second_among_ten_thousand_units_are_cheap() -> Non
 def test_every_verdict_has_a_code(verdict: Verdict) -> None:
     floor = floor_of(started(), VerdictGiven(run="r1", t_ns=S, unit="U1", verdict=verdict))
     assert VERDICTS[state(FloorRows(), floor, "U1")["verdict"]] == verdict
+
+
+def test_a_released_unit_has_its_decision_and_is_not_silent() -> None:
+    released = UnitReleased(run="r1", t_ns=9 * S, unit="U1", verdict=Verdict.FAIL, planned_s=3600.0, recorded_s=900.0)
+    floor = floor_of(started(), LIMITED)
+    for unit in ("U1", "U2"):
+        floor.sampled(PLACE, unit, "r1", S, S)
+    floor.take(PLACE, released, 9 * S)
+    floor.take(PLACE, PowerOn(run="r1", t_ns=10 * S, unit="U1", epoch="e"), 10 * S)  # the run was resumed
+    floor.listen(60 * S + SILENT_AFTER_NS)
+    rows = {row["number"]: row for row in rows_of(floor)}
+    one, two = (rows[floor.units[name].number] for name in ("U1", "U2"))
+    assert (VERDICTS[one["verdict"]], one["released"], one["silent"], one["left_s"]) == ("FAIL", 1, 0, 0)
+    assert (VERDICTS[two["verdict"]], two["released"], two["silent"]) == ("", 0, 1)
+    (run,) = FloorRows().document(floor)["runs"]
+    assert (run["released"], run["saved_s"], run["verdicts"]) == (1, 2700, {"": 1, "FAIL": 1})
+
+
+def rows_of(floor: Floor) -> list[dict[str, Any]]:
+    return [dict(zip(STATE_COLUMNS, state, strict=True)) for state in FloorRows().document(floor)["states"]]

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 from storage.log.follower import LogFollower
 from storage.log.tail import documents_beyond
 from storage.store import Store
-from stream.events import RunStarted
+from stream.events import Document, EstimatePublished, RunStarted
 from stream.wire.batches import RawBatch
 from tests.analytics.serve.conftest import TOKEN, Served, start
 from tests.forked_commands import CommandServer
@@ -115,3 +116,63 @@ def test_a_sample_is_seen_once_and_soon_after_its_acknowledgement(
         whole = client.get("/api/signals/SIM-0001/now/rate", params={"points": 10_000}).json()
         assert sum(whole["n"]) == 7200  # each once
         assert client.get("/api/allan/SIM-0001/now/rate").json()["tau_s"]
+
+
+def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server: CommandServer) -> None:
+    """Documents, units and counts of samples are there soon and once, also while segments come to the lake."""
+    words = ["run-simulated", "--run", "now", "--simulate", "2", "--hours", "0.02", "--speed", "6", "--rate-hz", "100"]
+    process = command_server.start(
+        [*words, "--store", "S"], cwd=beside.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    store = Store.open(beside.folder / "S")
+    counted: list[int] = []
+    with beside.program() as client, LogFollower(store) as log:
+        due: deque[tuple[float, set[str], int]] = deque()  # what is to be seen, and from when on
+        uids, samples, was_open = set[str](), 0, False
+        while process.poll() is None:
+            for message in log.poll():
+                if isinstance(message.content, RawBatch):
+                    samples += message.content.message.samples if message.content.message.run == "now" else 0
+                elif isinstance(message.content, Document) and not isinstance(message.content, EstimatePublished):
+                    uids |= {message.content.uid} if message.content.run == "now" else set()
+            due.append((time.monotonic() + 2.0, set(uids), samples))
+            asked_s = time.monotonic()
+            answer = client.get("/api/runs/now")
+            events = client.get("/api/events", params={"run": "now", "limit": 10_000}).json()["events"]
+            while due and due[0][0] <= asked_s:
+                _, known, least = due.popleft()
+                seen = [each["uid"] for each in events]
+                assert len(seen) == len(set(seen))
+                assert known <= set(seen)
+                if known:
+                    assert answer.status_code == 200, answer.text
+                    assert answer.json()["run"]["samples"] >= least
+            if answer.status_code == 200:
+                was_open |= answer.json()["run"]["outcome"] == "open"
+                counted.append(answer.json()["run"]["samples"])
+                assert sum(each["kind"] == "RunStarted" for each in answer.json()["documents"]) == 1
+                assert [run["run"] for run in client.get("/api/runs").json()["runs"]] == ["now", "before"]
+                (of_unit,) = (run for run in client.get("/api/units/SIM-0002").json()["runs"] if run["run"] == "now")
+                assert of_unit["outcome"] in ("open", "completed")
+                (row,) = client.get("/api/units", params={"search": "SIM-0002"}).json()["units"]
+                assert row["last_run"] == "now"
+        _, err = process.communicate()
+        assert process.returncode == 0, err
+        assert was_open
+        assert sorted(counted) == counted
+        assert len(set(counted)) >= 4
+        deadline_s = time.monotonic() + 5.0  # two seconds, and the lake's version
+        while (found := client.get("/api/runs/now").json())["run"]["outcome"] != "completed":
+            assert time.monotonic() < deadline_s
+        assert (
+            found["run"]["samples"]
+            == sum(unit["samples"] for unit in found["units"])
+            == client.post("/api/sql", json={"sql": "select sum(samples) as n from signals where run = 'now'"}).json()[
+                "rows"
+            ][0]["n"]
+        )
+        assert counted[-1] <= found["run"]["samples"]
+        assert client.get("/api/runs/nowhere").status_code == 404
+    with beside.browser() as browser:
+        for page in ("/runs/now", "/units/SIM-0002", "/runs", "/units"):
+            assert "now" in browser.get(page).text

@@ -99,6 +99,18 @@ def test_all_are_decided_and_the_run_ends_early(gyrofleet: Gyrofleet, kept: Kept
     for unit, row in verdicts(gyrofleet).items():
         assert row["verdict"] == last["verdicts"][unit]
         assert row["reason"].startswith("decided early, after 0."), row["reason"]
+    saved_s = sum(each["saved_s"] for each in last["released"].values())
+    (ended,) = (json.loads(row["document"]) for row in kept.rows("select document from events where kind = 'RunEnded'"))
+    assert (ended["released"], ended["saved_s"]) == (4, pytest.approx(saved_s))
+    (run,) = kept.rows("select released, saved_s, time_zone from runs")
+    assert (run["released"], run["saved_s"]) == (4, pytest.approx(saved_s))
+    roles = [each["status"] for each in gyrofleet("status", "--store", "S", "--json").json["roles"]]
+    (role,) = (each for each in roles if each["run"] is not None)
+    assert role["run"]["released"] == last["verdicts"]
+    assert role["run"]["saved_s"] == pytest.approx(saved_s)
+    shown = gyrofleet("status", "--store", "S").out
+    assert "SIM-0001 PASS 合格, SIM-0002 FAIL 不合格" in shown
+    assert f"{saved_s / 3600:,.1f} unit hours saved" in shown
 
 
 def test_a_unit_with_limits_after_the_run_is_released_only_as_a_failure(

@@ -1,9 +1,12 @@
-"""The floor: each unit's run, step, last sample, estimates, decisions and verdict, from the messages of the log."""
+"""The floor: runs at work, and each unit's step, last sample, estimates, decisions and verdict, from the log."""
 
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import lru_cache
 
+from storage.log.follower import FollowedMessage
+from stream.errors import GyrofleetError
 from stream.events import (
     AnyDocument,
     Check,
@@ -16,6 +19,7 @@ from stream.events import (
     RunEnded,
     RunResumed,
     RunStarted,
+    StationStated,
     StepEnded,
     StepStarted,
     StepWords,
@@ -24,7 +28,8 @@ from stream.events import (
     Verdict,
     VerdictGiven,
 )
-from stream.identity import Place
+from stream.identity import Place, SampleKey, parse_key
+from stream.wire.batches import RawBatch
 from stream.worker.limit_checks import estimator_key, judge
 
 SILENT_AFTER_NS = 10 * 10**9
@@ -33,6 +38,7 @@ OfUnit = (
     | VerdictGiven
 )  # fmt: skip
 _DECIDED = (Verdict.PASS, Verdict.FAIL)
+parsed_key = lru_cache(100_000)(parse_key)
 
 
 @dataclass(slots=True)
@@ -51,6 +57,8 @@ class RunNow:
     resumptions: int = 0
     planned_s: float | None = None
     since_ns: int | None = None
+    time_zone: str | None = None  # IANA name
+    temperature_command_deg_c: float | None = None  # of the step at work
     limits: dict[str | None, tuple[Limit, ...]] = field(default_factory=dict)
 
 
@@ -68,10 +76,12 @@ class UnitNow:
     t_ns: int | None = None
     is_silent: bool = False
     is_off: bool = False
+    released: UnitReleased | None = None
     verdict: str = ""
     checks: dict[Limit, Check] = field(default_factory=dict)
     decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
     estimates: dict[tuple[str, str], EstimatePublished] = field(default_factory=dict)
+    temperatures: dict[str, RawBatch] = field(default_factory=dict)  # the newest message by signal
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -92,8 +102,23 @@ class UnitNow:
 
     @property
     def so_far(self) -> str:
-        """Its verdict, else that of the early decisions."""
-        return self.verdict or self.early
+        """Its verdict, else that of its release or of the early decisions."""
+        return self.verdict or self.decided_early
+
+    @property
+    def decided_early(self) -> str:
+        """Verdict of its release, else of the early decisions."""
+        return self.early if self.released is None else self.released.verdict.value
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether it delivers samples: its run goes on, and it has power and is not released."""
+        return self.run.outcome == "open" and not self.is_off and self.arrival_ns > 0
+
+    def temperature(self, signal: str) -> tuple[float, str] | None:
+        """The newest value of a temperature signal and its unit of measure."""
+        raw = self.temperatures.get(signal)
+        return None if raw is None else (float(raw.decoded().value_array[-1]), raw.message.unit_of_measure)
 
     @property
     def worst(self) -> Check | None:
@@ -109,7 +134,7 @@ class UnitNow:
         if run.outcome != "open" or since_ns is None or self.t_ns is None:
             return None
         elapsed_s = (self.t_ns - since_ns) / 1e9
-        if self.early:
+        if self.decided_early:
             return 0.0
         forecasts = [each.forecast_s for each in self.decisions.values() if each.outcome not in _DECIDED]
         ends = [each for each in (*forecasts, run.planned_s) if each is not None]
@@ -133,6 +158,21 @@ class Floor:
         self.entered: Counter[str] = Counter()
         self._numbered = 0
 
+    def take_message(self, message: FollowedMessage) -> AnyDocument | None:
+        """Apply a message of the log; its document, if it is one. What cannot be read is left to `gyrofleet verify`."""
+        place, content, arrival_ns = message.place, message.content, message.record.arrival_ns
+        if place is None or isinstance(content, GyrofleetError):
+            return None
+        key = parsed_key(place.stream.key)
+        if isinstance(content, RawBatch):
+            assert isinstance(key, SampleKey)
+            self.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
+            if key.signal.endswith("temperature"):
+                self.units[key.unit].temperatures[key.signal] = content
+            return None
+        self.take(key.place, content, arrival_ns)
+        return content
+
     def take(self, place: Place, document: AnyDocument, arrival_ns: int) -> None:
         """Apply a document."""
         match document:
@@ -146,6 +186,9 @@ class Floor:
                 for unit in self._of_run(document.run):
                     unit.is_silent = False
                     self.changed.add(unit.unit)
+            case StationStated():
+                run = self._run(document.run, place, arrival_ns)
+                run.time_zone = document.details.get("time_zone", run.time_zone)
             case LimitsApplied():
                 run = self._run(document.run, place, arrival_ns)
                 run.limits[document.unit] = document.limits
@@ -162,12 +205,15 @@ class Floor:
                 self.fresh.add(unit.unit)
             case StepStarted():
                 unit.step = step_text(document.words)
+                unit.run.temperature_command_deg_c = document.words.temperature_command_deg_c
             case StepEnded():
                 unit.step = ""
             case PowerOn():
-                unit.is_off = False
-            case PowerOff() | UnitReleased():
-                unit.is_off = True  # what has no power, or is done, delivers nothing
+                unit.is_off = unit.released is not None
+            case PowerOff():
+                unit.is_off = True
+            case UnitReleased():
+                unit.is_off, unit.released = True, document  # what is done delivers nothing, with power or without
             case EstimatePublished():
                 self._estimate(unit, document)
             case EarlyDecision():
@@ -190,9 +236,7 @@ class Floor:
     def listen(self, now_ns: int) -> None:
         """Find the units that have fallen silent."""
         for unit in self.units.values():
-            is_silent = (
-                unit.run.outcome == "open" and not unit.is_off and 0 < unit.arrival_ns < now_ns - SILENT_AFTER_NS
-            )
+            is_silent = unit.is_at_work and unit.arrival_ns < now_ns - SILENT_AFTER_NS
             if is_silent and not unit.is_silent:
                 unit.is_silent = True
                 self.changed.add(unit.unit)
@@ -208,6 +252,7 @@ class Floor:
         run = self._run(document.run, place, arrival_ns)
         run.procedure, run.operator, run.lot = document.procedure, document.operator, document.lot
         run.started_ns, run.date_known, run.outcome = document.t_ns, document.date_known, "open"
+        run.time_zone = document.details.get("time_zone")
         for unit in document.units:
             self._unit(place, unit, document.run, arrival_ns)
 

@@ -1,0 +1,42 @@
+"""The views of the lake with the rows that only the log has so far, shared by requests."""
+
+import itertools
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+
+import pyarrow as pa
+
+from analytics.serve.live.follower import FloorFollower
+from analytics.serve.shared_lake import SERVED, SERVED_KINDS, LakeState, SharedLake
+from stream.closing import Closing
+
+_numbers = itertools.count()
+
+
+class FreshViews(Closing):
+    """A version of the lake, which stays open meanwhile, with the rows of the log as they are now.
+
+    A segment is in the lake or in these rows: none of its messages is missing or there twice.
+    """
+
+    def __init__(self, lake: SharedLake, live: FloorFollower, state: LakeState) -> None:
+        channels, events = live.beyond(state.segments)
+        with ExitStack() as stack:
+            catalog = stack.enter_context(lake.views.lease(replace(state, log_version=0)))
+            name = f"log_{next(_numbers)}"
+            self._overlay = stack.enter_context(catalog.overlay(name, channels, events, SERVED, SERVED_KINDS))
+            self._leases = stack.pop_all()
+
+    def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:
+        """The batches of a result of one of the project's own reading statements."""
+        return self._overlay.batches(sql, parameters)
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
+        """All rows of a statement's result."""
+        return self._overlay.rows(sql, parameters)
+
+    def close(self) -> None:
+        """Leave the lake."""
+        self._leases.close()

@@ -1,0 +1,97 @@
+"""Channels and documents that only the log has so far, as rows of the lake's tables."""
+
+import time
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+
+from storage.lake.channel_row import ChannelRow
+from storage.lake.quarantine import event_row
+from storage.lake.segment_content import channel_id
+from storage.lake.tables import TABLES
+from storage.log.follower import FollowedMessage
+from stream.bounds import beyond_bounds
+from stream.errors import GyrofleetError
+from stream.events import EstimatePublished
+from stream.identity import parse_key
+from stream.wire.batches import RawBatch
+
+# a request may still look at the version of the lake before
+_KEPT_S = 15.0
+
+
+class RowTables(NamedTuple):
+    """Rows of channels and of documents."""
+
+    channels: pa.Table
+    events: pa.Table
+
+
+class LiveRows:
+    """Keeps the rows of segments until the lake has them, by the rules by which the lake is built.
+
+    `version` grows when there are new ones, as often as `publish` is called. For one thread at a time.
+    """
+
+    def __init__(self, version: int = 0) -> None:
+        self.version = version
+        self._channels: dict[str, dict[tuple[object, ...], ChannelRow]] = {}  # by segment
+        self._events: dict[str, list[pa.Table]] = {}
+        self._new_events: dict[str, list[dict[str, Any]]] = {}  # not columns yet
+        self._in_lake: dict[str, float] = {}  # segments, and since when
+        self._has_news = False
+
+    def take(self, message: FollowedMessage) -> None:
+        """Keep what a message adds; estimates are left out, and what the lake would not take."""
+        segment, record, place, content = message
+        if place is None or isinstance(content, GyrofleetError | EstimatePublished):
+            return
+        if not isinstance(content, RawBatch):
+            if beyond_bounds(content) is None:
+                row = event_row(parse_key(record.topic).place, content, record.arrival_ns)
+                self._new_events.setdefault(segment, []).append(row)
+                self._has_news = True
+            return
+        head = content.message
+        name = (record.topic, head.run, head.epoch, not head.values, head.unit_of_measure, head.scale, head.offset)
+        try:
+            content.check_bounds()
+            channels = self._channels.setdefault(segment, {})
+            channel = channels.get(name)
+            if channel is None:
+                first = content.decoded()
+                key = parse_key(record.topic)
+                channel = channels[name] = ChannelRow(channel_id(record.topic, first), key.place, first)
+        except GyrofleetError:
+            return  # quarantined when the lake is built
+        channel.add(content, record.arrival_ns)
+        self._has_news = True
+
+    def publish(self) -> None:
+        """Let requests see what has come since."""
+        self.version += self._has_news
+        self._has_news = False
+        for segment, rows in self._new_events.items():
+            self._events.setdefault(segment, []).append(pa.Table.from_pylist(rows, schema=TABLES["events"]))
+        self._new_events.clear()
+
+    def forget(self, in_lake: Collection[str]) -> None:
+        """Leave out what has been in the lake for some seconds."""
+        now_s = time.monotonic()
+        known = self._channels.keys() | self._events.keys()
+        self._in_lake = {each: self._in_lake.get(each, now_s) for each in known if each in in_lake}
+        for segment in [each for each, since_s in self._in_lake.items() if now_s - since_s > _KEPT_S]:
+            self._channels.pop(segment, None)
+            self._events.pop(segment, None)
+
+    def beyond(self, in_lake: Collection[str]) -> RowTables:
+        """Rows of the segments that are not in a version of the lake, as of the last `publish`."""
+        channels = [own for segment, own in self._channels.items() if segment not in in_lake]
+        rows = [channel.row() for own in channels for channel in own.values()]
+        schema = TABLES["channels"]
+        columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+        events = [table for segment, own in self._events.items() if segment not in in_lake for table in own]
+        return RowTables(
+            pa.Table.from_arrays(columns, schema=schema), pa.concat_tables([TABLES["events"].empty_table(), *events])
+        )

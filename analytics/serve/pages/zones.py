@@ -1,0 +1,49 @@
+"""Time zones: that of the station where a moment was, else the one of all stations."""
+
+from contextlib import suppress
+from datetime import UTC, datetime, tzinfo
+from functools import lru_cache
+from zoneinfo import ZoneInfo
+
+from analytics.serve.api.operation import Call
+from stream.errors import GyrofleetError
+
+DEFAULT = "UTC"
+_ZONES = "select distinct time_zone from internal.served_runs where time_zone is not null"
+_OF_RUN = "select time_zone, date_known from internal.served_runs where run = $run"
+
+
+def common_zone(call: Call) -> str:
+    """The zone of all stations of a store; UTC where there is none, or more than one."""
+    found: set[str] = set()
+    with suppress(GyrofleetError):  # a damaged lake is told by the page of the store, which needs a zone as well
+        key = ("time zones", call.state.tag)
+        found |= call.service.memo.result(key, lambda: frozenset(name for (name,) in call.views.rows(_ZONES)))
+    found |= {run.time_zone for run in list(call.service.live.floor.runs.values()) if run.time_zone is not None}
+    return found.pop() if len(found) == 1 else DEFAULT
+
+
+def zone_of_run(call: Call, run: str) -> str | None:
+    """The zone that a run states, if it states one; UTC where its date is unknown."""
+    for zone, is_date_known in call.fresh.rows(_OF_RUN, {"run": run}):
+        return None if zone is None and is_date_known else str(zone) if is_date_known else DEFAULT
+    return None
+
+
+def local(t_ns: int, name: str) -> tuple[str, str]:
+    """A moment at a place, to the second, and the zone that it is in: UTC if there is no such zone.
+
+    >>> local(1_795_255_200_000_000_000, "Asia/Shanghai"), local(1_795_255_200_000_000_000, "Mars/Base")
+    (('2026-11-21 18:00:00', 'Asia/Shanghai'), ('2026-11-21 10:00:00', 'UTC'))
+    """
+    zone = _zone(name)
+    text = datetime.fromtimestamp(t_ns // 10**9, zone).strftime("%Y-%m-%d %H:%M:%S")
+    return text, DEFAULT if zone is UTC else name
+
+
+@lru_cache
+def _zone(name: str) -> tzinfo:
+    try:
+        return UTC if name == DEFAULT else ZoneInfo(name)
+    except (ValueError, KeyError, OSError):
+        return UTC

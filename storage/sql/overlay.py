@@ -1,0 +1,103 @@
+"""The views of a catalogue with further rows of channels and documents, which only the log has so far.
+
+Unlike the live tables of users' statements nothing is read from the log here: who follows it gives the rows.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from storage.lake.tables import TABLES
+from storage.sql.guard import plain_message
+from storage.sql.views import define_views
+from stream.closing import Closing
+from stream.errors import QueryError
+
+# all views go by runs: those of other runs stay as the lake has them
+_OF_RUNS = """
+create schema internal;
+create table internal.live_channels as from live_channels_rows;
+create table internal.live_events as from live_events_rows;
+create table internal.live_runs as
+  select distinct run from (select run from internal.live_channels union all select run from internal.live_events);
+create view internal.lake_channels_kept as
+  from (from {lake}.lake_channels_kept where run in (from internal.live_runs))
+  union all by name from internal.live_channels;
+create view internal.lake_channels_dropped as
+  from {lake}.lake_channels_dropped where run in (from internal.live_runs);
+create view internal.lake_events as
+  from (from {lake}.lake_events where run in (from internal.live_runs) and kind in {kinds})
+  union all by name from internal.live_events where kind in {kinds};
+"""
+_WHOLE = """
+insert into internal.lake_channels
+  from {lake}.lake_channels where run not in (from internal.live_runs);
+create or replace view internal.lake_events as
+  from {lake}.lake_events union all by name from internal.live_events;
+"""
+_KEPT = """
+create table internal.{name} as {statement};
+insert into internal.{name} from {lake}.{name} where run not in (from internal.live_runs);
+"""
+
+
+class Overlay(Closing):
+    """The views of a catalogue's lake with more rows; read by any thread.
+
+    Parameters
+    ----------
+    connection: Of the catalogue, which stays open as long as this.
+    name: Of the database in which the views are; no other one of the catalogue has it.
+    channels: Rows of the table of channels.
+    events: Rows of the table of events.
+    kept: Tables of the schema `internal` of the catalogue, each made by a statement on the views, with a column `run`.
+    kinds: Of documents that those statements need: without the others they are made in a fraction of the time.
+    """
+
+    def __init__(
+        self, connection: duckdb.DuckDBPyConnection, name: str, channels: pa.Table, events: pa.Table,
+        kept: Mapping[str, str], kinds: Collection[str],
+    ) -> None:  # fmt: skip
+        self._connection, self._name = connection, name
+        ((database,),) = connection.execute("select current_database()").fetchall()
+        lake = f"{database}.internal"
+        with connection.cursor() as cursor:
+            cursor.execute(f"attach ':memory:' as {name}")
+        try:
+            with self._cursor() as cursor:
+                cursor.register("live_channels_rows", channels)
+                cursor.register("live_events_rows", events)
+                cursor.execute(_OF_RUNS.format(lake=lake, kinds="('" + "', '".join(kinds) + "')"))
+                for table in TABLES.keys() - {"channels", "events"}:
+                    cursor.execute(f"create view internal.lake_{table} as from {lake}.lake_{table}")
+                define_views(cursor)
+                for table, statement in kept.items():
+                    cursor.execute(_KEPT.format(name=table, statement=statement, lake=lake))
+                cursor.execute(_WHOLE.format(lake=lake))
+        except BaseException:
+            self.close()
+            raise
+
+    def _cursor(self) -> duckdb.DuckDBPyConnection:
+        cursor = self._connection.cursor()
+        cursor.execute(f"set search_path = '{self._name}.main'")
+        return cursor
+
+    def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:
+        """The batches of a result of one of the project's own reading statements."""
+        try:
+            with self._cursor() as cursor:
+                yield from cursor.sql(sql, params=parameters).to_arrow_reader(100_000)
+        except (duckdb.Error, pa.ArrowException, OSError) as error:
+            raise QueryError(plain_message(error)) from error
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
+        """All rows of a statement's result."""
+        return [tuple(row.values()) for batch in self.batches(sql, parameters) for row in batch.to_pylist()]
+
+    def close(self) -> None:
+        """Leave the catalogue as it was."""
+        with self._connection.cursor() as cursor:
+            cursor.execute(f"detach {self._name}")
