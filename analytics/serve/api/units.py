@@ -147,7 +147,7 @@ def unit(call: Call, asked: Nothing) -> UnitDocument:
         unit=name, about=about, verdict=judged.units[0] if judged else None,
         runs=[UnitRun(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"])) for row in runs],
         metrics=[_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
-        verdicts=judged.verdicts if judged else [], models=models_of(call.store, name),
+        verdicts=[_named(row) for row in judged.verdicts] if judged else [], models=models_of(call.store, name),
         warnings=judged.warnings if judged else [],
     )  # fmt: skip
 
@@ -169,8 +169,9 @@ def _named(row: dict[str, Any]) -> dict[str, Any]:
     """A characteristic with its names in both languages."""
     from analytics.metric_registry.registry import metrics
 
-    header = metrics()[row["metric"]].header
-    return row | {"en": header.en, "zh": header.zh}
+    known = metrics().get(row["metric"])  # checks entered by hand may be of others
+    names = {"en": row["metric"], "zh": row["metric"]} if known is None else {"en": known.header.en, "zh": known.header.zh}
+    return row | names
 
 
 def _is_judged(catalog: Catalog, name: str) -> bool:

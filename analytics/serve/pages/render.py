@@ -26,7 +26,7 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("analytics.serve.pages"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds}
+    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds, "namesakes": _namesakes}
     environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment}
     return environment
 
@@ -111,6 +111,11 @@ def _runs(runs: list[dict[str, Any]]) -> list[tuple[str, str]]:
 def _kinds(kinds: dict[str, int], texts: Texts) -> list[tuple[str, str]]:
     """Kinds of documents as options of a form."""
     return [(kind, f"{texts.word(kind, 'kind')} ({n:,})") for kind, n in kinds.items()]
+
+
+def _namesakes(names: list[str]) -> list[tuple[str, str]]:
+    """Names as options of a form."""
+    return [(name, name) for name in names]
 
 
 def _segment(text: str) -> str:
