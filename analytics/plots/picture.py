@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 import msgspec
 
-# `limit` of a specification, `control` limit or centre of a chart
-Style = Literal["line", "points", "both", "bars", "limit", "control"]
+# `alarm`: points that need somebody; `limit` of a specification, `control` limit and `centre` of a chart
+Style = Literal["line", "points", "both", "bars", "alarm", "limit", "control", "centre"]
 
 
 class Label(msgspec.Struct, frozen=True):
@@ -31,7 +31,7 @@ class Axis(msgspec.Struct, frozen=True, kw_only=True):
     label: Label
     unit: str = ""
     scale: Literal["linear", "log", "time", "names"] = "linear"
-    names: list[str] = []
+    names: list[Label] = []
 
 
 class Curve(msgspec.Struct, frozen=True, kw_only=True):
@@ -85,7 +85,7 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True):
         if self.x.scale == "time":
             return datetime.fromtimestamp(x, UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
         if self.x.scale == "names":
-            return self.x.names[round(x)]
+            return self.x.names[round(x)].en
         return x
 
 

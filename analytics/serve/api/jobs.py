@@ -4,10 +4,12 @@ from typing import Any
 
 import msgspec
 
+from analytics.plots.picture import Picture
 from analytics.serve.api.operation import Call, Nothing, get, post
-from analytics.serve.api.rows import iso
+from analytics.serve.api.rows import Name, iso
 from analytics.serve.doors.roles import Role
 from analytics.serve.jobs import Job
+from stream.errors import NotFound
 
 
 class JobRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,6 +25,13 @@ class JobRow(msgspec.Struct, frozen=True, kw_only=True):
     entered: str | None
     ended_ns: int | None
     ended: str | None
+
+
+class PictureAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which picture of a diagnosis; of which unit, by default of the job's own."""
+
+    name: Name
+    unit: Name = ""
 
 
 class JobList(msgspec.Struct, frozen=True, kw_only=True):
@@ -50,6 +59,17 @@ def job(call: Call, asked: Nothing) -> JobDocument:
     """One job, with its result once it is done."""
     del asked
     return document_of(call.service.jobs.job(call.path["job"]))
+
+
+@get("/api/jobs/{job}/picture", table="", is_kept=False)
+def job_picture(call: Call, asked: PictureAsked) -> Picture:
+    """A picture of a diagnosis, by unit and name: residual over its driver, error before and after."""
+    found = call.service.jobs.job(call.path["job"])
+    reports = found.result.get("reports") if isinstance(found.result, dict) else None
+    pictures = (reports or {}).get(asked.unit or found.subject, {}).get("pictures", {})
+    if asked.name not in pictures:
+        raise NotFound(f"job {found.id} has no picture {asked.name!r}; it has {', '.join(pictures) or 'none'}")
+    return msgspec.convert(pictures[asked.name], Picture)
 
 
 @post("/api/jobs/{job}/cancel", role=Role.ENGINEER)

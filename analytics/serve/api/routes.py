@@ -68,6 +68,7 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     diagnosis.roll_back_model,
     jobs.list_jobs,
     jobs.job,
+    jobs.job_picture,
     jobs.cancel_job,
     jobs.verify_store,
     notes.add_note,

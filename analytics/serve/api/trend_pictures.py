@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from analytics.plots.picture import Axis, Curve, Label, Mark, Picture
+from analytics.plots.picture import Axis, Curve, Label, Mark, Picture, Style
 from analytics.serve.api import trends
 from analytics.serve.api.operation import Call, get, link
 
@@ -84,15 +84,18 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
     curves = [Curve(name=title, x=x, y=values, style="both", texts=texts, links=links)]
     if any(each is not None for each in out):
         name = Label("found by the rules", "判异点")
-        curves.append(Curve(name=name, x=x, y=out, style="points", texts=texts, links=links))
+        curves.append(Curve(name=name, x=x, y=out, style="alarm", texts=texts, links=links))
     curves += _levels_between(chart, x)
-    for name, level in (
-        (Label("centre", "中心线"), limits.get("centre")),
-        (Label("lower control limit", "下控制限"), limits.get("lower")),
-        (Label("upper control limit", "上控制限"), limits.get("upper")),
-    ):
-        if level is not None:
-            curves.append(Curve(name=name, x=x, y=[level] * len(x), style="control"))
+    lines: tuple[tuple[str, Label, Style], ...] = (
+        ("centre", Label("centre", "中心线"), "centre"),
+        ("lower", Label("lower control limit", "下控制限"), "control"),
+        ("upper", Label("upper control limit", "上控制限"), "control"),
+    )
+    curves += [
+        Curve(name=name, x=x, y=[limits[key]] * len(x), style=style)
+        for key, name, style in lines
+        if limits.get(key) is not None
+    ]
     shown = Label(title.en if not chart["name"] else chart["name"], title.zh if not chart["name"] else chart["name"])
     return Picture(
         title=shown, x=axis, y=Axis(label=title, unit=found["unit_of_measure"]), curves=[*curves, *_specified(found, x)]
@@ -113,7 +116,7 @@ def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     none = Label("No unit was judged.", "没有已判定的产品。")
     return Picture(
         title=Label("Yield with its 95 % interval", "合格率及其 95 % 区间"),
-        x=Axis(label=_GROUPS[asked.by], scale="names", names=names), y=Axis(label=Label("yield", "合格率"), unit="%"),
+        x=Axis(label=_GROUPS[asked.by], scale="names", names=[Label.same(name) for name in names]), y=Axis(label=Label("yield", "合格率"), unit="%"),
         curves=[curve] if found else [], reason=None if found else none,
     )  # fmt: skip
 
@@ -135,7 +138,7 @@ def pareto_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     ]  # fmt: skip
     return Picture(
         title=Label("What units fail by", "不合格特性"),
-        x=Axis(label=Label("characteristic", "特性"), scale="names", names=[row["metric"] for row in rows]),
+        x=Axis(label=Label("characteristic", "特性"), scale="names", names=[Label(row["en"], row["zh"]) for row in rows]),
         y=Axis(label=failing, unit="%"), curves=curves if rows else [],
         reason=None if rows else Label("No unit fails.", "没有不合格产品。"),
     )  # fmt: skip

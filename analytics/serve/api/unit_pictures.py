@@ -104,19 +104,19 @@ def unit_history(call: Call, asked: HistoryAsked) -> Picture:
     rows = dictionaries(call.metrics, _VALUES, {"unit": unit, "metric": asked.metric, "signal": asked.signal})
     dated = bool(rows) and all(row["date_known"] and row["t_ns"] is not None for row in rows)
     title, measure = Label(header.en, header.zh), rows[0]["unit_of_measure"] if rows else header.unit
+    runs = list(dict.fromkeys(row["run"] or "" for row in rows))
     x = Axis(label=Label("time (UTC)", "时间（UTC）"), scale="time")
     if not dated:
-        runs = list(dict.fromkeys(row["run"] or "" for row in rows))
-        x = Axis(label=Label("run", "试验"), scale="names", names=runs)
+        x = Axis(label=Label("run", "试验"), scale="names", names=[Label.same(run) for run in runs])
     y = Axis(label=title, unit=measure)
     if not rows:
         why = Label("No completed step gives this characteristic a value.", "没有已完成的步骤给出该特性的数值。")
         return Picture(title=title, x=x, y=y, reason=why)
     by_kind: dict[str, list[tuple[float, dict[str, Any]]]] = defaultdict(list)
     for row in rows:
-        by_kind[_kind(row)].append((row["t_ns"] / 1e9 if dated else float(x.names.index(row["run"] or "")), row))
+        by_kind[_kind(row)].append((row["t_ns"] / 1e9 if dated else float(runs.index(row["run"] or "")), row))
     curves = [_values(kind, points) for kind, points in list(by_kind.items())[:_MOST_CURVES]]
-    return Picture(title=title, x=x, y=y, curves=[*curves, *_limits(rows, dated, x)])
+    return Picture(title=title, x=x, y=y, curves=[*curves, *_limits(by_kind)])
 
 
 @get("/api/units/{unit}/allan", table="", is_slow=True)
@@ -241,14 +241,14 @@ def _values(kind: str, points: list[tuple[float, dict[str, Any]]]) -> Curve:
     )  # fmt: skip
 
 
-def _limits(rows: list[dict[str, Any]], dated: bool, x: Axis) -> list[Curve]:
+def _limits(by_kind: dict[str, list[tuple[float, dict[str, Any]]]]) -> list[Curve]:
     """Limits as they were valid at each value, one curve for each side of each specification."""
     curves = []
+    points = [each for of_kind in by_kind.values() for each in of_kind]
     for side, name in (("lower", Label("lower limit", "下限")), ("upper", Label("upper limit", "上限"))):
         levels: dict[str, dict[float, float]] = defaultdict(dict)
-        for row in rows:
+        for place, row in points:
             if row[side] is not None:
-                place = row["t_ns"] / 1e9 if dated else float(x.names.index(row["run"] or ""))
                 levels[row["specification"] or ""][place] = row[side]
         curves += [
             Curve(

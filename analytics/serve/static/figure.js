@@ -4,7 +4,7 @@ import {Plot} from "./plot.js";
 import {colour, faint, onTheme} from "./colours.js";
 import {LANG, asked, element, figure, moment, say} from "./texts.js";
 
-const LEVELS = {limit: "fail", control: "marginal"}; // with their colours
+const LEVELS = {limit: "fail", control: "marginal", centre: "ink"}; // with their colours
 const DASHES = [[], [7, 4], [2, 3]], CURVES = 8, TOLD = 5, MANY = 60, DAY_S = 86_400;
 
 export async function start(section) {
@@ -35,19 +35,20 @@ export function draw(host, picture, height = 300) {
   const span = [low.reduce((a, b) => Math.min(a, b), Infinity), high.reduce((a, b) => Math.max(a, b), -Infinity)];
   const ends = around(data[0][0], data[0].at(-1), x);
   const bars = curves.some(curve => curve.style === "bars");
-  const ink = (colours, i) => colours.palette[i % CURVES], dash = i => DASHES[Math.floor(i / CURVES) % DASHES.length];
+  const isDotted = curve => curve.style === "points" || curve.style === "alarm";
+  const ink = (colours, i) => (curves[i].style === "alarm" ? colours.fail : colours.palette[i % CURVES]), dash = i => DASHES[Math.floor(i / CURVES) % DASHES.length];
   const options = colours => ({
     scales: {x: {time: x.scale === "time", ...log(x), range: () => ends}, y: {...log(y), range: () => room(...span, y.scale, bars)}},
     legend: {show: false},
     cursor: {drag: {x: false, y: false}},
     series: [{}, ...curves.map((curve, i) => ({
-      stroke: curve.style === "points" ? "transparent" : ink(colours, i), width: curve.style === "points" ? 0 : 1.5, dash: dash(i), spanGaps: true,
-      fill: curve.style === "bars" ? ink(colours, i) : undefined,
+      stroke: isDotted(curve) ? "transparent" : ink(colours, i), width: isDotted(curve) ? 0 : 1.5, dash: dash(i), spanGaps: true,
+      fill: curve.style === "bars" ? faint(ink(colours, i), 0.4) : undefined,
       paths: curve.style === "bars" ? uPlot.paths.bars({size: [0.6, 70]}) : undefined,
-      points: {show: curve.style === "points" || curve.style === "both", size: 6, stroke: ink(colours, i), fill: ink(colours, i)},
+      points: {show: isDotted(curve) || curve.style === "both", size: curve.style === "alarm" ? 10 : 6, stroke: ink(colours, i), fill: ink(colours, i)},
     }))],
     axes: [
-      x.scale === "names" ? {values: (_, splits) => splits.map(at => (Number.isInteger(at) ? x.names[at] ?? "" : "")), splits: () => x.names.map((_, i) => i), space: 40} : {label: x.scale === "time" ? undefined : titled(x), space: x.scale === "time" ? 90 : 50},
+      x.scale === "names" ? {values: (_, splits) => splits.map(at => (Number.isInteger(at) ? x.names[at]?.[LANG] ?? "" : "")), splits: () => x.names.map((_, i) => i), space: 40} : {label: x.scale === "time" ? undefined : titled(x), space: x.scale === "time" ? 90 : 50},
       {label: y.unit && y.label[LANG] === picture.title[LANG] ? y.unit : titled(y), size: 70},
     ],
     hooks: {draw: [plot => overlay(plot, {colours, tables, curves, limits, marks, ink})], ready: [plot => plot.over.addEventListener("click", () => open(plot.cursor))]},
@@ -64,7 +65,7 @@ export function draw(host, picture, height = 300) {
     }).filter(Boolean);
     return found.sort((a, b) => a.away - b.away)[0];
   };
-  const place = at => (x.scale === "time" ? moment(at) : x.scale === "names" ? x.names[at] : `${figure(at)} ${x.unit}`.trim());
+  const place = at => (x.scale === "time" ? moment(at) : x.scale === "names" ? x.names[at][LANG] : `${figure(at)} ${x.unit}`.trim());
   const read = index => {
     const told = curves.flatMap((curve, i) => {
       const of = tables[i], at = places[i].get(data[0][index]);
@@ -136,16 +137,17 @@ function overlay(plot, {colours, tables, curves, limits, marks, ink}) {
       stroke(pen, [[x - cap, to], [x + cap, to]]);
     });
   });
-  pen.setLineDash([6 * ratio, 4 * ratio]);
   pen.lineWidth = 1.5 * ratio;
   for (const limit of limits) {
     pen.strokeStyle = colours[LEVELS[limit.style]];
+    pen.setLineDash(limit.style === "centre" ? [] : [6 * ratio, 4 * ratio]);
     const path = [[box.left, up(limit.y[0])]];
     limit.x.forEach((at, i) => {
       if (i && limit.y[i] !== limit.y[i - 1]) path.push([across(at), up(limit.y[i - 1])], [across(at), up(limit.y[i])]);
     });
     stroke(pen, [...path, [box.left + box.width, up(limit.y.at(-1))]]);
   }
+  pen.setLineDash([2 * ratio, 3 * ratio]);
   pen.strokeStyle = pen.fillStyle = colours.marginal;
   pen.font = `${12 * ratio}px sans-serif`;
   marks.forEach((mark, i) => {
@@ -168,13 +170,13 @@ function legend(frame, picture, curves, limits) {
   if (curves.length + limits.length < 2) return;
   const list = element("ul", {className: "legend"});
   const swatches = [];
-  const add = (curve, name, dashed) => {
+  const add = (text, name, dashed) => {
     const swatch = element("span", {className: dashed ? "swatch dashed" : "swatch"});
     swatches.push([swatch, name]);
-    list.append(element("li", {}, swatch, curve.name[LANG]));
+    list.append(element("li", {}, swatch, text));
   };
-  curves.forEach((curve, i) => add(curve, `--curve-${(i % CURVES) + 1}`, i >= CURVES));
-  limits.forEach(curve => add(curve, `--${LEVELS[curve.style]}`, true));
+  curves.forEach((curve, i) => add(curve.name[LANG], curve.style === "alarm" ? "--fail" : `--curve-${(i % CURVES) + 1}`, i >= CURVES));
+  for (const style of new Set(limits.map(curve => curve.style))) add(say(style), `--${LEVELS[style]}`, style !== "centre");
   const paint = () => swatches.forEach(([swatch, name]) => { swatch.style.borderColor = colour(name); });
   paint();
   onTheme(paint);
