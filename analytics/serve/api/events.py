@@ -11,14 +11,14 @@ from stream.errors import BadInput
 
 _ROWS = """
 select uid, arrival_ns, t_ns, kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station,
-  coalesce(document->>'$.by', document->>'$.author', document->>'$.operator', '') as by, document
+  coalesce(document->>'$.by', document->>'$.author', document->>'$.operator', '') as "by", document
 from internal.lake_documents
 """
 _PAGE = f"""
 select * from ({_ROWS})
 where ($kind = '' or kind = $kind) and ($run = '' or run = $run) and ($unit = '' or unit = $unit)
   and ($station = '' or station = $station) and ($what = '' or document->>'$.what' = $what)
-  and ($by = '' or by = $by) and ($only = '' or by <> '')
+  and ($who = '' or "by" = $who) and ($only = '' or "by" <> '')
   and ($first is null or arrival_ns >= $first) and ($stop is null or arrival_ns < $stop)
   and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
 order by arrival_ns desc, uid limit $rows
@@ -87,6 +87,7 @@ def list_events(call: Call, asked: EventsAsked) -> Events:
         "uid": uid,
         "rows": asked.limit + 1,
     }
+    given["who"] = given.pop("by")  # a word of SQL
     rows, has_more = page_of([_row(each) for each in dictionaries(call.views, _PAGE, given)], asked.limit)
     kinds = {str(kind): int(n) for kind, n in call.views.rows(_KINDS)}
     following = {name: getattr(asked, name) for name in names} | {"from": asked.from_, "to": asked.to}

@@ -27,7 +27,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds, "namesakes": _namesakes}
-    environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment}
+    environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment, "bytes": size}
     return environment
 
 
@@ -96,6 +96,18 @@ def duration(seconds: float | None) -> str:
     if whole < 86_400:
         return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
     return f"{whole // 86_400} d {whole % 86_400 // 3600} h"
+
+
+def size(n: int) -> str:
+    """A number of bytes for people.
+
+    >>> size(999), size(19_516_700), size(83_086_300_000)
+    ('999 B', '19.5 MB', '83.1 GB')
+    """
+    for factor, unit in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
+        if n >= factor:
+            return f"{n / factor:.3g} {unit}"
+    return f"{n} B"
 
 
 def _verdicts(texts: Texts) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ const TEXTS = {
     value: "{time}, {unit}: {value}", tau: "averaging time / s", centre: "centre", limits: "control limits",
     history: "earlier statements", rows: "{n} rows in {s} s", cut: "cut at {n}", plot: "first column of numbers or times across, the others up",
     least: "least", greatest: "greatest", mean: "mean", bound: "95 % bounds", deviation: "deviation",
-    figure: "{title}, {n} curves; arrow keys read values, Enter opens what a point is of", bounds: " ({lo} to {hi})", more: "and {n} more", limit: "limit of the specification", control: "control limits",
+    figure: "{title}, {n} curves; arrow keys read values, Enter opens what a point is of", bounds: " ({lo} to {hi})", across: "across", up: "up", by: "a curve for each", link: "link to this query", insert: "write {name} into the statement", more: "and {n} more", limit: "limit of the specification", control: "control limits",
   },
   zh: {
     floor: "{n}个产品按当前判定着色；方向键移动，回车打开产品",
@@ -26,7 +26,7 @@ const TEXTS = {
     value: "{time}，{unit}：{value}", tau: "平均时间 / s", centre: "中心线", limits: "控制限",
     history: "以往语句", rows: "{n}行，{s} s", cut: "在{n}行截断", plot: "横轴为第一列数值或时间，其余为纵轴",
     least: "最小值", greatest: "最大值", mean: "均值", bound: "95%置信界", deviation: "偏差",
-    figure: "{title}，{n}条曲线；方向键读数，回车打开该点的来源", bounds: "（{lo}至{hi}）", more: "另有{n}条", limit: "规范限值", control: "控制限",
+    figure: "{title}，{n}条曲线；方向键读数，回车打开该点的来源", bounds: "（{lo}至{hi}）", across: "横轴", up: "纵轴", by: "按此分曲线", link: "此查询的链接", insert: "将{name}写入语句", more: "另有{n}条", limit: "规范限值", control: "控制限",
   },
 };
 
