@@ -55,8 +55,16 @@ class Browser:
 
     def emulate(self, theme: str) -> None:
         """Show pages as ``light`` or ``dark``."""
-        media = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
-        self._asked("POST", f"{self._session}/goog/cdp/execute", {"cmd": "Emulation.setEmulatedMedia", "params": media})
+        self.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+
+    def command(self, name: str, **parameters: Any) -> Any:
+        """Send a command of the DevTools protocol; its answer."""
+        body = {"cmd": name, "params": parameters}
+        return self._asked("POST", f"{self._session}/goog/cdp/execute", body)
+
+    def before_pages(self, script: str) -> None:
+        """Run a script in every page before its own ones."""
+        self.command("Page.addScriptToEvaluateOnNewDocument", source=script)
 
     def ask(self, expression: str) -> Any:
         """Value of an expression in the page."""

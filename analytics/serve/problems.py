@@ -77,6 +77,15 @@ class TooMany(HttpProblem):
         self.wait_s = wait_s
 
 
+class Stopping(HttpProblem):
+    """A request that the server does not finish, because it stops."""
+
+    status = 503
+
+    def __init__(self) -> None:
+        super().__init__("the server stops; ask again when it has started anew")
+
+
 _STATUS: tuple[tuple[type[GyrofleetError], int], ...] = (
     (BadInput, 400),
     (QueryError, 400),

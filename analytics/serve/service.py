@@ -5,9 +5,10 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import anyio
 
@@ -17,6 +18,7 @@ from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.memo import Memo
+from analytics.serve.problems import Stopping
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.recording.status_board import StatusBoard
@@ -25,6 +27,8 @@ from stream.errors import GyrofleetError
 from stream.status import role_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
+
+Result = TypeVar("Result")
 
 
 def _threads(least: int) -> anyio.CapacityLimiter:
@@ -68,6 +72,18 @@ class Service:
     def busy_threads(self) -> int:
         """Requests that threads are answering."""
         return self.fast.borrowed_tokens + self.slow.borrowed_tokens
+
+    async def result(self, work: Awaitable[Result]) -> Result:
+        """The result of some work; raises Stopping where the server ends before."""
+        task, ends = asyncio.ensure_future(work), asyncio.ensure_future(self.stopping.wait())
+        try:
+            await asyncio.wait({task, ends}, return_when=asyncio.FIRST_COMPLETED)
+            if not task.done():
+                raise Stopping
+            return task.result()
+        finally:
+            task.cancel()
+            ends.cancel()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:

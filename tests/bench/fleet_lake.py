@@ -186,7 +186,7 @@ def document_table(documents: Iterable[AnyDocument]) -> pa.Table:
         (type(each).__name__, each.run, getattr(each, "unit", None), each.uid, each.t_ns, msgspec.json.encode(each))
         for each in documents
     ]
-    kind, run, unit, uid, t_ns, text = zip(*rows, strict=True)
+    kind, run, unit, uid, t_ns, text = zip(*rows, strict=True) if rows else ((),) * 6
     columns = {
         "site": [PLACE.site] * len(rows), "station": [PLACE.station] * len(rows), "kind": kind, "run": run,
         "unit": unit, "uid": uid, "t_ns": t_ns, "arrival_ns": t_ns, "document": [each.decode() for each in text],

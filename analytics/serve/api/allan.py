@@ -14,12 +14,15 @@ from stream.events import EstimatePublished
 if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve
 
+_QUICK_SAMPLES = 1_000_000
 _LIVE = """
 select tau_s, value, lo, hi, edf, n, unit_of_measure, t_ns, final, samples, missing, sample_interval_s from estimates
 where unit = $unit and signal = $signal and run = $run and estimator = 'allan_deviation' and tau_s is not null
 qualify t_ns = max(t_ns) over () order by tau_s
 """
-_IS_THERE = "select 1 from internal.served_signals where unit = $unit and signal = $signal and run = $run"
+_SAMPLES = """
+select samples from internal.served_signals where unit = $unit and signal = $signal and run = $run
+"""
 _FITTED = """
 select document from internal.lake_documents
 where kind = 'NoiseFitted' and run = $run and unit = $unit and document->>'$.signal' = $signal
@@ -70,17 +73,11 @@ def allan(call: Call, asked: AllanAsked) -> Allan:
     """Overlapping Allan deviation of a signal over averaging time, with 95 % confidence bounds."""
     from analytics.curves.allan_curve import allan_curve
 
-    of = {name: call.path[name] for name in ("unit", "run", "signal")}
-    newest = call.service.live.tail.curve((of["unit"], of["run"], of["signal"]))
-    if newest is not None and asked.source == "stored" and not newest.final:
-        return _newest(newest, of)
-    if not call.views.rows(_IS_THERE, of) and call.service.live.tail.version((of["unit"], of["run"], of["signal"])):
-        return _not_yet(of)
+    of = _names(call)
+    if asked.source == "stored" and (known := known_allan(call)) is not None:
+        return known
     record = find_signal(call.views, of["unit"], of["signal"], of["run"])
-    fitted = call.views.rows(_FITTED, of)
-    noise = msgspec.json.decode(fitted[0][0]) if fitted else None
-    if asked.source == "stored" and (rows := dictionaries(call.views, _LIVE, of)):
-        return _stored(rows, of, noise)
+    noise = _noise(call, of)
     try:
         curve = allan_curve(call.views, of["unit"], of["signal"], of["run"])
     except NotFound as error:  # too few samples, or dropped ones
@@ -90,6 +87,33 @@ def allan(call: Call, asked: AllanAsked) -> Allan:
             noise=noise, reason=str(error),
         )  # fmt: skip
     return _of_samples(curve, of, noise)
+
+
+def known_allan(call: Call) -> Allan | None:
+    """The last estimate of the run; None if there is none, so that it is to be computed from the samples."""
+    of = _names(call)
+    name = (of["unit"], of["run"], of["signal"])
+    newest = call.service.live.tail.curve(name)
+    if newest is not None and not newest.final:
+        return _newest(newest, of)
+    if not call.views.rows(_SAMPLES, of) and call.service.live.tail.version(name):
+        return _not_yet(of)
+    rows = dictionaries(call.views, _LIVE, of)
+    return _stored(rows, of, _noise(call, of)) if rows else None
+
+
+def is_long(call: Call) -> bool:
+    """Whether a signal has so many samples that its curve takes seconds."""
+    return any(samples > _QUICK_SAMPLES for (samples,) in call.views.rows(_SAMPLES, _names(call)))
+
+
+def _names(call: Call) -> dict[str, str]:
+    return {name: call.path[name] for name in ("unit", "run", "signal")}
+
+
+def _noise(call: Call, of: dict[str, str]) -> dict[str, Any] | None:
+    fitted = call.views.rows(_FITTED, of)
+    return msgspec.json.decode(fitted[0][0]) if fitted else None
 
 
 def _newest(of_run: EstimatePublished, of: dict[str, str]) -> Allan:

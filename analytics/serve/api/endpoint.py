@@ -59,14 +59,14 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
     limiter = service.slow if operation.is_slow else service.fast
     compute = functools.partial(computed, service, state, answer, limiter)
     if not operation.is_kept:
-        made = await compute()
+        made = await service.result(compute())
         return Response(made.body, operation.status, media_type=made.media_type)
     version = operation.version(service, state, request.path_params)
     tag = f'"{service.nonce}-{version}-{form}"'
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Accept"}
     if tag in {each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")}:
         return Response(status_code=304, headers=headers)
-    made = await service.cache.answer((url_of(request), form, version), compute)
+    made = await service.result(service.cache.answer((url_of(request), form, version), compute))
     return Response(made.body, operation.status, headers, made.media_type)
 
 

@@ -117,7 +117,7 @@ def checks_of(unit: UnitNow) -> list[dict[str, Any]]:
 
 
 async def live(request: Request, *, service: Service) -> Response:
-    """Changes of the floor as server-sent events: first ``floor``, all of it, then ``change`` once a second.
+    """Changes of the floor as server-sent events: first ``floor``, all of it, then each ``change``, within some 0.1 s.
 
     A browser that comes back with Last-Event-ID gets what it has missed, if that is kept, instead of all.
     """

@@ -170,7 +170,9 @@ def _named(row: dict[str, Any]) -> dict[str, Any]:
     from analytics.metric_registry.registry import metrics
 
     known = metrics().get(row["metric"])  # checks entered by hand may be of others
-    names = {"en": row["metric"], "zh": row["metric"]} if known is None else {"en": known.header.en, "zh": known.header.zh}
+    names = (
+        {"en": row["metric"], "zh": row["metric"]} if known is None else {"en": known.header.en, "zh": known.header.zh}
+    )
     return row | names
 
 

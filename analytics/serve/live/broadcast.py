@@ -3,8 +3,9 @@
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator
+from itertools import takewhile
 
-_KEPT = 120
+_KEPT = 2400
 HEARTBEAT_S = 15.0
 
 
@@ -37,7 +38,7 @@ class Broadcast:
         try:
             while not self._stopping.is_set():
                 news = self._news
-                found = [(number, event) for number, event in self._kept if number > version]
+                found = self._after(version)
                 for number, event in found:
                     version = number
                     yield event
@@ -49,6 +50,10 @@ class Broadcast:
                     yield None
         finally:
             self.listeners -= 1
+
+    def _after(self, version: int) -> list[tuple[int, bytes]]:
+        """Kept changes after a version; the newest are looked at first, since most listeners miss one or two."""
+        return list(takewhile(lambda each: each[0] > version, reversed(self._kept)))[::-1]
 
 
 def event(kind: str, number: str, data: bytes) -> bytes:

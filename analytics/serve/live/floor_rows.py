@@ -21,11 +21,13 @@ class FloorRows:
         self.version = 0
         self._steps: dict[str, int] = {"": 0}
         self._told_steps = 1
+        self._runs: set[str] = set()  # changed since they were told
 
     def begin(self) -> None:
         """Begin a floor whose units have other numbers."""
         self.version += 1
         self._steps, self._told_steps = {"": 0}, 1
+        self._runs.clear()
 
     def document(self, floor: Floor) -> dict[str, Any]:
         """All of it; `columns` and `state_columns` name the cells of the rows.
@@ -48,26 +50,32 @@ class FloorRows:
             "states": states,
         }
 
-    def changes(self, floor: Floor) -> dict[str, Any] | None:
-        """What has changed since the last time; None if nothing has."""
+    def changes(self, floor: Floor, *, with_runs: bool = True) -> dict[str, Any] | None:
+        """What has changed since the last time; None if nothing has.
+
+        Rows of runs count their units and take milliseconds: without `with_runs` they are left to the next time.
+        """
         fresh = [floor.units[name] for name in floor.fresh if name in floor.units]
         changed = [floor.units[name] for name in floor.changed if name in floor.units]
-        if not (changed or fresh or floor.gone or floor.changed_runs):
+        self._runs |= floor.changed_runs | {unit.run.run for unit in changed}
+        runs = self._runs if with_runs else set()
+        if not (changed or fresh or floor.gone or runs):
             return None
         self.version += 1
         states = [self._state(unit) for unit in changed]
         names = list(self._steps)[self._told_steps :]
         first, self._told_steps = self._told_steps, len(self._steps)
-        runs = floor.changed_runs | {unit.run.run for unit in changed}
-        return {
+        told = {
             "version": self.version,
             "time_ns": time.time_ns(),
             "steps": {first + at: name for at, name in enumerate(names)},
-            "runs": runs_of(floor, runs),
+            "runs": runs_of(floor, runs) if runs else [],
             "units": [unit_row(unit) for unit in fresh],
             "states": states,
             "gone": list(floor.gone),
         }
+        runs.clear()
+        return told
 
     def _state(self, unit: UnitNow) -> list[int | float | None]:
         early = unit.early if not unit.verdict else ""

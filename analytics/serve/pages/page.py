@@ -65,6 +65,7 @@ async def _respond(request: Request, *, shown: Page[Any], service: Service) -> R
             return page(request, shown.template, {"asked": asked, **shown.handler(call, asked)})
 
     limiter = service.slow if shown.is_slow else service.fast
-    answer = await anyio.to_thread.run_sync(made, limiter=limiter, abandon_on_cancel=True)
+    work = anyio.to_thread.run_sync(made, limiter=limiter, abandon_on_cancel=True)
+    answer = await service.result(work)
     answer.headers["Cache-Control"] = "private, no-cache"
     return answer

@@ -26,8 +26,21 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("analytics.serve.pages"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds, "namesakes": _namesakes}
-    environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment, "bytes": size}
+    environment.globals |= {
+        "link": link,
+        "Role": Role,
+        "verdicts": _verdicts,
+        "runs_of": _runs,
+        "kinds_of": _kinds,
+        "namesakes": _namesakes,
+    }
+    environment.filters |= {
+        "number": number,
+        "moment": moment,
+        "duration": duration,
+        "segment": _segment,
+        "bytes": size,
+    }
     return environment
 
 

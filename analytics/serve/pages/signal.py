@@ -11,12 +11,13 @@ from analytics.serve.api import signals as api
 from analytics.serve.api.operation import Call, link
 from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.pages.page import shown
+from stream.quantities import report_unit
 
 _TABLE_POINTS = 100
 _MOST_BESIDE = 4
 _MOST_LISTED = 40
-# what is shown beside a signal unless something else is asked for, one of each: its compensated form, temperature, rate
-_USUAL = (r".*_compensated", r"(chamber_|case_)?temperature.*", r"(table|input|reference)_rate")
+# what is shown beside a signal unless something else is asked for: its compensated form, and one of each of these
+_USUAL = (r"(chamber_|case_)?temperature.*", r"(table|input|reference)_rate")
 # signals of the unit itself, and those of the run's devices: names that the unit does not have
 _OTHERS = """
 select unit, signal, any_value(unit_of_measure) as unit_of_measure from internal.served_signals
@@ -42,11 +43,12 @@ def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
     found = api.signal(call, few)
     of = (found.unit, found.run, found.signal)
     others = _others(call, found)
-    chosen = _chosen(asked.beside, others, found.signal)
+    chosen = _chosen(asked.beside, others, found)
     beside = [_beside(call, found, few, *each) for each in chosen]
     return {
         "found": found,
-        "allan": allan_api.allan(call, allan_api.AllanAsked()),
+        "allan": _allan(call),
+        "allan_unit": report_unit(found.unit_of_measure)[0],
         "others": [(_name(found.unit, *each), *each, each in chosen) for each in others],
         "beside": beside,
         "zooms": _zooms(found, asked.beside),
@@ -64,19 +66,13 @@ def _others(call: Call, found: api.SignalBuckets) -> list[tuple[str, str]]:
     return list(dict.fromkeys([*known, *(each for each in live if each[1] != found.signal)]))
 
 
-def _chosen(asked: tuple[str, ...], others: list[tuple[str, str]], signal: str) -> list[tuple[str, str]]:
+def _chosen(asked: tuple[str, ...], others: list[tuple[str, str]], found: api.SignalBuckets) -> list[tuple[str, str]]:
     """Those that are asked for; by default its compensated form, a temperature and a rate."""
     if asked:
-        own = others[0][0] if others else ""
-        wanted = {tuple(each.split("/", 1)) if "/" in each else (own, each) for each in asked}
-        return [each for each in others if each in wanted][:_MOST_BESIDE]
-    found = []
-    for pattern in _USUAL:
-        alike = [each for each in others if re.fullmatch(pattern, each[1])]
-        if pattern == _USUAL[0]:
-            alike = [each for each in alike if each[1] == f"{signal}_compensated"]
-        found += alike[:1]
-    return found
+        return [each for each in others if _name(found.unit, *each) in asked][:_MOST_BESIDE]
+    usual = (re.escape(f"{found.signal}_compensated"), *_USUAL)
+    first = ([each for each in others if re.fullmatch(pattern, each[1])][:1] for pattern in usual)
+    return [each for few in first for each in few]
 
 
 def _beside(call: Call, found: api.SignalBuckets, few: api.SignalAsked, unit: str, signal: str) -> dict[str, Any]:
@@ -97,6 +93,14 @@ def _beside(call: Call, found: api.SignalBuckets, few: api.SignalAsked, unit: st
 
 def _name(own: str, unit: str, signal: str) -> str:
     return signal if unit == own else f"{unit}/{signal}"
+
+
+def _allan(call: Call) -> allan_api.Allan | None:
+    """Its curve; None if that takes long: the page asks for it when it is there."""
+    known = allan_api.known_allan(call)
+    if known is not None or allan_api.is_long(call):
+        return known
+    return allan_api.allan(call, allan_api.AllanAsked(source="samples"))
 
 
 def _zooms(found: api.SignalBuckets, beside: tuple[str, ...]) -> dict[str, str | None]:

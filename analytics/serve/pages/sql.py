@@ -6,7 +6,7 @@ from typing import Any
 import anyio.to_thread
 import msgspec
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 
 from analytics.serve.api import sql as api
 from analytics.serve.api.encoding import Form

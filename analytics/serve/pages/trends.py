@@ -10,7 +10,6 @@ from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.pages.page import shown
 
-
 _MOST_CHARTS = 24
 _OF_PAGE = ("yield_by", "group")
 

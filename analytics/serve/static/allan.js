@@ -4,7 +4,18 @@ import {faint} from "./colours.js";
 import {asked, element, figure, say} from "./texts.js";
 
 export async function start(section) {
-  const found = await asked(section.dataset.url);
+  const status = section.querySelector("[role=status]"), rows = section.querySelector("tbody");
+  let found;
+  try {
+    found = await asked(section.dataset.url);
+  } catch (error) {
+    status.textContent = say("failed", {why: error.message});
+    return;
+  }
+  if (rows && !rows.rows.length) { // it was not known when the page was made
+    status.textContent = found.reason ?? say("computed");
+    fill(rows, found);
+  }
   if (!found.tau_s?.length) return;
   const host = element("div"), data = [found.tau_s, found.lo, found.hi, found.adev], unit = found.unit_of_measure;
   section.querySelector("h2").after(host);
@@ -23,4 +34,9 @@ export async function start(section) {
     label: () => say("allan"),
     read: i => say("point", {tau: figure(data[0][i]), value: figure(data[3][i]), lo: figure(data[1][i]), hi: figure(data[2][i]), unit}),
   });
+}
+
+function fill(rows, {tau_s, adev, lo, hi}) {
+  const cell = text => element("td", {className: "number", textContent: text});
+  rows.append(...tau_s.map((tau, i) => element("tr", {}, cell(figure(tau)), cell(figure(adev[i])), cell(`${figure(lo[i])} .. ${figure(hi[i])}`))));
 }

@@ -2,7 +2,7 @@
 import {colour, faint, onTheme} from "./colours.js";
 import {duration, element, figure, moment, say} from "./texts.js";
 
-const LEAST = 6, MOST = 26, TOLD_MS = 10_000;
+const LEAST = 6, MOST = 26, TOLD_MS = 10_000, TABLE_MS = 1000;
 const COLOURS = {"": "--no-data", PASS: "--pass", FAIL: "--fail", MARGINAL: "--marginal", NO_DATA: "--no-data", ABORTED: "--fail"};
 
 export function start(section) {
@@ -21,6 +21,9 @@ class Floor {
     section.querySelector("h2").after(this.canvas, this.reading, this.live);
     this.units = [];   // {number, unit, run, slot, state} in the order of the cells
     this.places = new Map();
+    this.rows = new Map([...document.querySelectorAll("#floor-units tr[data-number]")].map(row => [+row.dataset.number, row]));
+    this.waiting = new Map();
+    this.timer = 0;
     this.at = -1;
     this.toldAt = 0;
     this.canvas.addEventListener("mousemove", event => this.read(this.#under(event)));
@@ -58,7 +61,8 @@ class Floor {
       const changed = found.states.map(state => this.#set(state)).filter(at => at !== undefined);
       for (const at of changed) this.#cell(at);
     }
-    this.#rows(found.states);
+    for (const state of found.states) if (this.rows.has(state[0])) this.waiting.set(state[0], state);
+    if (this.waiting.size && !this.timer) this.timer = setTimeout(() => this.#rows(), TABLE_MS);
     this.#tell(found.time_ns);
   }
 
@@ -157,11 +161,11 @@ class Floor {
     event.preventDefault();
   }
 
-  /** The rows of the table of units that are shown. */
-  #rows(states) {
-    for (const state of states) {
-      const row = document.querySelector(`#floor-units tr[data-number="${state[0]}"]`);
-      if (!row) continue;
+  /** The rows of the table of units that are shown; once a second, since each change lays out all of the table. */
+  #rows() {
+    this.timer = 0;
+    for (const [number, state] of this.waiting) {
+      const row = this.rows.get(number);
       const [verdict, silent, , , , step, ratio, left, last] = row.querySelectorAll("td");
       const word = this.verdicts[state[1]];
       verdict.replaceChildren(element("span", {className: `verdict ${word.toLowerCase()}`, textContent: word || say("open")}));
@@ -171,6 +175,7 @@ class Floor {
       left.textContent = state[5] === null ? "" : duration(state[5]);
       last.textContent = state[7] ? moment(state[7]) : "";
     }
+    this.waiting.clear();
   }
 
   #tell(time_ns) {

@@ -6,11 +6,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
+import numpy as np
+import polars as pl
 import pytest
 
-from tests.analytics.serve.conftest import TOKEN, Served
+from tests.analytics.serve.conftest import TOKEN, Served, start
 from tests.analytics.serve.served_store import RATE_HZ, SPIKE_AT, START_NS, STEP_S, STEPS
 from tests.browser import IS_THERE, Browser
+from tests.forked_commands import CommandServer
 
 pytestmark = pytest.mark.skipif(not IS_THERE, reason="chromium and chromedriver are not installed")
 AXE = Path(__file__).parents[2] / "vendor" / "axe.min.js"
@@ -161,3 +165,33 @@ def test_what_a_first_visit_loads_is_small(window: Browser, served: Served) -> N
         ".reduce((sum, each) => sum + each.encodedBodySize, 0)"
     )
     assert 20_000 < loaded < 300_000
+
+
+def test_the_curve_of_a_long_record_comes_after_its_page(
+    window: Browser, tmp_path: Path, command_server: CommandServer, run_command: Callable[..., Any]
+) -> None:
+    samples = 1_100_000
+    noise = np.random.default_rng(1).normal(0.0, 2.0, samples)
+    pl.DataFrame({"time[s]": np.arange(samples) / 1000, "temperature[degC]": noise}).write_csv(tmp_path / "long.csv")
+    done = run_command("import", "long.csv", "--unit", "G-1", "--run", "r", "--store", "S", cwd=tmp_path)
+    assert done.code == 0, done.err
+    process, ready = start(command_server, "--store", "S", "--port", 0, "--token", TOKEN, cwd=tmp_path)
+    try:
+        url = f"{ready['url']}/signals/G-1/r/temperature"
+        page = httpx.get(url, headers={"Authorization": f"Bearer {TOKEN}", "Accept": "text/html"}).text
+        assert "Computed from all samples, which takes a while" in page
+        window.open(f"{ready['url']}/login?token={TOKEN}")
+        window.open(url)
+        until(lambda: window.ask("!!document.querySelector('#allan-plot canvas')"))
+        first = window.ask("[...document.querySelector('#allan tbody').rows[0].cells].map(each => each.textContent)")
+        # white noise: the deviation at one sample is that of the samples
+        assert float(first[0]) == 0.001
+        assert float(first[1]) == pytest.approx(2.0, rel=0.01)
+        assert window.ask("document.querySelector('#allan-plot > [role=status]').textContent") == (
+            "Computed from all samples."
+        )
+        assert window.complaints() == []
+    finally:
+        process.terminate()
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -79,6 +80,29 @@ def test_ctrl_c_ends_it_at_once_while_pages_listen(folder: Path, command_server:
     assert time.monotonic() - began < 3.0
     assert (process.returncode, err) == (0, "")
     assert json.loads(out)["event"] == "ended"
+
+
+def test_a_request_in_the_middle_is_answered_as_it_ends(folder: Path, command_server: CommandServer) -> None:
+    process, ready = start(command_server, "--store", "S", "--port", 0, "--token", "T", cwd=folder)
+    answers: list[httpx.Response] = []
+
+    def ask() -> None:
+        sql = "select count(*) from range(100000000000) a where a.range % 7 = 3"
+        headers = {"Authorization": "Bearer T"}
+        answers.append(httpx.post(f"{ready['url']}/api/sql", json={"sql": sql}, headers=headers, timeout=60.0))
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    time.sleep(1.0)
+    began_s = time.monotonic()
+    process.terminate()
+    _, err = process.communicate(timeout=30)
+    asking.join(timeout=30)
+    assert process.returncode == 0, err
+    assert time.monotonic() - began_s < 10
+    assert "Traceback" not in err
+    assert answers[0].status_code == 503
+    assert answers[0].json()["error"]["kind"] == "Stopping"
 
 
 def test_users_come_and_go_while_it_runs(folder: Path, command_server: CommandServer, run_command: Run) -> None:
