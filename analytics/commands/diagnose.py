@@ -146,9 +146,7 @@ def diagnose(
         _write_procedure(next(iter(found.units.values())).next_test, procedure_path)
     if as_json:
         document = next(iter(found.units.values())).document() if is_one else found.document()
-        if embeds:
-            document |= {"reports": _reports(found)}
-        print_json(document | ({"saved": saved, "not_saved": unsaved} if save else {}))
+        print_json(document | _reports(found, embeds=embeds) | ({"saved": saved, "not_saved": unsaved} if save else {}))
     else:
         from analytics.commands.diagnose_output import print_unit, print_units
 
@@ -164,11 +162,11 @@ def diagnose(
         sys.exit(1)
 
 
-def _reports(found: "UnitsDiagnosis") -> dict[str, Any]:
-    """The report of each unit as data."""
+def _reports(found: "UnitsDiagnosis", *, embeds: bool) -> dict[str, Any]:
+    """The report of each unit as data, if that was asked for."""
     from analytics.loop.report.embedded import embedded_report
 
-    return {unit: embedded_report(each) for unit, each in found.units.items()}
+    return {"reports": {unit: embedded_report(each) for unit, each in found.units.items()}} if embeds else {}
 
 
 def _refuse_wrong_bounds(read: "ReducedUnits", bounds: dict[str, float], limits: dict[str, float]) -> None:

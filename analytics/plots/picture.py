@@ -38,13 +38,13 @@ class Curve(msgspec.Struct, frozen=True, kw_only=True):
     """A curve; `lo` and `hi` are bounds of y, `texts` say what each point is, `links` are the pages behind points."""
 
     name: Label
-    x: list[float]
-    y: list[float | None]
+    x: Sequence[float]
+    y: Sequence[float | None]
     style: Style = "line"
-    lo: list[float | None] | None = None
-    hi: list[float | None] | None = None
-    texts: list[str] | None = None
-    links: list[str | None] | None = None
+    lo: Sequence[float | None] | None = None
+    hi: Sequence[float | None] | None = None
+    texts: Sequence[str] | None = None
+    links: Sequence[str | None] | None = None
 
 
 class Mark(msgspec.Struct, frozen=True):

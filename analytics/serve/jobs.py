@@ -144,6 +144,6 @@ def _finish(job: Job, code: int, out: bytes) -> None:
 
 
 def _is_refusal(result: Any) -> bool:
-    """Whether an answer is an error, as ``{"error": {"kind": ..., "message": ...}}``; a diagnosis has an `error` too."""
+    """Whether an answer is ``{"error": {"kind": ..., "message": ...}}``; a diagnosis has an `error` too."""
     error = result.get("error") if isinstance(result, dict) else None
     return isinstance(error, dict) and "kind" in error

@@ -11,7 +11,7 @@ from analytics.loop.report.drivers import bias_over_temperature, drawn, scale_fa
 from analytics.loop.report.finding_sentences import alternative, evidence, separating_test
 from analytics.loop.report.next_test_rows import next_test_rows, next_test_sentence
 from analytics.loop.report.verdict_sentence import verdict_sentence
-from analytics.loop.report.wording import Language, Wording
+from analytics.loop.report.wording import Wording
 from analytics.loop.residuals import Residuals, residual_allan
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis
@@ -24,8 +24,10 @@ _NOISE = Label("noise alone", "仅噪声")
 
 def embedded_report(found: UnitDiagnosis) -> dict[str, Any]:
     """The report of a diagnosed unit: ``en`` and ``zh`` with its texts, ``pictures`` with the data of its figures."""
-    whole = {language: _texts(found, Wording(language, found.data.runs[0])) for language in ("en", "zh")}
-    return msgspec.to_builtins(whole | {"pictures": _pictures(found)})  # type: ignore[no-any-return]
+    run = found.data.runs[0]
+    texts = {"en": _texts(found, Wording("en", run)), "zh": _texts(found, Wording("zh", run))}
+    whole: dict[str, Any] = msgspec.to_builtins(texts | {"pictures": _pictures(found)})
+    return whole
 
 
 def _texts(found: UnitDiagnosis, words: Wording) -> dict[str, Any]:
@@ -48,13 +50,13 @@ def _texts(found: UnitDiagnosis, words: Wording) -> dict[str, Any]:
 
 
 def _effect(effect: FoundEffect, found: UnitDiagnosis, words: Wording) -> dict[str, Any]:
-    others = [separating_test(each, words) for each in (effect, *effect.confounded)] if effect.confounded else []
+    others = [separating_test(effect, words), *(separating_test(each, words) for each in effect.confounded)]
     return {
         "name": words.effect(effect),
         "coefficient": words.coefficient(effect),
         "evidence": list(evidence(effect, found.diagnosis, words)),
         "alternatives": [alternative(each, words) for each in effect.confounded],
-        "separating_tests": list(dict.fromkeys(others)),
+        "separating_tests": list(dict.fromkeys(others)) if effect.confounded else [],
     }
 
 
@@ -65,8 +67,8 @@ def _pictures(found: UnitDiagnosis) -> dict[str, Picture]:
         return {}
     pictures: dict[str, Picture] = {}
     for effect in (*found.diagnosis.effects, *found.diagnosis.unreplicated):
-        if (over := _over_driver(effect, residuals)) is not None:
-            pictures[f"residual-{effect.name}"] = over
+        if (drawn_over := _over_driver(effect, residuals)) is not None:
+            pictures[f"residual-{effect.name}"] = drawn_over
         if effect.by_run:
             pictures[f"by-run-{effect.name}"] = _by_run(effect)
     if (allan := _allan(residuals)) is not None:
@@ -96,12 +98,11 @@ def _pictures(found: UnitDiagnosis) -> dict[str, Picture]:
 
 def _over_driver(effect: FoundEffect, residuals: Residuals) -> Picture | None:
     """Residual with one effect left in over its driver, with what the effect predicts."""
-    shown: dict[Language, str] = {}
-    for language in ("en", "zh"):
-        over = drawn(residuals, effect, Wording(language, residuals.record.stack.runs[0]))
-        if over is None:
-            return None
-        shown[language] = over.label
+    run = residuals.record.stack.runs[0]
+    over = drawn(residuals, effect, english := Wording("en", run))
+    in_chinese = drawn(residuals, effect, chinese := Wording("zh", run))
+    if over is None or in_chinese is None:
+        return None
     curves = []
     for mask, name in (
         (~over.held_out, Label("blocks of the training runs", "训练试验的数据块")),
@@ -120,10 +121,11 @@ def _over_driver(effect: FoundEffect, residuals: Residuals) -> Picture | None:
         Curve(name=Label("effect", "效应"), x=x, y=y, style="line"),
         Curve(name=Label("means of the blocks", "数据块均值"), x=means[0].tolist(), y=means[1].tolist(), style="both"),
     ]
-    names = {language: Wording(language).effect(effect) for language in ("en", "zh")}
     return Picture(
-        title=Label(f"Residual over its driver: {names['en']}", f"残差与驱动量：{names['zh']}"),
-        x=Axis(label=Label(shown["en"], shown["zh"])),
+        title=Label(
+            f"Residual over its driver: {english.effect(effect)}", f"残差与驱动量：{chinese.effect(effect)}"
+        ),
+        x=Axis(label=Label(over.label, in_chinese.label)),
         y=Axis(label=Label("residual including the effect", "未扣除该效应的残差"), unit=residuals.unit_of_measure),
         curves=curves, note=Label("Less the constant of each run.", "已去除各试验常值。"),
     )  # fmt: skip
@@ -134,13 +136,15 @@ def _by_run(effect: FoundEffect) -> Picture:
     pooled, x = effect.coefficients[0], [float(i) for i in range(len(effect.by_run))]
     values = [value for value, _ in effect.by_run.values()]
     errors = [1.96 * error for _, error in effect.by_run.values()]
-    names = {language: Wording(language).effect(effect) for language in ("en", "zh")}
-    whole = Label("all training runs", "全部训练试验")
+    name = Label(Wording("en").effect(effect), Wording("zh").effect(effect))
+    runs = [Label.same(each) for each in short_names(list(effect.by_run))]
+    whole = Curve(
+        name=Label("all training runs", "全部训练试验"), x=x, y=[pooled.value] * len(x),
+        lo=[pooled.lo] * len(x), hi=[pooled.hi] * len(x),
+    )  # fmt: skip
     return Picture(
-        title=Label(f"Coefficient by run: {names['en']}", f"各试验的系数：{names['zh']}"),
-        x=Axis(
-            label=Label("run", "试验"), scale="names", names=[Label.same(each) for each in short_names(list(effect.by_run))]
-        ),
+        title=Label(f"Coefficient by run: {name.en}", f"各试验的系数：{name.zh}"),
+        x=Axis(label=Label("run", "试验"), scale="names", names=runs),
         y=Axis(label=Label("coefficient", "系数"), unit=pooled.unit_of_measure),
         curves=[
             Curve(
@@ -148,7 +152,7 @@ def _by_run(effect: FoundEffect) -> Picture:
                 lo=[value - error for value, error in zip(values, errors, strict=True)],
                 hi=[value + error for value, error in zip(values, errors, strict=True)],
             ),
-            Curve(name=whole, x=x, y=[pooled.value] * len(x), style="line", lo=[pooled.lo] * len(x), hi=[pooled.hi] * len(x)),
+            whole,
         ],
     )  # fmt: skip
 
@@ -172,6 +176,9 @@ def _allan(residuals: Residuals) -> Picture | None:
             after,
             Curve(name=_NOISE, x=tau_s, y=[each.floor for each in deviations]),
         ],
-        note=Label("Held-out runs; bars: 95 % bounds, drawn up to three times the value.", "留出试验；误差棒：95 % 区间，最多绘至数值的三倍。")
+        note=Label(
+            "Held-out runs; bars: 95 % bounds, drawn up to three times the value.",
+            "留出试验；误差棒：95 % 区间，最多绘至数值的三倍。",
+        )
         if residuals.held_out.any() else None,
     )  # fmt: skip

@@ -62,7 +62,7 @@ def model_row(version: "ModelVersion", use: "InUse") -> ModelRow:
     return ModelRow(
         unit=version.unit, signal=version.signal, version=version.version, hash=version.hash, parent=version.parent,
         stage=use.stage(version.hash).value, verdict=version.verdict, text=version.text, added=list(version.added),
-        confounded=list(version.confounded), is_confirmed=version.is_confirmed, holdout=version.holdout, error=version.error,
-        terms=terms,
-        runs=list(version.runs), made_ns=version.made_ns, made=iso(version.made_ns), by=version.by, note=version.note,
+        confounded=list(version.confounded), is_confirmed=version.is_confirmed, holdout=version.holdout,
+        error=version.error, terms=terms, runs=list(version.runs), made_ns=version.made_ns,
+        made=iso(version.made_ns), by=version.by, note=version.note,
     )  # fmt: skip

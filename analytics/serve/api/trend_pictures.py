@@ -116,7 +116,8 @@ def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     none = Label("No unit was judged.", "没有已判定的产品。")
     return Picture(
         title=Label("Yield with its 95 % interval", "合格率及其 95 % 区间"),
-        x=Axis(label=_GROUPS[asked.by], scale="names", names=[Label.same(name) for name in names]), y=Axis(label=Label("yield", "合格率"), unit="%"),
+        x=Axis(label=_GROUPS[asked.by], scale="names", names=[Label.same(name) for name in names]),
+        y=Axis(label=Label("yield", "合格率"), unit="%"),
         curves=[curve] if found else [], reason=None if found else none,
     )  # fmt: skip
 
@@ -125,7 +126,7 @@ def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
 def pareto_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     """What units fail by, the most frequent first: share of all failures, and the shares added up."""
     rows = trends.list_yield(call, asked).pareto
-    x = [float(i) for i in range(len(rows))]
+    x, names = [float(i) for i in range(len(rows))], [Label(row["en"], row["zh"]) for row in rows]
     failing = Label("share of the failures", "占不合格的比例")
     group = {asked.by: asked.name} if asked.name else {}
     curves = [
@@ -138,7 +139,7 @@ def pareto_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     ]  # fmt: skip
     return Picture(
         title=Label("What units fail by", "不合格特性"),
-        x=Axis(label=Label("characteristic", "特性"), scale="names", names=[Label(row["en"], row["zh"]) for row in rows]),
+        x=Axis(label=Label("characteristic", "特性"), scale="names", names=names),
         y=Axis(label=failing, unit="%"), curves=curves if rows else [],
         reason=None if rows else Label("No unit fails.", "没有不合格产品。"),
     )  # fmt: skip

@@ -47,7 +47,8 @@ with each_limit as (
     count(distinct unit) filter (verdict <> 'NO_DATA') as judged
   from each_limit group by metric, subject
 )
-select row_number() over worst as place, c.metric, c.subject, coalesce(n.en, c.metric) as en, coalesce(n.zh, c.metric) as zh,
+select row_number() over worst as place, c.metric, c.subject, coalesce(n.en, c.metric) as en,
+  coalesce(n.zh, c.metric) as zh,
   c.failed, c.marginal, c.judged, c.failed / sum(c.failed) over () as share,
   sum(c.failed) over worst / sum(c.failed) over () as cumulative_share
 from counted c left join metric_names n using (metric)
@@ -113,7 +114,7 @@ class Yield(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which units: those measured in a group, or against the limits of a `metric`, judged by what was measured there."""
+    """Which units: those measured in a group or against limits of a `metric`, judged by what was measured there."""
 
     verdict: Name = ""
     product: Name = ""

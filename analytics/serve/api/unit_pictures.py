@@ -1,4 +1,4 @@
-"""Pictures of a unit: characteristics over time against their limits, Allan curves of its runs, bias over temperature."""
+"""Pictures of a unit: characteristics over time against their limits, Allan curves of its runs, temperature."""
 
 import json
 from collections import defaultdict
@@ -66,7 +66,8 @@ with rate as (
   anti join turning t on t.run = r.run and t.t_ns = r.t_ns
   anti join commanded c on c.run = r.run and r.t_ns + 10000000000 > c.t_start_ns and r.t_ns < c.t_end_ns
 ), spread as (
-  select run, min(temperature) as low, greatest((max(temperature) - min(temperature)) / 30, 0.1) as width from still
+  select run, min(temperature) as low, greatest((max(temperature) - min(temperature)) / least(30, greatest(count(*) // 4, 3)), 0.1) as width
+  from still
   group by run having max(temperature) - min(temperature) >= 3
 )
 select s.run, avg(s.temperature) as temperature, avg(s.mean) as mean, stddev_samp(s.mean) as deviation, count(*) as n
@@ -154,7 +155,7 @@ def unit_allan(call: Call, asked: OfSignal) -> Picture:
 
 @get("/api/units/{unit}/temperature", table="", is_slow=True)
 def unit_temperature(call: Call, asked: OfSignal) -> Picture:
-    """Output of a unit at rest over its temperature: bias of static steps, and 10 s means of runs whose temperature moves."""
+    """Output of a unit at rest over temperature: bias of static steps, 10 s means of runs whose temperature moves."""
     unit = call.path["unit"]
     signal = _signal_of(call, asked.signal)
     known = {row["signal"]: row["unit_of_measure"] for row in dictionaries(call.views, _SIGNALS, {"unit": unit})}

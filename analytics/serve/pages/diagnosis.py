@@ -35,9 +35,7 @@ def diagnosis(call: Call, asked: DiagnosisPageAsked) -> dict[str, Any]:
     found = api.diagnosis(call, Nothing())
     done = [job for job in found.jobs if job.state == "done" and asked.job in ("", job.id)]
     if asked.job and not done:
-        raise NotFound(
-            f"unit {found.unit} has no finished diagnosis {asked.job!r}; /api/jobs lists those of this server"
-        )
+        raise NotFound(f"unit {found.unit} has no finished diagnosis {asked.job!r}; /api/jobs lists this server's")
     shown_job = jobs_api.document_of(call.service.jobs.job(done[0].id)) if done else None
     return {
         "found": found,

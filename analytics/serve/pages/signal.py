@@ -29,7 +29,7 @@ order by unit <> $unit, unit, signal limit $most
 
 
 class SignalPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which stretch, and what is shown beside it: ``SIGNAL`` of the same unit, ``UNIT/SIGNAL`` of another, or ``none``."""
+    """Which stretch, and what is beside it: ``SIGNAL`` of the same unit, ``UNIT/SIGNAL`` of another, or ``none``."""
 
     from_: str | None = msgspec.field(default=None, name="from")
     to: str | None = None

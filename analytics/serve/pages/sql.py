@@ -24,7 +24,7 @@ _FILES = (Form.CSV, Form.PARQUET, Form.JSON)
 
 
 async def sql(request: Request, *, service: Service) -> Response:
-    """The editor with the statement of the address; with its result where the form was sent, or the result as a file."""
+    """The editor with the statement of the address; its result where the form was sent, or the result as a file."""
     person = admitted(request.scope, Role.VIEWER)
     statement, is_sent, form = request.query_params.get("sql", ""), request.method == "POST", ""
     if is_sent:
