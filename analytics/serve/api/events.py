@@ -18,7 +18,8 @@ _PAGE = f"""
 select * from ({_ROWS})
 where ($kind = '' or kind = $kind) and ($run = '' or run = $run) and ($unit = '' or unit = $unit)
   and ($station = '' or station = $station) and ($what = '' or document->>'$.what' = $what)
-  and ($who = '' or "by" = $who) and ($only = '' or "by" not in ('', 'import', 'station', 'run', 'gyrofleet compensate'))
+  and ($who = '' or "by" = $who)
+  and ($only = '' or "by" not in ('', 'import', 'station', 'run', 'gyrofleet compensate'))
   and ($first is null or arrival_ns >= $first) and ($stop is null or arrival_ns < $stop)
   and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
 order by arrival_ns desc, uid limit $rows

@@ -1,5 +1,6 @@
 """Jobs of the server: diagnoses and verifications at work, and their results."""
 
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -90,7 +91,14 @@ def verify_store(call: Call, asked: Nothing) -> JobDocument:
 
 def document_of(job: Job) -> JobDocument:
     """A job as an answer."""
-    return JobDocument(job=job_row(job), result=job.result)
+    return JobDocument(job=job_row(job), result=result_of(job))
+
+
+def result_of(job: Job) -> Any:
+    """The result of a job; of the store its name, not where it lies."""
+    if isinstance(job.result, dict) and isinstance(job.result.get("store"), str):
+        return job.result | {"store": Path(job.result["store"]).name}
+    return job.result
 
 
 def job_row(job: Job) -> JobRow:

@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from analytics.serve.api.jobs import result_of
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import dictionaries, iso
 from storage.log.files import sealed_segments
@@ -152,7 +153,8 @@ def store(call: Call, asked: Nothing) -> StoreDocument:
         writer=writer_endpoint(folder), log=_log(call.store), lake=_lake(call.store),
         disk=DiskRow(total_bytes=usage.total, free_bytes=usage.free), segments=_segments(call.store),
         delivery=[DeliveryRow(**row) for row in dictionaries(call.views, _DELIVERY)], counters=_counters(call.store),
-        clocks=dictionaries(call.views, _CLOCKS), notes=notes, verified=None if verified is None else verified.result,
+        clocks=dictionaries(call.views, _CLOCKS), notes=notes,
+        verified=None if verified is None else result_of(verified),
         verified_ns=None if verified is None else verified.ended_ns,
     )  # fmt: skip
 

@@ -66,7 +66,8 @@ with rate as (
   anti join turning t on t.run = r.run and t.t_ns = r.t_ns
   anti join commanded c on c.run = r.run and r.t_ns + 10000000000 > c.t_start_ns and r.t_ns < c.t_end_ns
 ), spread as (
-  select run, min(temperature) as low, greatest((max(temperature) - min(temperature)) / least(30, greatest(count(*) // 4, 3)), 0.1) as width
+  select run, min(temperature) as low,
+    greatest((max(temperature) - min(temperature)) / least(30, greatest(count(*) // 4, 3)), 0.1) as width
   from still
   group by run having max(temperature) - min(temperature) >= 3
 )

@@ -2,7 +2,7 @@
 import {draw} from "./figure.js";
 import {asked, element, figure, say} from "./texts.js";
 
-const KEPT = 30, SHOWN_ROWS = 1000, KEY = "gyrofleet-sql", MOST_CURVES = 8, FEWEST = 3;
+const KEPT = 30, SHOWN_ROWS = 1000, KEY = "gyrofleet-sql", MOST_CURVES = 12, FEWEST = 3, MANY = 200;
 const NUMBER = /INT|DOUBLE|FLOAT|DECIMAL|HUGEINT|REAL/i, TIME = /TIMESTAMP|DATE/i, TEXT = /STRING|VARCHAR|UTF8/i;
 
 export function start(form) {
@@ -90,12 +90,13 @@ function plotted(host, columns, rows, link) {
     picture.replaceChildren();
     const at = name => columns.findIndex(column => column.name === name);
     const [x, y, group] = [at(across.value), at(up.value), at(by.value)], time = TIME.test(columns[x].type);
-    const place = row => (time ? Date.parse(`${String(row[x]).replace(" ", "T").replace(/(Z|[+-]\d\d(:?\d\d)?)$/, "")}Z`) / 1000 : row[x]);
+    const place = row => (time ? instant(String(row[x])) : row[x]);
     const curves = new Map();
     for (const row of rows) {
       const value = place(row), name = group < 0 ? columns[y].name : String(row[group] ?? "–");
       if (!Number.isFinite(value) || typeof row[y] !== "number") continue;
-      if (!curves.has(name)) curves.set(name, {name: both(name), x: [], y: [], style: rows.length > 200 ? "line" : "both"});
+      if (!curves.has(name)) curves.set(name, {name: both(name), x: [], y: [], style: rows.length > MANY ? "line" : "both"});
+      if (value <= curves.get(name).x.at(-1)) curves.get(name).style = "points"; // no function of what is across
       curves.get(name).x.push(value);
       curves.get(name).y.push(row[y]);
     }
@@ -114,6 +115,12 @@ function grouped(texts, rows) {
     return n > 1 && n <= MOST_CURVES && rows.length >= 2 * n;
   });
   return found?.name ?? "";
+}
+
+/** Seconds of a date, or of a time stamp, which is in UTC whatever it says of its zone. */
+function instant(text) {
+  const time = /\d:\d/.test(text);
+  return Date.parse(time ? `${text.replace(" ", "T").replace(/(Z|[+-]\d\d(:?\d\d)?)$/, "")}Z` : text) / 1000;
 }
 
 const both = text => ({en: text, zh: text});

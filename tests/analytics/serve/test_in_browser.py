@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import httpx
 import numpy as np
@@ -20,8 +21,8 @@ pytestmark = pytest.mark.skipif(not IS_THERE, reason="chromium and chromedriver 
 AXE = Path(__file__).parents[2] / "vendor" / "axe.min.js"
 SIGNAL = "/signals/FOG-0001/run-1/rate"
 PAGES = (
-    "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", SIGNAL, "/trends?metric=bias", "/verdicts", "/diagnosis", "/sql",
-    "/events", "/work", "/store",
+    "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", SIGNAL, "/trends?metric=bias", "/verdicts", "/diagnosis",
+    "/sql", "/events", "/work", "/store",
 )  # fmt: skip
 _IN_GATE = ("/units/FOG-0001", SIGNAL)
 # pixels of the curve in the uppermost fifth of the plot

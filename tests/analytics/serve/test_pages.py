@@ -11,8 +11,8 @@ from tests.analytics.serve.conftest import Served
 
 PAGES = (
     "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", "/signals/FOG-0001/run-1/rate", "/trends",
-    "/trends?metric=bias&by=unit", "/verdicts?verdict=PASS", "/diagnosis", "/diagnosis/FOG-0001", "/sql", "/sql?sql=select%201",
-    "/events?kind=RunStarted", "/store",
+    "/trends?metric=bias&by=unit", "/verdicts?verdict=PASS", "/diagnosis", "/diagnosis/FOG-0001",
+    "/sql", "/sql?sql=select%201", "/events?kind=RunStarted", "/store",
 )  # fmt: skip
 HEADINGS = {
     "/": ("Floor", "车间"),
