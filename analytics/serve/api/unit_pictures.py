@@ -117,8 +117,16 @@ def unit_history(call: Call, asked: HistoryAsked) -> Picture:
     by_kind: dict[str, list[tuple[float, dict[str, Any]]]] = defaultdict(list)
     for row in rows:
         by_kind[_kind(row)].append((row["t_ns"] / 1e9 if dated else float(runs.index(row["run"] or "")), row))
-    curves = [_values(kind, points) for kind, points in list(by_kind.items())[:_MOST_CURVES]]
-    return Picture(title=title, x=x, y=y, curves=[*curves, *_limits(by_kind)])
+    # a limit is of one kind of values, as of one averaging time: others beside it would look judged by it
+    limited = {kind: points for kind, points in by_kind.items() if any(_has_limit(row) for _, row in points)}
+    shown = dict(list((limited or by_kind).items())[:_MOST_CURVES])
+    left = len(by_kind) - len(shown)
+    note = Label(
+        f"{left} kinds of this characteristic without a limit are not drawn; they are in the table of characteristics.",
+        f"该特性的 {left} 类无限值的数值未绘出，见特性表。",
+    )
+    curves = [_values(kind, points) for kind, points in shown.items()]
+    return Picture(title=title, x=x, y=y, curves=[*curves, *_limits(shown)], note=note if left else None)
 
 
 @get("/api/units/{unit}/allan", table="", is_slow=True)
@@ -232,6 +240,10 @@ def _kind(row: dict[str, Any]) -> str:
     parameters = json.loads(row["parameters"] or "{}")
     settings = [f"{name}={value}" for name, value in parameters.items() if name not in _RESULTS]
     return ", ".join(each for each in (row["signal"], row["standard"], *settings) if each)
+
+
+def _has_limit(row: dict[str, Any]) -> bool:
+    return row["lower"] is not None or row["upper"] is not None
 
 
 def _values(kind: str, points: list[tuple[float, dict[str, Any]]]) -> Curve:

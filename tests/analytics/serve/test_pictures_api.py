@@ -97,6 +97,13 @@ def test_a_characteristic_over_time_against_its_limits(pictures: httpx.Client) -
     assert {row["value"] for row in metrics if row["metric"] == "bias"} >= set(values["y"])
 
 
+def test_kinds_without_a_limit_are_not_drawn_beside_one(pictures: httpx.Client) -> None:
+    free = got(pictures, "/api/units/P-2/history", metric="bias_stability_averaged")
+    assert curves(free, "limit") == []
+    assert len({each["name"]["en"] for each in free["curves"]}) >= 2
+    assert free["note"] is None
+
+
 def test_allan_curves_of_all_runs_in_one_picture(pictures: httpx.Client) -> None:
     found = got(pictures, "/api/units/P-1/allan")
     assert [each["name"]["en"] for each in found["curves"]] == ["r3", "r2", "r1"]
