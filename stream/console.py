@@ -36,10 +36,12 @@ _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
+    **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# what spreadsheets begin a formula with, also in the wide forms of Chinese and Japanese input
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 
 store_option = click.option(

@@ -57,7 +57,7 @@ class Browser:
         """Show pages as ``light`` or ``dark``."""
         self.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
 
-    def command(self, name: str, **parameters: Any) -> Any:
+    def command(self, name: str, /, **parameters: Any) -> Any:
         """Send a command of the DevTools protocol; its answer."""
         body = {"cmd": name, "params": parameters}
         return self._asked("POST", f"{self._session}/goog/cdp/execute", body)

@@ -26,7 +26,7 @@ from stream.console import notes, print_json, reporting, results, store_option
 )  # fmt: skip
 @click.option(
     "--token-role", type=click.Choice(ROLES),
-    help="What the holder of the token may do; by default all, with --users only read.",
+    help="What the holder of the token may do; by default all, with --users or --login only read.",
 )  # fmt: skip
 @click.option(
     "--users", "users_path", type=click.Path(path_type=Path, dir_okay=False),
@@ -37,11 +37,20 @@ from stream.console import notes, print_json, reporting, results, store_option
 )
 @click.option("--certificate", type=click.Path(path_type=Path), help="Certificate chain for TLS, PEM.")
 @click.option("--key", type=click.Path(path_type=Path), help="Private key of the certificate, PEM.")
+@click.option(
+    "--login", "login_path", type=click.Path(path_type=Path, dir_okay=False),
+    help="File of logins by a provider of OpenID Connect, or by client certificates through a proxy (TOML).",
+)  # fmt: skip
+@click.option(
+    "--url", default="", metavar="URL",
+    help="Address by which browsers call this server, as https://bench7.plant, where it is not the one it listens on.",
+)  # fmt: skip
 @click.option("--trust-network", "trusts_network", is_flag=True, help="Listen beyond loopback without users or TLS.")
 @reporting
 def serve(
     folder: Path, host: str, port: int, token: str | None, token_role: str | None, users_path: Path | None,
-    names: tuple[str, ...], certificate: Path | None, key: Path | None, *, trusts_network: bool, as_json: bool,
+    names: tuple[str, ...], certificate: Path | None, key: Path | None, login_path: Path | None, url: str, *,
+    trusts_network: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Serve pages and an HTTP API over a store, to browsers and programs; Ctrl-C ends it.
 
@@ -61,11 +70,12 @@ def serve(
     from storage.store import Store
 
     store = Store.open(folder)
-    is_new = not token and users_path is None
-    role = token_role or ("approver" if users_path is None else "viewer")
+    is_new = not token and users_path is None and login_path is None
+    role = token_role or ("approver" if users_path is None and login_path is None else "viewer")
     settings = Settings(
         host=host, port=port, token=token or (secrets.token_urlsafe(24) if is_new else ""), token_role=Role.named(role),
         users_path=users_path, names=names, certificate=certificate, key=key, trusts_network=trusts_network,
+        login_path=login_path, url=url.rstrip("/"),
     )  # fmt: skip
 
     def say(url: str) -> None:

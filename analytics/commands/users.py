@@ -2,13 +2,18 @@
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from analytics.serve.doors.roles import ROLES, Role
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results
+from stream.errors import BadInput
 from stream.result_table import ResultTable
+
+if TYPE_CHECKING:
+    from analytics.serve.doors.users_file import User
 
 _users_option = click.option(
     "--users", "path", type=click.Path(path_type=Path, dir_okay=False), default="users.toml", show_default=True,
@@ -29,14 +34,25 @@ def users() -> None:
 @click.argument("name")
 @click.option("--role", type=click.Choice(ROLES), required=True, help="What the user may do.")
 @click.option("--program", is_flag=True, help="A program: a new token is printed, and stored nowhere.")
+@click.option(
+    "--certificate", metavar="SUBJECT", help="Subject of a client certificate, by which a proxy knows the user."
+)
 @click.option("--password-stdin", is_flag=True, help="Read the password from standard input instead of asking for it.")
 @_users_option
 @reporting
-def add(name: str, role: str, path: Path, *, program: bool, password_stdin: bool, as_json: bool) -> None:
+def add(
+    name: str, role: str, certificate: str | None, path: Path, *, program: bool, password_stdin: bool, as_json: bool
+) -> None:
     """Add a user, or give one another role and password."""
-    from analytics.serve.doors.users_file import add_person, add_program
+    from analytics.serve.doors.users_file import add_certificate, add_person, add_program
 
     found = {"user": name, "role": role, "users": str(path)}
+    if certificate is not None:
+        if program or password_stdin:
+            raise BadInput("a user with --certificate has no password or token; leave --program, --password-stdin out")
+        add_certificate(path, name, Role.named(role), certificate)
+        print_json(found) if as_json else results().print(f"{name} is {role} in {path}")
+        return
     if program:
         token = add_program(path, name, Role.named(role))
         if as_json:
@@ -66,10 +82,7 @@ def list_users(path: Path, *, as_json: bool) -> None:
 
     if not path.exists():
         raise NotFound(f"there is no file {path}; `gyrofleet users add NAME --role ROLE` writes it")
-    rows = [
-        {"user": name, "role": user.role, "kind": "program" if user.token_sha256 else "person"}
-        for name, user in read_users(path).items()
-    ]
+    rows = [{"user": name, "role": user.role, "kind": _kind(user)} for name, user in read_users(path).items()]
     if as_json:
         print_json(rows)
         return
@@ -77,6 +90,12 @@ def list_users(path: Path, *, as_json: bool) -> None:
     for row in rows:
         table.add_row(*row.values())
     results().print(table)
+
+
+def _kind(user: "User") -> str:
+    if user.token_sha256:
+        return "program"
+    return "person" if user.password else "certificate"
 
 
 @users.command("remove")

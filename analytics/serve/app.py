@@ -16,15 +16,18 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from analytics.serve.api.routes import api_routes
-from analytics.serve.doors.gate import Gate
+from analytics.serve.doors.gate import PERSON, Gate, address_of
+from analytics.serve.doors.roles import Person
 from analytics.serve.pages.problem_page import problem_response
 from analytics.serve.pages.routes import page_routes
-from analytics.serve.problems import HttpProblem, WrongMethod
+from analytics.serve.problems import Forbidden, HttpProblem, Misdirected, TooLarge, TooMany, TooSlow, WrongMethod
 from analytics.serve.service import Service
 from stream.errors import GyrofleetError, NotFound
 
 _LEAST_COMPRESSED_BYTES = 1000
 _COMPRESSION = 4
+# attempts, rather than slips
+_REPORTED = (Forbidden, Misdirected, TooLarge, TooMany, TooSlow)
 
 
 def application(service: Service, names: tuple[str, ...]) -> ASGIApp:
@@ -40,19 +43,33 @@ def application(service: Service, names: tuple[str, ...]) -> ASGIApp:
     app = Starlette(
         routes=[*api_routes(service), *page_routes(service), Mount("/static", static, name="static")],
         middleware=[Middleware(GZipMiddleware, minimum_size=_LEAST_COMPRESSED_BYTES, compresslevel=_COMPRESSION)],
-        exception_handlers={GyrofleetError: _refuse, HTTPException: _refuse_http, Exception: _fail},
+        exception_handlers={
+            GyrofleetError: functools.partial(_refuse, service),
+            HTTPException: _refuse_http,
+            Exception: _fail,
+        },
         lifespan=life,
     )
-    return Gate(app, service.doorkeeper, names, problem_response, functools.partial(_count, service))
+    refuse = functools.partial(_problem, service)
+    return Gate(app, service.doorkeeper, names, refuse, functools.partial(_count, service))
 
 
 def _count(service: Service) -> None:
     service.requests += 1
 
 
-async def _refuse(request: Request, error: Exception) -> Response:
-    assert isinstance(error, GyrofleetError)
+def _problem(service: Service, request: Request, error: GyrofleetError) -> Response:
+    if isinstance(error, _REPORTED):
+        person: Person | None = request.scope.get(PERSON)
+        who = "nobody" if person is None else person.name
+        what = f"{request.method} {request.url.path} as {who}: {error}"
+        service.doorkeeper.watch.saw("refused", address_of(request.scope), what)
     return problem_response(request, error)
+
+
+async def _refuse(service: Service, request: Request, error: Exception) -> Response:
+    assert isinstance(error, GyrofleetError)
+    return _problem(service, request, error)
 
 
 async def _refuse_http(request: Request, error: Exception) -> Response:

@@ -55,6 +55,12 @@ class Conflict(HttpProblem):
     status = 409
 
 
+class TooSlow(HttpProblem):
+    """A request whose body does not come."""
+
+    status = 408
+
+
 class TooLarge(HttpProblem):
     """A request that is too long."""
 

@@ -6,11 +6,16 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
 import uvicorn
 
 from analytics.serve.app import application
 from analytics.serve.doors.doorkeeper import Doorkeeper
+from analytics.serve.doors.line import line_class
+from analytics.serve.doors.login_file import LoginFile
+from analytics.serve.doors.proxy import Proxy
+from analytics.serve.doors.server_log import watch_log
 from analytics.serve.doors.users_file import UsersFile
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.service import Service
@@ -19,6 +24,9 @@ from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.store import Store
 from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from analytics.serve.doors.oidc_login import OidcLogin
 
 _GRACE_S = 2
 _KEEP_ALIVE_S = 20
@@ -49,30 +57,53 @@ def serve(store: Store, settings: Settings, on_ready: Callable[[str], None]) -> 
     """Serve a store until SIGINT or SIGTERM; `on_ready` gets the server's URL, without a path."""
     settings.check()
     users = None if settings.users_path is None else UsersFile(settings.users_path)
+    file = LoginFile() if settings.login_path is None else LoginFile.read(settings.login_path)
+    proxy = None if file.proxy is None else Proxy(file.proxy, file.proxy_secret())
     listening = _listening(settings)
     port = listening.getsockname()[1]
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    url = f"{'https' if settings.certificate else 'http'}://{host}:{port}"
     name = f"gyrofleet_{port}"
+    try:
+        oidc = _oidc(file, settings, settings.url or url)
+    except BaseException:
+        listening.close()
+        raise
     doorkeeper = Doorkeeper(
         token=settings.token, token_role=settings.token_role, users=users,
-        cookie=f"__Host-{name}" if settings.is_secure else name, is_secure=settings.is_secure,
+        cookie=f"__Host-{name}" if settings.is_secure else name, is_secure=settings.is_secure, proxy=proxy, oidc=oidc,
     )  # fmt: skip
     live = FloorFollower(store)
     service = Service(
         store, doorkeeper, SharedLake(store, live.entered), SqlPool(store), live, is_on_loopback=settings.is_on_loopback
     )
+    watch_log(doorkeeper.watch)
     config = uvicorn.Config(
-        application(service, settings.names), log_config=None, access_log=False, ws="none", server_header=False,
+        application(service, settings.all_names), log_config=None, access_log=False, ws="none", server_header=False,
         proxy_headers=False, lifespan="on", timeout_graceful_shutdown=_GRACE_S, timeout_keep_alive=_KEEP_ALIVE_S,
         ssl_certfile=settings.certificate, ssl_keyfile=settings.key,
+        http=line_class(doorkeeper.watch),
     )  # fmt: skip
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    url = f"{'https' if settings.is_secure else 'http'}://{host}:{port}"
     with suppress(OSError):
         os.nice(_NICER)
     try:
         asyncio.run(_run(_Server(config, lambda: on_ready(url)), listening, service))
     finally:
         service.close()
+
+
+def _oidc(file: LoginFile, settings: Settings, site: str) -> "OidcLogin | None":
+    """Logins by the provider that a file names."""
+    if file.oidc is None:
+        return None
+    from analytics.serve.doors.oidc_login import OidcLogin  # its libraries are an extra
+
+    if not settings.url and not settings.is_on_loopback:
+        raise BadInput(
+            f"--host {settings.host} with a login by a provider needs --url, to which it sends browsers back, as "
+            "--url https://bench7.plant:8766"
+        )
+    return OidcLogin(file.oidc, file, site)
 
 
 async def _run(server: _Server, listening: socket.socket, service: Service) -> None:

@@ -5,6 +5,7 @@ import os
 import secrets
 import shutil
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from analytics.serve.memo import Memo
 from analytics.serve.problems import Stopping
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
+from analytics.serve.warming import Warming
 from storage.recording.status_board import StatusBoard
 from storage.store import Store
 from stream.errors import GyrofleetError
@@ -43,8 +45,10 @@ class Service:
     ----------
     fast: Threads for views and rollups.
     slow: Threads for metrics and long computations, so that they hold up nobody else.
+    logins: Threads for passwords and providers, so that a crowd of logins holds up no page.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
+    listening: Pages of each person that listen to the floor.
     """
 
     store: Store
@@ -58,15 +62,19 @@ class Service:
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))
+    logins: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(4))
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
     began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0
+    listening: Counter[str] = field(default_factory=Counter)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
+    warming: Warming = field(init=False)
 
     def __post_init__(self) -> None:
-        """Connect the floor's changes with the end of the server."""
+        """Connect the parts with each other."""
         self.changes = Broadcast(self.stopping)
+        self.warming = Warming(self.lake)
 
     @property
     def busy_threads(self) -> int:
@@ -95,6 +103,7 @@ class Service:
                 loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
 
         self.live.start(self.lake, tell)
+        self.warming.start()
         with StatusReporter(self.status, StatusBoard(self.store).put):
             try:
                 yield
@@ -111,6 +120,8 @@ class Service:
             "busy_threads": self.busy_threads,
             "sessions": len(self.doorkeeper.sessions),
             "listeners": self.changes.listeners,
+            "logins_refused_total": self.doorkeeper.watch.counts["login refused"],
+            "requests_refused_total": self.doorkeeper.watch.counts["refused"],
             "lag_seconds": self.live.lag_s,
         }
         trouble, free_bytes = self.live.problem or "", shutil.disk_usage(self.store.folder).free
@@ -130,6 +141,7 @@ class Service:
 
     def close(self) -> None:
         """Close what is open."""
+        self.warming.close()
         self.live.close()
         self.jobs.close()
         self.sql.close()

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from analytics.serve.doors.origin import is_loopback
 from analytics.serve.doors.roles import Role
@@ -22,6 +23,8 @@ class Settings:
     names: Names of the host by which browsers call it, besides addresses and localhost.
     certificate, key: Files of TLS, both or none.
     trusts_network: Listen beyond loopback without users or TLS.
+    login_path: File of logins by a provider or through a proxy, if there is one.
+    url: How browsers reach the server, as ``https://bench7.plant``; empty for the address that it listens on.
     """
 
     host: str
@@ -33,11 +36,19 @@ class Settings:
     certificate: Path | None = None
     key: Path | None = None
     trusts_network: bool = False
+    login_path: Path | None = None
+    url: str = ""
 
     @property
     def is_secure(self) -> bool:
-        """Whether it speaks TLS itself."""
-        return self.certificate is not None
+        """Whether browsers reach it by TLS, its own or that of a proxy."""
+        return self.url.startswith("https://") or (not self.url and self.certificate is not None)
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Names of the host, that of the URL as well."""
+        name = urlsplit(self.url).hostname
+        return (*self.names, name) if name else self.names
 
     @property
     def is_on_loopback(self) -> bool:
@@ -51,13 +62,20 @@ class Settings:
         for option, path in (("--certificate", self.certificate), ("--key", self.key)):
             if path is not None and not path.is_file():
                 raise BadInput(f"{option} {path}: there is no such file")
+        if self.url and not _is_site(self.url):
+            raise BadInput(f"--url {self.url!r} is not the address of a server without a path, as https://bench7.plant")
+        if self.url.startswith("http://") and self.certificate is not None:
+            raise BadInput(f"--url {self.url} is without TLS, but the server has a certificate; write https://")
         if self.is_on_loopback or self.trusts_network:
             return
         lacking = [
             text
             for text, is_there in (
-                ("users (--users FILE; `gyrofleet users add` writes it)", self.users_path is not None),
-                ("TLS (--certificate FILE --key FILE)", self.is_secure),
+                (
+                    "users (--users FILE; `gyrofleet users add` writes it)",
+                    self.users_path is not None or self.login_path is not None,
+                ),
+                ("TLS (--certificate FILE --key FILE)", self.certificate is not None),
             )
             if not is_there
         ]
@@ -66,3 +84,16 @@ class Settings:
                 f"--host {self.host} is reached from other machines, which needs {' and '.join(lacking)}; or say that "
                 "only people whom you trust are on that network, or a proxy with TLS: --trust-network"
             )
+
+
+def _is_site(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        return False
+    return (
+        url == f"{parts.scheme}://{parts.netloc}"
+        and parts.scheme in {"http", "https"}
+        and (bool(parts.hostname) and port != 0 and "@" not in parts.netloc and url.isascii() and url.isprintable())
+    )

@@ -54,6 +54,7 @@ class SharedCatalogue(Closing):
 
     def __init__(self, open_catalogue: Callable[[LakeState], Catalog]) -> None:
         self._open_catalogue = open_catalogue
+        self.uses = 0  # leases so far
         self._current: _Opened | None = None
         self._lock = threading.Lock()
         self._opening = threading.Lock()
@@ -61,6 +62,7 @@ class SharedCatalogue(Closing):
     @contextmanager
     def lease(self, state: LakeState) -> Iterator[Catalog]:
         """A catalogue of that version, to read from any thread; it stays open within."""
+        self.uses += 1
         opened = self._taken(state)
         if opened is None:
             with self._opening:  # others wait for it instead of opening another one

@@ -25,7 +25,7 @@ TABLE_FUNCTIONS = frozenset(
     }
 )  # fmt: skip
 """Table functions of DuckDB that read only the statement and the catalogue."""
-REFUSED_FUNCTIONS = frozenset({"currval", "nextval", "setseed", "setval", "sleep_ms", "write_log"})
+REFUSED_FUNCTIONS = frozenset({"currval", "nextval", "pg_sleep", "setseed", "setval", "sleep_ms", "write_log"})
 """Scalar functions with side effects."""
 
 

@@ -16,12 +16,13 @@ from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form, encoded, form_of
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
-from analytics.serve.problems import TooLarge
+from analytics.serve.problems import TooLarge, TooSlow
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
 from stream.errors import BadInput, GyrofleetError
 
 MOST_BODY_BYTES = 1 << 20
+_LONGEST_BODY_S = 30.0
 _FORMAT = "format"
 
 
@@ -85,12 +86,16 @@ async def computed(
 
 
 async def limited_body(request: Request) -> bytes:
-    """The body of a request; TooLarge if it has more than 1 MiB."""
+    """The body of a request; TooLarge if it has more than 1 MiB, TooSlow if it takes more than 30 s."""
     content = bytearray()
-    async for piece in request.stream():
-        content += piece
-        if len(content) > MOST_BODY_BYTES:
-            raise TooLarge(f"the request has more than {MOST_BODY_BYTES:,} bytes")
+    try:
+        with anyio.fail_after(_LONGEST_BODY_S):
+            async for piece in request.stream():
+                content += piece
+                if len(content) > MOST_BODY_BYTES:
+                    raise TooLarge(f"the request has more than {MOST_BODY_BYTES:,} bytes")
+    except TimeoutError as error:
+        raise TooSlow(f"the request has not come whole within {_LONGEST_BODY_S:.0f} s") from error
     return bytes(content)
 
 

@@ -22,6 +22,7 @@ from stream.console import json_text
 from stream.errors import NotFound
 
 _MOST_LISTENERS = 1000
+_MOST_OF_ONE = 200
 _LONGEST_S = 3600.0
 
 
@@ -121,8 +122,8 @@ async def live(request: Request, *, service: Service) -> Response:
 
     A browser that comes back with Last-Event-ID gets what it has missed, if that is kept, instead of all.
     """
-    admitted(request.scope, Role.VIEWER)
-    if service.changes.listeners >= _MOST_LISTENERS:
+    person = admitted(request.scope, Role.VIEWER)
+    if service.changes.listeners >= _MOST_LISTENERS or service.listening[person.name] >= _MOST_OF_ONE:
         raise TooMany("too many pages listen to the floor", 10.0)
     nonce, _, number = request.headers.get("last-event-id", "").partition("-")
     version = int(number) if nonce == service.nonce and number.isdecimal() and len(number) < 16 else -1
@@ -130,13 +131,23 @@ async def live(request: Request, *, service: Service) -> Response:
     if version < 0 or not service.changes.has_after(version):
         encode = functools.partial(_all, service)
         version, first = await anyio.to_thread.run_sync(encode, limiter=service.fast, abandon_on_cancel=True)
-    events = _events(service, version, first)
+    events = _of_person(service, person.name, _events(service, version, first))
     return StreamingResponse(events, media_type="text/event-stream", headers={"X-Accel-Buffering": "no"})
 
 
 def _all(service: Service) -> tuple[int, bytes]:
     document = service.live.document()
     return document["version"], json_text(document).encode()
+
+
+async def _of_person(service: Service, name: str, events: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """Events, counted as one page of a person: nobody takes the places of all others."""
+    service.listening[name] += 1
+    try:
+        async for each in events:
+            yield each
+    finally:
+        service.listening[name] -= 1
 
 
 async def _events(service: Service, version: int, first: bytes | None) -> AsyncIterator[bytes]:

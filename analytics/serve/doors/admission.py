@@ -25,7 +25,7 @@ def admitted(scope: Scope, role: Role) -> Person:
 
 def check_change(scope: Scope, given: str | None) -> None:
     """Refuse a change that a browser sends without the secret of its session, or from another site."""
-    if not is_of_this_site(Headers(scope=scope)):
+    if not is_of_this_site(Headers(scope=scope), is_secure=scope["scheme"] == "https"):
         raise Forbidden("a page of another site sent this change; send it from a page of this server")
     person: Person | None = scope[PERSON]
     if person is None or person.csrf is None:

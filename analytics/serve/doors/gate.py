@@ -1,5 +1,6 @@
 """The gate before all routes: names of the host, who asks, headers of every answer."""
 
+import time
 from collections.abc import Callable, Collection
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -10,11 +11,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.doors.headers import SECURITY_HEADERS
 from analytics.serve.doors.origin import is_named
+from analytics.serve.doors.proxy import Caller, ForgedProxy
 from analytics.serve.doors.roles import Person
-from analytics.serve.problems import Misdirected
+from analytics.serve.problems import Misdirected, TooMany
 from stream.errors import GyrofleetError
 
 PERSON = "gyrofleet.person"
+_PEER = "gyrofleet.peer"
+# who listens is asked for again so often
+_CHECK_S = 5.0
 
 
 class Gate:
@@ -49,7 +54,17 @@ class Gate:
             await self._app(scope, receive, send)
             return
 
+        checked_s = time.monotonic()
+        is_over = False
+
         async def send_with_headers(message: Message) -> None:
+            nonlocal checked_s, is_over
+            if is_over:
+                return
+            if message.get("more_body") and time.monotonic() - checked_s > _CHECK_S:
+                checked_s = time.monotonic()
+                if is_over := not self._is_still(scope):
+                    message = {"type": "http.response.body", "body": b"", "more_body": False}
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in SECURITY_HEADERS.items():
@@ -59,6 +74,8 @@ class Gate:
 
         self._count()
         scope[PERSON] = None
+        if self._doorkeeper.is_secure:
+            scope["scheme"] = "https"  # also where a proxy has ended TLS
         try:
             scope[PERSON] = self._known(scope)
         except GyrofleetError as problem:
@@ -67,13 +84,42 @@ class Gate:
             return
         await self._app(scope, receive, send_with_headers)
 
+    def _is_still(self, scope: Scope) -> bool:
+        """Whether who has asked for a long answer may still have it: logged in, with a role that is no lower."""
+        before: Person | None = scope[PERSON]
+        if before is None:
+            return True  # nothing that needs somebody
+        try:
+            now = self._known(scope)
+        except TooMany:
+            return True
+        except GyrofleetError:
+            return False
+        return now is not None and now.name == before.name and now.role >= before.role
+
     def _known(self, scope: Scope) -> Person | None:
         headers = Headers(scope=scope)
         if not is_named(headers.get("host", ""), self._names):
             raise Misdirected(
                 "the request is for another host; call this server by its address, or start it with --name HOST"
             )
-        return self._doorkeeper.identify(headers, cookie_parser(headers.get("cookie", "")), address_of(scope))
+        caller = self._caller(headers, scope)
+        cookies = cookie_parser(headers.get("cookie", ""))
+        return self._doorkeeper.identify(headers, cookies, address_of(scope), caller)
+
+    def _caller(self, headers: Headers, scope: Scope) -> Caller | None:
+        """Whom the proxy names; its address is that of the request from here on. What is forged counts for nothing."""
+        proxy, peer = self._doorkeeper.proxy, scope.setdefault(_PEER, address_of(scope))
+        if proxy is None:
+            return None
+        try:
+            caller = proxy.caller(headers, peer)
+        except ForgedProxy as problem:
+            self._doorkeeper.watch.saw("header ignored", peer, str(problem))
+            return None
+        if caller is not None:
+            scope["client"] = (caller.address, 0)
+        return caller
 
 
 def address_of(scope: Scope) -> str:

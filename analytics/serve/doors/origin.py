@@ -45,10 +45,34 @@ def is_named(host: str, names: Collection[str]) -> bool:
     return True
 
 
-def is_of_this_site(headers: Headers) -> bool:
-    """Whether a browser says that a page of this server sent the request; programs say nothing, and are believed."""
+def local_path(text: str) -> str:
+    r"""A path of this server to go to; the first page for anything else.
+
+    >>> [local_path(each) for each in ("/units?lot=7", "//evil.example", "https://e.example", "/\\e.example", "//[")]
+    ['/units?lot=7', '/', '/', '/', '/']
+    """
+    try:
+        parts = urlsplit(text)
+    except ValueError:
+        return "/"
+    is_local = text.startswith("/") and not (parts.netloc or parts.scheme or text.startswith("//") or "\\" in text)
+    return text if is_local and text.isprintable() else "/"
+
+
+def is_of_this_site(headers: Headers, *, is_secure: bool) -> bool:
+    """Whether a browser says that a page of this server sent the request; programs say nothing, and are believed.
+
+    Where browsers come by TLS, a page without it is another site: anybody on the way could have written it.
+    """
     site = headers.get("sec-fetch-site")
     if site is not None and site not in {"same-origin", "none"}:
         return False
-    origin = headers.get("origin")
-    return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+    origins = headers.getlist("origin")
+    if not origins:
+        return True
+    try:
+        origin = urlsplit(origins[0])
+    except ValueError:
+        return False
+    schemes = {"https"} if is_secure else {"http", "https"}
+    return len(origins) == 1 and origin.scheme in schemes and origin.netloc.lower() == headers.get("host", "").lower()

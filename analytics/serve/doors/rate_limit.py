@@ -33,6 +33,12 @@ class RateLimit:
                     self._full_at.popitem(last=False)
             return max(wait_s, 0.0)
 
+    def give_back(self, key: str) -> None:
+        """Give a try back that does not count."""
+        with self._lock:
+            if key in self._full_at:
+                self._full_at[key] -= self._every_s
+
     def left_s(self, key: str) -> float:
         """As `wait_s`, without taking a try."""
         with self._lock:

@@ -1,8 +1,10 @@
-"""The file of users: TOML with role and hashed password, or hashed token, of each.
+"""The file of users: TOML with role and hashed password, hashed token, or certificate, of each.
 
 [users.li]
 role = "engineer"
 password = "scrypt:..."
+
+certificate = "CN=Li Wei,O=Plant"   # subject of a certificate that a proxy asks for
 
 [users.dashboard]          # a program
 role = "viewer"
@@ -31,11 +33,12 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 class User(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A person with a password, or a program with a token."""
+    """A person with a password, a program with a token, or either with a certificate."""
 
     role: RoleWord
     password: str = ""
     token_sha256: str = ""
+    certificate: str = ""
 
     @property
     def fingerprint(self) -> str:
@@ -56,6 +59,7 @@ class _Read:
     stamp: tuple[int, int, int]
     users: dict[str, User]
     by_token: dict[str, str]
+    by_certificate: dict[str, str]
 
 
 class UsersFile:
@@ -82,6 +86,12 @@ class UsersFile:
         name = found.by_token.get(_sha256(token))
         return None if name is None else (name, found.users[name])
 
+    def with_certificate(self, subject: str) -> tuple[str, User] | None:
+        """The user with the certificate of that subject, and their name."""
+        found = self._current()
+        name = found.by_certificate.get(subject)
+        return None if name is None else (name, found.users[name])
+
     def _current(self) -> _Read:
         try:
             status = self.path.stat()
@@ -89,7 +99,8 @@ class UsersFile:
             if self._read is None or self._read.stamp != stamp:
                 users = read_users(self.path)
                 by_token = {user.token_sha256: name for name, user in users.items() if user.token_sha256}
-                self._read = _Read(stamp, users, by_token)
+                by_certificate = {user.certificate: name for name, user in users.items() if user.certificate}
+                self._read = _Read(stamp, users, by_token, by_certificate)
         except OSError as error:
             raise BadInput(f"the file of users {self.path} cannot be read: {error.strerror or error}") from error
         return self._read
@@ -101,10 +112,13 @@ def read_users(path: Path) -> dict[str, User]:
         content = decode_toml(path.read_bytes(), _Content)
     except msgspec.MsgspecError as error:
         raise BadInput(f"the file of users {path}: {error}; `gyrofleet users add` writes it") from error
+    subjects: dict[str, str] = {}
     for name, user in content.users.items():
         _check_name(name)
-        if bool(user.password) is bool(user.token_sha256):
-            raise BadInput(f"{path}: user {name} needs a password or a token_sha256, one of them")
+        if bool(user.password) is bool(user.token_sha256) and (user.password or not user.certificate):
+            raise BadInput(f"{path}: user {name} needs a password or a token_sha256, one of them, or a certificate")
+        if user.certificate and (other := subjects.setdefault(user.certificate, name)) != name:
+            raise BadInput(f"{path}: users {other} and {name} have the same certificate {user.certificate!r}")
         if user.password and not is_hash(user.password):
             raise BadInput(f"{path}: the password of user {name} is not hashed; set it with `gyrofleet users add`")
         if user.token_sha256 and _SHA256.fullmatch(user.token_sha256) is None:
@@ -115,6 +129,16 @@ def read_users(path: Path) -> dict[str, User]:
 def add_person(path: Path, name: str, role: Role, password: str) -> None:
     """Add a person to a file, created if there is none, or replace role and password of one."""
     _put(path, name, User(role=_word(role), password=hashed(password)))
+
+
+def add_certificate(path: Path, name: str, role: Role, subject: str) -> None:
+    """Add or replace a user whom a proxy knows by the subject of a certificate."""
+    if not subject.strip() or not subject.isprintable():
+        raise BadInput(f"{subject!r} is not the subject of a certificate, as CN=Li Wei,O=Plant")
+    others = read_users(path) if path.exists() else {}
+    if (taken := next((each for each, user in others.items() if user.certificate == subject), name)) != name:
+        raise BadInput(f"{path}: user {taken} has the certificate {subject!r} already")
+    _put(path, name, User(role=_word(role), certificate=subject.strip()))
 
 
 def add_program(path: Path, name: str, role: Role) -> str:
@@ -146,8 +170,13 @@ def _write(path: Path, users: dict[str, User]) -> None:
         raise BadInput(f"cannot write {path}: {error.strerror or error}; give --users a file you can write") from error
 
 
+def is_name(text: str) -> bool:
+    """Whether a text can be a user's name."""
+    return _NAME.fullmatch(text) is not None
+
+
 def _check_name(name: str) -> None:
-    if _NAME.fullmatch(name) is None:
+    if not is_name(name):
         raise BadInput(f"{name!r} cannot be a user's name: 1 to 64 letters, digits or . @ + - _ are expected")
 
 

@@ -13,11 +13,11 @@ from analytics.serve.api import alerts, diagnosis, jobs, notes
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.doors.admission import admitted, check_change
-from analytics.serve.pages.login import local_path
+from analytics.serve.doors.origin import local_path
 from analytics.serve.service import Service
 from stream.errors import BadInput, NotFound
 
-_ACTIONS: dict[str, Operation[Any, Any]] = {
+ACTIONS: dict[str, Operation[Any, Any]] = {
     each.name: each
     for each in (
         diagnosis.diagnose_unit,
@@ -35,9 +35,9 @@ _OF_PATH = "path."
 
 async def act(request: Request, *, service: Service) -> Response:
     """Do what a form asks; parameters of the operation's path are fields ``path.NAME``."""
-    operation = _ACTIONS.get(request.path_params["action"])
+    operation = ACTIONS.get(request.path_params["action"])
     if operation is None:
-        raise NotFound(f"there is no action {request.path_params['action']!r}; there are {', '.join(_ACTIONS)}")
+        raise NotFound(f"there is no action {request.path_params['action']!r}; there are {', '.join(ACTIONS)}")
     person = admitted(request.scope, operation.role)
     content = await limited_body(request)
     try:

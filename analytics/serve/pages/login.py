@@ -1,16 +1,17 @@
 """Login and logout of people."""
 
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 import anyio.to_thread
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import Response
 
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.doors.admission import check_change
 from analytics.serve.doors.gate import PERSON, address_of
-from analytics.serve.doors.origin import is_of_this_site
+from analytics.serve.doors.origin import is_of_this_site, local_path
 from analytics.serve.pages.render import page
+from analytics.serve.pages.single_sign_on import logged_out
 from analytics.serve.problems import Forbidden, TooMany
 from analytics.serve.service import Service
 from stream.errors import BadInput
@@ -24,9 +25,12 @@ async def login(request: Request, *, service: Service) -> Response:
         target = local_path(request.query_params.get("next", "/"))
         if token is None:
             return _form(request, service, target, "")
+        if request.headers.get("sec-fetch-dest", "document") != "document":
+            # a picture of another site would use up the tries of this machine
+            raise Forbidden("a login by an address is for the browser's address bar; open it there")
         cookie = doorkeeper.begin_by_token(token, address)
         return _entered(request, service, cookie, target)
-    if not is_of_this_site(request.headers):
+    if not is_of_this_site(request.headers, is_secure=request.scope["scheme"] == "https"):
         raise Forbidden("a page of another site sent this login; open /login on this server")
     fields = await form_of(request)
     target = local_path(fields.get("next", "/"))
@@ -36,7 +40,7 @@ async def login(request: Request, *, service: Service) -> Response:
         else:
             name, password = fields.get("name", ""), fields.get("password", "")
             cookie = await anyio.to_thread.run_sync(
-                doorkeeper.begin_by_password, name, password, address, limiter=service.slow, abandon_on_cancel=True
+                doorkeeper.begin_by_password, name, password, address, limiter=service.logins, abandon_on_cancel=True
             )
     except TooMany as problem:
         answer = _form(request, service, target, str(problem), problem.status)
@@ -50,8 +54,8 @@ async def logout(request: Request, *, service: Service) -> Response:
     fields = await form_of(request)
     if request.scope[PERSON] is not None:
         check_change(request.scope, fields.get("csrf"))
-    service.doorkeeper.sessions.end(request.cookies.get(service.doorkeeper.cookie, ""))
-    answer = RedirectResponse("/login", 303)
+    session = service.doorkeeper.sessions.end(request.cookies.get(service.doorkeeper.cookie, ""))
+    answer = await logged_out(request, service, session)
     answer.headers["Set-Cookie"] = service.doorkeeper.set_cookie("")
     return answer
 
@@ -66,17 +70,6 @@ async def form_of(request: Request) -> dict[str, str]:
     return {name: values[-1] for name, values in fields.items()}
 
 
-def local_path(text: str) -> str:
-    r"""A path of this server to go to; the first page for anything else.
-
-    >>> [local_path(each) for each in ("/units?lot=7", "//evil.example", "https://evil.example", "/\\evil.example")]
-    ['/units?lot=7', '/', '/', '/']
-    """
-    parts = urlsplit(text)
-    is_local = text.startswith("/") and not (parts.netloc or parts.scheme or text.startswith("//") or "\\" in text)
-    return text if is_local and text.isprintable() else "/"
-
-
 def _entered(request: Request, service: Service, cookie: str | None, target: str) -> Response:
     if cookie is None:
         return _form(request, service, target, "wrong", 403)
@@ -89,6 +82,6 @@ def _entered(request: Request, service: Service, cookie: str | None, target: str
 def _form(request: Request, service: Service, target: str, problem: str, status: int = 200) -> Response:
     context = {
         "next": target, "problem": problem, "has_users": service.doorkeeper.users is not None,
-        "has_token": bool(service.doorkeeper.token),
+        "has_token": bool(service.doorkeeper.token), "has_provider": service.doorkeeper.oidc is not None,
     }  # fmt: skip
     return page(request, "login.html.jinja", context, status)

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar, get_type_hints
 import anyio.to_thread
 import msgspec
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from analytics.serve.api.endpoint import query_of, url_of
@@ -17,6 +17,7 @@ from analytics.serve.api.operation import Call
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.render import page
+from analytics.serve.pages.waiting import Waiting
 from analytics.serve.service import Service
 
 Asked = TypeVar("Asked", bound=msgspec.Struct)
@@ -41,7 +42,7 @@ class Page(Generic[Asked]):
 
     def route(self, service: Service) -> Route:
         """Its route."""
-        respond = functools.partial(_respond, shown=self, service=service)
+        respond = functools.partial(_respond, shown=self, service=service, waiting=Waiting())
         return Route(self.path, respond, name=f"page_{self.handler.__name__}")
 
 
@@ -56,16 +57,16 @@ def shown(
     return declare
 
 
-async def _respond(request: Request, *, shown: Page[Any], service: Service) -> Response:
+async def _respond(request: Request, *, shown: Page[Any], service: Service, waiting: Waiting) -> Response:
     person = admitted(request.scope, Role.VIEWER)
     asked, _ = query_of(request, shown.asked, (_LANG,))
 
-    def made() -> HTMLResponse:
+    def made() -> Response:
         with Call(service, person, service.lake.state(), dict(request.path_params), url_of(request)) as call:
             return page(request, shown.template, {"asked": asked, **shown.handler(call, asked)})
 
     limiter = service.slow if shown.is_slow else service.fast
-    work = anyio.to_thread.run_sync(made, limiter=limiter, abandon_on_cancel=True)
-    answer = await service.result(work)
+    make = functools.partial(anyio.to_thread.run_sync, made, limiter=limiter, abandon_on_cancel=True)
+    answer = await waiting.answer(request, service, make)
     answer.headers["Cache-Control"] = "private, no-cache"
     return answer

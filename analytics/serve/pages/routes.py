@@ -4,6 +4,7 @@ import functools
 
 from starlette.routing import Route
 
+from analytics.serve.doors.login_file import DONE_PATH
 from analytics.serve.pages import (
     actions,
     at_work,
@@ -13,6 +14,7 @@ from analytics.serve.pages import (
     login,
     runs,
     signal,
+    single_sign_on,
     sql,
     store,
     trends,
@@ -45,6 +47,8 @@ def page_routes(service: Service) -> list[Route]:
         *(each.route(service) for each in PAGES),
         Route("/sql", functools.partial(sql.sql, service=service), methods=both, name="page_sql"),
         Route("/login", functools.partial(login.login, service=service), methods=both, name="login"),
+        Route("/login/oidc", functools.partial(single_sign_on.start, service=service), name="login_oidc"),
+        Route(DONE_PATH, functools.partial(single_sign_on.done, service=service), name="login_oidc_done"),
         Route("/logout", functools.partial(login.logout, service=service), methods=["POST"], name="logout"),
         Route("/act/{action}", functools.partial(actions.act, service=service), methods=["POST"], name="act"),
     ]

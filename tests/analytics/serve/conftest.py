@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import httpx
 import pytest
@@ -70,10 +70,12 @@ class Browser(httpx.Client):
         return found[1]
 
 
-def start(server: CommandServer, *words: object, cwd: Path) -> tuple[subprocess.Popen[str], dict[str, Any]]:
+def start(
+    server: CommandServer, *words: object, cwd: Path, stderr: IO[str] | int = subprocess.PIPE
+) -> tuple[subprocess.Popen[str], dict[str, Any]]:
     """Start a server; its process and the line that says it is ready."""
     process = server.start(
-        ["serve", *(str(word) for word in words), "--json"], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ["serve", *(str(word) for word in words), "--json"], cwd=cwd, stdout=subprocess.PIPE, stderr=stderr
     )
     assert process.stdout is not None
     line = process.stdout.readline()

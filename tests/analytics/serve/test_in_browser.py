@@ -235,7 +235,7 @@ def test_the_curve_of_a_long_record_comes_after_its_page(
         page = httpx.get(url, headers={"Authorization": f"Bearer {TOKEN}", "Accept": "text/html"}).text
         assert "Computed from all samples, which takes a while" in page
         window.open(f"{ready['url']}/login?token={TOKEN}")
-        window.open(url)
+        window.open(f"{url}?lang=en")
         until(lambda: window.ask("!!document.querySelector('#allan-plot canvas')"))
         first = window.ask("[...document.querySelector('#allan tbody').rows[0].cells].map(each => each.textContent)")
         # white noise: the deviation at one sample is that of the samples

@@ -78,7 +78,10 @@ def test_ctrl_c_ends_it_at_once_while_pages_listen(folder: Path, command_server:
             assert list(lines) is not None  # the stream ends
     out, err = process.communicate(timeout=20)
     assert time.monotonic() - began < 3.0
-    assert (process.returncode, err) == (0, "")
+    assert process.returncode == 0
+    # the one thing that happened
+    assert len(err.splitlines()) == 1
+    assert err.endswith(" login from 127.0.0.1: the token, approver\n")
     assert json.loads(out)["event"] == "ended"
 
 

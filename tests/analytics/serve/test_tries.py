@@ -1,5 +1,6 @@
 """Tries are limited, sessions end, passwords are hashed: with a clock that the test holds."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,30 @@ def test_a_session_ends_when_it_is_not_used_and_at_last() -> None:
     assert sessions.find(left) is None
     clock.now_s = LONGEST_S + 1.0
     assert sessions.find(used) is None
+
+
+def test_a_session_may_end_earlier() -> None:
+    clock = Clock()
+    sessions = Sessions(clock)
+    short = sessions.begin("a", "", 600.0, Role.VIEWER)
+    clock.now_s = 599.0
+    assert sessions.find(short) is not None
+    clock.now_s = 601.0
+    assert sessions.find(short) is None
+
+
+def test_many_tries_at_once_are_no_more_than_may_be(tmp_path: Path) -> None:
+    """Each waits in the hash while the others are let in: what counts is how many were hashed."""
+    doors = keeper(tmp_path, Clock())
+
+    def one(_: int) -> bool:
+        try:
+            return doors.begin_by_password("vera", "wrong", "10.0.0.1") is None
+        except TooMany:
+            return False
+
+    with ThreadPoolExecutor(40) as threads:
+        assert sum(threads.map(one, range(40))) == 3
 
 
 def test_a_password_is_stored_as_a_slow_hash_with_its_own_salt() -> None:

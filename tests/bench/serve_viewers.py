@@ -1,0 +1,163 @@
+"""Viewers beside a recorder: ``python -m tests.bench.serve_viewers [--viewers 50] [--offer 5]``.
+
+A source offers 5 million samples a second of 1,000 signals to `gyrofleet record`. In turn, without and with
+`gyrofleet serve` and so many viewers: each listens to the floor, and every two seconds opens a page or asks for a
+signal. What is acknowledged a second with viewers is compared with that without; the
+times are those of the viewers' requests.
+"""
+
+import argparse
+import asyncio
+import itertools
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+from tests.bench.durable_rate import ended, free_endpoint, line, role
+
+TOKEN = "bench"
+SIGNALS, BATCH = 1000, 1000
+_EVERY_S = 2.0
+# where each asks in turn; of a unit of its own
+VISITS = (
+    ("floor", "/"), ("signal, all", "/api/signals/{unit}/r1/rate?points=1000"), ("units", "/units"),
+    ("signal, 200 points", "/api/signals/{unit}/r1/rate?points=200"), ("floor API", "/api/floor"),
+    ("unit", "/units/{unit}"), ("runs", "/runs"), ("store", "/store"), ("allan", "/api/allan/{unit}/r1/rate"),
+)  # fmt: skip
+
+
+class Viewers:
+    """Clients of a server, in a thread of their own; `took` are seconds by kind of request."""
+
+    def __init__(self, url: str, count: int) -> None:
+        self.took: dict[str, list[float]] = defaultdict(list)
+        self.failed: dict[str, int] = defaultdict(int)
+        self.events = 0
+        self._url, self._count = url, count
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End."""
+        self._ends.set()
+        self._thread.join()
+
+    async def _run(self) -> None:
+        headers = {"Authorization": f"Bearer {TOKEN}", "Accept": "text/html, application/json;q=0.9"}
+        limits = httpx.Limits(max_connections=None)
+        async with httpx.AsyncClient(base_url=self._url, headers=headers, timeout=30.0, limits=limits) as client:
+            listening = [asyncio.create_task(self._listen(client)) for _ in range(self._count)]
+            await asyncio.gather(*(self._visit(client, number) for number in range(self._count)))
+            for each in listening:
+                each.cancel()
+            await asyncio.gather(*listening, return_exceptions=True)
+
+    async def _listen(self, client: httpx.AsyncClient) -> None:
+        async with client.stream("GET", "/api/live", timeout=None) as stream:
+            async for text in stream.aiter_lines():
+                self.events += text.startswith("event")
+
+    async def _visit(self, client: httpx.AsyncClient, number: int) -> None:
+        rng = random.Random(number)
+        await asyncio.sleep(rng.uniform(0, _EVERY_S))
+        for name, path in itertools.islice(itertools.cycle(VISITS), number % len(VISITS), None):
+            if self._ends.is_set():
+                return
+            url = path.format(unit=f"U{rng.randrange(SIGNALS)}")
+            begin = time.perf_counter()
+            answer = await client.get(url)
+            self.took[name].append(time.perf_counter() - begin)
+            self.failed[f"{name} {answer.status_code}"] += answer.status_code != 200
+            await asyncio.sleep(max(0.0, _EVERY_S - (time.perf_counter() - begin)) * rng.uniform(0.5, 1.5))
+
+
+def run(folder: Path, seconds: float, offer_per_s: float, viewers: int) -> dict[str, Any]:
+    """One run; its rate and the viewers' times."""
+    endpoint, store = free_endpoint(), folder / "store"
+    program = str(Path(sys.executable).with_name("gyrofleet"))
+    recorder = subprocess.Popen(
+        [program, "record", "--listen", endpoint, "--store", str(store), "--json"], stdout=subprocess.PIPE, text=True
+    )
+    line(recorder)
+    server: subprocess.Popen[str] | None = None
+    seen: Viewers | None = None
+    if viewers:
+        command = [program, "serve", "--store", str(store), "--port", "0", "--token", TOKEN, "--json"]
+        server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        seen = Viewers(json.loads(line(server))["url"], viewers)
+    sending = role("source", endpoint, BATCH, SIGNALS, seconds, offer_per_s)
+    if seen is not None:
+        time.sleep(4.0)
+        seen.start()
+    sent = json.loads(line(sending))
+    if seen is not None:
+        seen.stop()
+    ended(sending)
+    found: dict[str, Any] = {"samples": sent["samples"], "samples_per_s": sent["samples"] / sent["seconds"]}
+    if server is not None and seen is not None:
+        server.terminate()
+        memory_mb, cpu_s = ended(server)
+        found |= {
+            "server_mb": memory_mb, "server_cores": cpu_s / seconds, "events": seen.events,
+            "requests": sum(map(len, seen.took.values())), "failed": {k: n for k, n in seen.failed.items() if n},
+            "ms": {name: _of(times) for name, times in seen.took.items()}
+            | {"all": _of([each for times in seen.took.values() for each in times])},
+        }  # fmt: skip
+    recorder.send_signal(signal.SIGINT)
+    memory_mb, cpu_s = ended(recorder)
+    return found | {"recorder_mb": memory_mb, "recorder_cpu_s": cpu_s}
+
+
+def _of(times: list[float]) -> dict[str, float]:
+    ms = np.array(times) * 1e3
+    return {"n": len(ms), "median": float(np.median(ms)), "p95": float(np.quantile(ms, 0.95)), "most": float(ms.max())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--viewers", type=int, default=50)
+    parser.add_argument("--offer", type=float, default=5.0, help="million samples a second")
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--turns", type=int, default=2)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rates: dict[int, list[float]] = {0: [], options.viewers: []}
+    last: dict[str, Any] = {}
+    for _ in range(options.turns):
+        for viewers in rates:
+            folder = Path(tempfile.mkdtemp(prefix="gyrofleet-viewers-"))
+            try:
+                found = run(folder, options.seconds, options.offer * 1e6, viewers)
+            finally:
+                shutil.rmtree(folder)
+            rates[viewers].append(found["samples_per_s"])
+            last = found if viewers else last
+    ratio = float(np.mean(rates[options.viewers]) / np.mean(rates[0]))
+    if options.json:
+        print(json.dumps({"ratio": ratio, "rates": rates, **last}))
+        return
+    print(f"recorder: {ratio:.3f} of {np.mean(rates[0]) / 1e6:.2f} M samples/s without viewers; each run: {rates}")
+    print(f"server: {last['server_cores']:.2f} cores, {last['server_mb']:.0f} MB; {last['events']} events of the floor")
+    print(f"{last['requests']} requests, failed: {last['failed'] or 'none'}")
+    for name, times in last["ms"].items():
+        print(f"{name:24} {'  '.join(f'{what} {each:,.0f}' for what, each in times.items())} ms")
+
+
+if __name__ == "__main__":
+    main()
