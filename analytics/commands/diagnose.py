@@ -4,7 +4,7 @@ import getpass
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -88,13 +88,18 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     help="Try how much more of the error a function of the channels explains; by default for one unit without "
     "an effect. Needs pip install 'gyrofleet[explain]'.",
 )
+@click.option(
+    "--embed-report", "embeds", is_flag=True,
+    help="With --json: the texts of the report in English and Chinese and the curves of its pictures as well.",
+)  # fmt: skip
 @language_option
 @reporting
 def diagnose(
     folder: Path, units: tuple[str, ...], signal: str | None, model: str, block: str | None, noise: str | None,
     holdout: str, runs: tuple[str, ...], since: str | None, report_path: Path | None, plot_folder: Path | None,
     bounds: str | None, station_path: Path | None, procedure_path: Path | None, language: "Language", *,
-    fleet: bool, save: bool, tries: int | None, asks_next_test: bool, asks_explainable: bool | None, as_json: bool,
+    fleet: bool, save: bool, tries: int | None, asks_next_test: bool, asks_explainable: bool | None, embeds: bool,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Find effects that a declared error model lacks, or report that none is missing or that the data cannot tell.
 
@@ -141,7 +146,7 @@ def diagnose(
         _write_procedure(next(iter(found.units.values())).next_test, procedure_path)
     if as_json:
         document = next(iter(found.units.values())).document() if is_one else found.document()
-        print_json(document | ({"saved": saved, "not_saved": unsaved} if save else {}))
+        print_json(document | _reports(found, embeds=embeds) | ({"saved": saved, "not_saved": unsaved} if save else {}))
     else:
         from analytics.commands.diagnose_output import print_unit, print_units
 
@@ -155,6 +160,13 @@ def diagnose(
         notes().print(f"error: the model of unit {unit} is not saved: {why}", soft_wrap=True)
     if found.failed or unsaved:
         sys.exit(1)
+
+
+def _reports(found: "UnitsDiagnosis", *, embeds: bool) -> dict[str, Any]:
+    """The report of each unit as data, if that was asked for."""
+    from analytics.loop.report.embedded import embedded_report
+
+    return {"reports": {unit: embedded_report(each) for unit, each in found.units.items()}} if embeds else {}
 
 
 def _refuse_wrong_bounds(read: "ReducedUnits", bounds: dict[str, float], limits: dict[str, float]) -> None:

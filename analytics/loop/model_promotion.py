@@ -30,7 +30,8 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
         )
     runs = found.data.runs
     trained = [run for run in runs if run.run in diagnosis.training_runs] or list(runs)
-    holdout = diagnosis.document()["holdout"]
+    document = diagnosis.document()
+    holdout, error = document["holdout"], document.get("error")
     return ModelVersion(
         unit=found.unit,
         signal=diagnosis.signal,
@@ -51,6 +52,7 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
         by=by,
         note=note,
         confounded=tuple(dict.fromkeys(_confounded(found.diagnosis))),
+        error=None if error is None else dict(msgspec.to_builtins(error)),
     )
 
 

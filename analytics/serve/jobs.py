@@ -140,4 +140,10 @@ def _finish(job: Job, code: int, out: bytes) -> None:
         job.state = "failed"
         job.result = {"error": {"kind": "JobFailed", "message": job.progress or f"it ended with exit code {code}"}}
         return
-    job.state = "failed" if isinstance(job.result, dict) and "error" in job.result else "done"
+    job.state = "failed" if _is_refusal(job.result) else "done"
+
+
+def _is_refusal(result: Any) -> bool:
+    """Whether an answer is ``{"error": {"kind": ..., "message": ...}}``; a diagnosis has an `error` too."""
+    error = result.get("error") if isinstance(result, dict) else None
+    return isinstance(error, dict) and "kind" in error

@@ -43,6 +43,7 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
     by: str
     note: str = ""
     confounded: tuple[str, ...] = ()  # effects that explain the training runs as well
+    error: dict[str, Any] | None = None  # with the declared model and with this one, as in the JSON of the diagnosis
 
     @property
     def is_confirmed(self) -> bool:
@@ -52,8 +53,9 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
     def content(self) -> bytes:
         """Content of its file."""
         fields: dict[str, Any] = msgspec.to_builtins(self)
-        if not self.confounded:
-            del fields["confounded"]  # versions without it keep their hash
+        for name in ("confounded", "error"):
+            if not fields[name]:
+                del fields[name]  # versions without it keep their hash
         return msgspec.json.format(msgspec.json.encode(fields, order="sorted"), indent=1) + b"\n"
 
     @property

@@ -133,7 +133,8 @@ def diagnose_unit(call: Call, asked: DiagnosisAsked) -> JobDocument:
         raise BadInput("model is empty; declare one, as: rate = bias + scale_factor*input_rate + temperature")
     given = {"signal": asked.signal, "block": asked.block, "holdout": asked.holdout}
     arguments = (
-        "diagnose", f"--store={call.store.folder.resolve()}", f"--unit={unit}", f"--model={asked.model}",
+        "diagnose", "--embed-report", f"--store={call.store.folder.resolve()}", f"--unit={unit}",
+        f"--model={asked.model}",
         *(f"--{name}={value}" for name, value in given.items() if value),
         *(f"--run={run}" for run in asked.runs),
         *(("--next-test",) if asked.next_test else ()),

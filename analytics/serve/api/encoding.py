@@ -1,4 +1,4 @@
-"""Forms of an answer: JSON, an Arrow stream, CSV."""
+"""Forms of an answer: JSON, an Arrow stream, CSV, Parquet."""
 
 import csv
 import io
@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from analytics.serve.answer_cache import Answer
 from analytics.serve.problems import NotAcceptable
@@ -84,6 +85,9 @@ def encoded(answer: Any, form: Form, table: str | None) -> Answer:
         return Answer(_csv(columns), form.media_type)
     sink = io.BytesIO()
     arrow = pa.table({name: _array(values) for name, values in columns.items()})
+    if form is Form.PARQUET:
+        pq.write_table(arrow, sink, compression="zstd")
+        return Answer(sink.getvalue(), form.media_type)
     with pa.ipc.new_stream(sink, arrow.schema) as writer:
         writer.write_table(arrow)
     return Answer(sink.getvalue(), form.media_type)

@@ -35,7 +35,7 @@ def route(operation: Operation[Any, Any], service: Service) -> Route:
 
 def forms_of(operation: Operation[Any, Any]) -> list[Form]:
     """Forms in which an operation answers."""
-    return [Form.JSON] if operation.table is None else [Form.JSON, Form.ARROW, Form.CSV]
+    return [Form.JSON] if operation.table is None else list(Form)
 
 
 async def _respond(request: Request, *, operation: Operation[Any, Any], service: Service) -> Response:

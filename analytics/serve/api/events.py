@@ -1,39 +1,59 @@
 """Documents of the store with filters, the latest first."""
 
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
+from analytics.serve.api.units import unit_row
 from stream.errors import BadInput
 
-_PAGE = """
-select uid, arrival_ns, t_ns, kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, document
+_ROWS = """
+select uid, arrival_ns, t_ns, kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station,
+  coalesce(document->>'$.by', document->>'$.author', document->>'$.operator', '') as "by", document
 from internal.lake_documents
+"""
+_PAGE = f"""
+select * from ({_ROWS})
 where ($kind = '' or kind = $kind) and ($run = '' or run = $run) and ($unit = '' or unit = $unit)
   and ($station = '' or station = $station) and ($what = '' or document->>'$.what' = $what)
+  and ($who = '' or "by" = $who)
+  and ($only = '' or "by" not in ('', 'import', 'station', 'run', 'gyrofleet compensate'))
   and ($first is null or arrival_ns >= $first) and ($stop is null or arrival_ns < $stop)
   and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
 order by arrival_ns desc, uid limit $rows
-"""
+"""  # noqa: S608  our own statement
+# what happened to a unit, without the figures of the worker, of which a run has hundreds
+_AUDIT = f"""
+select * from ({_ROWS})
+where (unit = $unit or (unit is null and run in (select run from internal.served_signals where unit = $unit)))
+  and kind not in ('EarlyDecision', 'EstimatePublished', 'NoiseFitted', 'SpectralLinesFound')
+  and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
+order by arrival_ns desc, uid limit $rows
+"""  # noqa: S608  our own statement
 _KINDS = "select kind, count(*) as n from internal.lake_documents group by kind order by kind"
 
 
 class EventsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which documents; `from` and `to` are moments of their arrival, `what` that of a note of the store."""
+    """Which documents; `from` and `to` are moments of their arrival, `what` that of a note of the store.
+
+    `by` is who entered it, `only` with ``people`` leaves those that a person entered.
+    """
 
     kind: Name = ""
     run: Name = ""
     unit: Name = ""
     station: Name = ""
     what: Name = ""
+    by: Name = ""
+    only: Literal["", "people"] = ""
     from_: str | None = msgspec.field(default=None, name="from")
     to: str | None = None
 
 
 class EventRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A document: when it arrived, its time on the source's clock, its content."""
+    """A document: when it arrived, its time on the source's clock, who entered it, its content."""
 
     uid: str
     arrival_ns: int
@@ -44,6 +64,7 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
     unit: str | None
     site: str
     station: str
+    by: str
     document: dict[str, Any]
 
 
@@ -59,7 +80,7 @@ class Events(msgspec.Struct, frozen=True, kw_only=True):
 def list_events(call: Call, asked: EventsAsked) -> Events:
     """Documents, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
     at, uid = _cursor(asked.after)
-    names = ("kind", "run", "unit", "station", "what")
+    names = ("kind", "run", "unit", "station", "what", "by", "only")
     given = {name: getattr(asked, name) for name in names} | {
         "first": moment(asked.from_, "from"),
         "stop": moment(asked.to, "to"),
@@ -67,12 +88,34 @@ def list_events(call: Call, asked: EventsAsked) -> Events:
         "uid": uid,
         "rows": asked.limit + 1,
     }
+    given["who"] = given.pop("by")  # a word of SQL
     rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _PAGE, given)], asked.limit)
     kinds = {str(kind): int(n) for kind, n in call.fresh.rows(_KINDS)}
     following = {name: getattr(asked, name) for name in names} | {"from": asked.from_, "to": asked.to}
     after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
     next_page = link("api", "events", limit=asked.limit, after=after, **following) if has_more else None
     return Events(events=rows, kinds=kinds, next=next_page)
+
+
+class UnitAudit(msgspec.Struct, frozen=True, kw_only=True):
+    """A page of what happened to a unit, the latest first; the next page."""
+
+    unit: str
+    events: list[EventRow]
+    next: str | None
+
+
+@get("/api/units/{unit}/audit", table="events")
+def unit_audit(call: Call, asked: Paged) -> UnitAudit:
+    """What happened to a unit: who did what when, its runs, mountings, verdicts, models; the latest first."""
+    unit = call.path["unit"]
+    unit_row(call.views, unit)
+    at, uid = _cursor(asked.after)
+    given = {"unit": unit, "at": at, "uid": uid, "rows": asked.limit + 1}
+    rows, has_more = page_of([_row(each) for each in dictionaries(call.views, _AUDIT, given)], asked.limit)
+    after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
+    next_page = link("api", "units", unit, "audit", limit=asked.limit, after=after) if has_more else None
+    return UnitAudit(unit=unit, events=rows, next=next_page)
 
 
 def _row(row: dict[str, Any]) -> EventRow:

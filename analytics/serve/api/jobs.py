@@ -1,13 +1,16 @@
 """Jobs of the server: diagnoses and verifications at work, and their results."""
 
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from analytics.plots.picture import Picture
 from analytics.serve.api.operation import Call, Nothing, get, post
-from analytics.serve.api.rows import iso
+from analytics.serve.api.rows import Name, iso
 from analytics.serve.doors.roles import Role
 from analytics.serve.jobs import Job
+from stream.errors import NotFound
 
 
 class JobRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,6 +26,13 @@ class JobRow(msgspec.Struct, frozen=True, kw_only=True):
     entered: str | None
     ended_ns: int | None
     ended: str | None
+
+
+class PictureAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which picture of a diagnosis; of which unit, by default of the job's own."""
+
+    name: Name
+    unit: Name = ""
 
 
 class JobList(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,6 +62,17 @@ def job(call: Call, asked: Nothing) -> JobDocument:
     return document_of(call.service.jobs.job(call.path["job"]))
 
 
+@get("/api/jobs/{job}/picture", table="", is_kept=False)
+def job_picture(call: Call, asked: PictureAsked) -> Picture:
+    """A picture of a diagnosis, by unit and name: residual over its driver, error before and after."""
+    found = call.service.jobs.job(call.path["job"])
+    reports = found.result.get("reports") if isinstance(found.result, dict) else None
+    pictures = (reports or {}).get(asked.unit or found.subject, {}).get("pictures", {})
+    if asked.name not in pictures:
+        raise NotFound(f"job {found.id} has no picture {asked.name!r}; it has {', '.join(pictures) or 'none'}")
+    return msgspec.convert(pictures[asked.name], Picture)
+
+
 @post("/api/jobs/{job}/cancel", role=Role.ENGINEER)
 def cancel_job(call: Call, asked: Nothing) -> JobDocument:
     """End a job."""
@@ -70,7 +91,14 @@ def verify_store(call: Call, asked: Nothing) -> JobDocument:
 
 def document_of(job: Job) -> JobDocument:
     """A job as an answer."""
-    return JobDocument(job=job_row(job), result=job.result)
+    return JobDocument(job=job_row(job), result=result_of(job))
+
+
+def result_of(job: Job) -> Any:
+    """The result of a job; of the store its name, not where it lies."""
+    if isinstance(job.result, dict) and isinstance(job.result.get("store"), str):
+        return job.result | {"store": Path(job.result["store"]).name}
+    return job.result
 
 
 def job_row(job: Job) -> JobRow:

@@ -13,7 +13,11 @@ if TYPE_CHECKING:
 
 
 class ModelRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A version of the error model of a unit's signal; `gain` is what the held-out runs confirmed."""
+    """A version of the error model of a unit's signal.
+
+    `holdout` is the answer of the held-out runs, `error` the error with the declared model and with this one, None in
+    versions of earlier releases.
+    """
 
     unit: str
     signal: str
@@ -27,6 +31,7 @@ class ModelRow(msgspec.Struct, frozen=True, kw_only=True):
     confounded: list[str]
     is_confirmed: bool
     holdout: dict[str, Any] | None
+    error: dict[str, Any] | None
     terms: list[dict[str, Any]]
     runs: list[str]
     made_ns: int
@@ -57,6 +62,7 @@ def model_row(version: "ModelVersion", use: "InUse") -> ModelRow:
     return ModelRow(
         unit=version.unit, signal=version.signal, version=version.version, hash=version.hash, parent=version.parent,
         stage=use.stage(version.hash).value, verdict=version.verdict, text=version.text, added=list(version.added),
-        confounded=list(version.confounded), is_confirmed=version.is_confirmed, holdout=version.holdout, terms=terms,
-        runs=list(version.runs), made_ns=version.made_ns, made=iso(version.made_ns), by=version.by, note=version.note,
+        confounded=list(version.confounded), is_confirmed=version.is_confirmed, holdout=version.holdout,
+        error=version.error, terms=terms, runs=list(version.runs), made_ns=version.made_ns,
+        made=iso(version.made_ns), by=version.by, note=version.note,
     )  # fmt: skip

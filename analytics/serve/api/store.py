@@ -5,16 +5,37 @@ from typing import Any
 
 import msgspec
 
+from analytics.serve.api.jobs import result_of
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import dictionaries, iso
 from storage.log.files import sealed_segments
 from storage.log.recovery import left_open
 from storage.manifests.lake import left_aside, read_manifest
 from storage.manifests.log import read_log_manifest
+from storage.recording.status_board import read_statuses
 from storage.recording.store_status import StoreStatus, store_status
 from storage.store import Store, writer_endpoint, writer_is_active
 
+_MOST_SEGMENTS = 50
 _CLOCKS = "select * from clocks order by unit, run, signal limit 500"
+# what sources announced at the end of a run, beside what is stored of it
+_DELIVERY = """
+with ended as (
+  select run, arg_max(document, arrival_ns) as document, max(arrival_ns) as arrival_ns
+  from internal.lake_documents where kind = 'RunEnded' group by run order by arrival_ns desc limit 50
+), announced as (
+  select run, arrival_ns, each->>'$.unit' as unit, each->>'$.signal' as signal,
+    sum((each->>'$.samples')::bigint) as announced
+  from (select run, arrival_ns, unnest(json_extract(document, '$.totals[*]')) as each from ended) group by all
+), stored as (
+  select run, unit, signal, sum(samples)::bigint as recorded from internal.served_signals group by all
+)
+select a.run, count(*) as signals, sum(a.announced)::bigint as announced,
+  sum(least(coalesce(s.recorded, 0), a.announced))::bigint as recorded,
+  sum(greatest(a.announced - coalesce(s.recorded, 0), 0))::bigint as missing
+from announced a left join stored s using (run, unit, signal)
+group by a.run order by max(a.arrival_ns) desc, a.run
+"""
 _NOTES = """
 select t_ns, document->>'$.what' as what, document->>'$.text' as text from internal.lake_documents
 where kind = 'StoreNoted' order by arrival_ns desc limit 50
@@ -50,6 +71,41 @@ class LakeRow(msgspec.Struct, frozen=True, kw_only=True):
     set_aside: list[str]
 
 
+class SegmentRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A sealed segment: its size and content, when it was written, whether the lake has it."""
+
+    segment: str
+    bytes: int
+    messages: int
+    samples: int
+    origin: str
+    first: str | None
+    last: str | None
+    last_ns: int
+    is_in_lake: bool
+
+
+class DeliveryRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A run: samples that its sources announced when it ended, and how many of them are stored."""
+
+    run: str
+    signals: int
+    announced: int
+    recorded: int
+    missing: int
+
+
+class CounterRow(msgspec.Struct, frozen=True, kw_only=True):
+    """The last counters that a program reported, from its start on: messages, duplicates, interruptions."""
+
+    role: str
+    name: str
+    condition: str
+    at_ns: int
+    at: str | None
+    numbers: dict[str, float]
+
+
 class DiskRow(msgspec.Struct, frozen=True, kw_only=True):
     """The disk of the store, in bytes."""
 
@@ -67,6 +123,9 @@ class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
     log: LogRow
     lake: LakeRow
     disk: DiskRow
+    segments: list[SegmentRow]
+    delivery: list[DeliveryRow]
+    counters: list[CounterRow]
     clocks: list[dict[str, Any]]
     notes: list[dict[str, Any]]
     verified: dict[str, Any] | None
@@ -83,7 +142,7 @@ def status(call: Call, asked: Nothing) -> StoreStatus:
 
 @get("/api/store", is_kept=False, table="clocks")
 def store(call: Call, asked: Nothing) -> StoreDocument:
-    """The store: log, lake, disk, who writes it, clocks of the sources, what it has noted, the last verification."""
+    """The store: log, lake, disk, who writes it, delivery, clocks of the sources, its notes, the last verification."""
     del asked
     folder = call.store.folder
     verified = call.service.jobs.last("verify")
@@ -92,8 +151,10 @@ def store(call: Call, asked: Nothing) -> StoreDocument:
     return StoreDocument(
         store=folder.resolve().name, identity=call.store.identity, is_written=writer_is_active(folder),
         writer=writer_endpoint(folder), log=_log(call.store), lake=_lake(call.store),
-        disk=DiskRow(total_bytes=usage.total, free_bytes=usage.free),
-        clocks=dictionaries(call.views, _CLOCKS), notes=notes, verified=None if verified is None else verified.result,
+        disk=DiskRow(total_bytes=usage.total, free_bytes=usage.free), segments=_segments(call.store),
+        delivery=[DeliveryRow(**row) for row in dictionaries(call.views, _DELIVERY)], counters=_counters(call.store),
+        clocks=dictionaries(call.views, _CLOCKS), notes=notes,
+        verified=None if verified is None else result_of(verified),
         verified_ns=None if verified is None else verified.ended_ns,
     )  # fmt: skip
 
@@ -111,6 +172,30 @@ def _log(store: Store) -> LogRow:
         damaged_manifest_lines=len(manifest.damage), set_aside=aside, last_arrival_ns=last_ns,
         last_arrival=iso(last_ns),
     )  # fmt: skip
+
+
+def _segments(store: Store) -> list[SegmentRow]:
+    """The newest sealed segments."""
+    entries = sorted(read_log_manifest(store).entries.values(), key=lambda each: each.arrival_last_ns, reverse=True)
+    in_lake = read_manifest(store).segments
+    return [
+        SegmentRow(
+            segment=each.segment, bytes=each.size, messages=each.messages, samples=each.samples, origin=each.origin,
+            first=iso(each.arrival_first_ns), last=iso(each.arrival_last_ns), last_ns=each.arrival_last_ns,
+            is_in_lake=each.segment.removesuffix(".mcap") in in_lake,
+        )
+        for each in entries[:_MOST_SEGMENTS]
+    ]  # fmt: skip
+
+
+def _counters(store: Store) -> list[CounterRow]:
+    return [
+        CounterRow(
+            role=each.role, name=each.name, condition=each.condition, at_ns=each.at_ns, at=iso(each.at_ns),
+            numbers={name: value for name, value in each.numbers.items() if name.endswith("_total")},
+        )
+        for each in read_statuses(store)
+    ]  # fmt: skip
 
 
 def _lake(store: Store) -> LakeRow:

@@ -10,15 +10,53 @@ from stream.errors import BadInput, NotFound
 
 if TYPE_CHECKING:
     from analytics.metric_registry.registry import MetricHeader
+    from analytics.trends.series import MetricSeries
 
 _COUNTS = """
 select metric, count(value) as n, count(distinct unit) as units, count(*) - count(value) as without_value
 from unit_metrics group by metric
 """
-_VERDICTS = """
-select * from unit_verdicts where unit > $after and ($verdict = '' or verdict = $verdict)
-  and ($product = '' or product = $product) and ($lot = '' or lot = $lot) order by unit limit $rows
+_IN_GROUP = """
+select unit, metric, subject, signal, standard, specification, verdict from verdicts
+where ($lot = '' or lot = $lot) and ($station = '' or station = $station) and ($fixture = '' or fixture = $fixture)
+  and ($day = '' or day::varchar = $day) and ($metric = '' or metric = $metric)
 """
+# a unit is judged by what was measured in the group, as in yield_by; without a group by all of it
+_VERDICTS = f"""
+with each_limit as (
+  select unit, specification, coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
+  from ({_IN_GROUP}) group by unit, signal, metric, subject, standard, specification
+), in_group as (
+  select unit, unit_verdict(min(rank), count(specification)) as verdict from each_limit group by unit
+)
+select u.* replace (case when $is_group then g.verdict else u.verdict end as verdict)
+from unit_verdicts u left join in_group g using (unit)
+where unit > $after and (not $is_group or g.unit is not null)
+  and ($verdict = '' or case when $is_group then g.verdict else u.verdict end = $verdict)
+  and ($product = '' or u.product = $product) order by unit limit $rows
+"""  # noqa: S608  our own statement
+# failure_pareto of one group
+_PARETO = f"""
+with each_limit as (
+  select unit, metric, subject,
+    verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict
+  from ({_IN_GROUP}) group by unit, signal, metric, subject, standard, specification
+), counted as (
+  select metric, subject, count(distinct unit) filter (verdict = 'FAIL') as failed,
+    count(distinct unit) filter (verdict = 'MARGINAL') as marginal,
+    count(distinct unit) filter (verdict <> 'NO_DATA') as judged
+  from each_limit group by metric, subject
+)
+select row_number() over worst as place, c.metric, c.subject, coalesce(n.en, c.metric) as en,
+  coalesce(n.zh, c.metric) as zh,
+  c.failed, c.marginal, c.judged, c.failed / sum(c.failed) over () as share,
+  sum(c.failed) over worst / sum(c.failed) over () as cumulative_share
+from counted c left join metric_names n using (metric)
+where c.failed > 0
+window worst as (order by c.failed desc, c.marginal desc, c.metric, c.subject rows unbounded preceding)
+order by place
+"""  # noqa: S608  our own statement
+_GROUPS = ("lot", "station", "fixture", "day", "metric")
 
 
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,25 +98,31 @@ class TrendAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class YieldAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """By which group."""
+    """By which group; `name` is the group whose failures are counted, by default all are."""
 
     by: Literal["lot", "station", "fixture", "day"] = "lot"
+    name: Name = ""
 
 
 class Yield(msgspec.Struct, frozen=True, kw_only=True):
     """Yield of each group with its 95 % interval, of units that were judged; and what units fail by."""
 
     by: str
+    name: str
     groups: list[dict[str, Any]]
     pareto: list[dict[str, Any]]
 
 
 class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which units."""
+    """Which units: those measured in a group or against limits of a `metric`, judged by what was measured there."""
 
     verdict: Name = ""
     product: Name = ""
     lot: Name = ""
+    station: Name = ""
+    fixture: Name = ""
+    day: Name = ""
+    metric: Name = ""
 
 
 class UnitVerdicts(msgspec.Struct, frozen=True, kw_only=True):
@@ -110,21 +154,13 @@ def _metric_row(header: "MetricHeader", count: dict[str, int]) -> MetricRow:
 @get("/api/trends", is_slow=True)
 def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
     """A metric over time: control charts, changes, drift, groups, capability, and a sentence on each result."""
-    from analytics.evaluation.selection import dated, standard_named
     from analytics.trends.charts.capability import specified_limits
     from analytics.trends.charts.control_chart import Spread
     from analytics.trends.document import document
-    from analytics.trends.series import Choice, read_series
     from analytics.trends.trend import trend_of
 
-    choice = Choice(
-        units=asked.unit, signal=asked.signal or None, parameters=_pairs(asked.parameter), lot=asked.lot or None,
-        standard=standard_named(asked.standard) if asked.standard else None, station=asked.station or None,
-        fixture=asked.fixture or None, product=asked.product or None,
-        since_ns=dated(asked.since) if asked.since else None,
-    )  # fmt: skip
     try:
-        series = read_series(call.metrics, asked.metric, choice)
+        series = series_of(call, asked)
     except NotFound as error:
         return {"metric": asked.metric, "values": 0, "charts": [], "report": [], "reason": str(error)}
     specification = specified_limits(call.store, series)
@@ -134,13 +170,27 @@ def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
     return document(found) | {"reason": None}
 
 
+def series_of(call: Call, asked: TrendAsked) -> "MetricSeries":
+    """The values that a trend is of; NotFound if there are none."""
+    from analytics.evaluation.selection import dated, standard_named
+    from analytics.trends.series import Choice, read_series
+
+    choice = Choice(
+        units=asked.unit, signal=asked.signal or None, parameters=_pairs(asked.parameter), lot=asked.lot or None,
+        standard=standard_named(asked.standard) if asked.standard else None, station=asked.station or None,
+        fixture=asked.fixture or None, product=asked.product or None,
+        since_ns=dated(asked.since) if asked.since else None,
+    )  # fmt: skip
+    return read_series(call.metrics, asked.metric, choice)
+
+
 @get("/api/yield", table="groups", is_slow=True)
 def list_yield(call: Call, asked: YieldAsked) -> Yield:
-    """Yield by lot, station, fixture or day, and the characteristics that units fail by."""
+    """Yield by lot, station, fixture or day, and the characteristics that units fail by, of all or of one group."""
     from analytics.specifications.verdicts import yield_by
 
-    pareto = dictionaries(call.metrics, "select * from failure_pareto")
-    return Yield(by=asked.by, groups=yield_by(call.metrics, asked.by), pareto=pareto)
+    pareto = dictionaries(call.metrics, _PARETO, dict.fromkeys(_GROUPS, "") | ({asked.by: asked.name}))
+    return Yield(by=asked.by, name=asked.name, groups=yield_by(call.metrics, asked.by), pareto=pareto)
 
 
 @get("/api/verdicts", table="units", is_slow=True)
@@ -148,6 +198,7 @@ def list_verdicts(call: Call, asked: VerdictsAsked) -> UnitVerdicts:
     """Units by name with their verdict by the specifications, and what they fail by."""
     given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
     del given["limit"]
+    given["is_group"] = any(given[name] for name in _GROUPS)
     units, has_more = page_of(dictionaries(call.metrics, _VERDICTS, given), asked.limit)
     return UnitVerdicts(units=units, after=units[-1]["unit"] if has_more else None)
 

@@ -162,7 +162,7 @@ def _judged(call: Call, name: str) -> dict[str, Any]:
     return {
         "metrics": [_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
         "verdict": judged.units[0] if judged else None,
-        "verdicts": judged.verdicts if judged else [],
+        "verdicts": [_named(row) for row in judged.verdicts] if judged else [],
         "warnings": judged.warnings if judged else [],
     }
 
@@ -184,8 +184,11 @@ def _named(row: dict[str, Any]) -> dict[str, Any]:
     """A characteristic with its names in both languages."""
     from analytics.metric_registry.registry import metrics
 
-    header = metrics()[row["metric"]].header
-    return row | {"en": header.en, "zh": header.zh}
+    known = metrics().get(row["metric"])  # checks entered by hand may be of others
+    names = (
+        {"en": row["metric"], "zh": row["metric"]} if known is None else {"en": known.header.en, "zh": known.header.zh}
+    )
+    return row | names
 
 
 def _is_judged(catalog: Catalog, name: str) -> bool:

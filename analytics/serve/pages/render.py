@@ -27,8 +27,21 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("analytics.serve.pages"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"link": link, "Role": Role, "verdicts": _verdicts, "runs_of": _runs, "kinds_of": _kinds}
-    environment.filters |= {"number": number, "moment": moment, "duration": duration, "segment": _segment}
+    environment.globals |= {
+        "link": link,
+        "Role": Role,
+        "verdicts": _verdicts,
+        "runs_of": _runs,
+        "kinds_of": _kinds,
+        "namesakes": _namesakes,
+    }
+    environment.filters |= {
+        "number": number,
+        "moment": moment,
+        "duration": duration,
+        "segment": _segment,
+        "bytes": size,
+    }
     return environment
 
 
@@ -100,6 +113,18 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 86_400} d {whole % 86_400 // 3600} h"
 
 
+def size(n: int) -> str:
+    """A number of bytes for people.
+
+    >>> size(999), size(19_516_700), size(83_086_300_000)
+    ('999 B', '19.5 MB', '83.1 GB')
+    """
+    for factor, unit in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
+        if n >= factor:
+            return f"{n / factor:.3g} {unit}"
+    return f"{n} B"
+
+
 def _verdicts(texts: Texts) -> list[tuple[str, str]]:
     """Verdicts as options of a form."""
     return [(each.value, texts.word(each.value, "verdict")) for each in Verdict]
@@ -113,6 +138,11 @@ def _runs(runs: list[dict[str, Any]]) -> list[tuple[str, str]]:
 def _kinds(kinds: dict[str, int], texts: Texts) -> list[tuple[str, str]]:
     """Kinds of documents as options of a form."""
     return [(kind, f"{texts.word(kind, 'kind')} ({n:,})") for kind, n in kinds.items()]
+
+
+def _namesakes(names: list[str]) -> list[tuple[str, str]]:
+    """Names as options of a form."""
+    return [(name, name) for name in names]
 
 
 def _segment(text: str) -> str:

@@ -30,6 +30,7 @@ PAGES = (
     units.unit,
     signal.signal,
     trends.trends,
+    trends.verdicts,
     diagnosis.list_diagnoses,
     diagnosis.diagnosis,
     diagnosis.job,

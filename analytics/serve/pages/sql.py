@@ -6,7 +6,7 @@ from typing import Any
 import anyio.to_thread
 import msgspec
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 
 from analytics.serve.api import sql as api
 from analytics.serve.api.encoding import Form
@@ -16,28 +16,42 @@ from analytics.serve.doors.roles import Role
 from analytics.serve.pages.login import form_of
 from analytics.serve.pages.render import page
 from analytics.serve.service import Service
-from stream.errors import GyrofleetError
+from analytics.serve.sql_pool import MOST_ROWS
+from stream.errors import BadInput, GyrofleetError
 
 _SHOWN_ROWS = 500
+_FILES = (Form.CSV, Form.PARQUET, Form.JSON)
 
 
 async def sql(request: Request, *, service: Service) -> Response:
-    """The editor with the statement of the address; with its result where the form was sent."""
+    """The editor with the statement of the address; its result where the form was sent, or the result as a file."""
     person = admitted(request.scope, Role.VIEWER)
-    statement, is_sent = request.query_params.get("sql", ""), request.method == "POST"
+    statement, is_sent, form = request.query_params.get("sql", ""), request.method == "POST", ""
     if is_sent:
         fields = await form_of(request)
         check_change(request.scope, fields.get("csrf"))
-        statement = fields.get("sql", "")
+        statement, form = fields.get("sql", ""), fields.get("format", "")
+        if form not in ("", *_FILES):
+            raise BadInput(f"format {form!r} is not one of {', '.join(_FILES)}")
 
-    def made() -> HTMLResponse:
+    def made() -> Response:
         with Call(service, person, service.lake.state()) as call:
+            if form:
+                return _file(call, statement, Form(form))
             return page(request, "sql.html.jinja", _content(call, statement, is_sent=is_sent))
 
     limiter = functools.partial(anyio.to_thread.run_sync, limiter=service.slow, abandon_on_cancel=True)
     answer = await limiter(made)
     answer.headers["Cache-Control"] = "private, no-cache"
     return answer
+
+
+def _file(call: Call, statement: str, form: Form) -> Response:
+    """The whole result as a file."""
+    # the handler gives a result that encodes itself
+    encoded = api.sql(call, api.SqlAsked(sql=statement, rows=MOST_ROWS)).encoded(form)  # type: ignore[attr-defined]
+    headers = {"Content-Disposition": f'attachment; filename="result.{form}"'}
+    return Response(encoded.body, media_type=encoded.media_type, headers=headers)
 
 
 def _content(call: Call, statement: str, *, is_sent: bool) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from analytics.serve.api import alerts, events
 from analytics.serve.api import store as api
 from analytics.serve.api.operation import Call, Nothing
 from analytics.serve.pages.page import shown
@@ -9,6 +10,12 @@ from analytics.serve.pages.page import shown
 
 @shown("/store", "store.html.jinja")
 def store(call: Call, asked: Nothing) -> dict[str, Any]:
-    """Log, lake, disk, clocks, notes, verification."""
+    """Verification, alerts, disk, log, lake, delivery, clocks, events, notes."""
     jobs = [job for job in call.service.jobs.all() if job.kind == "verify"]
-    return {"found": api.store(call, asked), "jobs": jobs, "data": "/api/store"}
+    return {
+        "found": api.store(call, asked),
+        "jobs": jobs,
+        "alerts": alerts.list_alerts(call, alerts.AlertsAsked()).alerts,
+        "kinds": events.list_events(call, events.EventsAsked(limit=1)).kinds,
+        "data": "/api/store",
+    }

@@ -4,11 +4,15 @@ from typing import Any, Literal
 
 import msgspec
 
+from analytics.serve.api import trend_pictures as pictures
 from analytics.serve.api import trends as api
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.pages.page import shown
 from analytics.serve.pages.zones import DEFAULT
+
+_MOST_CHARTS = 24
+_OF_PAGE = ("yield_by", "group")
 
 
 class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -26,21 +30,81 @@ class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     parameter: tuple[Name, ...] = ()
     since: Name = ""
     yield_by: Literal["lot", "station", "fixture", "day"] = "lot"
+    group: Name = ""
 
 
 @shown("/trends", "trends.html.jinja", is_slow=True)
 def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
     """The trend of a metric."""
     metrics = api.list_metrics(call, Nothing()).metrics
-    fields = {name: value for name, value in msgspec.to_builtins(asked).items() if name != "yield_by"}
-    found = None
-    if asked.metric:
-        found = api.trend(call, api.TrendAsked(**fields | {"unit": asked.unit, "parameter": asked.parameter}))
-    return {
-        "found": found,
+    fields = {name: value for name, value in msgspec.structs.asdict(asked).items() if name not in _OF_PAGE}
+    shares = api.YieldAsked(by=asked.yield_by, name=asked.group)
+    of_yield = {"by": asked.yield_by, "name": asked.group}
+    content = {
+        "found": None,
         "metrics": metrics,
-        "shares": api.list_yield(call, api.YieldAsked(by=asked.yield_by)),
+        "shares": api.list_yield(call, shares),
+        "yields": {
+            "picture": pictures.yield_picture(call, api.YieldAsked(by=asked.yield_by)),
+            "url": link("api", "yield", "groups", by=asked.yield_by),
+        },
+        "pareto": {
+            "picture": pictures.pareto_picture(call, shares), "url": link("api", "yield", "pareto", **of_yield)
+        },
+        "here": fields,
         "data": link("api", "trends", **fields) if asked.metric else "/api/metrics",
         "has_table": not asked.metric,
         "zone": DEFAULT,  # the trend itself gives its times in UTC
+    }  # fmt: skip
+    return content | (_of_metric(call, fields) if asked.metric else {})
+
+
+def _of_metric(call: Call, fields: dict[str, Any]) -> dict[str, Any]:
+    """The trend with its pictures, and the other kinds of values of its metric."""
+    question = api.TrendAsked(**fields)
+    found = api.trend(call, question)
+    charts = [
+        (
+            chart,
+            {
+                "picture": pictures.trend_chart(call, pictures.ChartAsked(**fields, chart=i)),
+                "url": link("api", "trends", "chart", **fields, chart=i),
+            },
+        )
+        for i, chart in enumerate(found["charts"][:_MOST_CHARTS])
+    ]
+    others = [
+        (
+            ", ".join([each["standard"], *(f"{name}={value}" for name, value in each["parameters"].items())]),
+            link("trends", **fields | _kind(each)),
+        )
+        for each in found.get("other_kinds", [])
+    ]
+    values = pictures.trend_values(call, question)
+    return {
+        "found": found,
+        "values": {"picture": values, "url": link("api", "trends", "values", **fields)},
+        "charts": charts,
+        "others": others,
+    }
+
+
+def _kind(each: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "standard": each["standard"],
+        "parameter": [f"{name}={value}" for name, value in each["parameters"].items()],
+    }
+
+
+@shown("/verdicts", "verdicts.html.jinja", is_slow=True)
+def verdicts(call: Call, asked: api.VerdictsAsked) -> dict[str, Any]:
+    """Units with their verdicts by the specifications: of a lot, a station, a fixture, a day, or by one metric."""
+    found = api.list_verdicts(call, asked)
+    fields = msgspec.to_builtins(asked)
+    names = {row.metric: row for row in api.list_metrics(call, Nothing()).metrics}
+    return {
+        "found": found,
+        "names": names,
+        "next": link("verdicts", **fields | {"after": found.after}) if found.after else None,
+        "data": link("api", "verdicts", **fields),
     }

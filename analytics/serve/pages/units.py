@@ -2,9 +2,19 @@
 
 from typing import Any
 
+import msgspec
+
+from analytics.plots.picture import Picture
+from analytics.serve.api import events
+from analytics.serve.api import unit_pictures as pictures
 from analytics.serve.api import units as api
 from analytics.serve.api.operation import Call, Nothing, link
+from analytics.serve.api.rows import Name, Paged
+from analytics.serve.pages.events import summary
 from analytics.serve.pages.page import shown
+
+_MOST_HISTORIES = 6
+_AUDIT = 30
 
 
 @shown("/units", "units.html.jinja")
@@ -14,11 +24,41 @@ def list_units(call: Call, asked: api.UnitsAsked) -> dict[str, Any]:
     return {"found": found, "next": _page_link(found.next), "data": f"/api{call.url}"}
 
 
+class UnitPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which signal the curves are of, and which characteristic is shown over time beside those with limits."""
+
+    signal: Name = ""
+    metric: Name = ""
+
+
 @shown("/units/{unit}", "unit.html.jinja", is_slow=True)
-def unit(call: Call, asked: Nothing) -> dict[str, Any]:
+def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
     """One unit."""
-    found = api.unit(call, asked)
-    return {"found": found, "data": link("api", "units", found.unit)}
+    found = api.unit(call, Nothing())
+    limited = dict.fromkeys(row["metric"] for row in found.verdicts if row["value"] is not None)
+    histories = list(dict.fromkeys([asked.metric, *limited] if asked.metric else limited))[:_MOST_HISTORIES]
+    of_signal = pictures.OfSignal(signal=asked.signal)
+    drawn = [
+        _drawn(pictures.unit_history(call, pictures.HistoryAsked(metric=metric)), found.unit, "history", metric=metric)
+        for metric in histories
+    ]
+    return {
+        "found": found,
+        "histories": drawn,
+        "allan": _drawn(pictures.unit_allan(call, of_signal), found.unit, "allan", signal=asked.signal),
+        "temperature": _drawn(
+            pictures.unit_temperature(call, of_signal), found.unit, "temperature", signal=asked.signal
+        ),
+        "metrics": sorted({(row["metric"], row["en"], row["zh"]) for row in found.metrics if row["value"] is not None}),
+        "signals": sorted({name for run in found.runs for name in run.signals}),
+        "audit": [(row, summary(row.document)) for row in events.unit_audit(call, Paged(limit=_AUDIT)).events],
+        "data": link("api", "units", found.unit),
+    }
+
+
+def _drawn(found: Picture, unit: str, which: str, **parameters: str) -> dict[str, Any]:
+    """A picture with the address of its data."""
+    return {"picture": found, "url": link("api", "units", unit, which, **parameters)}
 
 
 def _page_link(url: str | None) -> str | None:

@@ -15,7 +15,7 @@ export function faint(rgb, alpha) {
   return `rgba(${red}, ${green}, ${blue}, ${alpha})`;
 }
 
-/** Call when the theme changes. */
+/** Call when the theme changes, also to that of paper. */
 export function onTheme(redraw) {
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  for (const query of ["(prefers-color-scheme: dark)", "print"]) matchMedia(query).addEventListener("change", redraw);
 }

@@ -4,6 +4,7 @@ import {colour, onTheme} from "./colours.js";
 import {ZONE, element, local} from "./texts.js";
 
 const HEIGHT = 340, DAY = 86_400;
+const PALETTE = Array.from({length: 8}, (_, i) => `--curve-${i + 1}`);
 
 /** Times of an axis in the zone of the page on 24 hours, as fine as their distance needs; the date where it changes. */
 function clock(_plot, splits, _axis, _space, step) {
@@ -18,12 +19,14 @@ function clock(_plot, splits, _axis, _space, step) {
 }
 
 /**
- * A plot in `host`. `options(colours)` gives uPlot's, `label()` says what it shows, `read(i)` the values at point i.
+ * A plot in `host`, `height` pixels high. `options(colours)` gives uPlot's, `label()` says what it shows, `read(i)` the
+ * values at point i.
  * Keys: arrows read, those of `keys` do what they say.
  */
 export class Plot {
-  constructor(host, {options, data, label, read, keys = {}}) {
+  constructor(host, {options, data, label, read, keys = {}, height = HEIGHT}) {
     this.parts = {options, label, read, keys};
+    this.height = height;
     this.data = data;
     this.at = -1;
     this.frame = element("div", {className: "plot", tabIndex: 0, role: "application", "aria-roledescription": "chart"});
@@ -45,19 +48,19 @@ export class Plot {
   #draw() {
     const ink = colour("--ink"), line = colour("--line");
     const axis = {stroke: ink, grid: {stroke: line, width: 1}, ticks: {stroke: line, width: 1}};
-    const given = this.parts.options({ink, line, link: colour("--link"), soft: colour("--soft"), fail: colour("--fail"), pass: colour("--pass"), marginal: colour("--marginal")});
+    const given = this.parts.options({ink, line, link: colour("--link"), soft: colour("--soft"), fail: colour("--fail"), pass: colour("--pass"), marginal: colour("--marginal"), palette: PALETTE.map(colour)});
     const axes = (given.axes ?? [{}, {}]).map(each => ({...axis, ...each}));
-    if (given.scales?.x?.time !== false) axes[0].values = clock;
+    if (given.scales?.x?.time !== false && !given.axes?.[0]?.values) axes[0] = {space: 90, ...axes[0], values: clock};
     this.uplot?.destroy();
     const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), ZONE);
-    this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: HEIGHT, tzDate, ...given, axes}, this.data, this.frame);
+    this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: this.height, tzDate, ...given, axes}, this.data, this.frame);
     this.frame.setAttribute("aria-label", this.parts.label());
     this.uplot.over.addEventListener("mousemove", () => this.#read(this.uplot.cursor.idx));
   }
 
   #fit() {
     const width = this.frame.clientWidth;
-    if (width && this.uplot && Math.abs(width - this.uplot.width) > 1) this.uplot.setSize({width, height: HEIGHT});
+    if (width && this.uplot && Math.abs(width - this.uplot.width) > 1) this.uplot.setSize({width, height: this.height});
   }
 
   #key(event) {

@@ -3,7 +3,7 @@ import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
 import {asked, element, figure, moment, say} from "./texts.js";
 
-const POINTS = 1200, WAIT_MS = 90, FOLLOW_MS = 1000, TABLE_ROWS = 100;
+const PANEL = 150, POINTS = 1200, WAIT_MS = 90, FOLLOW_MS = 1000, TABLE_ROWS = 100;
 const ns = seconds => (BigInt(Math.round(seconds * 1e6)) * 1000n).toString();
 
 export async function start(section) {
@@ -18,8 +18,13 @@ class View {
     this.section = section;
     this.host = host;
     this.status = section.querySelector("[role=status]");
-    this.beside = null;
-    this.#chooser();
+    this.boxes = [...document.querySelectorAll("#beside input")];
+    this.shown = new Map(); // what is drawn under the signal, by name
+    this.panels = element("div", {className: "panels"});
+    host.after(this.panels);
+    this.chosen = this.boxes.length > 0 && new URL(location.href).searchParams.has("beside");
+    for (const box of this.boxes) box.addEventListener("change", () => { this.chosen = true; this.show(...(this.stretch ?? ["", ""])); });
+    document.getElementById("signal-form").addEventListener("submit", event => this.#submit(event));
   }
 
   /** Ask for a stretch and show it; `kept` puts it into the address. */
@@ -28,23 +33,26 @@ class View {
     const query = new URLSearchParams({points: POINTS});
     if (from) query.set("from", from);
     if (to) query.set("to", to);
-    this.wanted = query.toString();
-    const mine = this.wanted;
-    const answers = await Promise.allSettled([this.section.dataset.url, this.beside].filter(Boolean).map(url => asked(`${url}?${query}`)));
+    const beside = this.boxes.filter(box => box.checked), urls = [this.section.dataset.url, ...beside.map(box => box.dataset.url)];
+    const mine = this.wanted = [query, ...urls].join(" ");
+    this.stretch = [from, to];
+    const answers = await Promise.allSettled(urls.map(url => asked(`${url}?${query}`)));
     if (mine !== this.wanted) return; // a later stretch was asked for meanwhile
     if (answers[0].status === "rejected") {
       this.status.textContent = say("failed", {why: answers[0].reason.message});
       return;
     }
     this.found = answers[0].value;
-    this.other = answers[1]?.value ?? null;
+    const others = beside.map((box, i) => ({name: box.value, found: answers[i + 1].value})).filter(each => each.found);
+    this.others = others;
+    this.over = others.filter(each => each.found.unit_of_measure === this.found.unit_of_measure); // on the same axis
+    this.#panels(others.filter(each => !this.over.includes(each)));
     if (kept) {
-      const url = new URL(location.href);
-      url.searchParams.set("from", this.found.from_ns);
-      url.searchParams.set("to", this.found.to_ns);
-      if (from) url.searchParams.set("from", from);
-      if (to) url.searchParams.set("to", to);
+      const url = stretched(location.href, from, to);
+      url.searchParams.delete("beside");
+      if (this.chosen) for (const name of beside.length ? beside.map(box => box.value) : ["none"]) url.searchParams.append("beside", name);
       history.replaceState(null, "", url);
+      for (const link of this.section.querySelectorAll(".exports a")) link.href = stretched(link.href, from, to);
       this.#table();
     }
     this.#draw(quiet);
@@ -93,7 +101,7 @@ class View {
       [at, min[i], max[i], mean[i]].forEach((value, column) => columns[column].push(value));
       if (ends.has(t + bucket_ns)) [at + 1e-6, null, null, null].forEach((value, column) => columns[column].push(value));
     });
-    if (this.other) columns.push(beside(columns[0], this.other));
+    for (const {found} of this.over) columns.push(beside(columns[0], found));
     return columns;
   }
 
@@ -101,7 +109,7 @@ class View {
     const data = this.#columns(), {unit_of_measure: unit, bucket_ns} = this.found, single = bucket_ns === 0;
     const [from, to] = this.span;
     const options = colours => ({
-      scales: {x: {time: true, range: () => [from, to]}, z: {}},
+      scales: {x: {time: true, range: () => [from, to]}},
       cursor: {drag: {x: true, y: false, setScale: false}},
       legend: {show: false},
       series: [
@@ -109,10 +117,10 @@ class View {
         {stroke: colours.link, width: 1, points: {show: single && data[0].length < 400}},
         {stroke: colours.link, width: 1, points: {show: false}, show: !single},
         {stroke: colours.ink, width: 1, points: {show: false}, show: !single},
-        ...(this.other ? [{stroke: colours.marginal, width: 1, scale: "z", points: {show: false}}] : []),
+        ...this.over.map((_, i) => ({stroke: colours.palette[(i + 1) % colours.palette.length], width: 1.5, points: {show: false}})),
       ],
       bands: single ? [] : [{series: [2, 1], fill: faint(colours.link, 0.35)}],
-      axes: [{}, {label: unit, size: 70}, ...(this.other ? [{scale: "z", side: 1, label: `${this.other.signal} / ${this.other.unit_of_measure}`, size: 70, grid: {show: false}}] : [])],
+      axes: [{}, {label: unit, size: 70}],
       hooks: {setSelect: [plot => this.#selected(plot)]},
     });
     const parts = {
@@ -160,22 +168,69 @@ class View {
       const to = Math.min(i + step, t_ns.length), part = values => values.slice(i, to);
       const count = part(n).reduce((a, b) => a + b, 0);
       const average = part(mean).reduce((a, value, k) => a + value * n[i + k], 0) / count;
-      const cells = [figure(Math.min(...part(min))), figure(Math.max(...part(max))), figure(average), count];
+      const middle = (t_ns[i] + t_ns[to - 1]) / 2e9, extra = this.others.map(each => figure(beside([middle], each.found)[0]));
+      const cells = [figure(Math.min(...part(min))), figure(Math.max(...part(max))), figure(average), count, ...extra];
       rows.push(element("tr", {}, element("td", {textContent: moment(t_ns[i] / 1e9, 1)}), ...cells.map(text => element("td", {className: "number", textContent: text}))));
     }
     body.replaceChildren(...rows);
+    const head = document.querySelector("#signal-buckets thead tr");
+    for (const cell of head.querySelectorAll(".beside")) cell.remove();
+    head.append(...this.others.map(each => element("th", {scope: "col", className: "beside", textContent: `${each.name} / ${each.found.unit_of_measure}`})));
   }
 
-  #chooser() {
-    const links = [...document.querySelectorAll("section[aria-labelledby=others] a")];
-    if (!links.length) return;
-    const select = element("select", {}, element("option", {value: "", textContent: say("nothing")}), ...links.map(link => element("option", {value: link.pathname, textContent: link.textContent})));
-    select.addEventListener("change", () => {
-      this.beside = select.value ? `/api${select.value}` : null;
-      this.show(this.found?.from_ns, this.found?.to_ns, false);
-    });
-    this.host.before(element("p", {}, element("label", {}, say("beside"), " ", select)));
+  /** Signals of other units of measure, each in a plot of its own under this one, over the same stretch. */
+  #panels(others) {
+    for (const [name, {host}] of this.shown) if (!others.some(each => each.name === name)) { host.remove(); this.shown.delete(name); }
+    const [from, to] = this.span;
+    for (const {name, found} of others) {
+      const times = found.t_ns.map(t => (t + found.bucket_ns / 2) / 1e9), single = found.bucket_ns === 0;
+      const data = [times, found.min, found.max, found.mean];
+      const parts = {
+        options: colours => ({
+          scales: {x: {time: true, range: () => [from, to]}}, legend: {show: false}, cursor: {drag: {x: false, y: false}},
+          series: [{}, ...[0, 1].map(() => ({stroke: faint(colours.palette[1], 0.5), width: 1, points: {show: false}, show: !single})), {stroke: colours.palette[1], width: 1.5, points: {show: single && times.length < 400}}],
+          bands: single ? [] : [{series: [2, 1], fill: faint(colours.palette[1], 0.25)}],
+          axes: [{}, {label: found.unit_of_measure, size: 70, space: 22}],
+        }),
+        label: () => say("signal", {signal: name, unit: found.unit_of_measure, n: times.length}),
+        read: i => say("bucket", {time: moment(times[i], to - from), lo: figure(found.min[i]), hi: figure(found.max[i]), mean: figure(found.mean[i]), unit: found.unit_of_measure}),
+      };
+      const before = this.shown.get(name);
+      if (before) {
+        Object.assign(before.plot.parts, parts);
+        before.plot.show(data);
+        continue;
+      }
+      const host = element("div", {}, element("h3", {}, element("a", {href: pageOf(found), textContent: name}), ` / ${found.unit_of_measure}`));
+      this.panels.append(host);
+      this.shown.set(name, {host, plot: new Plot(host, {data, height: PANEL, ...parts})});
+    }
+    const legend = this.over.length ? [this.found.signal, ...this.over.map(each => each.name)] : [];
+    this.names?.remove();
+    this.names = element("ul", {className: "legend"}, ...legend.map((name, i) => {
+      const swatch = element("span", {className: "swatch"});
+      swatch.style.borderColor = `var(--curve-${i + 1})`;
+      return element("li", {}, swatch, name);
+    }));
+    this.panels.before(this.names);
   }
+
+  #submit(event) {
+    event.preventDefault();
+    const form = event.currentTarget;
+    this.show(form.elements.from.value.trim(), form.elements.to.value.trim());
+  }
+}
+
+/** An address with another stretch; without one it is the whole record. */
+function stretched(address, from, to) {
+  const url = new URL(address);
+  for (const [name, value] of [["from", from], ["to", to]]) if (value) url.searchParams.set(name, value); else url.searchParams.delete(name);
+  return url;
+}
+
+function pageOf(found) {
+  return `/signals/${[found.unit, found.run, found.signal].map(encodeURIComponent).join("/")}`;
 }
 
 /** Means of another signal at the times of this one: of the last stretch that began before. */

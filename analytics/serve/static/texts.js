@@ -17,6 +17,7 @@ const TEXTS = {
     answered: "{action}: {text}", waiting: "waiting for the station", limit: "limit",
     rate: "rate / (deg/s)", temperature: "temperature / degC",
     least: "least", greatest: "greatest", mean: "mean", bound: "95 % bounds", deviation: "deviation",
+    figure: "{title}, {n} curves; arrow keys read values, Enter opens what a point is of", bounds: " ({lo} to {hi})", across: "across", up: "up", by: "a curve for each", link: "link to this query", insert: "write {name} into the statement", more: "and {n} more", limit: "limit of the specification", control: "control limits",
   },
   zh: {
     floor: "{n}个产品按当前判定着色；方向键移动，回车打开产品",
@@ -35,6 +36,7 @@ const TEXTS = {
     answered: "{action}：{text}", waiting: "等待试验台答复", limit: "限值",
     rate: "角速率 / (deg/s)", temperature: "温度 / degC",
     least: "最小值", greatest: "最大值", mean: "均值", bound: "95%置信界", deviation: "偏差",
+    figure: "{title}，{n}条曲线；方向键读数，回车打开该点的来源", bounds: "（{lo}至{hi}）", across: "横轴", up: "纵轴", by: "按此分曲线", link: "此查询的链接", insert: "将{name}写入语句", more: "另有{n}条", limit: "规范限值", control: "控制限",
   },
 };
 

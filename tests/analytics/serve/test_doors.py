@@ -174,7 +174,7 @@ def test_every_answer_says_what_a_page_may_load(served: Served, api: httpx.Clien
         assert "require-trusted-types-for 'script'" in policy
         assert "unsafe" not in policy
         assert answer.headers["x-content-type-options"] == "nosniff"
-        assert answer.headers["referrer-policy"] == "no-referrer"
+        assert answer.headers["referrer-policy"] == "same-origin"
 
 
 def test_a_page_for_nobody_leads_to_the_login_and_back(served: Served) -> None:

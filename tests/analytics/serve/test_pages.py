@@ -11,8 +11,8 @@ from tests.analytics.serve.conftest import Served
 
 PAGES = (
     "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", "/signals/FOG-0001/run-1/rate", "/trends",
-    "/trends?metric=bias&by=unit", "/diagnosis", "/diagnosis/FOG-0001", "/sql", "/sql?sql=select%201",
-    "/events?kind=RunStarted", "/store",
+    "/trends?metric=bias&by=unit", "/verdicts?verdict=PASS", "/diagnosis", "/diagnosis/FOG-0001",
+    "/sql", "/sql?sql=select%201", "/events?kind=RunStarted", "/store",
 )  # fmt: skip
 HEADINGS = {
     "/": ("Floor", "车间"),
@@ -107,6 +107,17 @@ def test_a_problem_is_a_page_with_a_sentence(api: httpx.Client, path: str, statu
     assert answer.status_code == status
     assert 'role="alert"' in answer.text
     assert api.get(path).headers["content-type"] == "application/json"
+
+
+@pytest.mark.parametrize(("form", "begin"), [("csv", b"answer"), ("parquet", b"PAR1"), ("json", b'{"columns"')])
+def test_the_result_of_a_statement_is_a_file(served: Served, form: str, begin: bytes) -> None:
+    with served.browser("vera") as browser:
+        fields = {"sql": "select 42 as answer", "csrf": browser.csrf, "format": form}
+        answer = browser.post("/sql", data=fields)
+        assert answer.status_code == 200
+        assert answer.headers["content-disposition"] == f'attachment; filename="result.{form}"'
+        assert answer.content.startswith(begin)
+        assert browser.post("/sql", data=fields | {"format": "exe"}).status_code == 400
 
 
 def test_changes_are_offered_to_those_who_may(served: Served) -> None:

@@ -1,0 +1,274 @@
+"""Pictures of a unit: characteristics over time against their limits, Allan curves of its runs, temperature."""
+
+import json
+from collections import defaultdict
+from typing import Any
+
+import msgspec
+
+from analytics.plots.picture import Axis, Curve, Label, Picture
+from analytics.serve.api.operation import Call, get, link
+from analytics.serve.api.rows import Name, dictionaries
+from analytics.serve.api.units import unit_row
+from stream.quantities import is_angular_rate, report_unit
+
+_MOST_CURVES = 12
+_VALUES = """
+with judged as (
+  select unit, metric, signal, run, standard, parameters, lower, upper, verdict, specification, revision
+  from verdicts where unit = $unit and metric = $metric
+), began as (select run, min(t_start_ns) as t_ns, bool_and(date_known) as date_known from unit_runs where unit = $unit
+  group by run
+)
+select m.signal, m.run, m.value, m.lo, m.hi, m.unit_of_measure, m.standard, m.parameters, b.t_ns,
+  coalesce(b.date_known, false) as date_known, j.lower, j.upper, j.verdict,
+  j.specification || '-' || j.revision as specification
+from unit_metrics m left join began b on b.run = m.run
+left join judged j on j.signal is not distinct from m.signal and j.run is not distinct from m.run
+  and j.standard is not distinct from m.standard and j.parameters is not distinct from m.parameters
+where m.unit = $unit and m.metric = $metric and m.value is not null and ($signal = '' or m.signal = $signal)
+order by b.t_ns nulls last, m.run
+"""
+_ALLAN = """
+select e.run, e.tau_s, e.value, e.lo, e.hi, e.unit_of_measure, e.final
+from estimates e join (
+  select run, max(t_first_ns) as t_ns from signals where unit = $unit and signal = $signal group by run
+) s using (run)
+where e.unit = $unit and e.signal = $signal and e.estimator = 'allan_deviation' and e.tau_s is not null
+qualify e.t_ns = max(e.t_ns) over (partition by e.run)
+order by s.t_ns desc, e.run, e.tau_s
+"""
+_RUNS = "select count(distinct run) as n from signals where unit = $unit and signal = $signal"
+_SIGNALS = """
+select s.signal, any_value(s.unit_of_measure) as unit_of_measure, count(distinct e.run) as curves
+from signals s left join (
+  select distinct unit, signal, run from estimates where unit = $unit and estimator = 'allan_deviation'
+) e on e.signal = s.signal where s.unit = $unit group by s.signal order by s.signal
+"""
+_STEPS = """
+select run, step, temperature, bias, standard_uncertainty from temperature_curve
+where unit = $unit and signal = $signal order by run, temperature
+"""
+# 10 s means at rest by temperature; buckets in which the table turns, or is commanded to, are left out
+_SWEEPS = """
+with rate as (
+  select run, t_ns, mean from rollup_10s where unit = $unit and signal = $signal
+), warmth as (
+  select run, t_ns, mean as temperature from rollup_10s where unit = $unit and signal = $temperature
+), turning as (
+  select distinct run, t_ns from rollup_10s
+  where signal in ('input_rate', 'table_rate') and run in (select run from rate)
+    and greatest(abs(lo), abs(hi)) > 0.01
+), commanded as (
+  select run, t_start_ns, t_end_ns from steps where unit = $unit and abs(rate_command) > 0.0
+), still as (
+  select r.run, r.mean, w.temperature from rate r join warmth w using (run, t_ns)
+  anti join turning t on t.run = r.run and t.t_ns = r.t_ns
+  anti join commanded c on c.run = r.run and r.t_ns + 10000000000 > c.t_start_ns and r.t_ns < c.t_end_ns
+), spread as (
+  select run, min(temperature) as low,
+    greatest((max(temperature) - min(temperature)) / least(30, greatest(count(*) // 4, 3)), 0.1) as width
+  from still
+  group by run having max(temperature) - min(temperature) >= 3
+)
+select s.run, avg(s.temperature) as temperature, avg(s.mean) as mean, stddev_samp(s.mean) as deviation, count(*) as n
+from still s join spread p using (run)
+group by s.run, floor((s.temperature - p.low) / p.width) having count(*) >= 2 order by s.run, temperature
+"""
+_RESULTS = {
+    "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days", "power_ons",
+    "n", "remark", "misfit", "record", "temperature",
+}  # fmt: skip
+_TEMPERATURES = ("temperature", "case_temperature", "chamber_temperature")
+
+
+class HistoryAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which characteristic, as ``bias``; of which signal, by default of each."""
+
+    metric: Name
+    signal: Name = ""
+
+
+class OfSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which signal; by default the first angular rate."""
+
+    signal: Name = ""
+
+
+@get("/api/units/{unit}/history", table="", is_slow=True)
+def unit_history(call: Call, asked: HistoryAsked) -> Picture:
+    """A characteristic of a unit over time, each value with its 95 % bounds, against the limits valid at the time."""
+    from analytics.metric_registry.registry import check_metrics, metrics
+
+    check_metrics((asked.metric,))
+    unit, header = call.path["unit"], metrics()[asked.metric].header
+    unit_row(call.views, unit)
+    rows = dictionaries(call.metrics, _VALUES, {"unit": unit, "metric": asked.metric, "signal": asked.signal})
+    dated = bool(rows) and all(row["date_known"] and row["t_ns"] is not None for row in rows)
+    title, measure = Label(header.en, header.zh), rows[0]["unit_of_measure"] if rows else header.unit
+    runs = list(dict.fromkeys(row["run"] or "" for row in rows))
+    x = Axis(label=Label("time (UTC)", "时间（UTC）"), scale="time")
+    if not dated:
+        x = Axis(label=Label("run", "试验"), scale="names", names=[Label.same(run) for run in runs])
+    y = Axis(label=title, unit=measure)
+    if not rows:
+        why = Label("No completed step gives this characteristic a value.", "没有已完成的步骤给出该特性的数值。")
+        return Picture(title=title, x=x, y=y, reason=why)
+    by_kind: dict[str, list[tuple[float, dict[str, Any]]]] = defaultdict(list)
+    for row in rows:
+        by_kind[_kind(row)].append((row["t_ns"] / 1e9 if dated else float(runs.index(row["run"] or "")), row))
+    # a limit is of one kind of values, as of one averaging time: others beside it would look judged by it
+    limited = {kind: points for kind, points in by_kind.items() if any(_has_limit(row) for _, row in points)}
+    shown = dict(list((limited or by_kind).items())[:_MOST_CURVES])
+    left = len(by_kind) - len(shown)
+    note = Label(
+        f"{left} kinds of this characteristic without a limit are not drawn; they are in the table of characteristics.",
+        f"该特性的 {left} 类无限值的数值未绘出，见特性表。",
+    )
+    curves = [_values(kind, points) for kind, points in shown.items()]
+    return Picture(title=title, x=x, y=y, curves=[*curves, *_limits(shown)], note=note if left else None)
+
+
+@get("/api/units/{unit}/allan", table="", is_slow=True)
+def unit_allan(call: Call, asked: OfSignal) -> Picture:
+    """Allan deviation of a unit's signal in each of its runs, with 95 % bounds; the newest runs first, 12 at most."""
+    unit = call.path["unit"]
+    signal = _signal_of(call, asked.signal)
+    given = {"unit": unit, "signal": signal}
+    by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for row in dictionaries(call.views, _ALLAN, given):
+        by_run[row["run"]].append(row)
+    runs = call.views.rows(_RUNS, given)[0][0]
+    measure = next(iter(by_run.values()))[0]["unit_of_measure"] if by_run else ""
+    curves = [
+        Curve(
+            name=Label.same(run), x=[row["tau_s"] for row in rows], y=[row["value"] for row in rows], style="both",
+            lo=[row["lo"] for row in rows], hi=[row["hi"] for row in rows],
+            links=[link("signals", unit, run, signal)] * len(rows),
+        )
+        for run, rows in list(by_run.items())[:_MOST_CURVES]
+    ]  # fmt: skip
+    shown, without = len(curves), runs - len(by_run)
+    note = Label(
+        f"{shown} of {runs} runs; {without} have no estimate of the run: the page of their signal computes it.",
+        f"共{runs}次试验，显示{shown}次；{without}次没有试验中的估计，可在其信号页面计算。",
+    )
+    none = Label("No run of this signal has an Allan deviation yet.", "该信号尚无试验有 Allan 标准差。")
+    return Picture(
+        title=Label(f"Allan deviation of {signal}", f"{signal} 的 Allan 标准差"),
+        x=Axis(label=Label("averaging time", "平均时间"), unit="s", scale="log"),
+        y=Axis(label=Label("Allan deviation", "Allan 标准差"), unit=measure, scale="log"),
+        curves=curves, note=note if shown < runs else None, reason=None if curves else none,
+    )  # fmt: skip
+
+
+@get("/api/units/{unit}/temperature", table="", is_slow=True)
+def unit_temperature(call: Call, asked: OfSignal) -> Picture:
+    """Output of a unit at rest over temperature: bias of static steps, 10 s means of runs whose temperature moves."""
+    unit = call.path["unit"]
+    signal = _signal_of(call, asked.signal)
+    known = {row["signal"]: row["unit_of_measure"] for row in dictionaries(call.views, _SIGNALS, {"unit": unit})}
+    measure, factor = report_unit(known.get(signal, ""))
+    curves: list[Curve] = []
+    by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for row in dictionaries(call.metrics, _STEPS, {"unit": unit, "signal": signal}):
+        by_run[row["run"]].append(row)
+    curves += [_steps(Label(f"{run}: steps", f"{run}：步骤"), rows) for run, rows in by_run.items() if len(rows) > 1]
+    if alone := [rows[0] for rows in by_run.values() if len(rows) == 1]:
+        curves.append(_steps(Label("single steps of runs", "各试验的单个步骤"), alone))
+    temperature = next((name for name in _TEMPERATURES if name in known), None)
+    curves += _sweeps(call, unit, signal, temperature, factor) if temperature is not None else []
+    none = Label(
+        "No static step and no run whose temperature moves by 3 degC or more tells the bias over temperature.",
+        "没有静态步骤，也没有温度变化达到 3 degC 的试验，无法给出零偏随温度的变化。",
+    )
+    note = Label(
+        "Points of steps: bias with its 95 % bounds. Curves of runs: means of 10 s at rest in classes of temperature; "
+        "bars: their standard deviation.",
+        "步骤点：零偏及其 95 % 区间。试验曲线：静止时 10 s 均值按温度分级；误差棒为其标准差。",
+    )
+    return Picture(
+        title=Label("Bias over temperature", "零偏随温度的变化"),
+        x=Axis(label=Label(temperature or "temperature", "温度"), unit="degC"),
+        y=Axis(label=Label("output at rest", "静止输出"), unit=measure),
+        curves=curves[:_MOST_CURVES], note=note if curves else None, reason=None if curves else none,
+    )  # fmt: skip
+
+
+def _steps(name: Label, rows: list[dict[str, Any]]) -> Curve:
+    """Bias of static steps with its 95 % bounds."""
+    half = [1.96 * (row["standard_uncertainty"] or 0.0) for row in rows]
+    is_one_run = len({row["run"] for row in rows}) == 1
+    return Curve(
+        name=name, x=[row["temperature"] for row in rows], y=[row["bias"] for row in rows],
+        style="both" if is_one_run else "points",
+        lo=[row["bias"] - each for row, each in zip(rows, half, strict=True)],
+        hi=[row["bias"] + each for row, each in zip(rows, half, strict=True)],
+        texts=[f"{row['run']} {row['step']}" for row in rows], links=[link("runs", row["run"]) for row in rows],
+    )  # fmt: skip
+
+
+def _sweeps(call: Call, unit: str, signal: str, temperature: str, factor: float) -> list[Curve]:
+    by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    given = {"unit": unit, "signal": signal, "temperature": temperature}
+    for row in dictionaries(call.views, _SWEEPS, given):
+        by_run[row["run"]].append(row)
+    return [
+        Curve(
+            name=Label.same(run), x=[row["temperature"] for row in rows], y=[row["mean"] * factor for row in rows],
+            style="both", lo=[(row["mean"] - (row["deviation"] or 0.0)) * factor for row in rows],
+            hi=[(row["mean"] + (row["deviation"] or 0.0)) * factor for row in rows],
+            links=[link("signals", unit, run, signal)] * len(rows),
+        )
+        for run, rows in by_run.items()
+    ]  # fmt: skip
+
+
+def _signal_of(call: Call, asked: str) -> str:
+    """The signal that is asked for, else the first angular rate with curves, else the first of all."""
+    unit = call.path["unit"]
+    unit_row(call.views, unit)
+    if asked:
+        return asked
+    known = dictionaries(call.views, _SIGNALS, {"unit": unit})
+    known.sort(key=lambda row: (not is_angular_rate(row["unit_of_measure"]), not row["curves"], row["signal"]))
+    return known[0]["signal"] if known else ""
+
+
+def _kind(row: dict[str, Any]) -> str:
+    """What distinguishes values of one characteristic: signal, standard, settings."""
+    parameters = json.loads(row["parameters"] or "{}")
+    settings = [f"{name}={value}" for name, value in parameters.items() if name not in _RESULTS]
+    return ", ".join(each for each in (row["signal"], row["standard"], *settings) if each)
+
+
+def _has_limit(row: dict[str, Any]) -> bool:
+    return row["lower"] is not None or row["upper"] is not None
+
+
+def _values(kind: str, points: list[tuple[float, dict[str, Any]]]) -> Curve:
+    return Curve(
+        name=Label.same(kind), x=[x for x, _ in points], y=[row["value"] for _, row in points], style="both",
+        lo=[row["lo"] for _, row in points], hi=[row["hi"] for _, row in points],
+        texts=[" ".join(filter(None, (row["run"], row["verdict"]))) for _, row in points],
+        links=[link("runs", row["run"]) if row["run"] else None for _, row in points],
+    )  # fmt: skip
+
+
+def _limits(by_kind: dict[str, list[tuple[float, dict[str, Any]]]]) -> list[Curve]:
+    """Limits as they were valid at each value, one curve for each side of each specification."""
+    curves = []
+    points = [each for of_kind in by_kind.values() for each in of_kind]
+    for side, name in (("lower", Label("lower limit", "下限")), ("upper", Label("upper limit", "上限"))):
+        levels: dict[str, dict[float, float]] = defaultdict(dict)
+        for place, row in points:
+            if row[side] is not None:
+                levels[row["specification"] or ""][place] = row[side]
+        curves += [
+            Curve(
+                name=Label(f"{name.en} {which}".strip(), f"{name.zh} {which}".strip()), x=sorted(of),
+                y=[of[each] for each in sorted(of)], style="limit",
+            )
+            for which, of in levels.items()
+        ]  # fmt: skip
+    return curves
