@@ -109,10 +109,10 @@ class UnitAudit(msgspec.Struct, frozen=True, kw_only=True):
 def unit_audit(call: Call, asked: Paged) -> UnitAudit:
     """What happened to a unit: who did what when, its runs, mountings, verdicts, models; the latest first."""
     unit = call.path["unit"]
-    unit_row(call.views, unit)
+    unit_row(call.fresh, unit)
     at, uid = _cursor(asked.after)
     given = {"unit": unit, "at": at, "uid": uid, "rows": asked.limit + 1}
-    rows, has_more = page_of([_row(each) for each in dictionaries(call.views, _AUDIT, given)], asked.limit)
+    rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _AUDIT, given)], asked.limit)
     after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
     next_page = link("api", "units", unit, "audit", limit=asked.limit, after=after) if has_more else None
     return UnitAudit(unit=unit, events=rows, next=next_page)
