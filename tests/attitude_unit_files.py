@@ -38,8 +38,9 @@ def ramp(total: float, n: int, start: float = 0.0) -> list[float]:
 
 
 def four_positions(
-    sheet: Sheet, biases: Mapping[str, float], record_s: Mapping[str, int] | int = 1800, *, heading_error_deg: float = 0.0,
-    latitude_deg: float = 39.9, order: Sequence[str] = tuple(FOUR), axes: str = "XYZ", procedure: str = "attitude_unit_bias",
+    sheet: Sheet, biases: Mapping[str, float], record_s: Mapping[str, int] | int = 1800, *,
+    heading_error_deg: float = 0.0, latitude_deg: float = 39.9, order: Sequence[str] = tuple(FOUR), axes: str = "XYZ",
+    procedure: str = "attitude_unit_bias",
 ) -> None:  # fmt: skip
     """Angles of an axis that is level, in its four positions: N = (B +- Omega_e cos(lat) sin(error)) T."""
     level = EARTH_DEG_PER_H * math.cos(math.radians(latitude_deg)) * math.sin(math.radians(heading_error_deg))

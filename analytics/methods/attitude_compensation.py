@@ -17,7 +17,9 @@ def misalignment_matrix(elements: Mapping[str, float]) -> FloatArray:
     ...                      "L_zy": -0.0025})[1].tolist()
     [0.003, 1.0, -0.002]
     """
-    wanted = {f"L_{row}{column}": (i, j) for i, row in enumerate(_LETTERS) for j, column in enumerate(_LETTERS) if i != j}
+    wanted = {
+        f"L_{row}{column}": (i, j) for i, row in enumerate(_LETTERS) for j, column in enumerate(_LETTERS) if i != j
+    }
     if missing := sorted(wanted.keys() - elements.keys()):
         raise BadInput(f"misalignment matrix: {', '.join(missing)} not given; all six elements are needed, in rad")
     matrix = np.eye(3)
@@ -50,4 +52,4 @@ def compensated_angles(
     try:
         return np.asarray(np.linalg.solve(matrix, (outputs - drift)[..., np.newaxis])[..., 0], np.float64)
     except np.linalg.LinAlgError as error:
-        raise BadInput("compensation: the matrix of misalignments has no inverse; two of its axes are the same") from error
+        raise BadInput("compensation: the matrix of misalignments has no inverse") from error

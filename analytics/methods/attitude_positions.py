@@ -28,7 +28,7 @@ _ANGLE = re.compile(r"\s*([+-]?[0-9]+(?:\.[0-9]+)?)\s*(?:deg|°|度)?\s*", re.IG
 
 
 class Placed(NamedTuple):
-    """Where a unit stood in a step: the directions of its axes, or the angle of a table that turns it about the vertical."""
+    """Where a unit stood in a step: the directions of its axes, or the angle of a table that turns it."""
 
     axes: Orientation
     angle_deg: float | None = None

@@ -122,7 +122,7 @@ def _by_method(steps: Sequence[Step], own: str) -> dict[str, dict[Any, list[Step
             continue
         if where is not None and where.angle_deg is not None:
             if step["level_axis"] is None:
-                raise BadInput(f"position {step['position']}: no word says which axis is level: add a column axis (7.2.2)")
+                raise BadInput(f"position {step['position']}: no word says which axis is level: add a column axis")
             angles[where.angle_deg].append(step)
         elif where is not None and own in where.axes and len(where.axes) == 3:
             oriented.append((step, where.axes))
@@ -175,8 +175,8 @@ def _refuse(rows: Sequence[Step], chosen: Mapping[Any, Sequence[Step]], method: 
         ]
         if lacking:
             raise BadInput(
-                f"not measured in this run: {', '.join(lacking)}; in less than the four positions the Earth's rate does "
-                f"not cancel (7.2.1)"
+                f"not measured in this run: {', '.join(lacking)}; in less than the four positions the Earth's rate "
+                f"does not cancel (7.2.1)"
             )
     every = [step for each in chosen.values() for step in each]
     if not any(step["mean"] or step["sd"] for step in every):

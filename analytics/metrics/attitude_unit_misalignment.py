@@ -65,7 +65,7 @@ def _of_element(
     }  # fmt: skip
     try:
         if rate is None:
-            raise BadInput(_not_turned(own, turned, chosen, rows))
+            raise BadInput(_not_turned(own, turned, rows))
         if chosen[0]["no_scale"] is not None:
             raise BadInput(chosen[0]["no_scale"])
         ways = [_way(sign, turned, chosen, rows) for sign in (1, -1)]
@@ -95,7 +95,7 @@ def element_name(own: str, turned: str) -> str:
     return f"L_{own.lower()}{apart}{turned.lower()}"
 
 
-def _not_turned(own: str, turned: str, steps: Sequence[Step], rows: Sequence[Step]) -> str:
+def _not_turned(own: str, turned: str, rows: Sequence[Step]) -> str:
     about = {row["turned"] for row in rows}
     if None in about:
         return "no word says which axis was turned: add a column axis, or positions X_up, Y_up, Z_up"

@@ -57,8 +57,8 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
     the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over at least
     `SHORT_NS`, is evaluated from its first to its last whole second of the source's clock; not one of an integrated
-    output, whose record is of its rate. One row of `COLUMNS` for each signal and stretch; `reason` where a stretch holds
-    no sample.
+    output, whose record is of its rate. One row of `COLUMNS` for each signal and stretch; `reason` where it holds no
+    sample.
     """
     signals = list(_signals(catalog, run))
     rows: list[dict[str, Any]] = []

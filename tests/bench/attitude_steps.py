@@ -1,4 +1,4 @@
-"""Tests of an attitude unit (JJF 1536-2015) for the simulated units: words, signal, rate about its axis and extra zero."""
+"""Tests of an attitude unit (JJF 1536-2015) for the simulated units: words, signal, rate about its axis, zero."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -42,7 +42,12 @@ def _rates() -> Iterator[AxisStep]:
 
 def _positions() -> Iterator[AxisStep]:
     for axis, zero in BIASES.items():
-        for towards, over, way in (("east", "north", 1), ("east", "south", 1), ("west", "south", -1), ("west", "north", -1)):
+        for towards, over, way in (
+            ("east", "north", 1),
+            ("east", "south", 1),
+            ("west", "south", -1),
+            ("west", "north", -1),
+        ):
             words = {"axis": axis, "position": f"{axis}_{towards}_{_SECOND[axis]}_{over}"}
             yield AxisStep(words, axis, zero=zero + way * LEVEL_DEG_PER_H)
 

@@ -21,6 +21,11 @@ def four(bias: float = 6.0, level: float = LEVEL, **words: Any) -> Rows:
     return at_rest({f"X_{place}": bias + way * level for place, way in PLACES.items()}, **words)
 
 
+def called(first: str, second: str, third: str, fourth: str, **words: Any) -> Rows:
+    """The four positions under other names, in the order of table 2."""
+    return at_rest({first: 6 + LEVEL, second: 6 + LEVEL, third: 6 - LEVEL, fourth: 6 - LEVEL}, **words)
+
+
 def around(angles: list[float], bias: float = 6.0, **words: Any) -> Rows:
     """X level on a table that turns it through the given angles, from north on."""
     seen = {f"{angle:g} deg": bias + 11.5 * math.cos(math.radians(angle)) for angle in angles}
@@ -32,8 +37,8 @@ def test_four_positions_in_any_order_and_under_other_names(recorded: Any) -> Non
     records = [
         *four(run="plain"),
         *reversed(four(run="reversed")),
-        *at_rest({"X朝东 Y朝北": 6 + LEVEL, "X东_Y南": 6 + LEVEL, "X西Y南": 6 - LEVEL, "X西 Y北 Z地": 6 - LEVEL}, run="zh"),
-        *at_rest({"x:e y:n": 6 + LEVEL, "x:e z:d": 6 + LEVEL, "x:w z:u": 6 - LEVEL, "x:w y:n": 6 - LEVEL}, run="letters"),
+        *called("X朝东 Y朝北", "X东_Y南", "X西Y南", "X西 Y北 Z地", run="zh"),
+        *called("x:e y:n", "x:e z:d", "x:w z:u", "x:w y:n", run="letters"),
         *at_rest(
             {"Roll_east_Heading_up": 6.0, "roll_east_heading_down": 6.0, "roll_west_heading_up": 6.0,
              "roll_west_heading_down": 6.0}, run="rotations", **turned,
@@ -70,7 +75,11 @@ def test_records_of_different_lengths_count_alike(recorded: Any) -> None:
         record |= {"duration_s": lasts_s, "n": round(lasts_s)}
     (row,) = recorded(records, "attitude_unit_bias")
     assert row["value"] == pytest.approx(6.0, abs=1e-9)
-    remarks = ("records of 600 s: the clause has 1800 s", "600 to 1800 s", "0.998 samples/s: 7.2.1 asks for at least 10")
+    remarks = (
+        "records of 600 s: the clause has 1800 s",
+        "600 to 1800 s",
+        "0.998 samples/s: 7.2.1 asks for at least 10",
+    )
     assert all(remark in row["remark"] for remark in remarks)
 
 
@@ -116,7 +125,9 @@ def test_other_axes_of_the_device_and_dead_ones_have_reasons(recorded: Any) -> N
     assert one(rows, run="volts")["reason"].startswith("no scale factor for an output in V")
     assert "X_east_Y_north, X_east_Y_south" in one(rows, run="up")["reason"]
     assert "not perpendicular" in one(rows, run="impossible")["reason"]
-    assert one(rows, run="letters")["reason"].startswith("position X_east_Y_north names X, Y, Z, and the output is of PITCH")
+    assert one(rows, run="letters")["reason"].startswith(
+        "position X_east_Y_north names X, Y, Z, and the output is of PITCH"
+    )
 
 
 ELEMENTS = {"YX": 0.003, "ZX": 0.0015, "XY": 0.002, "ZY": -0.0025, "XZ": -0.001, "YZ": -0.002}
@@ -132,9 +143,9 @@ def turned(rate: float = 100.0, run: str = "r1", axes: str = "XYZ", **words: Any
                 found.append(
                     {"run": run, "signal": f"rate_{own.lower()}", "procedure": "attitude_unit_misalignment",
                      "position": f"{axis}_up", "axis": axis, "rate_command": way * rate, "input_rate": way * rate,
-                     "input_rate_source": "command", "unit_of_measure": "deg/s", "n": 360, "duration_s": 35.9, "sd": 0.1,
-                     "mean": way * rate * seen + bias / 3600, "standard_uncertainty": 2e-4, "index": len(found) // 3 + 1}
-                    | words
+                     "input_rate_source": "command", "unit_of_measure": "deg/s", "n": 360, "duration_s": 35.9,
+                     "sd": 0.1, "mean": way * rate * seen + bias / 3600, "standard_uncertainty": 2e-4,
+                     "index": len(found) // 3 + 1} | words
                 )  # fmt: skip
     return found
 
@@ -161,7 +172,8 @@ def test_turns_as_laboratories_bring_them(recorded: Any) -> None:
         record["mean"] -= 2 * (record["mean"] - {"x": 6.0, "y": -3.0, "z": 1.5}[record["signal"][-1]] / 3600)
     names = {"X": "pitch", "Y": "roll", "Z": "heading"}
     by_rotation = [
-        record | {"signal": f"{names[record['signal'][-1].upper()]}_rate", "axis": names[record["axis"]], "position": None}
+        record
+        | {"signal": f"{names[record['signal'][-1].upper()]}_rate", "axis": names[record["axis"]], "position": None}
         for record in turned(run="rotations")
     ]
     # 10 turns, and 4 s of speeding up and down: the mean rate is 90 deg/s, as the turned axis tells
@@ -179,7 +191,10 @@ def test_turns_as_laboratories_bring_them(recorded: Any) -> None:
         assert one(rows, run=run, element="L_yx")["value"] == pytest.approx(arcmin("YX"), rel=1e-3), run
     assert one(rows, run="ramped", element="L_yx")["turns_by"] == "own axis"
     assert one(rows, run="rotations", element="L_roll_pitch")["value"] == pytest.approx(arcmin("YX"), rel=1e-9)
-    assert [row["rate_deg_per_s"] for row in rows if row["run"] == "speeds" and row["element"] == "L_yx"] == [20.0, 50.0]
+    assert [row["rate_deg_per_s"] for row in rows if row["run"] == "speeds" and row["element"] == "L_yx"] == [
+        20.0,
+        50.0,
+    ]
 
 
 def test_turns_that_lack_something_say_what(recorded: Any) -> None:
@@ -187,7 +202,7 @@ def test_turns_that_lack_something_say_what(recorded: Any) -> None:
         *turned(run="two axes", axes="XY"),
         *[record for record in turned(run="one way") if record["rate_command"] > 0],
         *turned(run="part", duration_s=37.0, n=371), *turned(run="no axis", axis=None, position=None),
-        *[record | {"mean": 0.0, "sd": 0.0} if record["signal"] == "rate_y" else record for record in turned(run="dead")],
+        *[each | {"mean": 0.0, "sd": 0.0} if each["signal"] == "rate_y" else each for each in turned(run="dead")],
         *turned(run="volts", unit_of_measure="V"),
     ]  # fmt: skip
     rows = recorded(records, "attitude_unit_misalignment")
