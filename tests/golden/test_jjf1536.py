@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ def rates(sheet: Sheet) -> None:
 
 @pytest.fixture(scope="module")
 def rows(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
-    """Rows of `gyrofleet metrics --standard "JJF 1536"` of two units; the table of the second misses east by 0.5 deg."""
+    """Rows of `gyrofleet metrics --standard "JJF 1536"` of two units; that of the second misses east by 0.5 deg."""
     folder = tmp_path_factory.mktemp("jjf1536")
     for unit, error_deg in (("AHRS-1", 0.0), ("AHRS-2", 0.5)):
         turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 1.0, 1.0))

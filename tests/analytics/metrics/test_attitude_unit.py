@@ -33,7 +33,7 @@ def around(angles: list[float], bias: float = 6.0, **words: Any) -> Rows:
 
 
 def test_four_positions_in_any_order_and_under_other_names(recorded: Any) -> None:
-    turned = {"signal": "roll_rate", "procedure": "static"}
+    turned: dict[str, Any] = {"signal": "roll_rate", "procedure": "static"}
     records = [
         *four(run="plain"),
         *reversed(four(run="reversed")),
@@ -135,7 +135,7 @@ ELEMENTS = {"YX": 0.003, "ZX": 0.0015, "XY": 0.002, "ZY": -0.0025, "XZ": -0.001,
 
 def turned(rate: float = 100.0, run: str = "r1", axes: str = "XYZ", **words: Any) -> Rows:
     """Records of ten turns each way about X, Y, Z at 10 Hz, outputs in deg/s with biases."""
-    found = []
+    found: Rows = []
     for axis in axes:
         for way in (1, -1):
             for own, bias in (("X", 6.0), ("Y", -3.0), ("Z", 1.5)):
