@@ -5,7 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.system_level.levelling import EARTH_RATE_RAD_PER_S, NORTH, UP, gyrocompassed, levelled
+from analytics.system_level.levelling import (
+    EARTH_RATE_RAD_PER_S,
+    NORTH,
+    UP,
+    earth_rate_enu_rad_per_s,
+    gyrocompassed,
+    levelled,
+)
 from analytics.system_level.strapdown import velocity_of
 from analytics.system_level.velocity_filter import kalman_derivatives, quadratic_fit
 from stream.batch import FloatArray
@@ -51,8 +58,8 @@ class Attitude(NamedTuple):
 class Kernels(NamedTuple):
     """How white noise of rates and forces comes through to dv'(T2) - dv'(T1) and to dv'' of both rests.
 
-    Rows `slope`, `curvature` of the first and of the second rest; columns samples. The effect is the sum of kernel times
-    error, of a rate in m/s^2 per rad/s (over g), of a force in m/s^2 per m/s^2.
+    Rows: the change of dv', dv'' of the first and of the second rest; columns: samples. The effect is the sum of
+    kernel times error, of rates in rad/s, of forces in m/s^2.
     """
 
     rate: FloatArray
@@ -138,16 +145,15 @@ def attitude_of(
     if level < _SEEN * u or abs(seen - level) > _SEEN * u:
         why = "names no position" if nominal is None else "contradicts gravity"
         raise BadInput(
-            f"{name}: its heading is unknown: the position word {why}, and the gyros see {math.degrees(seen) * 3600:.3g} "
-            f"deg/h level, the Earth's rate is {math.degrees(level) * 3600:.3g}; name it rotation_1 to rotation_9"
+            f"{name}: its heading is unknown: the position word {why}, and the gyros see "
+            f"{math.degrees(seen) * 3600:.3g} deg/h level where the Earth's rate is {math.degrees(level) * 3600:.3g}; "
+            f"name it rotation_1 to rotation_9"
         )
     towards = matrix[:, axis] * [1.0, 1.0, 0.0]
     return Attitude(levelled(force, np.eye(3)[axis], towards / np.linalg.norm(towards)), "earth_rate", u / level)
 
 
-def evaluated(
-    series: ImuSeries, latitude_deg: float, nominal: tuple[FloatArray, float] | None, name: str
-) -> Rotation:
+def evaluated(series: ImuSeries, latitude_deg: float, nominal: tuple[FloatArray, float] | None, name: str) -> Rotation:
     """Evaluate one record.
 
     `nominal` are the directions of X, Y, Z in east, north, up at its start by the position's name, with the standard
@@ -162,14 +168,15 @@ def evaluated(
     axis = int(np.abs(turned).argmax())
     if abs(abs(turned[axis]) - math.pi) > _HALF_TURN_WITHIN_RAD:
         raise BadInput(
-            f"{name}: gyro {AXES[axis]} turns by {math.degrees(turned[axis]):.4g} deg, 180 deg are asked for; is a gyro "
-            f"saturated, or the record cut?"
+            f"{name}: gyro {AXES[axis]} turns by {math.degrees(turned[axis]):.4g} deg, 180 deg are asked for; is a "
+            f"gyro saturated, or the record cut?"
         )
     force = series.forces_m_per_s2[:, : rests.first].mean(axis=1)
     gravity = float(np.linalg.norm(force))
     if abs(gravity / _STANDARD_GRAVITY - 1.0) > _GRAVITY_WITHIN:
         raise BadInput(
-            f"{name}: the accelerometers see {gravity:.4g} m/s^2 at rest, not gravity; is one saturated, or its unit wrong?"
+            f"{name}: the accelerometers see {gravity:.4g} m/s^2 at rest, not gravity; is one saturated, or its unit "
+            f"wrong?"
         )
     if abs(force[axis]) > _LEVEL_WITHIN * gravity:
         raise BadInput(f"{name}: axis {AXES[axis]}, about which it turns, is not level at rest")
@@ -181,15 +188,14 @@ def _navigated(
     series: ImuSeries, rests: Rests, axis: int, sign: int, gravity: float, attitude: Attitude, latitude_deg: float,
     name: str,
 ) -> Rotation:  # fmt: skip
-    from analytics.system_level.levelling import earth_rate_enu_rad_per_s
-
     rates, forces, dt_s = series.rates_rad_per_s, series.forces_m_per_s2, series.dt_s
     earth = earth_rate_enu_rad_per_s(latitude_deg)
     velocity, end = velocity_of(rates, forces, dt_s, attitude.matrix, earth, gravity)
     after = forces[:, rests.second :].mean(axis=1)
     if np.linalg.norm(np.cross(end @ after, UP)) > _FOLLOWS_WITHIN * gravity or float(UP @ end @ after) < 0.0:
         raise BadInput(
-            f"{name}: the accelerometers do not follow the turn that the gyros see; are axes swapped, or signs reversed?"
+            f"{name}: the accelerometers do not follow the turn that the gyros see; are axes swapped, or signs "
+            f"reversed?"
         )
     towards = attitude.matrix[:, axis] * [1.0, 1.0, 0.0]
     towards /= np.linalg.norm(towards)

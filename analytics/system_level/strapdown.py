@@ -15,9 +15,12 @@ def _rotation(x: float, y: float, z: float, out: FloatArray) -> None:
     else:
         angle = np.sqrt(square)
         first, second = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square
-    out[0, 0], out[0, 1], out[0, 2] = 1 - second * (y * y + z * z), second * x * y - first * z, second * x * z + first * y
-    out[1, 0], out[1, 1], out[1, 2] = second * x * y + first * z, 1 - second * (x * x + z * z), second * y * z - first * x
-    out[2, 0], out[2, 1], out[2, 2] = second * x * z - first * y, second * y * z + first * x, 1 - second * (x * x + y * y)
+    vector = (x, y, z)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i, i] = 1.0 - second * (square - vector[i] * vector[i])
+        out[i, j] = second * vector[i] * vector[j] - first * vector[k]
+        out[j, i] = second * vector[i] * vector[j] + first * vector[k]
 
 
 @njit(cache=True, nogil=True)
@@ -32,7 +35,8 @@ def _navigate(
     rates: FloatArray, forces: FloatArray, dt_s: float, attitude: FloatArray, earth: FloatArray, gravity: float,
     velocity: FloatArray,
 ) -> None:  # fmt: skip
-    half, turned, middle, spin, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    work = np.empty((5, 3, 3))
+    half, turned, middle, spin, moved = work[0], work[1], work[2], work[3], work[4]
     _rotation(-earth[0] * dt_s, -earth[1] * dt_s, -earth[2] * dt_s, spin)
     for k in range(rates.shape[1]):
         x, y, z = rates[0, k] * dt_s, rates[1, k] * dt_s, rates[2, k] * dt_s
@@ -52,10 +56,10 @@ def velocity_of(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Velocity at the borders of the samples, east, north, up, shape (3, n + 1), and the attitude at the end.
 
-    Each sample is the mean over an interval of `dt_s`: C <- R(-Omega_e dt) C R(omega dt) with exact rotations, the force
-    turned by the attitude at the middle of the interval. A turn about a fixed axis has no coning, so the product is
-    exact. The unit does not move: no transport rate, and the Coriolis acceleration of the small velocity error, which
-    is no error of the sensors, is left out. `gravity` and the forces have one unit, per second the velocity's.
+    Each sample is the mean over an interval of `dt_s`: C <- R(-Omega_e dt) C R(omega dt) with exact rotations, the
+    force turned by the attitude at the middle of the interval. A turn about a fixed axis has no coning, so the product
+    is exact. The unit does not move: there is no transport rate, and the Coriolis acceleration of the small velocity
+    error, which is no error of the sensors, is left out. `gravity` and the forces have one unit.
 
     >>> at_rest = np.zeros((3, 100)), np.repeat([[0.0], [0.0], [1.0]], 100, axis=1)
     >>> velocity, attitude = velocity_of(*at_rest, 0.01, np.eye(3), np.zeros(3), 1.0)

@@ -13,7 +13,7 @@ _DIFFUSE = 1e9
 
 @njit(cache=True, nogil=True)
 def _filtered(velocity: FloatArray, dt: float, diffuse: float) -> FloatArray:
-    """Final state of the filter with F = [[0,1,0],[0,0,1],[0,0,0]], H = [1,0,0], R = 1; covariances in Joseph's form."""
+    """Final state with F = [[0,1,0],[0,0,1],[0,0,0]], H = [1,0,0], R = 1; covariances in Joseph's form."""
     step = np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
     state = np.zeros(3)
     covariance = diffuse * np.eye(3)
@@ -42,7 +42,9 @@ def kalman_derivatives(velocity: FloatArray, dt_s: float) -> FloatArray:
     length_s = dt_s * (len(velocity) - 1)
     scale = float(np.abs(velocity - velocity[0]).max()) or 1.0
     state = _filtered(np.ascontiguousarray((velocity - velocity[0]) / scale), dt_s / length_s, _DIFFUSE)
-    return np.asarray(scale * state / length_s ** np.arange(3), np.float64) + [velocity[0], 0.0, 0.0]
+    found = np.asarray(scale * state / length_s ** np.arange(3), np.float64)
+    found[0] += velocity[0]
+    return found
 
 
 class QuadraticFit(NamedTuple):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ingest.instruments.rate_table import RateTable, RateTableOptions
 from ingest.simulator.bench import SimulatedBench
 from ingest.simulator.physics.accelerometer import AccelerometerParameters
 from ingest.simulator.physics.bias import Bias
@@ -19,10 +20,12 @@ from ingest.simulator.physics.scale import Scale
 from ingest.simulator.physics.sensing import Misalignment
 from ingest.simulator.physics.truth import imu_truth
 from ingest.simulator.processes import GyroBus
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.simulator.scpi.tables import SimulatedRateTable
 from ingest.simulator.station_files import FIRST_ID, Device, write_station
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray
-from stream.errors import BadInput
+from stream.errors import BadInput, InstrumentError
 
 SECOND = 10**9
 DT_S = 0.01
@@ -37,15 +40,20 @@ class Stepped(StationClock):
         return self.t_ns
 
 
-def bench_at(clock: StationClock) -> SimulatedBench:
+def bench_at(clock: Stepped) -> SimulatedBench:
     bench = SimulatedBench.at(clock, POSITION_NAMES)
-    bench.supply.handle("VOLT 5;CURR 5;OUTP ON")
+    clock.t_ns = 1  # a command replaces what another gave at the same time
+    bench.supply.handle("VOLT 5")
+    clock.t_ns = 2
+    bench.supply.handle("OUTP ON")
     return bench
 
 
 def rates_and_forces(imu: SimulatedImu, n: int) -> tuple[FloatArray, FloatArray]:
     samples = imu.samples(n)
-    return samples.rate_counts * imu.rate_scale_deg_per_s, samples.acceleration_counts * imu.acceleration_scale_g
+    scales = imu.rate_scale_deg_per_s, imu.acceleration_scale_g
+    rates, forces = samples.rate_counts * scales[0], samples.acceleration_counts * scales[1]
+    return np.asarray(rates, np.float64), np.asarray(forces, np.float64)
 
 
 @pytest.mark.parametrize("name", POSITION_NAMES)
@@ -86,9 +94,24 @@ def test_carried_and_turned_it_feels_gravity_and_the_earth_along_the_axes_of_eac
     ):
         assert forces[:, at] == pytest.approx(np.array(axes)[:, 2], abs=1e-6)
         assert rates[:, at] == pytest.approx(np.array(axes) @ earth, abs=5.1e-5)
-    turned = rates[1].sum() * DT_S - (rates[1, 150] * 1901 * DT_S)
+    turned = (rates[1, 200:] - rates[1, 150]).sum() * DT_S
     assert turned == pytest.approx(180.0, abs=2e-3)
     assert bench.table.handle("POS nowhere;SYST:ERR?") == '-224,"Illegal parameter value;no position nowhere"'
+
+
+def test_the_instrument_carries_to_the_positions_of_its_file_over_the_wire() -> None:
+    clock = StationClock(speed=100.0)
+    device = SimulatedRateTable(clock, positions=POSITION_NAMES)
+    with ScpiServer({"T": device}) as server:
+        positions = {"X_up": "POS X_up", "Y_up": "POS sideways"}
+        options = RateTableOptions(resource=server.resource("T"), max_rate_deg_per_s=100.0, positions=positions)
+        with RateTable("T1", options, clock) as table:
+            assert set(table.positions) == {"X_up", "Y_up"}
+            table.carry("X_up")
+            with pytest.raises(InstrumentError, match=r"it reports -224.*no position sideways"):
+                table.carry("Y_up")
+    names, which = device.positions(np.array([clock.now_ns()]))
+    assert [names[at] for at in which] == ["X_up"]
 
 
 def test_its_samples_are_the_same_in_blocks_of_any_size() -> None:
@@ -119,7 +142,7 @@ def test_planted_errors_come_out_at_each_axis() -> None:
     still = SimulatedImu(parameters, seed=1, unit="I", environment=bench.environment(30.0, "Z_up"))
     rates, forces = rates_and_forces(still, 1)
     earth = 15.041067 * np.array([0.0, np.cos(np.radians(30)), np.sin(np.radians(30))])
-    expected = earth + [np.sin(np.radians(1.0)) * earth[2], 7.2, 0.0]
+    expected = earth + np.array([np.sin(np.radians(1.0)) * earth[2], 7.2, 0.0])
     assert rates[:, 0] * 3600 == pytest.approx(expected, abs=2e-3)
     assert forces[:, 0] * 1e6 == pytest.approx([40 + 1000, 0, 1e6 + 100 + 30 - 20], abs=1.0)
     planted = imu_truth(still, 1.0)
@@ -139,13 +162,13 @@ def test_its_frames_carry_every_sample_of_six_sensors_and_the_temperature(tmp_pa
     for end_s in (0.5, 2.5):
         clock.t_ns = round(end_s * SECOND)
         bus.advance(clock.t_ns)
-    expected = plan.imu("B", environment=environment, start_ns=0).samples(251)
+    expected = plan.imu("B", environment=environment, start_ns=2).samples(250)
     for axis in range(3):
         mine = [data for each, data in frames if each == FIRST_ID + 4 + axis]
         rates = [int.from_bytes(data[:3], "little", signed=True) for data in mine]
         forces = [int.from_bytes(data[3:6], "little", signed=True) for data in mine]
         assert rates == expected.rate_counts[axis].tolist()
         assert forces == expected.acceleration_counts[axis].tolist()
-        assert [struct.unpack("<H", data[6:])[0] for data in mine] == list(range(251))
+        assert [struct.unpack("<H", data[6:])[0] for data in mine] == list(range(250))
     temperatures = [struct.unpack("<hH", data[:4]) for each, data in frames if each == FIRST_ID + 7]
     assert temperatures == [(2500, 0), (2500, 1), (2500, 2)]
