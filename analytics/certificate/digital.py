@@ -3,9 +3,8 @@
 import re
 import tomllib
 from importlib.resources import files
-
-from lxml import etree
-from lxml.etree import QName
+from xml.etree import ElementTree as ET
+from xml.etree.ElementTree import Element, QName, SubElement
 
 from analytics.certificate.content import Content
 from analytics.certificate.evidence import Span
@@ -24,22 +23,20 @@ _LANGUAGES = ("en", "zh")
 
 def digital_certificate(content: Content, *, release: str, supersedes: str = "") -> bytes:
     """The XML of a certificate; `release` is the program's version, `supersedes` the number of the one it replaces."""
-    root = etree.Element(
-        QName(_DCC, "digitalCalibrationCertificate"), nsmap={"dcc": _DCC, "si": _SI, "xsi": _XSI},
-        schemaVersion=_VERSION,
-    )  # fmt: skip
-    root.set(QName(_XSI, "schemaLocation"), _SCHEMA)
+    for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
+        ET.register_namespace(prefix, space)
+    root = Element(QName(_DCC, "digitalCalibrationCertificate").text, schemaVersion=_VERSION)
+    root.set(QName(_XSI, "schemaLocation").text, _SCHEMA)
     _administrative(_add(root, "administrativeData"), content, release, supersedes)
-    _measured(_add(root, "measurementResults"), content)
-    tree = etree.ElementTree(root)
-    return etree.tostring(tree, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    _measured(_add(root, "measurementResults"), content, release)
+    ET.indent(root)
+    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text
 
 
-def _administrative(parent: etree._Element, content: Content, release: str, supersedes: str) -> None:
+def _administrative(parent: Element, content: Content, release: str, supersedes: str) -> None:
     facts, order = content.facts, content.facts.order
-    software = _add(_add(parent, "dccSoftware"), "software")
-    _text(_add(software, "name"), Words.of("gyrofleet"))
-    _add(software, "release", f"v{release}")
+    _software(_add(parent, "dccSoftware"), release)
     core = _add(parent, "coreData")
     _add(core, "countryCodeISO3166_1", order.laboratory.country)
     for language in _LANGUAGES:
@@ -69,14 +66,20 @@ def _administrative(parent: etree._Element, content: Content, release: str, supe
                 _statement(statements, line.text, section.item.clause, facts.standard.code)
 
 
-def _statement(parent: etree._Element, text: Words, clause: str, code: str) -> None:
+def _software(parent: Element, release: str) -> None:
+    software = _add(parent, "software")
+    _text(_add(software, "name"), Words.of("gyrofleet"))
+    _add(software, "release", f"v{release}")
+
+
+def _statement(parent: Element, text: Words, clause: str, code: str) -> None:
     statement = _add(parent, "statement")
     _add(statement, "norm", code)
     _add(statement, "reference", clause)
     _text(_add(statement, "declaration"), text)
 
 
-def _item(item: etree._Element, content: Content) -> None:
+def _item(item: Element, content: Content) -> None:
     order, evidence = content.facts.order, content.facts.evidence
     _text(_add(item, "name"), Words.of(order.device.description) or content.facts.standard.device)
     if maker := Words.of(order.device.manufacturer):
@@ -89,12 +92,12 @@ def _item(item: etree._Element, content: Content) -> None:
     _text(_add(identification, "name"), Words("Serial number", "编号"))
 
 
-def _contact(parent: etree._Element, name: Words, address: Words) -> None:
+def _contact(parent: Element, name: Words, address: Words) -> None:
     _text(_add(parent, "name"), name)
     _text(_add(_add(parent, "location"), "further"), address)
 
 
-def _people(parent: etree._Element, order: Order) -> None:
+def _people(parent: Element, order: Order) -> None:
     people = order.people
     for given, role, signs in (
         (people.issued_by, "issued", True), (people.checked_by, "checked", False),
@@ -107,7 +110,7 @@ def _people(parent: etree._Element, order: Order) -> None:
             _add(person, "mainSigner", str(signs).lower())
 
 
-def _measured(parent: etree._Element, content: Content) -> None:
+def _measured(parent: Element, content: Content, release: str) -> None:
     facts = content.facts
     measured = _add(parent, "measurementResult")
     _text(_add(measured, "name"), Words("Measurement results", "校准结果"))
@@ -118,6 +121,7 @@ def _measured(parent: etree._Element, content: Content) -> None:
     uncertainty = _add(methods, "usedMethod", refType="basic_uncertainty")
     _text(_add(uncertainty, "name"), Words("Expanded uncertainty", "扩展不确定度"))
     _add(uncertainty, "norm", "JCGM 100")
+    _software(_add(measured, "usedSoftware"), release)
     if facts.order.reference:
         _equipment(_add(measured, "measuringEquipments"), facts.order)
     _environment(measured, content)
@@ -131,7 +135,7 @@ def _measured(parent: etree._Element, content: Content) -> None:
         _text(_add(_add(none, "data"), "text"), Words("no result", "无校准结果"))
 
 
-def _equipment(parent: etree._Element, order: Order) -> None:
+def _equipment(parent: Element, order: Order) -> None:
     for each in order.reference:
         equipment = _add(parent, "measuringEquipment", refType="basic_normalUsed")
         _text(_add(equipment, "name"), Words.of(each.name))
@@ -146,7 +150,7 @@ def _equipment(parent: etree._Element, order: Order) -> None:
         _add(identification, "value", each.serial)
 
 
-def _environment(parent: etree._Element, content: Content) -> None:
+def _environment(parent: Element, content: Content) -> None:
     facts = content.facts
     around, recorded = facts.order.environment, facts.evidence
     spans: list[tuple[str, Words, Span | None, str, float]] = [
@@ -172,7 +176,7 @@ def _environment(parent: etree._Element, content: Content) -> None:
             _real(quantity, f"{value * factor:.6g}", unit)
 
 
-def _result(parent: etree._Element, row: ResultRow) -> None:
+def _result(parent: Element, row: ResultRow) -> None:
     _text(_add(parent, "name"), row.name)
     data = _add(parent, "data")
     for each in row.results:
@@ -188,7 +192,7 @@ def _result(parent: etree._Element, row: ResultRow) -> None:
             _real(quantity, each.value_text, unit, each)
 
 
-def _real(parent: etree._Element, value: str, unit: str, result: Result | None = None) -> None:
+def _real(parent: Element, value: str, unit: str, result: Result | None = None) -> None:
     real = _si(parent, "real")
     _si(real, "value", value)
     _si(real, "unit", unit)
@@ -199,7 +203,7 @@ def _real(parent: etree._Element, value: str, unit: str, result: Result | None =
         _si(expanded, "coverageProbability", f"{result.p or 0.95:.4g}")
 
 
-def _text(parent: etree._Element, words: Words) -> None:
+def _text(parent: Element, words: Words) -> None:
     for language in _LANGUAGES:
         _add(parent, "content", _plain(getattr(words, language)) or "-", lang=language)
 
@@ -213,14 +217,14 @@ def _plain(text: str) -> str:
     return re.sub(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "", text)
 
 
-def _add(parent: etree._Element, name: str, text: str | None = None, **attributes: str) -> etree._Element:
-    element = etree.SubElement(parent, QName(_DCC, name), attributes)
+def _add(parent: Element, name: str, text: str | None = None, **attributes: str) -> Element:
+    element = SubElement(parent, QName(_DCC, name).text, attributes)
     if text is not None:
         element.text = " ".join(_plain(text).split()) or "-"
     return element
 
 
-def _si(parent: etree._Element, name: str, text: str | None = None) -> etree._Element:
-    element = etree.SubElement(parent, QName(_SI, name))
+def _si(parent: Element, name: str, text: str | None = None) -> Element:
+    element = SubElement(parent, QName(_SI, name).text)
     element.text = text
     return element

@@ -47,6 +47,7 @@ def check_signature(pdf: bytes, trust: Path | None) -> SignatureCheck | None:
     from pyhanko.pdf_utils.misc import PdfError
     from pyhanko.pdf_utils.reader import PdfFileReader
     from pyhanko.sign.validation import validate_pdf_signature
+    from pyhanko.sign.validation.status import SignatureCoverageLevel
     from pyhanko_certvalidator import ValidationContext
 
     try:
@@ -64,5 +65,6 @@ def check_signature(pdf: bytes, trust: Path | None) -> SignatureCheck | None:
         status = validate_pdf_signature(last, ValidationContext(trust_roots=roots, allow_fetching=False))
     except (PdfError, ValueError) as error:
         return SignatureCheck(by="", intact=False, trusted=False, why=str(error))
-    whole = status.intact and status.valid and status.coverage.name == "ENTIRE_FILE"
+    is_whole = status.coverage is SignatureCoverageLevel.ENTIRE_FILE
+    whole = bool(status.intact and status.valid and is_whole)
     return SignatureCheck(by=by, intact=whole, trusted=bool(status.trusted), why="" if whole else status.summary())

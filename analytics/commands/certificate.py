@@ -17,6 +17,7 @@ from stream.errors import BadInput
 if TYPE_CHECKING:
     from analytics.certificate.issue import Issued
     from analytics.certificate.verification import Verified
+    from analytics.certificate.words import Language
 
 
 @click.group("certificate", cls=CommandGroup, invoke_without_command=True)
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 @reporting
 def certificate(
     context: click.Context, folder: Path, unit: str | None, standard: str | None, order_path: Path | None,
-    out: Path | None, language: str, number: str, supersedes: str, reason: str, key: Path | None,
+    out: Path | None, language: "Language", number: str, supersedes: str, reason: str, key: Path | None,
     key_passphrase: str | None, *, as_draft: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a calibration certificate of a unit (PDF/A, with a digital certificate), or a draft of what is missing.

@@ -28,7 +28,7 @@ _SEAL = "seal"
 _BYTES = 32
 # documents that only the store itself enters
 SEALED = (SpecificationEntered, CertificateIssued)
-Sealed = TypeVar("Sealed", SpecificationEntered, CertificateIssued)
+Sealed = TypeVar("Sealed", bound=SpecificationEntered | CertificateIssued)
 
 
 def store_document(store: str, what: str, text: str, details: dict[str, Any]) -> StoreNoted:
