@@ -7,7 +7,8 @@ from typing import NamedTuple
 import msgspec
 
 from analytics.certificate.evidence import Evidence, Span
-from analytics.certificate.order import Order, ReferenceTable, Text
+from analytics.certificate.order import Order, Text
+from analytics.certificate.references import Reference
 from analytics.certificate.results import ResultRow
 from analytics.certificate.standards import Item, Standard
 from analytics.certificate.words import Words
@@ -24,6 +25,11 @@ class Facts(NamedTuple):
     rows: tuple[ResultRow, ...]
     number: str  # empty in a draft
     issued: dt.date
+
+    @property
+    def references(self) -> tuple[Reference, ...]:
+        """Measurement standards: those that the runs state, and those of the order."""
+        return (*self.evidence.references, *(Reference.of_table(each) for each in self.order.reference))
 
 
 class Line(NamedTuple):
@@ -162,33 +168,11 @@ def _specification(facts: Facts) -> _Filled:
 
 
 def _references(facts: Facts) -> _Filled:
-    lines, missing = [], []
-    for each in facts.order.reference:
-        lines.append(_reference(each))
-        missing += _out_of_date(each, facts.evidence.days)
-    if not facts.order.reference:
+    last_day = None if facts.evidence.days is None else facts.evidence.days[1]
+    missing = [what for each in facts.references for what in each.missing(last_day)]
+    if not facts.references:
         missing.append(Words("no measurement standard is named", "未给出所用测量标准"))
-    return lines, missing
-
-
-def _reference(each: ReferenceTable) -> Line:
-    name, u, to = Words.of(each.name), Words.of(each.uncertainty), Words.of(each.traceable_to)
-    due = each.due.isoformat()
-    en = f"serial {each.serial}, certificate {each.certificate}, {u.en}, valid until {due}"
-    zh = f"编号 {each.serial}，证书编号 {each.certificate}，{u.zh}，有效期至 {due}"
-    return Line(name, Words(en + (f", traceable to {to.en}" if to else ""), zh + (f"，溯源至{to.zh}" if to else "")))
-
-
-def _out_of_date(each: ReferenceTable, days: tuple[dt.date, dt.date] | None) -> list[Words]:
-    if days is None or days[1] <= each.due:
-        return []
-    name = Words.of(each.name)
-    return [
-        Words(
-            f"{name.en} {each.serial} was valid until {each.due}, before the calibration ended on {days[1]}",
-            f"{name.zh} {each.serial} 有效期至 {each.due}，早于校准结束日期 {days[1]}",
-        )
-    ]
+    return [Line(each.name, each.text) for each in facts.references], missing
 
 
 def _environment(facts: Facts) -> _Filled:

@@ -122,8 +122,8 @@ def _measured(parent: Element, content: Content, release: str) -> None:
     _text(_add(uncertainty, "name"), Words("Expanded uncertainty", "扩展不确定度"))
     _add(uncertainty, "norm", "JCGM 100")
     _software(_add(measured, "usedSoftware"), release)
-    if facts.order.reference:
-        _equipment(_add(measured, "measuringEquipments"), facts.order)
+    if facts.references:
+        _equipment(_add(measured, "measuringEquipments"), content)
     _environment(measured, content)
     results = _add(measured, "results")
     for row in facts.rows:
@@ -135,16 +135,11 @@ def _measured(parent: Element, content: Content, release: str) -> None:
         _text(_add(_add(none, "data"), "text"), Words("no result", "无校准结果"))
 
 
-def _equipment(parent: Element, order: Order) -> None:
-    for each in order.reference:
+def _equipment(parent: Element, content: Content) -> None:
+    for each in content.facts.references:
         equipment = _add(parent, "measuringEquipment", refType="basic_normalUsed")
-        _text(_add(equipment, "name"), Words.of(each.name))
-        u, due = Words.of(each.uncertainty), each.due.isoformat()
-        stated = Words(
-            f"{u.en}; certificate {each.certificate}, valid until {due}",
-            f"{u.zh}；证书编号 {each.certificate}，有效期至 {due}",
-        )
-        _text(_add(equipment, "description"), stated)
+        _text(_add(equipment, "name"), each.name)
+        _text(_add(equipment, "description"), each.text)
         identification = _add(_add(equipment, "identifications"), "identification")
         _add(identification, "issuer", "manufacturer")
         _add(identification, "value", each.serial)

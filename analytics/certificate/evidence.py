@@ -6,6 +6,7 @@ from zoneinfo import ZoneInfo
 
 import msgspec
 
+from analytics.certificate.references import Reference, stated_references
 from storage.sql.catalog import Catalog
 
 _RUNS = """
@@ -68,6 +69,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     lot: str | None
     temperature_deg_c: Span | None
     relative_humidity_percent: Span | None
+    references: tuple[Reference, ...]
 
     @property
     def days(self) -> tuple[dt.date, dt.date] | None:
@@ -94,6 +96,7 @@ def read_evidence(catalog: Catalog, unit: str, runs: Collection[str]) -> Evidenc
         temperature_deg_c=_span(catalog, _AIR, {**given, "signals": _AIR_TEMPERATURES, "unit_of_measure": "degC"})
         or _span(catalog, _CHAMBER, given | {"unit": unit}),
         relative_humidity_percent=_span(catalog, _AIR, {**given, "signals": _HUMIDITIES, "unit_of_measure": "%"}),
+        references=tuple(stated_references(catalog, names)),
     )
 
 
