@@ -43,20 +43,15 @@ class Reference(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def text(self) -> Words:
         """All that is stated of it."""
-        en = [
-            f"serial {self.serial}",
-            f"certificate {self.certificate}",
-            self.uncertainty.en,
-            f"valid until {self.due}",
+        parts = [
+            (self.serial, f"serial {self.serial}", f"编号 {self.serial}"),
+            (self.certificate, f"certificate {self.certificate}", f"证书编号 {self.certificate}"),
+            (self.uncertainty, self.uncertainty.en, self.uncertainty.zh),
+            (self.due, f"valid until {self.due}", f"有效期至 {self.due}"),
+            (self.traceable_to, f"traceable to {self.traceable_to.en}", f"溯源至{self.traceable_to.zh}"),
         ]
-        zh = [f"编号 {self.serial}", f"证书编号 {self.certificate}", self.uncertainty.zh, f"有效期至 {self.due}"]
-        given = [self.serial, self.certificate, self.uncertainty.en, self.due]
-        if self.traceable_to:
-            en.append(f"traceable to {self.traceable_to.en}")
-            zh.append(f"溯源至{self.traceable_to.zh}")
-            given.append(self.traceable_to.en)
-        kept = [at for at, each in enumerate(given) if each]
-        return Words(", ".join(en[at] for at in kept), "，".join(zh[at] for at in kept))
+        stated = [(en, zh) for given, en, zh in parts if given]
+        return Words(", ".join(en for en, _ in stated), "，".join(zh for _, zh in stated))
 
     def missing(self, last_day: dt.date | None) -> list[Words]:
         """What a certificate cannot do without; `last_day` is that of the calibration."""
