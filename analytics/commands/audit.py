@@ -23,7 +23,7 @@ def audit(folder: Path, unit: str, csv_path: Path | None, language: str, *, as_j
 
     \b
     gyrofleet audit --unit FOG-0231
-    gyrofleet audit --unit FOG-0231 --json | jq '.[] | select(.kind == "VerdictGiven")'
+    gyrofleet audit --unit FOG-0231 --csv audit.csv
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.audit import audit_of, write_audit
     from storage.sql.catalog import Catalog
