@@ -54,8 +54,8 @@ def certificate(
     A certificate is issued, and entered in the log, only where nothing is missing.
 
     \b
-    gyrofleet certificate --unit G-1 --standard JJF2014 --order order.toml --out G-1.pdf
-    gyrofleet certificate verify G-1.pdf
+    gyrofleet certificate --unit G-1 --standard JJF2014 --order O.toml --out G.pdf
+    gyrofleet certificate verify G.pdf
     """  # noqa: D301  click's mark for lines that are not to be joined
     if context.invoked_subcommand is not None:
         return
