@@ -13,8 +13,7 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
-import msgspec
-
+from ingest.measurement_standards import Standard
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
 
@@ -29,12 +28,10 @@ class Reading(NamedTuple):
     value: float
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of every instrument's table in `station.toml`; subclasses add their own."""
+class Options(Standard, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of every instrument's table in `station.toml`, with what is stated of it; subclasses add their own."""
 
     sample_interval_s: float = 1.0  # interval between readings, seconds at the station
-    calibration_due: str | None = None  # day on which its calibration ends, as 2027-03-31
-    serial: str = ""
 
 
 class Instrument(ABC):
