@@ -17,6 +17,17 @@ export function start(section) {
   source.addEventListener("error", () => floor.tell(say("away"), true));
 }
 
+/** The document at an address, without its scripts; null if it does not come. */
+function pageAt(url) {
+  return new Promise(resolve => {
+    const request = new XMLHttpRequest();
+    request.responseType = "document"; // text made a document here is refused by the page's own policy
+    request.addEventListener("loadend", () => resolve(request.status === 200 ? request.responseXML : null));
+    request.open("GET", url);
+    request.send();
+  });
+}
+
 class Floor {
   constructor(section) {
     this.canvas = element("canvas", {tabIndex: 0, className: "grid", role: "application", "aria-roledescription": "grid"});
@@ -143,14 +154,10 @@ class Floor {
       const parts = PARTS.map(id => document.getElementById(id));
       this.writtenAt = performance.now();
       if (document.hidden || parts.some(part => part.contains(document.activeElement))) return this.#write();
-      try {
-        const answer = await fetch(location.href, {headers: {Accept: "text/html"}});
-        const page = new DOMParser().parseFromString(await answer.text(), "text/html");
-        const fresh = PARTS.map(id => page.getElementById(id));
-        if (fresh.every(Boolean)) parts.forEach((part, i) => part.replaceChildren(...document.importNode(fresh[i], true).childNodes));
-      } catch {
-        return this.#write();
-      }
+      const page = await pageAt(location.href);
+      const fresh = PARTS.map(id => page?.getElementById(id));
+      if (!fresh.every(Boolean)) return this.#write();
+      parts.forEach((part, i) => part.replaceChildren(...document.importNode(fresh[i], true).childNodes));
       this.#found();
     }, Math.max(TABLE_MS, this.writtenAt + PAGE_MS - performance.now()));
   }
