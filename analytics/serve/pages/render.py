@@ -21,6 +21,7 @@ from stream.events import Verdict
 
 _YEAR_S = 365 * 86_400
 _MOST_DIGITS = 9
+_REMARK = "remark"
 
 
 @cache
@@ -38,6 +39,7 @@ def _environment() -> jinja2.Environment:
         "namesakes": _namesakes,
         "spread": spread,
         "parameters": _parameters,
+        "remark_of": _remark_of,
     }
     environment.filters |= {
         "number": number,
@@ -107,8 +109,18 @@ def _parameters(row: dict[str, Any]) -> str:
     """What tells values of one characteristic apart, as commands show it."""
     from analytics.evaluation.table import format_parameters
 
+    return format_parameters({name: each for name, each in _parameters_of(row).items() if name != _REMARK})
+
+
+def _remark_of(row: dict[str, Any]) -> str:
+    """What a value's remark says of the record that it rests on."""
+    return str(_parameters_of(row).get(_REMARK) or "")
+
+
+def _parameters_of(row: dict[str, Any]) -> dict[str, Any]:
     found = row["parameters"] or {}
-    return format_parameters(json.loads(found) if isinstance(found, str) else found)
+    given: dict[str, Any] = json.loads(found) if isinstance(found, str) else found
+    return given
 
 
 @jinja2.pass_context
