@@ -39,7 +39,7 @@ class Floor {
     this.#found();
     this.waiting = new Map();
     this.writing = 0;
-    this.writtenAt = performance.now();
+    this.writtenAt = -PAGE_MS;
     this.timer = 0;
     this.at = -1;
     this.toldAt = 0;
