@@ -31,7 +31,7 @@ def _translated(text: str) -> str | None:
     for pattern, chinese in _patterns():
         if (match := pattern.fullmatch(text)) is not None:
             filled = [_VERDICTS.get(part) or in_chinese(part) for part in match.groups()]
-            return _PLACE.sub(lambda place, filled=filled: filled[int(place[1])], chinese)
+            return "".join(filled[int(each[1])] if _PLACE.fullmatch(each) else each for each in _pieces(chinese))
     return None
 
 
@@ -45,4 +45,9 @@ def _patterns() -> list[tuple[re.Pattern[str], str]]:
 
 def _escaped(english: str) -> str:
     """The pattern of a text in which places stay as they are."""
-    return "".join(each if _PLACE.fullmatch(each) else re.escape(each) for each in re.split(r"(\{\d\})", english))
+    return "".join(each if _PLACE.fullmatch(each) else re.escape(each) for each in _pieces(english))
+
+
+def _pieces(text: str) -> list[str]:
+    """Places of a text, and what stands between them."""
+    return re.split(r"(\{\d\})", text)
