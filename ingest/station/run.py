@@ -142,7 +142,10 @@ class StationRun:
             source.start()
 
     def _work(self, step: PlannedStep, active: list[RunSource], restart: Callable[[], None]) -> None:
-        if step.prompt is not None:
+        position = step.words.position
+        if step.prompt is not None and position is not None and self._bench.carries_to(position):
+            self._until(step, f"carrying to {position}", partial(self._bench.carry, position), self._settle_timeout_s)
+        elif step.prompt is not None:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
             self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
         if step.power in {"cycle", "off"}:
