@@ -130,6 +130,7 @@ def station() -> Station:
         path=Path("station.toml"), table=StationTable(site="plant", name="bench"), clock=ClockTable(), instruments={},
         standards={},
         buses={}, lines={}, slots={"S1": SlotTable(power="supply")}, settings=settings,
+        standards={},
     )  # fmt: skip
 
 
