@@ -95,14 +95,14 @@ class SqlResult:
         """Some rows at a time, in types that can be read; QueryError if there are too many values."""
         total = 0
         for batch in self._table.to_batches():
-            values = max(sum(map(_values, batch.columns)), expanded_bytes(batch) // _VALUE_BYTES, 1)
+            values = sum(map(_values, batch.columns))
             total += values
             if total > _MOST_VALUES:
                 raise QueryError(
                     f"the result has more than {_MOST_VALUES:,} values, which is too much as text; ask for fewer rows "
                     "or columns, or for Arrow or Parquet"
                 )
-            rows = max(1, batch.num_rows * _VALUES_AT_ONCE // values)
+            rows = max(1, batch.num_rows * _VALUES_AT_ONCE // max(values, expanded_bytes(batch) // _VALUE_BYTES, 1))
             for begin in range(0, batch.num_rows, rows):
                 yield from printable_batches(Result(batch.schema, (each for each in [batch.slice(begin, rows)])))
 
