@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from analytics.first_floor import fill_floor
 from analytics.floor import Floor, UnitNow, parsed_key
 from analytics.serve.live.course import LiveCourse
-from analytics.serve.live.first_floor import fill_floor
 from analytics.serve.live.floor_rows import FloorRows
 from analytics.serve.live.rows import LiveRows, RowTables
 from analytics.serve.live.tail import LiveTail
