@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
@@ -33,6 +34,8 @@ _KEEP_ALIVE_S = 20
 _BACKLOG = 512
 # the recorder of the same machine goes first
 _NICER = 5
+# Python's 5 ms let a request wait that long at each step beside a thread that computes
+_SWITCH_S = 0.0005
 
 
 class _Server(uvicorn.Server):
@@ -86,6 +89,7 @@ def serve(store: Store, settings: Settings, on_ready: Callable[[str], None]) -> 
     )  # fmt: skip
     with suppress(OSError):
         os.nice(_NICER)
+    sys.setswitchinterval(_SWITCH_S)
     try:
         asyncio.run(_run(_Server(config, lambda: on_ready(url)), listening, service))
     finally:

@@ -82,7 +82,7 @@ class Service:
         """Connect the parts with each other."""
         self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state))
         self.changes = Broadcast(self.stopping)
-        self.warming = Warming(self.lake)
+        self.warming = Warming(self.lake, self.live)
 
     @property
     def busy_threads(self) -> int:
