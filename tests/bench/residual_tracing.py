@@ -5,8 +5,8 @@
 
 From the root of the checkout. Each campaign is one line of JSON in the file of results; those that are there already
 are not run again. `--count` is the number of seeds: of the row ``null`` each of nine misspecifications, of ``excess``
-two noises far from the declared one, of ``planted`` every effect at every size, of ``two`` three pairs a seed. The noise
-is synthesised without the engine's noise model.
+two noises far from the declared one, of ``planted`` every effect at every size, of ``two`` three pairs a seed. The
+noise is synthesised without the engine's noise model.
 """
 
 import argparse
