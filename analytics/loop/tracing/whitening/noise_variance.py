@@ -114,9 +114,10 @@ def _faded(values: FloatArray, decay: float) -> FloatArray:
     """Sum of the earlier rows, each faded by `decay` for every block since."""
     out = np.empty(values.shape)
     total = np.zeros(values.shape[1])
-    for t in range(len(values)):
-        out[t] = total
-        total = decay * values[t] + decay * total
+    for t in range(values.shape[0]):
+        for c in range(values.shape[1]):  # expressions of whole rows take seconds to compile
+            out[t, c] = total[c]
+            total[c] = decay * values[t, c] + decay * total[c]
     return out
 
 
