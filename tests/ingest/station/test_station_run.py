@@ -128,7 +128,6 @@ def station() -> Station:
     settings = dict.fromkeys(("output", "rate", "temperature"), "supply")
     return Station(
         path=Path("station.toml"), table=StationTable(site="plant", name="bench"), clock=ClockTable(), instruments={},
-        standards={},
         buses={}, lines={}, slots={"S1": SlotTable(power="supply")}, settings=settings,
         standards={},
     )  # fmt: skip
