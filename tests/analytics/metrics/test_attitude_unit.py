@@ -29,7 +29,8 @@ def called(first: str, second: str, third: str, fourth: str, **words: Any) -> Ro
 def around(angles: list[float], bias: float = 6.0, **words: Any) -> Rows:
     """X level on a table that turns it through the given angles, from north on."""
     seen = {f"{angle:g} deg": bias + 11.5 * math.cos(math.radians(angle)) for angle in angles}
-    return at_rest(seen, **{"axis": "X", "procedure": "attitude_unit_bias_many", "duration_s": 1200.0} | words)
+    own: dict[str, Any] = {"axis": "X", "procedure": "attitude_unit_bias_many", "duration_s": 1200.0}
+    return at_rest(seen, **own | words)
 
 
 def test_four_positions_in_any_order_and_under_other_names(recorded: Any) -> None:
