@@ -9,6 +9,8 @@
 -- needs:     procedure accelerometer_separation: four angles about the input axis
 -- limits:    given
 -- equation:  y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k, gamma = hypot(y2, z2)
+-- influence: angle: sqrt(0.5)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.methods.separation:accelerometer_rows
 -- k of an output in V is the nominal scale_factor of the product, which for a unit without a gyro is taken per g.
 with gyro as (select distinct run, unit from internal.gyro_steps)
