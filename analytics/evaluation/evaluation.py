@@ -59,7 +59,13 @@ order by metric, unit, signal nulls first, run nulls first, parameters nulls fir
 # In the metadata of the kept file: the fingerprint of each unit; for a unit with some metrics only, with their ids.
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
-_PACKAGES = ("analytics.metrics", "analytics.methods", "analytics.metric_registry", "analytics.evaluation.views")
+_PACKAGES = (
+    "analytics.metrics",
+    "analytics.methods",
+    "analytics.system_level",
+    "analytics.metric_registry",
+    "analytics.evaluation.views",
+)
 
 
 def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = ()) -> pa.Table:
