@@ -62,8 +62,8 @@ order by metric, unit, signal nulls first, run nulls first, parameters nulls fir
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
 _PACKAGES = (
-    "analytics.metrics", "analytics.methods", "analytics.metric_registry", "analytics.evaluation.views",
-    "analytics.uncertainty",
+    "analytics.metrics", "analytics.methods", "analytics.system_level", "analytics.metric_registry",
+    "analytics.evaluation.views", "analytics.uncertainty",
 )  # fmt: skip
 
 
