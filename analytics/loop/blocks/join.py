@@ -59,7 +59,7 @@ class ChannelJoiner:
         self._tolerance_s = tolerance_s
         self._known: dict[tuple[SignalKey, Grid], SignalBlocks | None] = {}
         self._sampled: dict[str, tuple[float, int]] = {}
-        self._readings = StoredReadings(catalog)
+        self._stored = StoredReadings(catalog)
 
     def prepare(
         self,
@@ -83,11 +83,11 @@ class ChannelJoiner:
             found = block_means(self._catalog, wide, self._block_s, rolled_up=group[0].is_rolled_up)
             self._known |= {(each.key, grids[each.run]): found.get(each.key) for each in group}
         singly = [each for own in sources.values() for each in own if self._is_read_singly(each, own)]
-        self._readings.read_ahead([(each, self._wide(grids[each.run])) for each in singly])
+        self._stored.read_ahead([(each, self._wide(grids[each.run])) for each in singly])
 
     def forget(self, unit: str) -> None:
         """Drop the blocks of a unit, which no other unit needs, and single readings."""
-        self._readings.forget()
+        self._stored.forget()
         self._known = {key: each for key, each in self._known.items() if key[0].unit != unit}
 
     def channels(
@@ -119,11 +119,11 @@ class ChannelJoiner:
     def changes(self, source: ChannelSource, slot: IntArray, t0_ns: int) -> FloatArray:
         """Range of a channel about each block, in its standard unit, see `ranges`."""
         factor = standard_unit(source.name, source.unit_of_measure).factor
-        return ranges(slot, self._block_s, *self._readings.extremes(source, t0_ns)) * abs(factor)
+        return ranges(slot, self._block_s, *self._stored.extremes(source, t0_ns)) * abs(factor)
 
     def expect_changes(self, wanted: Sequence[tuple[ChannelSource, int]]) -> None:
         """Announce the channels, with the begin of slot 0, whose `changes` will be asked for."""
-        self._readings.expect_extremes(wanted)
+        self._stored.expect_extremes(wanted)
 
     def _joined(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         if source.is_angle:
@@ -135,7 +135,7 @@ class ChannelJoiner:
         if source.kept_raw != source.samples:  # means of an angle that wraps would be wrong
             return _empty(signal, unit.name)
         angle = AngleBlocks(grid, self._block_ns, unit.factor)
-        for t_ns, value in self._readings.pieces(source, self._wide(grid)):
+        for t_ns, value in self._stored.pieces(source, self._wide(grid)):
             angle.update(t_ns, value)
         return angle.channel(signal.slot)
 
@@ -156,7 +156,7 @@ class ChannelJoiner:
     def _readings(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         """A channel by its single readings."""
         unit = standard_unit(source.name, source.unit_of_measure)
-        readings = self._readings.of(source, self._wide(grid))
+        readings = self._stored.of(source, self._wide(grid))
         intervals = np.diff(readings.t_s)
         tolerance_s = self._tolerance(float(np.median(intervals)) if len(intervals) else 0.0)
         raw = joined_readings(signal, readings, unit, tolerance_s)
@@ -173,7 +173,7 @@ class ChannelJoiner:
         """An angle with too few readings for means, by the table's rate; None where that is read less often."""
         if not self._is_polled(angle, rate):
             return None
-        turned, rates = (self._readings.of(each, self._wide(grid)) for each in (angle, rate))
+        turned, rates = (self._stored.of(each, self._wide(grid)) for each in (angle, rate))
         if not len(rates.t_s):
             return None
         degrees = turned.value * standard_unit(angle.name, angle.unit_of_measure).factor
