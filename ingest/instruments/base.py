@@ -9,7 +9,7 @@ import inspect
 import pkgutil
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -65,6 +65,15 @@ class Instrument(ABC):
     def is_settled(self, what: str) -> bool:  # noqa: ARG002
         """Whether a setting has reached its last value."""
         return True
+
+    @property
+    def positions(self) -> Collection[str]:
+        """Positions, by the names of procedures, to which it carries the units without an operator."""
+        return ()
+
+    def carry(self, position: str) -> None:
+        """Carry the units to a position; returns when they are there."""
+        raise BadInput(f"the {self.names['en']} {self.name} carries no unit to position {position}")
 
     def sample(self) -> list[Reading]:
         """Measure every signal once."""

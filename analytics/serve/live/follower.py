@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -62,6 +63,13 @@ class FloorFollower(Closing):
         self._is_filled.wait(_FILLED_WITHIN_S)
         with self._lock:
             yield self.floor.units.get(name)
+
+    def verdicts_so_far(self, run: str) -> dict[str, int] | None:
+        """Units of a run on the floor by their verdict so far, early decisions included; None if it is not there."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
+        with self._lock:
+            units = [unit for unit in self.floor.units.values() if unit.run.run == run and not unit.is_instrument]
+            return dict(sorted(Counter(unit.so_far or "OPEN" for unit in units).items())) if units else None
 
     @property
     def log_version(self) -> int:
