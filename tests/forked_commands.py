@@ -28,7 +28,7 @@ _MOST_BYTES = 1 << 20
 _PARTS = 23
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
-    "analytics.evaluation.annex_a",
+    "analytics.evaluation.inner_page",
     "analytics.evaluation.layer",
     "analytics.evaluation.selection",
     "analytics.evaluation.table",
