@@ -92,10 +92,10 @@ def test_a_new_one_on_the_same_runs_has_to_supersede(
     folder, answer = issued
     refused = run_command(*ORDERED, "--out", "second.pdf", cwd=folder)
     assert refused.code == 1
-    assert f"--supersedes {answer['number']}" in refused.err
+    assert f"--supersedes {answer['number']}" in refused.out
     assert not (folder / "second.pdf").exists()
     unreasoned = run_command(*ORDERED, "--out", "second.pdf", "--supersedes", answer["number"], cwd=folder)
-    assert "--reason" in unreasoned.err
+    assert "--reason" in unreasoned.out
     more = ("--supersedes", answer["number"], "--reason", "model corrected", "--out", "second.pdf", "--lang", "en")
     second = run_command(*ORDERED, *more, cwd=folder)
     assert second.code == 0, second.err
