@@ -25,6 +25,7 @@ BoolArray = npt.NDArray[np.bool_]
 UNCERTAINTIES = ("u_type_a", "u_type_b", "U", "k")
 COVERAGE = math.erf(math.sqrt(2.0))  # p of k = 2
 NO_SENSITIVITY = "the record does not say how it enters"
+NO_INFLUENCE = "type B unknown: the metric does not state how the station's standards enter"
 NO_TYPE_A = "type A unknown: the scatter of the value is not determined"
 # Latitude of each run, and unit of the output of each signal.
 _FACTS = """
@@ -73,9 +74,10 @@ class TypeB:
         n = found.num_rows
         has_value = np.asarray(pc.is_valid(columns["value"]))
         u_a, freedom = (columns[name].to_numpy(zero_copy_only=False) for name in ("standard_uncertainty", "freedom"))
-        if header.no_influence or not n:
+        if not header.influences or not n:
             unknown = np.full(n, np.nan)
-            return _arrays(u_a, unknown, unknown, unknown, pa.repeat(header.no_influence, n), has_value)
+            why = header.no_influence or NO_INFLUENCE
+            return _arrays(u_a, unknown, unknown, unknown, pa.repeat(why, n), has_value)
         runs, of_row = _run_sets(columns)
         known = self._stated(header, runs)
         sensitivities = self.sensitivities(header, found, columns)
