@@ -75,7 +75,7 @@ def student_sf(value: float, degrees: float) -> float:
     return float(special.stdtr(degrees, -value))
 
 
-def student_quantile(probability: float, degrees: FloatArray | float) -> FloatArray:
+def student_quantile(probability: FloatArray | float, degrees: FloatArray | float) -> FloatArray:
     """The value that Student's t does not exceed with a probability.
 
     >>> round(float(student_quantile(0.975, 10)), 6)

@@ -1,10 +1,12 @@
 """The server's process: sockets, signals, an end at once."""
 
 import asyncio
+import math
 import os
 import signal
 import socket
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 _GRACE_S = 2
 _KEEP_ALIVE_S = 20
 _BACKLOG = 512
+_SAME_S = 1.0
 # the recorder of the same machine goes first
 _NICER = 5
 # Python's 5 ms let a request wait that long at each step beside a thread that computes
@@ -111,8 +114,13 @@ def _oidc(file: LoginFile, settings: Settings, site: str) -> "OidcLogin | None":
 
 
 async def _run(server: _Server, listening: socket.socket, service: Service) -> None:
+    first_s = math.inf
+
     def stop() -> None:
-        server.force_exit = server.should_exit  # a second signal waits for nobody
+        nonlocal first_s
+        first_s = min(first_s, time.monotonic())
+        # a second signal waits for nobody; one at once is the same Ctrl-C, passed on by the program that started this
+        server.force_exit = time.monotonic() - first_s > _SAME_S
         server.should_exit = True
         service.stop()
 

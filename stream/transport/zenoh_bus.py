@@ -102,15 +102,17 @@ class ZenohBus(Closing):
 
         # the default queue between Zenoh and Python has no bound; a full one blocks the sender
         subscriber = self._session.declare_subscriber(key_expression, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
+        # not through the subscriber: another thread may be undeclaring it, which then cannot be read
+        channel = subscriber.handler
 
         def take() -> None:
-            for first in subscriber:
+            for first in channel:
                 # all that is there, without waiting or switching threads in between
                 sample: zenoh.Sample | None = first
                 while sample is not None:
                     call_handlers(handlers, str(sample.key_expr), sample.payload.to_bytes())
                     try:
-                        sample = subscriber.try_recv()
+                        sample = channel.try_recv()
                     except zenoh.ZError:  # undeclared meanwhile
                         return
 

@@ -3,13 +3,14 @@
 import itertools
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from analytics.first_floor import fill_floor
 from analytics.floor import Floor, UnitNow, parsed_key
 from analytics.serve.live.course import LiveCourse
-from analytics.serve.live.first_floor import fill_floor
 from analytics.serve.live.floor_rows import FloorRows
 from analytics.serve.live.rows import LiveRows, RowTables
 from analytics.serve.live.tail import LiveTail
@@ -64,6 +65,13 @@ class FloorFollower(Closing):
         self._is_filled.wait(_FILLED_WITHIN_S)
         with self._lock:
             yield self.floor.units.get(name)
+
+    def verdicts_so_far(self, run: str) -> dict[str, int] | None:
+        """Units of a run on the floor by their verdict so far, early decisions included; None if it is not there."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
+        with self._lock:
+            units = [unit for unit in self.floor.units.values() if unit.run.run == run and not unit.is_instrument]
+            return dict(sorted(Counter(unit.so_far or "OPEN" for unit in units).items())) if units else None
 
     @property
     def log_version(self) -> int:
