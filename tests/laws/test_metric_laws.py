@@ -25,7 +25,7 @@ from tests.bench.metric_steps import DAY_NS, Unit, metrics_of, records_of
 
 NAMES = tuple(metrics())
 EVERY = pytest.mark.parametrize("name", NAMES)
-STANDARDS = {"GJB2426A", "JJF2014", "JJF1536", "HIT"}
+STANDARDS = {"GJB2426A", "JJF2014", "JJF1536", "HIT", "CN102680005"}
 # Named in the standards' own words; what is not among them is one of IEEE 952 or of the separation methods.
 TERMS = {
     "bias", "bias_stability", "bias_stability_averaged", "bias_repeatability", "bias_temperature_sensitivity",
@@ -41,6 +41,8 @@ TERMS = {
 ELSEWHERE = {
     "accelerometer_separation", "bandwidth", "output_delay", "startup_time", "warmup_time", "power", "visual_check",
     "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk", "rate_ramp", "allan_deviation",
+    "system_level_scale_factor_asymmetry", "system_level_scale_factor_error", "system_level_accelerometer_bias",
+    "system_level_gyro_bias",
 }  # fmt: skip
 # what a doubled output doubles: all that is in deg/h, and these
 DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability", "attitude_unit_misalignment"}
