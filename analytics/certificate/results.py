@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from analytics.certificate.words import Words
-from analytics.evaluation.annex_a import AnnexRow
+from analytics.evaluation.inner_page import InnerRow
 from analytics.evaluation.selection import Row
 from storage.specifications.specification import format_parameter
 
@@ -61,7 +61,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     reason: str | None = None
 
 
-def result_rows(page: Sequence[AnnexRow]) -> tuple[ResultRow, ...]:
+def result_rows(page: Sequence[InnerRow]) -> tuple[ResultRow, ...]:
     """The rows of a certificate from those of the inner page."""
     return tuple(
         ResultRow(
