@@ -9,6 +9,8 @@
 -- needs:     procedure accelerometer_separation: four angles about the input axis
 -- limits:    given
 -- equation:  y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k, gamma = hypot(y2, z2)
+-- influence: angle: sqrt(0.5)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.methods.separation:accelerometer_rows
 -- Beside them what the paper's model lacks: twice_beta = (V(0) + V(180) - V(90) - V(270))/4k, a term in twice the angle.
 -- k of an output in V is the nominal scale_factor of the product, which for a unit without a gyro is taken per g.

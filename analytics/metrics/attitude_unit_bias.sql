@@ -10,6 +10,9 @@
 -- needs:     procedure attitude_unit_bias: the axis level to the east and west, each turned over; or _bias_many: equal angles
 -- limits:    t
 -- equation:  B = (N1 + N2 + N3 + N4)/(4 T); of n equally spaced positions their mean
+-- influence: rate: per_ppm(value)
+-- influence: clock: per_ppm(value)
+-- influence: levelling: earth_rate_per_arcsec() * abs(sin(radians(latitude_deg)))
 -- python:    analytics.metrics.attitude_unit_bias:compute
 -- of:        internal.attitude_bias_steps
 -- In a whole set what the axis sees of the Earth's rate cancels, with any error of the heading; in a part of one it does

@@ -9,6 +9,8 @@
 -- needs:     procedure attitude_unit_misalignment: each axis up, whole turns at a high rate in both directions
 -- limits:    t
 -- equation:  L_yx = (N_yx - N_-yx)/(2 360 n), the ratio of two angles
+-- influence: rate: per_ppm(value)
+-- influence: mounting: 1 / 60
 -- python:    analytics.metrics.attitude_unit_misalignment:compute
 -- of:        internal.attitude_turns
 -- Errata: the ratio is in rad, the code has degrees; (7) and (17) lack the brackets about 2 360 n, (17) prints pi for n;

@@ -10,6 +10,7 @@
 -- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
 -- limits:    t
 -- equation:  B = (a_2 - a_1)/4
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
 -- python:    analytics.system_level.metric_rows:accelerometer_bias_rows
 -- of:        internal.rotation_steps
 -- Of the accelerometer that turns over, across the axis of the turn.

@@ -10,6 +10,7 @@
 -- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
 -- limits:    t
 -- equation:  a_i = c g (pi (+-S + A) + b (T2 - T1)) - 2 B, dv'' = c g b at rest, c = -1
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
 -- python:    analytics.system_level.metric_rows:gyro_bias_rows
 -- of:        internal.rotation_steps
 -- Of the joint fit over the speeds, of the one with dv'' at rest, and of dv'' at rest alone. An error of the heading

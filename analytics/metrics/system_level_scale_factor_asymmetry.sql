@@ -10,6 +10,7 @@
 -- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
 -- limits:    t
 -- equation:  A = (a_2 + a_3)/(2 c g pi), c = -1; K+ = 1 + S + A, K- = 1 + S - A
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
 -- python:    analytics.system_level.metric_rows:asymmetry_rows
 -- of:        internal.rotation_steps
 -- A gyro bias b adds b (T2 - T1)/pi to every A: method speed and average (the patent's) keep it, and their bounds hold

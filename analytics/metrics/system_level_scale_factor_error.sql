@@ -10,6 +10,7 @@
 -- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
 -- limits:    t
 -- equation:  S = (a_1 - a_3)/(2 c g pi), c = -1
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
 -- python:    analytics.system_level.metric_rows:symmetric_rows
 -- of:        internal.rotation_steps
 -- Of the same rotations as the asymmetry; a gyro bias drops out.
