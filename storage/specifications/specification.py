@@ -82,9 +82,7 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         if self.guard_factor is not None and not is_guarded:
             raise ValueError("guard_factor is of guarded_acceptance and guarded_rejection; give that decision_rule")
         if (self.largest_U is not None) != (self.decision_rule is DecisionRule.SHARED_RISK):
-            raise ValueError(
-                "largest_U and decision_rule = 'shared_risk' need each other: up to that U risks are shared"
-            )
+            raise ValueError("largest_U and decision_rule = 'shared_risk' need each other")
 
     @property
     def subject(self) -> str:
