@@ -1,7 +1,7 @@
 """How often U holds the truth: ``python -m tests.bench.budget_coverage [--calibrations 500]``.
 
-Each calibration draws the errors of its instruments from their stated uncertainties (`calibrations.py`); the truth is to
-lie within U in 93 to 98 % of them. Where a sensitivity is a bound, as of a flip whose axis may lie in any direction,
+Each calibration draws the errors of its instruments from their stated uncertainties (`calibrations.py`); the truth is
+to lie within U in 93 to 98 % of them. Where a sensitivity is a bound, as of a flip whose axis may lie in any direction,
 only 93 % is asked. A figure is OUTSIDE where the one-sided 99.9 % binomial bound, corrected for the number of figures,
 excludes that; the command fails then.
 """
@@ -93,7 +93,8 @@ def _run_of(metric: str) -> str:
 def line_of(row: Covered) -> str:
     share, by_a = (100 * each / max(row.rows, 1) for each in (row.held, row.held_by_type_a))
     mark = "  OUTSIDE" if row.is_outside else ""
-    return f"{row.metric:38} {row.of:18} {share:6.1f} % of {row.rows}, type A alone {by_a:5.1f} %, k {row.mean_k:.2f}{mark}"
+    figures = f"{share:6.1f} % of {row.rows}, type A alone {by_a:5.1f} %, k {row.mean_k:.2f}"
+    return f"{row.metric:38} {row.of:18} {figures}{mark}"
 
 
 def main() -> None:

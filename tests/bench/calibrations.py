@@ -1,7 +1,7 @@
 """Simulated calibrations whose instruments err as their certificates allow: the steps as records, and the truth.
 
-One unit is calibrated at one station after the other. Each draws the errors of its instruments anew from what it states;
-the physics are written here, apart from the metrics.
+One unit is calibrated at one station after the other. Each draws the errors of its instruments anew from what it
+states; the physics are written here, apart from the metrics.
 """
 
 import json
