@@ -34,7 +34,7 @@ _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_u
 _TEXT, _REAL = pa.string(), pa.float64()
 COLUMNS = pa.schema({
     **dict.fromkeys(_TEXTS, _TEXT), "value": _REAL, "unit_of_measure": _TEXT, **dict.fromkeys(_NUMBERS, _REAL),
-    **dict.fromkeys(UNCERTAINTIES, _REAL), "u_reason": _TEXT,
+    **dict.fromkeys(UNCERTAINTIES, _REAL), "uncertainty_reason": _TEXT,
     "n": pa.int64(), "parameters": _TEXT, "runs": pa.list_(_TEXT), "steps": pa.list_(pa.int64()),
     "standard": _TEXT, "clause": _TEXT, "reason": _TEXT,
 })  # fmt: skip
@@ -62,8 +62,8 @@ order by metric, unit, signal nulls first, run nulls first, parameters nulls fir
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
 _PACKAGES = (
-    "analytics.metrics", "analytics.methods", "analytics.metric_registry", "analytics.evaluation.views",
-    "analytics.uncertainty",
+    "analytics.metrics", "analytics.methods", "analytics.system_level", "analytics.metric_registry",
+    "analytics.evaluation.views", "analytics.uncertainty",
 )  # fmt: skip
 
 

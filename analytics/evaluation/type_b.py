@@ -25,6 +25,7 @@ BoolArray = npt.NDArray[np.bool_]
 UNCERTAINTIES = ("u_type_a", "u_type_b", "U", "k", "nu")
 COVERAGE = math.erf(math.sqrt(2.0))  # p of k = 2
 NO_SENSITIVITY = "the record does not say how it enters"
+NO_INFLUENCE = "type B unknown: the metric does not state how the station's standards enter"
 NO_TYPE_A = "type A unknown: the scatter of the value is not determined"
 # Latitude of each run, and unit of the output of each signal.
 _FACTS = """
@@ -69,13 +70,14 @@ class TypeB:
         return [table[each.quantity].to_numpy() for each in header.influences]
 
     def columns(self, header: MetricHeader, found: pa.Table, columns: Mapping[str, pa.Array]) -> dict[str, pa.Array]:
-        """The columns of `UNCERTAINTIES` and `u_reason` for the rows of a metric."""
+        """The columns of `UNCERTAINTIES` and `uncertainty_reason` for the rows of a metric."""
         n = found.num_rows
         has_value = np.asarray(pc.is_valid(columns["value"]))
         u_a, freedom = (columns[name].to_numpy(zero_copy_only=False) for name in ("standard_uncertainty", "freedom"))
-        if header.no_influence or not n:
+        if not header.influences or not n:
             unknown = np.full(n, np.nan)
-            return _arrays((u_a, unknown, unknown, unknown, unknown), pa.repeat(header.no_influence, n), has_value)
+            why = header.no_influence or NO_INFLUENCE
+            return _arrays((u_a, unknown, unknown, unknown, unknown), pa.repeat(why, n), has_value)
         runs, of_row = _run_sets(columns)
         known = self._stated(header, runs)
         sensitivities = self.sensitivities(header, found, columns)
@@ -137,4 +139,4 @@ def _arrays(numbers: tuple[FloatArray, ...], reasons: pa.Array, has_value: BoolA
         name: pa.array(each, pa.float64(), mask=~has_value | ~np.isfinite(each))
         for name, each in zip(UNCERTAINTIES, numbers, strict=True)
     }
-    return found | {"u_reason": pc.if_else(pa.array(has_value), reasons, pa.scalar(None, pa.string()))}
+    return found | {"uncertainty_reason": pc.if_else(pa.array(has_value), reasons, pa.scalar(None, pa.string()))}

@@ -74,7 +74,7 @@ def _covered(metric: str, where: dict[str, Any], truth: float, rows: Sequence[di
     ]
     lacking = [row for row in mine if row["U"] is None]
     if lacking:
-        raise SystemExit(f"{metric}: {lacking[0]['reason'] or lacking[0]['u_reason']}")
+        raise SystemExit(f"{metric}: {lacking[0]['reason'] or lacking[0]['uncertainty_reason']}")
     held = sum(abs(row["value"] - truth) <= row["U"] for row in mine)
     by_a = sum(abs(row["value"] - truth) <= row["k"] * row["u_type_a"] for row in mine)
     tail = 0.001 / (2 * len(EXPECTED))

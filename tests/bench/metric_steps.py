@@ -16,6 +16,7 @@ from analytics.step_records.step_table import step_means
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray
+from tests.bench.attitude_steps import attitude_tests
 
 SECOND_NS = 10**9
 DAY_NS = 86_400 * SECOND_NS
@@ -57,6 +58,7 @@ class Step(NamedTuple):
     zero: float = 0.0
     scale_ppm: float = 0.0
     seconds: int = 60
+    signal: str = "rate"
 
 
 def still(words: dict[str, Any], zero: float = 0.0, seconds: int = 60) -> Step:
@@ -157,6 +159,8 @@ def tests_of(unit: Unit, rng: np.random.Generator) -> dict[str, list[list[Step]]
             ]
         ],
     }
+    for procedure, steps in attitude_tests().items():
+        found[procedure] = [[Step(each.words, each.rate, each.zero, signal=each.signal) for each in steps]]
     for cause in ("shock", "vibration"):
         found[f"bias_{cause}"] = [
             [
@@ -230,7 +234,13 @@ def _run(
         if flicker:
             begin = (at_ns - START_NS - number * DAY_NS) // SECOND_NS
             values += wander[begin : begin + step.seconds]
-        words = {"run": f"{procedure}-{number}", "unit": unit.name, "index": index, "procedure": procedure}
+        words = {
+            "run": f"{procedure}-{number}",
+            "unit": unit.name,
+            "signal": step.signal,
+            "index": index,
+            "procedure": procedure,
+        }
         yield record_of(values, at_ns, words | step.words)
         at_ns += (step.seconds - 1 + PAUSE_S) * SECOND_NS
 

@@ -111,7 +111,7 @@ def test_metrics_have_the_figures_of_the_budget(ask: Ask) -> None:
         (row,) = [e for e in rows if e["run"] == run and e["parameters"]["earth_rate"] == "removed"]
         for name in ("u_type_a", "u_type_b", "U", "k", "nu", "p"):
             assert row[name] == pytest.approx(found[name], rel=1e-9), name
-        assert row["u_reason"] is None
+        assert row["uncertainty_reason"] is None
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_what_is_not_stated_or_out_of_date_is_no_zero(ask: Ask, run: str, reason
     assert found["u_type_a"] > 0
     assert reason in found["reason"]
     rows = json.loads(ask("metrics", "--unit", "U1", "--metric", "bias", "--run", run, "--json").stdout)
-    assert all(row["U"] is None and row["u_type_b"] is None and reason in row["u_reason"] for row in rows)
+    assert all(row["U"] is None and row["u_type_b"] is None and reason in row["uncertainty_reason"] for row in rows)
     assert all(row["u_type_a"] > 0 for row in rows)
 
 
