@@ -118,7 +118,7 @@ def test_attitude_units_need_seven_rates_and_the_axis_that_is_up(tested: Any, ta
     rng = np.random.default_rng(1)
     t_ns = START_NS
     for rate, name in [(0.0, "rest_before"), *((r, "rate") for r in (10, -10, 40, -40, 100, -100, 70)), (0.0, "x")]:
-        noise = 1e-3 * rng.standard_normal((2, 100))
+        noise = 1e-3 * rng.standard_normal((2, 200))  # 7.1.1 d: 20 s
         signals = {"rate_x": (1.01 * rate + noise[0], "deg/s"), "rate_y": (noise[1], "deg/s")}
         t_ns = tested.step(
             "r1", "U1", signals, t0_ns=t_ns, procedure="attitude_unit_scale_factor", axis="X", position="X_up",
@@ -127,6 +127,27 @@ def test_attitude_units_need_seven_rates_and_the_axis_that_is_up(tested: Any, ta
     (row,) = tested.metric("scale_factor")
     assert (row["standard"], row["signal"]) == ("JJF1536", "rate_x")
     assert row["value"] == pytest.approx(1.01, rel=1e-4)
+
+
+def test_attitude_units_are_refused_short_records_and_dead_axes(tested: Any) -> None:
+    """7.1.1 d: at least 20 s at each rate; an axis that gives one value at every rate has no scale factor of 0."""
+    tested.run("r1")
+    rng = np.random.default_rng(1)
+    t_ns = START_NS
+    for axis in "XY":
+        for rate in (0.0, 10.0, -10.0, 40.0, -40.0, 100.0, -100.0, 70.0, 0.0):
+            seconds = 10 if rate == 40.0 else 20
+            noise = 1e-3 * rng.standard_normal((2, 10 * seconds))
+            signals = {"rate_x": (rate * (axis == "X") + noise[0], "deg/s"), "rate_y": (0.0 * noise[1], "deg/s")}
+            t_ns = tested.step(
+                "r1", "U1", signals, t0_ns=t_ns, procedure="attitude_unit_scale_factor", axis=axis,
+                position=f"{axis}_up", rate_command_deg_per_s=rate,
+            )  # fmt: skip
+    rows = {row["signal"]: row for row in tested.metric("scale_factor") if row["standard"] == "JJF1536"}
+    asked = "10 s recorded at 40 deg/s, at least 20 s at each rate are asked for (7.1.1 d)"
+    assert (rows["rate_x"]["value"], rows["rate_x"]["reason"]) == (None, asked)
+    assert rows["rate_y"]["value"] is None
+    assert rows["rate_y"]["reason"].startswith("the output is 0 at every rate: the axis does not answer")
 
 
 @pytest.mark.long
