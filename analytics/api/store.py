@@ -173,7 +173,7 @@ class FleetStore:
         asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
         rows = selected(self._catalog, asked)
         texts = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
-        names = [name for name in COLUMNS.names if name != "freedom"]
+        names = [*(name for name in COLUMNS.names if name != "freedom"), "p"]
         return pl.DataFrame(texts, schema=None if texts else names, infer_schema_length=None, strict=False)
 
     def diagnose(

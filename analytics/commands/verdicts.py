@@ -29,7 +29,8 @@ _ZH = {
     "characteristic": "特性", "signal": "信号", "run": "试验", "value": "数值", "95 % interval": "95 % 区间",
     "limits": "限值", "standard": "标准", "revision": "规范版本", "reason": "原因", "units": "产品数",
     "yield": "合格率", "judged": "已判定", "share": "占比", "cumulative": "累计", "station": "试验台",
-    "fixture": "夹具", "day": "日期",
+    "fixture": "夹具", "day": "日期", "rule": "判定规则", "accepted": "接受", "rejected": "拒绝",
+    "consumer": "使用方风险", "producer": "生产方风险", "of process": "过程风险", "conformity": "合格概率",
 }  # fmt: skip
 
 
@@ -39,24 +40,34 @@ _ZH = {
     "--unit", "units", type=UNIT, multiple=True, help="Only this unit, with each of its values; may be repeated."
 )
 @click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
+@click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
 @language_option
 @reporting
 def verdicts(
-    folder: Path, units: tuple[str, ...], by: Any, language: str, *, fail_on_fail: bool, as_json: bool
-) -> None:
+    folder: Path, units: tuple[str, ...], by: Any, language: str, *, risks: bool, fail_on_fail: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
 
-    A value passes or fails only where its whole 95 % interval lies on one side of the limit. Each is judged by the
+    A value passes or fails only where its whole 95 % interval lies on one side of the limit, unless the limit has
+    another decision_rule. Each is judged by the
     revision that was valid when its run began. A unit's verdict is the worst of its limits.
     """
+    from analytics.specifications.risks import lot_risks
     from analytics.specifications.verdicts import verdicts_of, yield_by
 
     if by and units:
         raise BadInput("give --unit or --by, not both: the yield is that of all units")
+    if risks and (units or by):
+        raise BadInput("--risks stands alone: it is of all units, by lot")
     with opened_catalog(folder, quiet=as_json) as catalog:
         found = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
         shares = yield_by(catalog, by) if by else []
+        of_lots = lot_risks(catalog) if risks else []
+    if risks:
+        _print_risks(of_lots, language, as_json=as_json)
+        return
     if as_json:
         rest = {"pareto": found.pareto, "warnings": found.warnings}
         if by:
@@ -68,6 +79,31 @@ def verdicts(
         _print(found, shares, by, language, with_values=bool(units))
     if fail_on_fail and found.has_failure:
         sys.exit(_FAILED)
+
+
+def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"risks": rows})
+        return
+    titles = ("lot", "characteristic", "rule", "accepted", "rejected", "consumer", "producer", "of process")
+    table = _table(titles, language)
+    for row in rows:
+        of = row["subject"].removeprefix(row["metric"])
+        process = (row["process_consumer_risk"], row["process_producer_risk"])
+        table.add_row(
+            row["lot"], _name(row["metric"], language) + of, row["decision_rule"], str(row["accepted"]),
+            str(row["rejected"]), _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
+            _risk(row["specific_producer_risk"], row["global_producer_risk"]),
+            "" if None in process else f"{process[0]:.2%} / {process[1]:.2%}",
+        )  # fmt: skip
+    results().print(table)
+    text = "Risks: largest of a unit / of the lot; of process: consumer / producer, true values taken as normal."
+    zh = "风险：单件最大值 / 批次总体；过程：使用方 / 生产方，假设真值服从正态分布。"
+    results().print(zh if language == "zh" else text)
+
+
+def _risk(specific: float | None, overall: float) -> str:
+    return f"{'-' if specific is None else f'{specific:.2%}'} / {overall:.2%}"
 
 
 def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: str, *, with_values: bool) -> None:
@@ -127,8 +163,8 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
 
     table = _table(
         (
-            "characteristic", "signal", "run", "value", "95 % interval", "limits", "verdict", "standard", "revision",
-            "reason",
+            "characteristic", "signal", "run", "value", "95 % interval", "limits", "verdict", "conformity", "standard",
+            "revision", "reason",
         ),
         language,
     )  # fmt: skip
@@ -143,7 +179,8 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         table.add_row(
             _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
-            f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
+            f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language),
+            "" if row["conformity"] is None else f"{row['conformity']:.1%}", row["standard"], label,
             reason_of(row, language) if row["reason"] else "",
         )  # fmt: skip
     return table

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from analytics.evaluation.type_b import UNCERTAINTIES, TypeB
+from analytics.evaluation.type_b import COVERAGE, UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
 from analytics.specifications.sql_tables import put_specifications
@@ -281,4 +281,5 @@ def kept_metrics(folder: Path) -> tuple[pa.Table, dict[str, str]]:
 def row_of(row: Mapping[str, Any]) -> dict[str, Any]:
     """A value as in `gyrofleet metrics --json`."""
     found = {name: row[name] for name in COLUMNS.names if name != "freedom"}
-    return found | {"parameters": json.loads(row["parameters"] or "{}")}
+    p = None if row["U"] is None else COVERAGE
+    return found | {"p": p, "parameters": json.loads(row["parameters"] or "{}")}

@@ -55,7 +55,7 @@ class MetricsLayer:
 class VerdictsLayer(MetricsLayer):
     """Verdicts on the metrics; apart from them, since their views take longer to define than all others."""
 
-    tables = ("verdicts", "unit_verdicts", "yield_by", "failure_pareto")
+    tables = ("verdicts", "unit_verdicts", "yield_by", "failure_pareto", "conformity_risks")
 
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables, after the metrics."""

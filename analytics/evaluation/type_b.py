@@ -22,7 +22,7 @@ from stream.batch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
-UNCERTAINTIES = ("u_type_a", "u_type_b", "U", "k")
+UNCERTAINTIES = ("u_type_a", "u_type_b", "U", "k", "nu")
 COVERAGE = math.erf(math.sqrt(2.0))  # p of k = 2
 NO_SENSITIVITY = "the record does not say how it enters"
 NO_INFLUENCE = "type B unknown: the metric does not state how the station's standards enter"
@@ -77,7 +77,7 @@ class TypeB:
         if not header.influences or not n:
             unknown = np.full(n, np.nan)
             why = header.no_influence or NO_INFLUENCE
-            return _arrays(u_a, unknown, unknown, unknown, pa.repeat(why, n), has_value)
+            return _arrays((u_a, unknown, unknown, unknown, unknown), pa.repeat(why, n), has_value)
         runs, of_row = _run_sets(columns)
         known = self._stated(header, runs)
         sensitivities = self.sensitivities(header, found, columns)
@@ -95,7 +95,9 @@ class TypeB:
             effective = combined**4 / (u_a**4 / np.nan_to_num(freedom, nan=np.inf) + lost)
         k = student_quantile((1 + COVERAGE) / 2, np.clip(np.nan_to_num(effective, nan=1e9), 1.0, 1e9))
         reasons = self._reasons(header, known, of_row, missing, sensitivities, np.isnan(u_a))
-        return _arrays(u_a, u_b, k * combined, np.where(np.isnan(combined), np.nan, k), reasons, has_value)
+        is_open = np.isnan(combined)
+        k, effective = (np.where(is_open, np.nan, each) for each in (k, effective))
+        return _arrays((u_a, u_b, k * combined, k, effective), reasons, has_value)
 
     def _stated(self, header: MetricHeader, runs: list[list[str]]) -> list[list[StatedQuantity]]:
         """Of each influence, what the standards of each set of runs state."""
@@ -132,12 +134,9 @@ def _run_sets(columns: Mapping[str, pa.Array]) -> tuple[list[list[str]], IntArra
     return [text.split("\n") for text in encoded.dictionary.to_pylist()], encoded.indices.to_numpy().astype(np.int64)
 
 
-def _arrays(
-    u_a: FloatArray, u_b: FloatArray, expanded: FloatArray, k: FloatArray, reasons: pa.Array,
-    has_value: BoolArray,
-) -> dict[str, pa.Array]:  # fmt: skip
+def _arrays(numbers: tuple[FloatArray, ...], reasons: pa.Array, has_value: BoolArray) -> dict[str, pa.Array]:
     found = {
         name: pa.array(each, pa.float64(), mask=~has_value | ~np.isfinite(each))
-        for name, each in zip(UNCERTAINTIES, (u_a, u_b, expanded, k), strict=True)
+        for name, each in zip(UNCERTAINTIES, numbers, strict=True)
     }
     return found | {"uncertainty_reason": pc.if_else(pa.array(has_value), reasons, pa.scalar(None, pa.string()))}

@@ -19,7 +19,8 @@ _LIMITS = pa.schema({
     "limit_id": _WHOLE, "specification": _TEXT, "revision": _TEXT, "from_ns": _WHOLE, "until_ns": _WHOLE,
     "known_from_ns": _WHOLE, "known_until_ns": _WHOLE, "valid": _TEXT, "revisions": _WHOLE, "metric": _TEXT,
     "subject": _TEXT, "parameters": _TEXT, "parameter_count": _WHOLE, "product": _TEXT, "signal": _TEXT,
-    "standard": _TEXT, "lower": _REAL, "upper": _REAL, "unit_of_measure": _TEXT,
+    "standard": _TEXT, "lower": _REAL, "upper": _REAL, "unit_of_measure": _TEXT, "decision_rule": _TEXT,
+    "guard_factor": _REAL, "largest_U": _REAL,
 })  # fmt: skip
 _PARAMETERS = pa.schema({"limit_id": _WHOLE, "metric": _TEXT, "path": _TEXT, "key": _TEXT})
 _PRODUCTS = pa.schema({
@@ -79,7 +80,8 @@ def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> di
         "known_from_ns": edition.known_from_ns, "known_until_ns": edition.known_until_ns, "valid": period.text,
         "revisions": edition.revisions,
         "parameters": json.dumps(limit.parameters, sort_keys=True, ensure_ascii=False),
-        "parameter_count": len(limit.parameters),
+        "parameter_count": len(limit.parameters), "decision_rule": limit.decision_rule.value,
+        "guard_factor": 1.0 if limit.guard_factor is None else limit.guard_factor,
     }  # fmt: skip
 
 

@@ -30,7 +30,12 @@ def document(trend: Trend) -> dict[str, Any]:
         "dated": series.dated,
         "by": trend.by,
         "charts": [_chart(chart) | {"capability": _capability(found)} for chart, found in charts],
-        "specification": {"lower": limits.lower, "upper": limits.upper, "source": limits.source or None},
+        "specification": {
+            "lower": limits.lower,
+            "upper": limits.upper,
+            "source": limits.source or None,
+            "decision_rule": limits.rule or None,
+        },
         **_shifts(trend.shifts, series),
         **_comparison(trend.comparison),
         "components": {name: _plain(each) for name, each in trend.components.items()},

@@ -255,6 +255,7 @@ def _capable(trend: Trend, found: Capability) -> Words:
         "capability", n=found.n, noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
         indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
         sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
+        rule=words(f"rule_{limits.rule or 'interval'}"),
     )  # fmt: skip
 
 

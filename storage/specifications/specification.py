@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 from datetime import UTC, date, datetime, timedelta
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -46,11 +47,22 @@ class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 raise ValueError(f"{name} is {each:g}, expected a finite number other than 0; leave it out if unknown")
 
 
+class DecisionRule(StrEnum):
+    """How a value is compared with a limit (JCGM 106:2012 clause 8)."""
+
+    INTERVAL = "interval"  # PASS or FAIL where the 95 % interval lies on one side, else MARGINAL
+    SIMPLE_ACCEPTANCE = "simple_acceptance"  # by the value alone (8.2.1)
+    SHARED_RISK = "shared_risk"  # the same, where U is at most `largest_U` (8.2.2)
+    GUARDED_ACCEPTANCE = "guarded_acceptance"  # PASS only beyond a guard band guard_factor * U inside the limit (8.3.2)
+    GUARDED_REJECTION = "guarded_rejection"  # FAIL only beyond a guard band outside the limit (8.3.3)
+
+
 class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One `[[limit]]`: `lower` and `upper` are the least and greatest value of `metric` that pass.
 
     `parameters` select among the metric's values, such as ``{average_s = 100}``; omitted parameters match all values.
-    So do product, signal and standard where they are left out.
+    So do product, signal and standard where they are left out. `decision_rule` says how U counts; the guard band is
+    `guard_factor` times U, and `largest_U` the U up to which risks are shared, in `unit_of_measure`.
     """
 
     metric: str
@@ -61,6 +73,16 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     product: str | None = None
     signal: str | None = None
     standard: str | None = None
+    decision_rule: DecisionRule = DecisionRule.INTERVAL
+    guard_factor: Annotated[float, msgspec.Meta(ge=0, le=10)] | None = None
+    largest_U: Positive | None = None  # noqa: N815  U as in JCGM 100
+
+    def __post_init__(self) -> None:
+        is_guarded = self.decision_rule in {DecisionRule.GUARDED_ACCEPTANCE, DecisionRule.GUARDED_REJECTION}
+        if self.guard_factor is not None and not is_guarded:
+            raise ValueError("guard_factor is of guarded_acceptance and guarded_rejection; give that decision_rule")
+        if (self.largest_U is not None) != (self.decision_rule is DecisionRule.SHARED_RISK):
+            raise ValueError("largest_U and decision_rule = 'shared_risk' need each other")
 
     @property
     def subject(self) -> str:

@@ -234,26 +234,37 @@ def _run(
         if flicker:
             begin = (at_ns - START_NS - number * DAY_NS) // SECOND_NS
             values += wander[begin : begin + step.seconds]
-        end_ns = at_ns + (step.seconds - 1) * SECOND_NS
-        found = series_statistics(
-            at_ns + np.arange(step.seconds) * SECOND_NS,
-            np.ones(step.seconds, np.int64),
-            values,
-            np.zeros(step.seconds),
-            base_ns=SECOND_NS,
-            samples_per_block=1.0,
-            window_ns=(at_ns, end_ns),
-        )._asdict()
-        for average, each in zip((1, 10, 100), found.pop("averages"), strict=True):
-            found |= {f"{name}_{average}s": value for name, value in each._asdict().items()}
-        yield {
-            "run": f"{procedure}-{number}", "unit": unit.name, "signal": step.signal, "index": index,
-            "procedure": procedure, "date_known": True, "time_zone": "UTC", "room": False, "station": "station-1",
-            "t_start_ns": at_ns, "t_from_ns": at_ns, "t_to_ns": end_ns, "duration_s": (end_ns - at_ns) / 1e9,
-            "unit_of_measure": "deg/h", "input_rate": step.words.get("rate_command"),
-            "temperature": step.words.get("temperature_command"),
-        } | {name: None if value != value else value for name, value in found.items()} | step.words  # fmt: skip
-        at_ns = end_ns + PAUSE_S * SECOND_NS
+        words = {
+            "run": f"{procedure}-{number}",
+            "unit": unit.name,
+            "signal": step.signal,
+            "index": index,
+            "procedure": procedure,
+        }
+        yield record_of(values, at_ns, words | step.words)
+        at_ns += (step.seconds - 1 + PAUSE_S) * SECOND_NS
+
+
+def record_of(values: FloatArray, at_ns: int, words: dict[str, Any]) -> dict[str, Any]:
+    """The record of a step of samples 1 s apart, with the words that say what it is."""
+    end_ns = at_ns + (len(values) - 1) * SECOND_NS
+    found = series_statistics(
+        at_ns + np.arange(len(values)) * SECOND_NS,
+        np.ones(len(values), np.int64),
+        values,
+        np.zeros(len(values)),
+        base_ns=SECOND_NS,
+        samples_per_block=1.0,
+        window_ns=(at_ns, end_ns),
+    )._asdict()
+    for average, each in zip((1, 10, 100), found.pop("averages"), strict=True):
+        found |= {f"{name}_{average}s": value for name, value in each._asdict().items()}
+    return {
+        "signal": "rate", "date_known": True, "time_zone": "UTC", "room": False, "station": "station-1",
+        "t_start_ns": at_ns, "t_from_ns": at_ns, "t_to_ns": end_ns, "duration_s": (end_ns - at_ns) / 1e9,
+        "unit_of_measure": "deg/h", "input_rate": words.get("rate_command"),
+        "temperature": words.get("temperature_command"),
+    } | {name: None if value != value else value for name, value in found.items()} | words  # fmt: skip
 
 
 def metrics_of(store: Store, records: Sequence[dict[str, Any]], names: Iterable[str] | None = None) -> pa.Table:

@@ -111,6 +111,22 @@ def test_a_metric_says_what_it_is(name: str) -> None:
     assert "unit" in header.grain
 
 
+@EVERY
+def test_a_metric_says_how_errors_of_the_standards_enter(name: str) -> None:
+    header = metrics()[name].header
+    assert bool(header.influences) != bool(header.no_influence)
+    quantities = [each.quantity for each in header.influences]
+    assert len(set(quantities)) == len(quantities)
+
+
+@EVERY
+def test_no_uncertainty_is_a_silent_zero(simulated: Simulated, name: str) -> None:
+    """The simulated stations state no uncertainty: no row has U, and each says why."""
+    for row in simulated.rows(name):
+        assert (row["U"], row["k"]) == (None, None)
+        assert (row["value"] is not None) == (row["uncertainty_reason"] is not None), row
+
+
 def test_the_standards_characteristics_are_all_there() -> None:
     assert set(NAMES) >= TERMS
 

@@ -140,19 +140,36 @@ create or replace table verdicts as
 with candidate as materialized (
   select * from internal.limit_candidates
 ), converted as (                       -- in the unit of the limit
-  select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi
+  select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi,
+    c."U" * abs(f.factor) as v_u_expanded, coalesce(c."U" / c.k, c.standard_uncertainty) * abs(f.factor) as v_u,
+    case when c."U" is null then c.freedom else c.nu end as v_nu
   from candidate c
   left join internal.result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
   where c.is_valid
+), guarded as (                         -- width of the guard band of JCGM 106 8.3, towards the inside
+  select *,
+    case decision_rule when 'guarded_acceptance' then guard_factor * v_u_expanded
+      when 'guarded_rejection' then -guard_factor * v_u_expanded else 0.0 end as guard
+  from converted
 ), by_value as (
   select *,
     case
       when v is null then 'NO_DATA'
+      when decision_rule <> 'interval' then
+        case when guard is null or (decision_rule = 'shared_risk' and v_u_expanded is null) then 'NO_DATA'
+          when decision_rule = 'shared_risk' and v_u_expanded > "largest_U" then 'MARGINAL'
+          when v > upper - guard or v < lower + guard then 'FAIL'
+          else 'PASS' end
       when coalesce(v_lo, v) > upper or coalesce(v_hi, v) < lower then 'FAIL'
       when (upper is null or coalesce(v_hi, v) <= upper) and (lower is null or coalesce(v_lo, v) >= lower) then 'PASS'
       else 'MARGINAL'
-    end as by_value
-  from converted
+    end as by_value,
+    case when v_u > 0 then
+      case when upper is null then 1.0 else student_cdf((upper - v) / v_u, coalesce(v_nu, 1e9)) end
+      - case when lower is null then 0.0 else student_cdf((lower - v) / v_u, coalesce(v_nu, 1e9)) end
+    end as conformity,
+    case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of
+  from guarded
 ), judged as (                          -- an early decision stands, unless the value says the opposite
   select b.*, d.reason as early_reason, d.outcome as early,
     case
@@ -169,12 +186,19 @@ with candidate as materialized (
       or abs(d.tau_s - coalesce((b.parameters->>'$.average_s')::double, (b.parameters->>'$.tau_s')::double)) <= 1e-6 * d.tau_s)
 ), of_values as (
   select unit, signal, run, metric, subject, verdict, v as value, v_lo as lo, v_hi as hi, lower, upper,
-    limit_unit as unit_of_measure, parameters, runs, standard, clause, specification, revision,
+    limit_unit as unit_of_measure, decision_rule, conformity, conformity_of, v_u as standard_uncertainty,
+    -- what the rule asks for inside the limit; the half-width of the interval where that decides
+    case decision_rule when 'interval' then greatest(v_hi - v, v - v_lo) else guard end as guard, parameters, runs, standard, clause,
+    specification, revision,
     case
       when early = verdict then early_reason
       when early is not null then early || ' was ' || early_reason || '; the value says ' || by_value || ': test it again'
       when v is null and value is null then reason
       when v is null then 'the value is in ' || unit_of_measure || ', the limit in ' || limit_unit
+      when by_value = 'NO_DATA' then 'no U, which the rule ' || decision_rule || ' needs: ' || coalesce(uncertainty_reason, '')
+      when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then printf('U = %.3g is more than the %.3g up to '
+        || 'which risks are shared: measure with a smaller one', v_u_expanded, "largest_U")
+      when decision_rule <> 'interval' then null
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
       when v_lo is null then 'judged by the value alone, which has no interval'
     end as reason,
@@ -243,8 +267,8 @@ with candidate as materialized (
   where e.kind = 'CheckEntered'
 )
 select * from of_values
-union all select * from outside
-union all select * from lacking
-union all select * from unknown_product
-union all select * from entered;
+union all by name select * from outside
+union all by name select * from lacking
+union all by name select * from unknown_product
+union all by name select * from entered;
 comment on table verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';

@@ -2,7 +2,7 @@
 -- yield is of the units that are decided or marginal; its 95 % interval is Wilson's.
 create or replace view yield_by as
 with judged as materialized (
-  select unit, signal, metric, subject, standard, specification, verdict, lot, station, fixture, day from verdicts
+  select unit, signal, metric, subject, standard, specification, verdict, decision_rule, lot, station, fixture, day from verdicts
 ), placed as (
   select 'lot' as kind, lot as name, * from judged
   union all select 'station', station, * from judged
@@ -22,15 +22,20 @@ with judged as materialized (
     count(*) filter (verdict = 'MARGINAL') as marginal,
     count(*) filter (verdict = 'NO_DATA') as no_data
   from each_unit group by kind, name
+), rules as (
+  select kind, name, list(distinct decision_rule order by decision_rule) filter (decision_rule is not null)
+      as decision_rules
+  from placed group by kind, name
 ), shares as (
   select *, nullif(units - no_data, 0) as n, passed / nullif(units - no_data, 0) as share,
     1.959963984540054 as z
   from counted
 )
-select kind, name, units, passed, failed, marginal, no_data, share as yield,
+select s.kind, s.name, units, passed, failed, marginal, no_data, share as yield,
   greatest(0, (share + z * z / (2 * n) - z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_lo,
   least(1, (share + z * z / (2 * n) + z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_hi,
+  coalesce(r.decision_rules, []) as decision_rules,
   case when n is null then 'none of its units has a verdict: all are NO_DATA' end as reason
-from shares
-order by kind, name nulls last;
+from shares s left join rules r on r.kind = s.kind and r.name is not distinct from s.name
+order by s.kind, s.name nulls last;
 comment on view yield_by is 'yield by lot, station, fixture and day (column kind), with its 95 % interval';

@@ -26,6 +26,7 @@ class SpecifiedLimits(NamedTuple):
     lower: float | None = None
     upper: float | None = None
     source: str = ""
+    rule: str = ""  # decision rule of the limits
     why_not: Words | None = None
 
 
@@ -35,7 +36,7 @@ def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
     Values of products, or signals, with different limits have none in common.
     """
     moment = int(series.t_ns[-1])
-    found: dict[tuple[float | None, float | None], str] = {}
+    found: dict[tuple[float | None, float | None, str], str] = {}
     without = False
     periods = [each for each in ordered_periods(stored_specifications(store)) if each.from_ns <= moment < each.until_ns]
     for product, signal in sorted(set(zip(series.groups["product"], series.groups["signal"], strict=True))):
@@ -45,10 +46,11 @@ def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
         for limit, label in own:
             factor = result_factor(limit.unit_of_measure, series.unit_of_measure)
             lower, upper = (None if side is None else side * factor for side in (limit.lower, limit.upper))
-            found[lower, upper] = label
+            found[lower, upper, limit.decision_rule.value] = label
     if len(found) > 1 or (found and without):
         return SpecifiedLimits(why_not=words("limits_differ"))
-    return next((SpecifiedLimits(*sides, label) for sides, label in found.items()), SpecifiedLimits())
+    every = (SpecifiedLimits(lower, upper, label, rule) for (lower, upper, rule), label in found.items())
+    return next(every, SpecifiedLimits())
 
 
 def _applies(limit: SpecificationLimit, series: MetricSeries, product: str, signal: str) -> bool:

@@ -18,7 +18,7 @@ from gyrofleet import main
 START = "2026-01-05T08:00:00Z"
 KEYS = {
     "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
-    "parameters", "runs", "steps", "standard", "clause", "reason", "u_type_a", "u_type_b", "U", "k",
+    "parameters", "runs", "steps", "standard", "clause", "reason", "u_type_a", "u_type_b", "U", "k", "nu", "p",
     "uncertainty_reason",
 }  # fmt: skip
 BIASES = {"FOG-0001": 0.2, "FOG-0002": 5.0}

@@ -1,5 +1,8 @@
 """Station files beyond what the command line is tested with: what a good one says, and who may use it."""
 
+import datetime as dt
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -74,3 +77,41 @@ def test_a_station_is_held_by_one_run_and_free_after_it(folder: Path) -> None:
         pass
     with again.held():
         pass
+
+
+STATED = (
+    'kind = "rate_table"\nserial = "RT-17"\ncertificate = "LL-1"\nuncertainty.rate = { U = 0.01, unit = "percent" }'
+)
+
+
+def test_uncertainties_are_kept_in_the_unit_of_their_quantity(folder: Path) -> None:
+    station = changed(folder, 'kind = "rate_table"', STATED)
+    (table,) = [each for each in json.loads(station.standards_details["standards"]) if each["name"] == "table"]
+    assert (table["serial"], table["certificate"], table["kind"]) == ("RT-17", "LL-1", "rate_table")
+    (rate,) = table["quantities"]
+    assert (rate["u"], rate["unit"], rate["distribution"]) == (50.0, "ppm", "normal")
+
+
+def test_a_standard_that_is_not_connected_can_be_out_of_date(folder: Path) -> None:
+    path = folder / "station.toml"
+    path.write_text(path.read_text() + "\n[standards.level]\ncalibration_due = 2026-01-31\n")
+    late = load_station(path).overdue(dt.date(2026, 2, 1), dt.date(2026, 2, 2))
+    assert late == ["the standard level was due for calibration on 2026-01-31"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ('rate = { U = 1, unit = "ppm", half_width = 2 }', "either U with k, or half_width"),
+        ('rate = { unit = "ppm" }', "either U with k, or half_width"),
+        ('rate = { U = 1, unit = "degC" }', "it is kept in ppm"),
+        ('rat = { U = 1, unit = "ppm" }', "did you mean rate"),
+        ('rate = { U = -1, unit = "ppm" }', "from 0"),
+        ('rate = { U = 1, k = 0, unit = "ppm" }', "above 0"),
+        ('rate = { U = nan, unit = "ppm" }', "from 0"),
+        ('rate = { half_width = 1, distribution = "even", unit = "ppm" }', "instruments.table"),
+    ],
+)
+def test_uncertainties_that_cannot_be_meant_are_refused(folder: Path, stated: str, said: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(said)):
+        changed(folder, 'kind = "rate_table"', f'kind = "rate_table"\nuncertainty.{stated}')
