@@ -10,6 +10,7 @@ program itself.
 import array
 import contextlib
 import ctypes
+import gc
 import importlib
 import json
 import os
@@ -27,16 +28,22 @@ _MOST_BYTES = 1 << 20
 _PARTS = 23
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
+    "analytics.evaluation.inner_page",
+    "analytics.evaluation.layer",
     "analytics.evaluation.selection",
     "analytics.evaluation.table",
     "analytics.loop.tracing.diagnosis",
     "analytics.metric_registry.registry",
+    "analytics.serve.server",
     "ingest.can.bus.interface",
+    "ingest.can.plan",
     "ingest.importing.importer",
     "ingest.procedures.run_steps",
+    "ingest.station.station",
     "ingest.tables.file",
     "matplotlib.pyplot",
     "pandas",
+    "pint",
     "polars",
     "pyarrow.dataset",
     "pyarrow.pandas_compat",
@@ -49,16 +56,7 @@ _WANTED = (
 
 
 class CommandServer:
-    """Starts commands of the program in forked processes.
-
-    Examples
-    --------
-    >>> with CommandServer() as server:
-    ...     done = server.start(["--version"], stdout=subprocess.PIPE)
-    ...     out, _ = done.communicate(timeout=60)
-    >>> done.returncode, out.startswith("gyrofleet")
-    (0, True)
-    """
+    """Starts commands of the program in forked processes; a context."""
 
     def __enter__(self) -> "CommandServer":
         # a process whose parent has ended becomes a child of this one, and is waited for here
@@ -172,12 +170,16 @@ class ForkedSqlProcess(subprocess.Popen[bytes]):
 def _serve(path: str) -> None:
     import storage.sql.door
     from gyrofleet import front_door
+    from stream.quantities import is_angular_rate
     from stream.worker.compile_kernels import warm_up
 
     for name in _WANTED:
         importlib.import_module(name)
     sys.modules["analytics.metric_registry.registry"].metrics()
     warm_up()
+    is_angular_rate("mdps")  # defines pint's units
+    gc.collect()
+    gc.freeze()  # else collections in the forked processes would look at all of it, and copy it
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(path)
         server.listen()

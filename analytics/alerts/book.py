@@ -2,97 +2,65 @@
 
 import hashlib
 import threading
-from collections.abc import Iterable
-from pathlib import Path
-
-import msgspec
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 from analytics.alerts.finding import Finding
+from analytics.alerts.kept_alerts import Alert, AlertFile, Delivery, LogDocument
 from analytics.alerts.rules import Rule
 from storage.store import Store
-from stream.atomic_file import write_durably
-from stream.errors import StoreError
+from stream.closing import Closing
 from stream.events import AlertCleared, AlertRaised, AlertSent
 
-FOLDER = "alerts"
 RAISED = "raised"
 CLEARED = "cleared"
 _KEPT_NS = 90 * 86_400 * 10**9
-_FIRST_WAIT_S = 5.0
-_LONGEST_WAIT_S = 600.0
+LONGEST_WAIT_S = 600.0
+
+Parcel = list[tuple[Alert, Delivery]]
+"""Messages that a target is given at once."""
 
 
-class Delivery(msgspec.Struct, kw_only=True):
-    """One message to one target; `sent_ns` is None until the target has taken it."""
+class AlertBook(Closing):
+    """The alerts of a store by id, for the one process that keeps them; for several threads.
 
-    target: str
-    event: str
-    attempts: int = 0
-    due_ns: int = 0
-    sent_ns: int | None = None
-    error: str = ""
-
-
-class Alert(msgspec.Struct, kw_only=True):
-    """An alert; `since_ns` is since when its condition lasts, `raised_ns` since when people are told of it."""
-
-    id: str
-    rule: str
-    severity: str
-    key: str
-    subject: str
-    text: str
-    text_zh: str
-    since_ns: int
-    is_event: bool
-    unit: str | None = None
-    seen_ns: int = 0
-    raised_ns: int | None = None
-    cleared_ns: int | None = None
-    acknowledged_ns: int | None = None
-    acknowledged_by: str = ""
-    deliveries: list[Delivery] = []
-
-
-class _Pages(msgspec.Struct, kw_only=True):
-    format: int = 1
-    segment: str = ""  # up to which segment of the log, exclusive, every document was looked at
-    alerts: dict[str, Alert] = {}
-    to_log: list[AlertRaised | AlertCleared | AlertSent] = []
-
-
-class AlertBook:
-    """The alerts of a store by id; every change is on disk when its method returns. For several threads.
-
-    Raises StoreError if the book cannot be read.
+    What changes is on disk after `save`, which the methods for senders call. `now_ns` is of a clock that nobody sets
+    while the process works, `wall_ns` of that which people read. Raises StoreError if the book cannot be read.
     """
 
-    def __init__(self, store: Store) -> None:
-        self._path = store.folder / FOLDER / "alerts.json"
+    def __init__(self, store: Store, now_ns: int) -> None:
+        self._file = AlertFile(store)
         self.lock = threading.RLock()
-        self._pages = _read(self._path)
-        alerts = self._pages.alerts.values()
-        self._current = {(each.rule, each.key): each for each in alerts if each.is_event or each.cleared_ns is None}
-        self._is_changed = False
+        kept = self._file.kept
+        self._alerts, self._to_log, self._segment = kept.alerts, kept.to_log, kept.segment
+        self._changed: set[str] = set()
+        self._changed_log: set[int] = set()
+        self._number = max(self._to_log, default=0)
+        for alert in self._alerts.values():  # the clock was set back while no process kept the book
+            alert.since_ns, alert.seen_ns = min(alert.since_ns, now_ns), min(alert.seen_ns, now_ns)
+        self._current = {
+            (each.rule, each.key): each for each in self._alerts.values() if each.is_event or each.cleared_ns is None
+        }
+        self._waiting = {
+            name: each for name, each in self._alerts.items() if any(sent.sent_ns is None for sent in each.deliveries)
+        }
 
     @property
     def segment(self) -> str:
         """Segments of the log before this one need not be looked at again."""
-        return self._pages.segment
+        return self._segment
 
     def read_to(self, segment: str) -> None:
         """Note that every document before a segment was looked at."""
         with self.lock:
-            self._is_changed |= segment != self._pages.segment
-            self._pages.segment = segment
+            self._segment = max(segment, self._segment)
 
-    def alerts(self) -> list[Alert]:
-        """All alerts, the newest first."""
+    def hold(self, now_ns: int) -> None:
+        """Take what lasts as seen now: nobody has looked meanwhile."""
         with self.lock:
-            found = [each for each in self._pages.alerts.values() if each.raised_ns is not None]
-            return sorted(found, key=lambda each: -(each.raised_ns or 0))
+            for alert in self._current.values():
+                alert.seen_ns = max(alert.seen_ns, now_ns)
 
-    def see(self, rule: Rule, finding: Finding, now_ns: int) -> None:
+    def see(self, rule: Rule, finding: Finding, now_ns: int, wall_ns: int) -> None:
         """Take what a rule finds now; it is raised once it lasts as long as the rule asks."""
         with self.lock:
             alert = self._current.get((rule.name, finding.key))
@@ -102,120 +70,156 @@ class AlertBook:
                     subject=finding.subject, text=str(finding.text), text_zh=finding.text.zh, since_ns=now_ns,
                     is_event=finding.is_event, unit=finding.unit,
                 )  # fmt: skip
-                self._pages.alerts[alert.id] = self._current[rule.name, finding.key] = alert
+                self._alerts[alert.id] = self._current[rule.name, finding.key] = alert
+                self._changed.add(alert.id)
             alert.seen_ns = now_ns
-            is_lasting = finding.is_event or now_ns - alert.since_ns >= rule.after_s * 1e9
-            if alert.raised_ns is None and is_lasting:
-                alert.raised_ns, alert.text, alert.text_zh = now_ns, str(finding.text), finding.text.zh
+            is_due = finding.is_event or now_ns - alert.since_ns >= rule.after_s * 1e9
+            if alert.raised_ns is None and is_due:
+                alert.raised_ns, alert.text, alert.text_zh = wall_ns, str(finding.text), finding.text.zh
                 alert.deliveries += [Delivery(target=name, event=RAISED) for name in rule.to]
+                self._told(alert)
                 raised = AlertRaised(
-                    run="", t_ns=now_ns, uid=alert.id, rule=rule.name, severity=rule.severity, subject=alert.subject,
+                    run="", t_ns=wall_ns, uid=alert.id, rule=rule.name, severity=rule.severity, subject=alert.subject,
                     text=alert.text, text_zh=alert.text_zh, unit=alert.unit,
                 )  # fmt: skip
                 self._log(raised)
 
-    def settle(self, rules: Iterable[Rule], now_ns: int) -> None:
-        """Clear lasting alerts that were not found for as long as their rule asks; forget old ones."""
+    def settle(self, rules: Iterable[Rule], now_ns: int, wall_ns: int, unknown: Collection[str] = ()) -> None:
+        """Clear lasting alerts that were not found for as long as their rule asks; forget old ones.
+
+        Of the rules `unknown` nothing is known now: what they have found stays as it is.
+        """
         clear_after = {rule.name: rule.clear_after_s for rule in rules}
         with self.lock:
-            for alert in list(self._pages.alerts.values()):
+            for alert in list(self._alerts.values()):
+                if alert.rule in unknown and not alert.is_event and alert.cleared_ns is None:
+                    alert.seen_ns = now_ns
                 gone_s = (now_ns - alert.seen_ns) / 1e9
                 if alert.raised_ns is None and gone_s > 0.0:
                     self._forget(alert)  # it did not last
                 elif not alert.is_event and alert.cleared_ns is None and gone_s > clear_after.get(alert.rule, 0.0):
-                    self._clear(alert, now_ns)
-                elif _is_over(alert) and now_ns - alert.seen_ns > _KEPT_NS:
+                    self._clear(alert, wall_ns)
+                elif (alert.cleared_ns is not None or alert.is_event) and now_ns - alert.seen_ns > _KEPT_NS:
                     self._forget(alert)
-            self.save()
 
-    def acknowledge(self, alert_id: str, by: str, t_ns: int) -> bool:
-        """Note who has taken note of an alert; whether it is there."""
+    def acknowledge(self, alert_id: str, by: str, t_ns: int) -> None:
+        """Note who has taken note of an alert, the first of them."""
         with self.lock:
-            alert = self._pages.alerts.get(alert_id)
+            alert = self._alerts.get(alert_id)
             if alert is not None and alert.acknowledged_ns is None:
-                alert.acknowledged_ns, alert.acknowledged_by, self._is_changed = t_ns, by, True
-            return alert is not None
+                alert.acknowledged_ns, alert.acknowledged_by = t_ns, by
+                self._changed.add(alert_id)
 
-    def due(self, target: str, now_ns: int) -> list[tuple[Alert, Delivery]]:
-        """Messages that a target is to have now, the oldest first."""
+    def due(self, target: str, now_ns: int, is_held: Callable[[Alert], bool]) -> Parcel:
+        """Messages that a target is to have now, the oldest first, but those `is_held`; of an alert one by one."""
         with self.lock:
-            return [
-                (alert, delivery)
-                for alert in sorted(self._pages.alerts.values(), key=lambda each: each.raised_ns or 0)
-                for delivery in alert.deliveries
-                if delivery.target == target and delivery.sent_ns is None and delivery.due_ns <= now_ns
-            ]
+            found: Parcel = []
+            for alert in self._waiting.values():
+                first = next(
+                    (each for each in alert.deliveries if each.target == target and each.sent_ns is None), None
+                )
+                if first is not None and _is_due(first, now_ns) and (first.mail or not is_held(alert)):
+                    found.append((alert, first))
+            return sorted(found, key=lambda each: each[0].raised_ns or 0)
 
-    def sent(self, alert: Alert, delivery: Delivery, now_ns: int) -> None:
-        """Note that a target has taken a message."""
+    def wrap(self, parcel: Parcel) -> str:
+        """Give messages that are sent as one an identity, which is on disk before they are sent."""
         with self.lock:
-            delivery.attempts, delivery.sent_ns, delivery.error = delivery.attempts + 1, now_ns, ""
-            self._log(
-                AlertSent(run="", t_ns=now_ns, alert=alert.id, target=delivery.target, attempts=delivery.attempts)
-            )
+            names = "\0".join(f"{alert.id}.{delivery.event}" for alert, delivery in parcel)
+            mail = hashlib.sha256(names.encode()).hexdigest()[:12]
+            for alert, delivery in parcel:
+                delivery.mail = mail
+                self._changed.add(alert.id)
+            self.save()
+            return mail
+
+    def sent(self, parcel: Parcel, wall_ns: int) -> None:
+        """Note that a target has taken messages."""
+        with self.lock:
+            for alert, delivery in parcel:
+                delivery.attempts, delivery.sent_ns, delivery.error = delivery.attempts + 1, wall_ns, ""
+                self._told(alert)
+                sent = AlertSent(
+                    run="", t_ns=wall_ns, alert=alert.id, target=delivery.target, attempts=delivery.attempts
+                )
+                self._log(sent)
             self.save()
 
-    def not_sent(self, delivery: Delivery, why: str, now_ns: int) -> None:
-        """Note why a target has not taken a message; it is tried again after a while."""
+    def not_sent(self, parcel: Parcel, why: str, taken: Collection[str], now_ns: int, first_wait_s: float) -> None:
+        """Note why a target has not taken messages, or which addresses have; they are tried again after a while."""
         with self.lock:
-            wait_s = min(_FIRST_WAIT_S * 2.0 ** min(delivery.attempts, 10), _LONGEST_WAIT_S)
-            delivery.attempts, delivery.error = delivery.attempts + 1, why[:500]
-            delivery.due_ns = now_ns + round(wait_s * 1e9)
-            self._is_changed = True
+            for alert, delivery in parcel:
+                wait_s = min(first_wait_s * 2.0 ** min(delivery.attempts, 10), LONGEST_WAIT_S)
+                delivery.attempts, delivery.error = delivery.attempts + 1, why[:500]
+                delivery.due_ns, delivery.taken = now_ns + round(wait_s * 1e9), (*delivery.taken, *taken)
+                self._changed.add(alert.id)
             self.save()
 
-    def to_log(self) -> list[AlertRaised | AlertCleared | AlertSent]:
-        """Documents that the log does not have yet."""
+    def waiting(self) -> dict[str, int]:
+        """How many messages wait for each target."""
         with self.lock:
-            return list(self._pages.to_log)
+            counts: dict[str, int] = {}
+            for alert in self._waiting.values():
+                for each in alert.deliveries:
+                    counts[each.target] = counts.get(each.target, 0) + (each.sent_ns is None)
+            return {name: count for name, count in counts.items() if count}
+
+    def to_log(self, most: int) -> Sequence[LogDocument]:
+        """The first documents that the log does not have yet."""
+        with self.lock:
+            return [self._to_log[number] for number in sorted(self._to_log)[:most]]
 
     def logged(self, count: int) -> None:
         """Note that the log has the first so many."""
         with self.lock:
-            self._pages.to_log = self._pages.to_log[count:]
-            self._is_changed = True
+            for number in sorted(self._to_log)[:count]:
+                del self._to_log[number]
+                self._changed_log.add(number)
             self.save()
 
     def save(self) -> None:
-        """Write what has changed; StoreError if the disk refuses."""
+        """Write what has changed; StoreError if the disk refuses, and then with the next time."""
         with self.lock:
-            if not self._is_changed:
-                return
-            try:
-                self._path.parent.mkdir(exist_ok=True)
-                write_durably(self._path, msgspec.json.encode(self._pages))
-            except OSError as error:
-                raise StoreError(f"{self._path} cannot be written: {error}; free or repair the disk") from error
-            self._is_changed = False
+            self._file.write(
+                {name: self._alerts.get(name) for name in self._changed},
+                {number: self._to_log.get(number) for number in self._changed_log}, self._segment,
+            )  # fmt: skip
+            self._changed.clear()
+            self._changed_log.clear()
+
+    def close(self) -> None:
+        """Close the file."""
+        with self.lock:
+            self._file.close()
+
+    def _told(self, alert: Alert) -> None:
+        """Note that the messages of an alert have changed."""
+        self._changed.add(alert.id)
+        if any(each.sent_ns is None for each in alert.deliveries):
+            self._waiting[alert.id] = alert
+        else:
+            self._waiting.pop(alert.id, None)
 
     def _forget(self, alert: Alert) -> None:
-        del self._pages.alerts[alert.id]
+        del self._alerts[alert.id]
+        self._waiting.pop(alert.id, None)
         if self._current.get((alert.rule, alert.key)) is alert:
             del self._current[alert.rule, alert.key]
-        self._is_changed = True
+        self._changed.add(alert.id)
 
-    def _clear(self, alert: Alert, now_ns: int) -> None:
-        alert.cleared_ns = now_ns
+    def _clear(self, alert: Alert, wall_ns: int) -> None:
+        alert.cleared_ns = wall_ns
         self._current.pop((alert.rule, alert.key), None)
         alert.deliveries += [
             Delivery(target=each.target, event=CLEARED) for each in alert.deliveries if each.event == RAISED
         ]
-        self._log(AlertCleared(run="", t_ns=now_ns, alert=alert.id))
+        self._told(alert)
+        self._log(AlertCleared(run="", t_ns=wall_ns, alert=alert.id))
 
-    def _log(self, document: AlertRaised | AlertCleared | AlertSent) -> None:
-        self._pages.to_log.append(document)
-        self._is_changed = True
-
-
-def _read(path: Path) -> _Pages:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=_Pages)
-    except FileNotFoundError:
-        return _Pages()
-    except (OSError, msgspec.MsgspecError) as error:
-        raise StoreError(
-            f"the alerts {path} cannot be read: {error}; move the file away, later alerts are kept in a new one"
-        ) from error
+    def _log(self, document: LogDocument) -> None:
+        self._number += 1
+        self._to_log[self._number] = document
+        self._changed_log.add(self._number)
 
 
 def _id(rule: Rule, finding: Finding, now_ns: int) -> str:
@@ -224,6 +228,6 @@ def _id(rule: Rule, finding: Finding, now_ns: int) -> str:
     return hashlib.sha256(f"{rule.name}\0{finding.key}\0{when}".encode()).hexdigest()[:12]
 
 
-def _is_over(alert: Alert) -> bool:
-    is_told = all(each.sent_ns is not None for each in alert.deliveries)
-    return is_told and (alert.cleared_ns is not None or alert.is_event)
+def _is_due(delivery: Delivery, now_ns: int) -> bool:
+    """Whether its time has come; a time that no wait explains is of a clock that was set back."""
+    return delivery.due_ns <= now_ns or delivery.due_ns > now_ns + LONGEST_WAIT_S * 1e9

@@ -30,10 +30,11 @@ class Finding(NamedTuple):
 class AlertView:
     """What conditions look at: documents that are new, units on the floor, the roles."""
 
-    now_ns: int
-    began_ns: int  # since when the view is kept
+    now_ns: int  # by a clock that nobody sets
+    began_ns: int  # since when the view is kept, by the computer's clock
     documents: Sequence[AnyDocument]
     units: Mapping[str, UnitNow]
+    heard_ns: Mapping[tuple[str, str], int]  # by run and unit: the last sample, by the clock of now_ns
     status: StoreStatus
     damaged_bytes: Mapping[str, int]  # by segment of the log
     store: Store

@@ -11,8 +11,10 @@ from zoneinfo import ZoneInfo
 import msgspec
 
 import analytics.alerts.conditions
+from analytics.alerts.email_target import EmailTarget
 from analytics.alerts.finding import Condition, Finding
-from analytics.alerts.targets import EmailTarget, Target, WebhookTarget
+from analytics.alerts.targets import Target
+from analytics.alerts.webhook_target import WebhookTarget
 from stream.errors import BadInput
 from stream.toml_text import decode_toml
 
@@ -148,7 +150,10 @@ def _converted(where: str, table: dict[str, Any], kind: type[Any]) -> Any:
 def _check_hours(where: str, hours: QuietHours) -> None:
     try:
         hours.covers(0)
-    except (ValueError, KeyError, OSError) as error:
+        is_local = all(dt.time.fromisoformat(each).tzinfo is None for each in (hours.begin, hours.end))
+    except (ValueError, KeyError, OSError, TypeError) as error:
         raise BadInput(
             f'{where}.quiet: {error}; write begin = "22:00", end = "06:00", time_zone = "Asia/Shanghai"'
         ) from error
+    if not is_local or hours.begin == hours.end:
+        raise BadInput(f'{where}.quiet: begin and end are two times of the day, as "22:00" and "06:00"')

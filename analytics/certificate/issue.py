@@ -13,13 +13,13 @@ from analytics.certificate.content import Content, Facts, content_of, later
 from analytics.certificate.digital import digital_certificate
 from analytics.certificate.evidence import read_evidence
 from analytics.certificate.figures import figures_of
-from analytics.certificate.inner_page import inner_page
 from analytics.certificate.layout import certificate_pdf
 from analytics.certificate.order import Order
 from analytics.certificate.record import FOLDER, Certificates, append_certificate, read_certificates, sha256_of
 from analytics.certificate.results import result_rows
 from analytics.certificate.standards import Standard
 from analytics.certificate.words import Language, Words
+from analytics.evaluation.inner_page import inner_page
 from storage.sql.catalog import Catalog
 from storage.store import only_one
 from stream.atomic_file import write_durably
@@ -63,7 +63,7 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
     the unit is not in the store; StoreError if a file or the log cannot be written.
     """
     store = catalog.store
-    rows = result_rows(inner_page(catalog, wanted.unit, wanted.standard))
+    rows = result_rows(inner_page(catalog, wanted.unit, wanted.standard.name))
     runs = sorted({run for row in rows for each in row.results for run in each.runs})
     evidence = read_evidence(catalog, wanted.unit, runs)
     now = dt.datetime.now(dt.UTC).replace(microsecond=0)

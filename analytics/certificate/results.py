@@ -10,8 +10,10 @@ from typing import Any
 import msgspec
 
 from analytics.certificate.words import Words
-from analytics.evaluation.annex_a import AnnexRow
+from analytics.evaluation.inner_page import InnerRow
 from analytics.evaluation.selection import Row
+from analytics.evaluation.type_b import COVERAGE
+from analytics.uncertainty.rounding import round_up
 from storage.specifications.specification import format_parameter
 
 _CONDITIONS = tomllib.loads(files("analytics.certificate").joinpath("conditions.toml").read_text(encoding="utf-8"))
@@ -61,7 +63,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     reason: str | None = None
 
 
-def result_rows(page: Sequence[AnnexRow]) -> tuple[ResultRow, ...]:
+def result_rows(page: Sequence[InnerRow]) -> tuple[ResultRow, ...]:
     """The rows of a certificate from those of the inner page."""
     return tuple(
         ResultRow(
@@ -86,12 +88,12 @@ def rounded_to(value: float, resolution: float | None) -> str:
 
 
 def _result(row: Row) -> Result:
-    expanded = row.get("U")
+    expanded = None if row["U"] is None else round_up(row["U"])
     return Result(
         signal=row["signal"] or "", value=row["value"], unit_of_measure=row["unit_of_measure"], expanded=expanded,
-        k=row.get("k"), p=row.get("p"), conditions=conditions_of(row["parameters"]),
+        k=row["k"], p=None if expanded is None else COVERAGE, conditions=conditions_of(row["parameters"]),
         runs=tuple(row["runs"] or [row["run"]]),
-        why_no_u="" if expanded is not None else row.get("u_reason") or "type B components are not known",
+        why_no_u=row["uncertainty_reason"] or "",
     )  # fmt: skip
 
 

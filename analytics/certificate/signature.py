@@ -30,10 +30,11 @@ def sign(pdf: bytes, key: Path, passphrase: str, *, reason: str) -> bytes:
         content = key.read_bytes()
     except OSError as error:
         raise BadInput(f"--key {key}: cannot be read: {error.strerror}") from error
-    logging.getLogger("pyhanko").setLevel(logging.CRITICAL)  # it logs what is raised below
-    signer = signers.SimpleSigner.load_pkcs12_data(content, other_certs=[], passphrase=passphrase.encode())
-    if signer is None:
-        raise BadInput(f"--key {key}: no PKCS #12 file (.p12), or another passphrase; it is read from the environment")
+    try:
+        signer = signers.SimpleSigner.load_pkcs12_data(content, other_certs=[], passphrase=passphrase.encode())
+    except ValueError as error:
+        why = "no PKCS #12 file (.p12), or another passphrase; give it as GYROFLEET_KEY_PASSPHRASE"
+        raise BadInput(f"--key {key}: {why}") from error
     metadata = signers.PdfSignatureMetadata(
         field_name=_FIELD, reason=reason, subfilter=SigSeedSubFilter.PADES, md_algorithm="sha256"
     )

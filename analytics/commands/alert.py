@@ -7,11 +7,12 @@ from pathlib import Path
 import click
 
 from stream.command_group import CommandGroup
-from stream.console import notes, print_json, reporting, results, store_option, until_stopped
-from stream.errors import BadInput, NotFound
+from stream.console import notes, print_json, reporting, results, status_listen_option, store_option, until_stopped
+from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.result_table import ResultTable
 
 _EVERY_S = 1.0
+_LONGEST_TEST_S = 60.0
 _rules_option = click.option(
     "--rules", "rules_path", type=click.Path(path_type=Path), required=True, help="The rules, a TOML file."
 )
@@ -25,18 +26,21 @@ def alert() -> None:
 @alert.command("run")
 @store_option
 @_rules_option
+@status_listen_option
 @reporting
-def run(folder: Path, rules_path: Path, *, as_json: bool) -> None:
+def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: bool) -> None:
     """Watch a store and send alerts, until stopped.
 
     Each alert is sent once to each target, also when this command or the target was away meanwhile; raised, sent,
-    acknowledged and cleared alerts stand in the log (the view `events`).
+    acknowledged and cleared alerts stand in the log (the view `events`). The rules are read again when their file
+    changes; while it is wrong they stay as they were.
     """
-    from analytics.alerts.rules import load_rules
     from analytics.alerts.service import AlertService
+    from storage.recording.status_board import StatusBoard
     from storage.store import Store, only_one
+    from stream.status.reporter import StatusReporter, served
 
-    rules, store = load_rules(rules_path), Store.open(folder)
+    store = Store.open(folder)
     (folder / "alerts").mkdir(exist_ok=True)
 
     def report(text: str) -> None:
@@ -48,8 +52,11 @@ def run(folder: Path, rules_path: Path, *, as_json: bool) -> None:
     with (
         only_one(folder / "alerts" / "run.lock", "gyrofleet alert run"),
         until_stopped() as stopped,
-        AlertService(store, rules, report) as service,
+        AlertService(store, rules_path, report) as service,
+        served(status_listen, service.status),
+        StatusReporter(service.status, StatusBoard(store).put),
     ):
+        rules = service.rules
         watching = f"watching {folder}: {len(rules.rules)} rules, {len(rules.targets)} targets; Ctrl-C ends"
         if as_json:
             print_json({"event": "watching", "rules": len(rules.rules), "targets": sorted(rules.targets)})
@@ -67,10 +74,10 @@ def run(folder: Path, rules_path: Path, *, as_json: bool) -> None:
 @reporting
 def list_alerts(folder: Path, *, is_all: bool, as_json: bool) -> None:
     """List the alerts that are open, the newest first."""
-    from analytics.alerts.book import AlertBook
+    from analytics.alerts.kept_alerts import raised_alerts
     from storage.store import Store
 
-    found = AlertBook(Store.open(folder)).alerts()
+    found = raised_alerts(Store.open(folder))
     shown = [each for each in found if is_all or (each.acknowledged_ns is None and each.cleared_ns is None)]
     if as_json:
         print_json(shown)
@@ -96,7 +103,7 @@ def list_alerts(folder: Path, *, is_all: bool, as_json: bool) -> None:
 @reporting
 def acknowledge(alert_id: str, folder: Path, by: str, note: str, *, as_json: bool) -> None:
     """Take note of an alert; it stands in the log who did."""
-    from analytics.alerts.book import AlertBook
+    from analytics.alerts.kept_alerts import raised_alerts
     from analytics.alerts.service import PLACE
     from storage.recording.client import record_documents
     from storage.store import Store
@@ -105,7 +112,7 @@ def acknowledge(alert_id: str, folder: Path, by: str, note: str, *, as_json: boo
     if not by.strip():
         raise BadInput("--by is empty; say who takes note")
     store = Store.open(folder)
-    known = {each.id for each in AlertBook(store).alerts()}
+    known = {each.id for each in raised_alerts(store)}
     if alert_id not in known:
         raise NotFound(f"there is no alert {alert_id!r} in {folder}; `gyrofleet alert list --all` has them")
     document = AlertAcknowledged(run="", t_ns=time.time_ns(), alert=alert_id, by=by.strip()[:200], note=note[:1000])
@@ -122,8 +129,9 @@ def acknowledge(alert_id: str, folder: Path, by: str, note: str, *, as_json: boo
 @reporting
 def check(rules_path: Path, *, is_sent: bool, as_json: bool) -> None:
     """Check a file of rules, and with --send whether the targets take messages."""
+    from analytics.alerts.patience import Patience
     from analytics.alerts.rules import load_rules
-    from analytics.alerts.targets import Message, NotSent
+    from analytics.alerts.targets import Message
 
     rules = load_rules(rules_path)
     failures: dict[str, str] = {}
@@ -134,8 +142,9 @@ def check(rules_path: Path, *, is_sent: bool, as_json: bool) -> None:
             text_zh=text_zh, raised_ns=time.time_ns(), store="",
         )  # fmt: skip
         try:
-            target.send(message)
-        except NotSent as error:
+            with Patience(_LONGEST_TEST_S) as patience:
+                target.send([message], "", patience)
+        except GyrofleetError as error:
             failures[name] = str(error)
     if as_json:
         names = [rule.name for rule in rules.rules]

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from analytics.evaluation.type_b import UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
 from analytics.specifications.sql_tables import put_specifications
@@ -33,6 +34,7 @@ _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_u
 _TEXT, _REAL = pa.string(), pa.float64()
 COLUMNS = pa.schema({
     **dict.fromkeys(_TEXTS, _TEXT), "value": _REAL, "unit_of_measure": _TEXT, **dict.fromkeys(_NUMBERS, _REAL),
+    **dict.fromkeys(UNCERTAINTIES, _REAL), "uncertainty_reason": _TEXT,
     "n": pa.int64(), "parameters": _TEXT, "runs": pa.list_(_TEXT), "steps": pa.list_(pa.int64()),
     "standard": _TEXT, "clause": _TEXT, "reason": _TEXT,
 })  # fmt: skip
@@ -59,7 +61,10 @@ order by metric, unit, signal nulls first, run nulls first, parameters nulls fir
 # In the metadata of the kept file: the fingerprint of each unit; for a unit with some metrics only, with their ids.
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
-_PACKAGES = ("analytics.metrics", "analytics.methods", "analytics.metric_registry", "analytics.evaluation.views")
+_PACKAGES = (
+    "analytics.metrics", "analytics.methods", "analytics.system_level", "analytics.metric_registry",
+    "analytics.evaluation.views", "analytics.uncertainty",
+)  # fmt: skip
 
 
 def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = ()) -> pa.Table:
@@ -130,7 +135,8 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue; `COLUMNS`."""
     keep_scale_factors(catalog)
     able = _with_rows(catalog, list(chosen))
-    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric) for metric in able)])
+    type_b = TypeB(catalog) if able else None
+    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric, type_b) for metric in able)])
 
 
 def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
@@ -146,7 +152,15 @@ def keep_scale_factors(catalog: Catalog) -> None:
     catalog.define(_SHARED)
 
 
-def _values(catalog: Catalog, metric: Metric) -> pa.Table:
+def _values(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:
+    found, columns = columns_of(catalog, metric)
+    if type_b is not None:
+        columns |= type_b.columns(metric.header, found, columns)
+    return pa.table(columns, schema=COLUMNS)
+
+
+def columns_of(catalog: Catalog, metric: Metric) -> tuple[pa.Table, dict[str, pa.Array]]:
+    """Rows of a metric as its statement gives them, and the columns of `COLUMNS`, those of type B not yet filled in."""
     header = metric.header
     found = _found(catalog, metric)
     n = found.num_rows
@@ -161,7 +175,7 @@ def _values(catalog: Catalog, metric: Metric) -> pa.Table:
         columns[name] = columns[name].fill_null(usual)
     _make_readable(columns)
     _add_bounds(columns, header.limits)
-    return pa.table(columns, schema=COLUMNS)
+    return found, columns
 
 
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:

@@ -21,8 +21,9 @@ from stream.quantities import format_unit
 from stream.result_table import ResultTable
 
 COLUMNS = (
-    "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
-    "parameters", "runs", "steps", "standard", "clause", "reason",
+    "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty",
+    "u_type_a", "u_type_b", "U", "k", "n", "parameters", "runs", "steps", "standard", "clause", "reason",
+    "uncertainty_reason",
 )  # fmt: skip
 _TITLES = tomllib.loads(files("analytics.evaluation").joinpath("metric_titles.toml").read_text(encoding="utf-8"))
 _MOST_DIGITS = 9

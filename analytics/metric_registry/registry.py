@@ -9,6 +9,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+from ingest.measurement_standards import QUANTITIES
 from stream.errors import BadInput, GyrofleetError
 
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
@@ -34,6 +35,18 @@ class Clause(NamedTuple):
     clause: str
 
 
+class Influence(NamedTuple):
+    """How an error of the station's measurement standards enters a metric (header line `influence`).
+
+    `sensitivity` is an SQL expression of the columns of the metric's rows and of `latitude_deg`, `output_unit` and
+    `volt` (the output's unit in V, null if it is no voltage): unit of the value per unit of the quantity; 0 where it
+    does not enter, null where that cannot be known.
+    """
+
+    quantity: str  # as in the station's file
+    sensitivity: str
+
+
 class MetricHeader(NamedTuple):
     """The header of a metric."""
 
@@ -50,6 +63,8 @@ class MetricHeader(NamedTuple):
     equation: str  # as in the clause
     # `module:function` that makes the rows where SQL cannot say all of it; it takes the catalogue and the statement
     python: str = ""
+    influences: tuple[Influence, ...] = ()  # uncertainty of type B
+    no_influence: str = ""  # why there is none
     of: str = ""  # table or view that its statement reads: without rows there, it is not run
 
     @property
@@ -72,12 +87,15 @@ def parse_header(text: str, where: str) -> MetricHeader:
     """
     lines: dict[str, str] = {}
     parameters: list[str] = []
+    influences: list[str] = []
     for line in text.splitlines():
         if not line.startswith("--"):
             break
         match = _LINE.fullmatch(line)
         if match is not None and match[1] == "parameters":
             parameters += [name.strip() for name in match[2].split(",")]
+        elif match is not None and match[1] == "influence":
+            influences.append(match[2])
         elif match is not None:
             lines.setdefault(match[1], match[2])
     texts = ("id", "en", "zh", "unit", "better", "grain", "needs", "equation")
@@ -90,14 +108,30 @@ def parse_header(text: str, where: str) -> MetricHeader:
         if (match := _SOURCE.fullmatch(each)) is None:
             raise MetricError(f"metric {where}: source {each!r} is not like 'GJB 2426A-2004 5.12.1 (19)'")
         sources.append(Clause(match["standard"].replace(" ", ""), match["clause"]))
+    found, none = _influences(influences, where)
     return MetricHeader(
         **{name: lines[name] for name in texts},
         python=lines.get("python", ""),
         of=lines.get("of", ""),
+        influences=found,
+        no_influence=none,
         sources=tuple(sources),
         limits=BoundsSource(lines["limits"]),
         parameters=tuple(parameters),
     )
+
+
+def _influences(lines: Iterable[str], where: str) -> tuple[tuple[Influence, ...], str]:
+    """The influences of a header, or why there is none: ``none: REASON``."""
+    found = []
+    for line in lines:
+        quantity, _, sensitivity = line.partition(": ")
+        if quantity == "none":
+            return (), sensitivity
+        if quantity not in QUANTITIES:
+            raise MetricError(f"metric {where}: influence {quantity!r}; {alike(quantity, QUANTITIES, 'known are')}")
+        found.append(Influence(quantity, sensitivity))
+    return tuple(found), ""
 
 
 class Metric(NamedTuple):

@@ -9,6 +9,9 @@
 -- needs:     a static step (procedure static_bias or allan_variance), and a limit that names the averaging time
 -- limits:    given
 -- equation:  sigma^2(tau) = mean((F_(i+1) - F_i)^2)/2, F_i means over tau that overlap
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: clock: per_ppm(value) / 2
 -- python:    analytics.metrics.allan_deviation:compute
 select s.unit, s.signal, s.run, s.n, ["index"] as steps, s.lack as reason, t.tau_s, s.t_from_ns, s.t_to_ns,
   s.duration_s, s.deg_per_h, s.unit_of_measure as output_unit,

@@ -9,6 +9,9 @@
 -- needs:     a static step, one hour long as a rule; for the normalised method one of procedure random_walk
 -- limits:    given
 -- equation:  RWC = sqrt(A_-1), sigma^2(tau) = sum A_m tau^m; normalised RWC = Bs(1 s) sqrt(1 s)
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: clock: per_ppm(value) / 2
 -- python:    analytics.metrics.angle_random_walk:compute
 -- The fit of the whole run's Allan curve, else the white part of the step's own curve, whose bounds are added below.
 select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,

@@ -9,6 +9,10 @@
 -- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
 -- limits:    given
 -- equation:  (mean(+1 g) - mean(-1 g))/(2 g); of the unit the largest in magnitude
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: levelling: earth_rate_per_arcsec() * sqrt(0.5)
+-- influence: heading: if(earth_pointing(parameters->>'$.axis' || '_up', signal) = 'vertical', 0, earth_rate_per_arcsec() * cos(radians(latitude_deg)) * sqrt(0.5))
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
 -- of:        internal.bias_flips
 with shown as (

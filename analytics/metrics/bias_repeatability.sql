@@ -9,6 +9,8 @@
 -- needs:     static steps of an hour in several power-ons (procedure bias_repeatability, or runs of static_bias)
 -- limits:    given
 -- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons, less the uncertainty of the B0_i
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.metrics.bias_repeatability:compute
 -- A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
 with counted as (

@@ -9,6 +9,9 @@
 -- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    chi_square
 -- equation:  Bs = sqrt(sum((F_i - mean(F))^2)/(N/P - 1))/K, F_i means over P seconds
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: clock: per_ppm(value) / 2
 -- python:    analytics.metrics.bias_stability_averaged:compute
 with step as materialized (select * from internal.bias_steps),
 average as (

@@ -10,6 +10,9 @@
 -- needs:     procedure bias_temperature_sensitivity: static steps at several temperatures, one of them room temperature
 -- limits:    given
 -- equation:  Bt = max_i abs((B0_i - B0_room)/(T_i - T_room))
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: temperature: value * sqrt(2) / nullif(abs((parameters->>'$.temperature_deg_c_of_largest')::double - (parameters->>'$.room_temperature_deg_c')::double), 0)
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
 -- of:        internal.bias_temperature_points
 -- A maximum has no symmetric error: the limits are those of `largest_magnitudes`, over all points together. Standard

@@ -9,6 +9,9 @@
 -- needs:     procedure bias_vibration: static steps before and after a vibration along X, Y and Z
 -- limits:    given
 -- equation:  abs(B_after - B_before) along each axis; of the unit the largest
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: mounting: earth_rate_per_arcsec() * sqrt(2)
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
 -- of:        internal.bias_changes
 from bias_axis_changes('vibration') order by test, axis

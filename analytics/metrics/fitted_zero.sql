@@ -9,6 +9,10 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
 -- equation:  F0 = mean(F_j) - K mean(Omega_j), reported as F0/K
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: voltage_offset: if(standard = 'JJF2014', coalesce(abs(value / nullif((parameters->>'$.output')::double, 0)) / volt, 0), 0)
+-- influence: levelling: if(standard = 'JJF2014', earth_rate_per_arcsec() * abs(cos(radians(latitude_deg))), 0)
 -- python:    analytics.metrics.fitted_zero:compute
 -- of:        internal.scale_fits
 select unit, signal, run, steps, standard,

@@ -9,6 +9,9 @@
 -- needs:     procedure gyro_separation: five positions of gyro and fixture, whole turns of the table in both directions
 -- limits:    given
 -- equation:  V = V0 - k y0 w cos(b) + k x0 w sin(b) - k y1 w + k z2 w sin(a) - k y2 w cos(a), gamma = hypot(y2, z2)
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: angle: sqrt(0.5)
 -- python:    analytics.methods.separation:gyro_rows
 select run, unit, signal, "procedure", "index", position, mean as output, input_rate, deg_per_h,
   coalesce(scale_source, 'unknown') as scale_source, no_scale_factor(unit_of_measure) as no_scale,

@@ -9,6 +9,10 @@
 -- needs:     both directions of a rate with ox up and oy up; against the fixture's error also turned 180 deg about IRA
 -- limits:    given
 -- equation:  2 positions: asin(hypot(delta_1, delta_2)); 4: hypot((delta_1 - delta_2)/2, (delta_3 - delta_4)/2)
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: mounting: if((parameters->>'$.positions')::int = 2, 1 / 60, 0)
+-- influence: angle: sqrt(0.5) / 60
 -- of:        internal.misalignment_angles
 -- The delta of GJB and JJF 2014 are the same, (F+ - F-)/(2 K Omega), and so is what four positions give. Limits: value
 -- -+ t u where it is beyond 4 u; nearer to 0 a hypotenuse is too large by nature, and the 95 % radius of two normal

@@ -9,6 +9,8 @@
 -- needs:     the misalignment in four positions, Q >= 7 times
 -- limits:    chi_square
 -- equation:  gamma_mr = sqrt(sum((gamma_i - mean(gamma))^2)/(Q - 1))
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- of:        internal.misalignment_angles
 with counted as (
   select *, count(*) over (partition by unit, signal, run) as in_run,

@@ -9,6 +9,8 @@
 -- needs:     procedure bandwidth, with the table's rate or angle recorded as fast as the units
 -- limits:    t
 -- equation:  -P_i - atan(omega_i T) = omega_i T_d
+-- influence: clock: per_ppm(value)
+-- influence: clock_delay: 1000
 -- python:    analytics.metrics.angular_vibration:output_delays
 from internal.vibration_steps
 order by run, unit, signal, "procedure", position, axis, t_from_ns, "index"

@@ -9,6 +9,7 @@
 -- needs:     procedure polarity: a rate along the positive input axis, and the other way
 -- limits:    given
 -- equation:  sign(F(+Omega) - F(-Omega)), right-hand rule
+-- influence: none: a sign is right or wrong
 -- A sign is right or wrong: it is given where the difference is beyond its 99.9 % limits, with no interval around it.
 with turned as (
   select run, unit, signal, repeat, position,

@@ -9,6 +9,7 @@
 -- needs:     procedure power_consumption with supply_voltage (V) and supply_current (A) of the unit or of its supply
 -- limits:    t
 -- equation:  P = mean(U*I) for each supply
+-- influence: supply_power: per_ppm(value)
 -- python:    analytics.metrics.power:compute
 -- The steps, with the supplies that fed them: the unit's own signals, else the instruments of the run.
 with step as (

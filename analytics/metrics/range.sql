@@ -10,6 +10,7 @@
 -- needs:     rates as of a scale factor, and the product's limit nonlinearity_ppm
 -- limits:    given
 -- equation:  the largest tested rate up to which every point meets the limit of the nonlinearity
+-- influence: rate: per_ppm(value)
 -- of:        internal.scale_fits
 -- The line is fitted anew to the rates up to each one: a rate beyond the range bends the line of all. Its limits are
 -- tested rates too: up to the lower one every point lies within the limit with its uncertainty (Bonferroni), at the

@@ -9,6 +9,9 @@
 -- needs:     a run of one static step whose Allan curve was fitted when it ended (procedure allan_variance)
 -- limits:    given
 -- equation:  K = sqrt(3 A_1), sigma^2(tau) = sum A_m tau^m
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: clock: per_ppm(value) / 2
 -- of:        internal.noise_coefficients
 -- Erratum: the print's polynomial by plain least squares gives negative variances; here coefficients are not negative,
 -- weighted by the degrees of freedom of the Allan variance, and reported as not observable where the record shows none.

@@ -9,6 +9,7 @@
 -- needs:     procedure resolution: falling increments upon a base rate in both directions
 -- limits:    given
 -- equation:  the smallest dOmega with |(dFhat - dF)/dFhat| <= 50 % at it and at all larger ones; the larger of + and -
+-- influence: rate: per_ppm(value)
 -- python:    analytics.metrics.resolution:compute
 -- The base rate of a direction is its smallest one; measured before and after the increments, it is the mean of both.
 with turning as (

@@ -10,6 +10,9 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
 -- equation:  K from the least-squares line F_j = K Omega_j + F0 + v_j
+-- influence: rate: per_ppm(value)
+-- influence: rate_nonuniformity: per_ppm(value) * nonuniform
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- of:        internal.scale_fits
 -- The unit of a value is that of the output over deg/s, and 1 where the output is a rate.
 -- Subtracting the rests changes F0 and not K: the standards differ only in what they ask for.
@@ -34,5 +37,7 @@ select unit, signal, run, case when lack is null then k end as value, k_unit as 
   u_k as standard_uncertainty, freedom_k as freedom, n,
   struct_insert(words, temperature := round(temperature, 2), rates := n_points,
     largest_rate_deg_per_s := largest_rate, remark := remark) as parameters,
-  [run] as runs, steps, standard, clause, lack as reason
+  [run] as runs, steps, standard, clause, lack as reason,
+  -- of errors that differ from rate to rate, the part of the slope: sqrt(sum((w_j Omega_j)^2))
+  sqrt(list_sum([(z[1] * z[2]) ** 2 for z in list_zip(slope_weights, x)])) as nonuniform
 from every

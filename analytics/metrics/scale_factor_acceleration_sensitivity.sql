@@ -9,6 +9,8 @@
 -- needs:     scale factors with the input reference axis up and down, at least 11 rates in each direction
 -- limits:    t
 -- equation:  (K(IRA up) - K(IRA down))/2 g
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- of:        internal.scale_fits
 -- The clause compares magnitudes: where the rate is counted about the table's axis, which the IRA points against when
 -- it is down, that scale factor has the other sign.

@@ -9,6 +9,7 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
 -- equation:  K_a = |K+ - K-|/((K+ + K-)/2); JJF 2014: over K of the line through all rates
+-- influence: rate_nonuniformity: nonuniform
 -- of:        internal.scale_fits
 -- K+ and K- are slopes of lines with zeros of their own. The rates are the same in both directions, so that what bends
 -- both lines alike (v+ = -v-) drops out of the difference and out of its uncertainty.
@@ -32,5 +33,7 @@ select
   struct_insert(words, temperature := round(temperature, 2), forwards := plus.k, backwards := minus.k) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.3 (10)(11)' else '7.2.3 (9)' end as clause,
-  lack as reason
+  lack as reason,
+  sqrt(list_sum([(z[1] * z[2].rate) ** 2 for z in list_zip(plus.slope_weights, plus.points)])
+    + list_sum([(z[1] * z[2].rate) ** 2 for z in list_zip(minus.slope_weights, minus.points)])) as nonuniform
 from relative

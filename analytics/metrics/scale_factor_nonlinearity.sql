@@ -10,6 +10,7 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
 -- equation:  K_n = max|(Fhat_j - F_j)/F_max|; JJF 2014: over K |Omega_max+ - Omega_max-|, the full span
+-- influence: rate_nonuniformity: if(standard = 'GJB2426A', 1, 0.5)
 -- of:        internal.scale_fits
 -- A maximum comes out too large where noise rules. Its limits hold for all points at once (Bonferroni): the largest
 -- lower and the largest upper limit of any point.

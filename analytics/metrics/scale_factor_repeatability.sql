@@ -9,6 +9,7 @@
 -- needs:     Q scale factors, the unit off and cooled in between; GJB: Q >= 6
 -- limits:    given
 -- equation:  K_r = sqrt(sum((K_i - mean(K))^2)/(Q - 1))/mean(K)
+-- influence: rate: per_ppm(value)
 -- python:    analytics.metrics.scale_factor_repeatability:compute
 -- of:        internal.scale_fits
 -- A run is a test by itself if its procedure is one or it holds several scale factors; all runs of a unit together are

@@ -9,5 +9,7 @@
 -- needs:     scale factors before and after a shock along X, Y and Z, at least 11 rates in each direction
 -- limits:    given
 -- equation:  max over X, Y, Z of |K_after - K_before|
+-- influence: rate: per_ppm(value)
+-- influence: voltage: per_ppm_of_voltage(value, volt)
 -- of:        internal.scale_fits
 from scale_changes('internal.scale_fits', 'shock|冲击')

@@ -9,6 +9,7 @@
 -- needs:     scale factors at room temperature and at other temperatures
 -- limits:    given
 -- equation:  K_t = max|(K_i - K_m)/(K_m (T_i - T_m))|
+-- influence: temperature: value * sqrt(2) / nullif(abs((parameters->>'$.temperature_of_maximum')::double - (parameters->>'$.room_temperature')::double), 0)
 -- of:        internal.scale_fits
 -- Erratum: GJB (13) prints max under the quotient only; meant is the largest quotient. Room temperature is what says
 -- so, else the one set nearest to 20 degC, at most 10 degC from it; points nearer to it than 1 degC are no points. A

@@ -9,6 +9,7 @@
 -- needs:     an entered check (`gyrofleet check`) whose item begins with visual
 -- limits:    given
 -- equation:  1 where the verdict that was entered is PASS, 0 where it is FAIL
+-- influence: none: a verdict has no uncertainty
 select unit, signal, run, passed as value,
   null::double as standard_uncertainty, null::double as freedom, null::double as lo, null::double as hi,
   1 as n,

@@ -9,5 +9,6 @@
 -- needs:     procedure warmup_time: power-on at several rates and positions; startup_band_deg_per_h of the product
 -- limits:    given
 -- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
+-- influence: clock: per_ppm(value)
 -- python:    analytics.methods.settling_time:settling_times
 from settling_tests('^warm_?up_time|预热时间') order by run, unit, signal, "index"

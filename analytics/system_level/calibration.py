@@ -37,6 +37,7 @@ class Way(StrEnum):
     AVERAGE = "average"  # the patent's: the mean over the speeds
     JOINT = "joint"  # A and the gyro bias b fitted to all speeds
     JOINT_REST = "joint_rest"  # and to dv'' of all rests
+    REST = "rest"  # the gyro bias from dv'' of all rests alone
 
 
 class Result(NamedTuple):
@@ -87,10 +88,10 @@ def speed_groups(rotations: Sequence[Rotation]) -> list[list[int]]:
 def results(rotations: Sequence[Rotation], latitude_deg: float) -> list[Result]:
     """All ways for one gyro, whose rotations these are.
 
-    a = c g (pi (s S + A) + b (T2 - T1)) - 2 o B with c = -1, s the sign of the turn and o that of the accelerometer
-    at the start; dv'' = c g b at rest. CN 102680005's table of observation equations is missing from its text: derived,
-    and checked by simulation. Its step 13 calls the sought quantity a quadratic coefficient of the accelerometer, which
-    is a slip.
+    a = c g (pi s S + p A + b (T2 - T1)) - 2 o B with c = -1, s the sign of the turn, o that of the accelerometer at
+    the start and p the path, pi and what the table overshoots and comes back; dv'' = c g b at rest. CN 102680005's
+    table of observation equations is missing from its text: derived, and checked by simulation. Its step 13 calls the
+    sought quantity a quadratic coefficient of the accelerometer, which is a slip.
     """
     noise = noise_of(rotations)
     groups = speed_groups(rotations)
@@ -121,13 +122,21 @@ def results(rotations: Sequence[Rotation], latitude_deg: float) -> list[Result]:
         lacking = "; ".join(each.reason for each in found if each.reason)
         found.append(Result(Way.AVERAGE, speeds, {}, every, f"no speed has three rotations to solve: {lacking}"))
     found += [_joint(way, rotations, speeds, noise, latitude_deg) for way in (Way.JOINT, Way.JOINT_REST)]
-    return found
+    known = np.full(4, math.nan), np.zeros((4, 4))
+    known[0][3], known[1][3, 3] = rests[0], rests[1] ** 2
+    budgets = _budgets(_Fit(*known, np.empty((4, 0))), np.zeros(4), rests, noise, rotations, latitude_deg)
+    return [*found, Result(Way.REST, speeds, budgets, every)]
 
 
 def _design(rotation: Rotation) -> FloatArray:
     """Rows of a, and dv'' of both rests; columns S, A, B, b."""
     g = rotation.gravity_m_per_s2
-    turned = [-g * math.pi * rotation.sign, -g * math.pi, -2.0 * rotation.across_sign, -g * rotation.from_t1_to_t2_s]
+    turned = [
+        -g * math.pi * rotation.sign,
+        -g * rotation.path_rad,
+        -2.0 * rotation.across_sign,
+        -g * rotation.from_t1_to_t2_s,
+    ]
     return np.array([turned, [0.0, 0.0, 0.0, -g], [0.0, 0.0, 0.0, -g]])
 
 

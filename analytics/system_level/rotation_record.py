@@ -23,6 +23,9 @@ LEAST_REST_S = 15.0  # CN 102680005 step 2
 LEAST_RATE_HZ = 100.0  # step 1
 _SHARE = 0.99  # of a rest or a sampling rate, for what the borders of samples cost
 _MOVING_RAD_PER_S = math.radians(0.5)
+_PAUSE_S = 1.0  # rest of at least this length between two motions
+_SETTLING_S = 0.5  # dropped after a motion that is cut off
+_A_TURN_RAD = math.radians(90.0)
 _HALF_TURN_WITHIN_RAD = math.radians(5.0)
 _LEVEL_WITHIN = math.sin(math.radians(5.0))
 _FOLLOWS_WITHIN = math.sin(math.radians(2.0))
@@ -72,6 +75,7 @@ class Rotation(NamedTuple):
     axis: int  # of the body, about which it turned
     sign: int  # of the turn
     towards_enu: FloatArray  # where the axis points, level
+    path_rad: float  # half a turn, and what the table overshoots and comes back
     speed_deg_per_s: float
     across: int  # accelerometer that turns over, across the axis
     across_sign: int  # whether it points along (+1) or against the observed direction at the start
@@ -82,27 +86,37 @@ class Rotation(NamedTuple):
     gravity_m_per_s2: float
     attitude: Attitude
     kernels: Kernels
-    rest_rates: tuple[FloatArray, FloatArray]  # of the turning axis' gyro in both rests, rad/s
+    rest_rates: tuple[FloatArray, FloatArray]  # of the turning axis' gyro in both rests without their edges, rad/s
     rest_forces: tuple[FloatArray, FloatArray]  # of the accelerometer that turns over, m/s^2
     dt_s: float
 
 
-def found_rests(series: ImuSeries, name: str) -> Rests:
-    """The rests before and after the one turn of a record, by where any gyro sees more than 0.5 deg/s.
+def around_the_turn(series: ImuSeries, name: str) -> tuple[ImuSeries, Rests]:
+    """The record from rest to rest: the samples of the largest turn and the rests beside it.
 
-    Raises BadInput where there is no turn, or a rest is too short.
+    A gyro that sees more than 0.5 deg/s moves. Other motion, as of a table that still comes to its angle when the
+    record begins, is cut off. Raises BadInput where there is no turn, or a rest is too short.
     """
     moving = np.flatnonzero((np.abs(series.rates_rad_per_s) > _MOVING_RAD_PER_S).any(axis=0))
-    n = series.rates_rad_per_s.shape[1]
     if not len(moving):
         raise BadInput(f"{name}: no gyro sees a turn; record from rest to rest")
-    rests = Rests(int(moving[0]), int(moving[-1]) + 1)
-    for which, samples in (("before", rests.first), ("after", n - rests.second)):
+    breaks = np.flatnonzero(np.diff(moving) > _PAUSE_S / series.dt_s)
+    begins, ends = moving[np.append(0, breaks + 1)], moving[np.append(breaks, len(moving) - 1)] + 1
+    turned = [np.abs(series.rates_rad_per_s[:, a:b].sum(axis=1)).max() for a, b in zip(begins, ends, strict=True)]
+    if (turns := int(np.sum(np.array(turned) * series.dt_s > _A_TURN_RAD))) > 1:
+        raise BadInput(f"{name}: {turns} turns in one record; name each by its position, rotation_1 to rotation_9")
+    at = int(np.argmax(turned))
+    settling = round(_SETTLING_S / series.dt_s)
+    first = int(ends[at - 1]) + settling if at else 0
+    last = int(begins[at + 1]) if at + 1 < len(begins) else series.rates_rad_per_s.shape[1]
+    for which, samples in (("before", int(begins[at]) - first), ("after", last - int(ends[at]))):
         if (length_s := samples * series.dt_s) < _SHARE * LEAST_REST_S:
             raise BadInput(
-                f"{name}: {length_s:.4g} s at rest {which} the turn, CN 102680005 step 2 asks for {LEAST_REST_S:g} s"
+                f"{name}: {max(length_s, 0.0):.4g} s at rest {which} the turn, CN 102680005 step 2 asks for "
+                f"{LEAST_REST_S:g} s"
             )
-    return rests
+    cut = ImuSeries(series.dt_s, series.rates_rad_per_s[:, first:last], series.forces_m_per_s2[:, first:last])
+    return cut, Rests(int(begins[at]) - first, int(ends[at]) - first)
 
 
 def kernels_of(n: int, rests: Rests, dt_s: float, gravity: float) -> Kernels:
@@ -163,7 +177,7 @@ def evaluated(series: ImuSeries, latitude_deg: float, nominal: tuple[FloatArray,
         raise BadInput(
             f"{name}: sampled at {1.0 / series.dt_s:.4g} Hz, CN 102680005 step 1 asks for {LEAST_RATE_HZ:g} Hz"
         )
-    rests = found_rests(series, name)
+    series, rests = around_the_turn(series, name)
     turned = series.rates_rad_per_s[:, rests.first : rests.second].sum(axis=1) * series.dt_s
     axis = int(np.abs(turned).argmax())
     if abs(abs(turned[axis]) - math.pi) > _HALF_TURN_WITHIN_RAD:
@@ -192,7 +206,10 @@ def _navigated(
     earth = earth_rate_enu_rad_per_s(latitude_deg)
     velocity, end = velocity_of(rates, forces, dt_s, attitude.matrix, earth, gravity)
     after = forces[:, rests.second :].mean(axis=1)
-    if np.linalg.norm(np.cross(end @ after, UP)) > _FOLLOWS_WITHIN * gravity or float(UP @ end @ after) < 0.0:
+    gained = float(np.linalg.norm(velocity[:, rests.second] - velocity[:, rests.first]))
+    most = _FOLLOWS_WITHIN * gravity * (rests.second - rests.first) * dt_s
+    tilted = float(np.linalg.norm(np.cross(end @ after, UP)))
+    if tilted > _FOLLOWS_WITHIN * gravity or float(UP @ end @ after) < 0.0 or gained > most:
         raise BadInput(
             f"{name}: the accelerometers do not follow the turn that the gyros see; are axes swapped, or signs "
             f"reversed?"
@@ -209,12 +226,15 @@ def _navigated(
     kernels = kernels_of(n, rests, dt_s, gravity)
     fits = [quadratic_fit(len(part), dt_s).slope @ part for part in parts]
     turn = slice(rests.first, rests.second)
-    middle = np.abs(rates[axis, turn])
+    size = np.abs(rates[axis, turn])
+    overshoot = float(size.sum() - abs(rates[axis, turn].sum())) * dt_s
+    edge = round(_SETTLING_S / dt_s)  # a table that still moves a little is no noise
     return Rotation(
-        axis=axis, sign=sign, towards_enu=towards, speed_deg_per_s=float(np.degrees(np.median(middle))),
+        axis=axis, sign=sign, towards_enu=towards, path_rad=math.pi + overshoot,
+        speed_deg_per_s=float(np.degrees(np.median(size))),
         across=across, across_sign=int(np.sign(along[across])), change=float(second[1] - first[1]),
         curvatures=(float(first[2]), float(second[2])), change_least_squares=float(fits[1] - fits[0]),
         from_t1_to_t2_s=(n - rests.first) * dt_s, gravity_m_per_s2=gravity, attitude=attitude, kernels=kernels,
-        rest_rates=(rates[axis, : rests.first], rates[axis, rests.second :]),
-        rest_forces=(forces[across, : rests.first], forces[across, rests.second :]), dt_s=dt_s,
+        rest_rates=(rates[axis, : rests.first - edge], rates[axis, rests.second + edge :]),
+        rest_forces=(forces[across, : rests.first - edge], forces[across, rests.second + edge :]), dt_s=dt_s,
     )  # fmt: skip

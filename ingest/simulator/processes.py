@@ -192,6 +192,8 @@ def power_ons_so_far(path: Path) -> dict[str, int]:
 def main() -> None:
     """`python -m ingest.simulator.processes instruments|gyros FOLDER`."""
     _, role, folder = sys.argv
+    # python-can imports it where it is installed, in most of a second, for logs in MF4; there are none here
+    vars(sys)["modules"]["asammdf"] = None
     try:
         {"instruments": play_instruments, "gyros": play_gyros}[role](Path(folder))
     except GyrofleetError as error:

@@ -119,7 +119,7 @@ class RunCommands(Closing):
     def _decision(self, command: RunCommand) -> CommandAnswer:
         state = self._log.state
         at, at_zh = f"at step {state.step + 1}", f"第 {state.step + 1} 步"
-        if self._now_ns() > command.expires_ns:
+        if command.is_over or self._now_ns() > command.expires_ns:
             return _refused("it came too late; give it again if it is still wanted", "命令已过期；如仍需要请重新下达")
         if state.aborted_by is not None:
             return _refused("the run is being aborted", "试验正在中止")

@@ -23,6 +23,7 @@ import msgspec
 from stream.closing import Closing
 from stream.errors import StoreError
 from stream.events import CommandOutcome, NoteAdded, RunAction
+from stream.status.role_status import boot, uptime_ns
 
 FOLDER = "control"
 GIVEN, TAKEN, WITHDRAWN, ANSWER, NOTE = "given", "taken", "withdrawn", "answer", "note"
@@ -33,7 +34,9 @@ _OF_OTHERS = 0o077
 
 
 class RunCommand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A command as it was given; it is not carried out after `expires_ns`."""
+    """A command as it was given; it is not carried out after `expires_ns`, nor once this computer's `uptime_ns` of the
+    start `boot` is beyond `expires_uptime_ns`, however the clock is set meanwhile.
+    """
 
     id: str
     run: str
@@ -42,6 +45,13 @@ class RunCommand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     reason: str
     given_ns: int
     expires_ns: int
+    expires_uptime_ns: int = 0
+    boot: str = ""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its time is over by the clock that nobody sets."""
+        return bool(self.boot) and (self.boot != boot() or uptime_ns() > self.expires_uptime_ns)
 
 
 class CommandAnswer(msgspec.Struct, frozen=True, kw_only=True):

@@ -25,7 +25,7 @@ from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
 from stream.status.reporter import StatusReporter
-from stream.status.role_status import STATUS_KEY, Role, RoleState, RoleStatus, new_status
+from stream.status.role_status import SILENT_AFTER_S, STATUS_KEY, Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 
@@ -73,6 +73,7 @@ class Recorder(Closing):
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
         self._builder = LakeBuilder(store, on_warning) if builds_lake else None
+        self._turned_at = time.monotonic()
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
@@ -84,12 +85,15 @@ class Recorder(Closing):
     def status(self) -> RoleStatus:
         """What is recorded since its start, and what keeps it from recording."""
         counts, failure = self.counts, self.failure
-        state = RoleState.FAILED if failure else RoleState.PAUSED if self.paused else RoleState.WORKING
+        still_s = time.monotonic() - self._turned_at
+        halted = f"nothing was written for {still_s:,.0f} s: the disk does not answer"
+        paused = self.paused or (halted if still_s > SILENT_AFTER_S else "")
+        state = RoleState.FAILED if failure else RoleState.PAUSED if paused else RoleState.WORKING
         names = ("messages", "samples", "duplicates", "conflicts", "rejected", "left_to_sources", "interruptions")
         numbers = {f"{name}_total": float(getattr(counts, name)) for name in (*names, "segments")}
         numbers |= {"clock_steps_back_total": float(counts.backwards), "queue_bytes": float(self._incoming_bytes)}
         numbers |= {"free_bytes": float(self._watch.free_bytes), "last_message_seconds": self._arrived_ns / 1e9}
-        trouble = str(failure) if failure else self.paused or ""
+        trouble = str(failure) if failure else paused
         return new_status(Role.RECORD, self._began_ns, state=state, trouble=trouble, numbers=numbers)
 
     def end(self) -> None:
@@ -182,6 +186,7 @@ class Recorder(Closing):
 
     def _write_chunk(self) -> bool:
         """Write a chunk of messages; whether it was the last."""
+        self._turned_at = time.monotonic()
         self._reports.log_changes()
         settling = self._settle_wanted
         taken, is_last = self._next_messages()

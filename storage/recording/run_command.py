@@ -23,6 +23,7 @@ from storage.store import Store
 from stream.errors import GyrofleetError
 from stream.events import CommandOutcome, NoteAdded, RunAction, RunCommandAnswered, RunCommandGiven
 from stream.identity import Place
+from stream.status.role_status import boot, uptime_ns
 
 PATIENCE_S = 5.0
 PLACE = Place("local", "entered")
@@ -51,7 +52,8 @@ def give_command(
     now_ns = time.time_ns()
     command = RunCommand(
         id=uuid4().hex, run=run, action=action, by=by, reason=reason, given_ns=now_ns,
-        expires_ns=now_ns + round(patience_s * 1e9),
+        expires_ns=now_ns + round(patience_s * 1e9), expires_uptime_ns=uptime_ns() + round(patience_s * 1e9),
+        boot=boot(),
     )  # fmt: skip
     with closing(CommandFolder(store.folder, run)) as folder:
         if not folder.is_held:

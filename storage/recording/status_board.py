@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
+
 from storage.store import Store
 from stream.atomic_file import replacement
 from stream.errors import WireError
-from stream.status.role_status import RoleStatus, decode_status, encode_status
+from stream.status.role_status import RoleStatus, boot, decode_status, encode_status, uptime_ns
 
 FOLDER = "status"
 _MOST_FILES = 2_000  # more roles than this are no station floor
@@ -33,8 +35,9 @@ class StatusBoard:
             if status.file_name not in self._names and len(self._names) >= _MOST_FILES:
                 return
             self._names.add(status.file_name)
+            kept = msgspec.structs.replace(status, kept_ns=uptime_ns(), kept_boot=boot())
             with replacement(self._folder / status.file_name) as fresh:
-                fresh.write_bytes(encode_status(status))
+                fresh.write_bytes(encode_status(kept))
 
     def on_message(self, _key: str, payload: bytes) -> None:
         """Keep what a role sent over the bus; what is no status is left out."""

@@ -5,6 +5,8 @@ import os
 import socket
 import time
 from enum import StrEnum
+from functools import cache
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -27,6 +29,7 @@ class Role(StrEnum):
     LAKE = "lake"
     RUN = "run"
     SERVE = "serve"
+    ALERT = "alert"
 
 
 class RoleState(StrEnum):
@@ -68,6 +71,8 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
     pid: int = 0
     numbers: dict[str, float] = {}
     run: RunProgress | None = None
+    kept_ns: int = 0  # by the clock of the computer that keeps it, since it was booted; nobody sets that
+    kept_boot: str = ""  # of which start of that computer
 
     @property
     def file_name(self) -> str:
@@ -79,7 +84,9 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def age_s(self) -> float:
-        """Seconds since it was reported; negative where the clocks of two hosts differ."""
+        """Seconds since it was kept on this computer, whatever clocks say; elsewhere by the clocks of two hosts."""
+        if self.kept_boot and self.kept_boot == boot():
+            return (uptime_ns() - self.kept_ns) / 1e9
         return (time.time_ns() - self.at_ns) / 1e9
 
     @property
@@ -92,6 +99,20 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
         if self.state is RoleState.ENDED or self.age_s <= SILENT_AFTER_S:
             return self.state.value
         return "killed" if self.host == socket.gethostname() and not _is_alive(self.pid) else "silent"
+
+
+def uptime_ns() -> int:
+    """Time since this computer was booted, sleep included."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+@cache
+def boot() -> str:
+    """Identity of this start of this computer; empty if it has none."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return ""
 
 
 def new_status(role: Role, began_ns: int, *, name: str = "", **parts: object) -> RoleStatus:

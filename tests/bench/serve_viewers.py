@@ -83,7 +83,9 @@ class Viewers:
             begin = time.perf_counter()
             answer = await client.get(url)
             self.took[name].append(time.perf_counter() - begin)
-            self.failed[f"{name} {answer.status_code}"] += answer.status_code != 200
+            if answer.status_code != 200:
+                why = "" if answer.status_code == 404 else f": {answer.text[:200]}"  # 404: it has not begun to send
+                self.failed[f"{name} {answer.status_code}{why}"] += 1
             await asyncio.sleep(max(0.0, _EVERY_S - (time.perf_counter() - begin)) * rng.uniform(0.5, 1.5))
 
 

@@ -92,8 +92,8 @@ def cases(
 
 def _of_seed(row: str, number: int, sizes: Sequence[float]) -> Iterator[Case]:
     if row in ("null", "excess"):
-        names: tuple[str, ...] = MISSPECIFIED if row == "null" else EXCESSIVE
-        yield from (Case(row, name, 0.0, _NULL + number) for name in names)
+        noises = MISSPECIFIED if row == "null" else EXCESSIVE
+        yield from (Case(row, name, 0.0, _NULL + number) for name in noises)
     elif row == "planted":
         yield from (Case(row, name, z, _PLANTED + number) for z in sizes for name in plantable())
     elif row == "two":

@@ -25,7 +25,7 @@ from tests.bench.metric_steps import DAY_NS, Unit, metrics_of, records_of
 
 NAMES = tuple(metrics())
 EVERY = pytest.mark.parametrize("name", NAMES)
-STANDARDS = {"GJB2426A", "JJF2014", "JJF1536", "HIT"}
+STANDARDS = {"GJB2426A", "JJF2014", "JJF1536", "HIT", "CN102680005"}
 # Named in the standards' own words; what is not among them is one of IEEE 952 or of the separation methods.
 TERMS = {
     "bias", "bias_stability", "bias_stability_averaged", "bias_repeatability", "bias_temperature_sensitivity",
@@ -35,15 +35,17 @@ TERMS = {
     "scale_factor_vibration_change", "range", "threshold", "resolution", "polarity", "startup_time", "warmup_time",
     "power", "misalignment", "misalignment_repeatability", "gyro_separation", "accelerometer_separation", "bandwidth",
     "output_delay", "visual_check", "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk",
-    "rate_ramp",
+    "rate_ramp", "attitude_unit_bias", "attitude_unit_misalignment",
 }  # fmt: skip
 # They read samples, estimates or entered checks besides the records, which the simulated units do not have.
 ELSEWHERE = {
     "accelerometer_separation", "bandwidth", "output_delay", "startup_time", "warmup_time", "power", "visual_check",
     "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk", "rate_ramp", "allan_deviation",
+    "system_level_scale_factor_asymmetry", "system_level_scale_factor_error", "system_level_accelerometer_bias",
+    "system_level_gyro_bias",
 }  # fmt: skip
 # what a doubled output doubles: all that is in deg/h, and these
-DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability"}
+DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability", "attitude_unit_misalignment"}
 # what a measured scale factor is itself
 SCALE_FACTORS = {
     "scale_factor", "scale_factor_acceleration_sensitivity", "scale_factor_shock_change",
@@ -243,7 +245,7 @@ def metrics_scaled(
 
 
 def is_scale_factor(record: dict[str, Any]) -> bool:
-    return bool(record["procedure"].startswith("scale_factor"))
+    return "scale_factor" in record["procedure"]
 
 
 def of_whole_unit(simulated: Simulated) -> Records:

@@ -14,10 +14,11 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Units that are silent now."""
-        last = {(unit.run.run, name): unit.arrival_ns for name, unit in view.units.items() if unit.is_at_work}
+        at_work = {(unit.run.run, name) for name, unit in view.units.items() if unit.is_at_work}
+        last = {key: heard_ns for key, heard_ns in view.heard_ns.items() if key in at_work}
         for role in view.status.roles:
             if role.status.run is not None and role.condition == "working" and role.status.run.doing == "recording":
-                began_ns = max(role.status.began_ns, view.began_ns)
+                began_ns = max(view.now_ns - round(role.works_s * 1e9), view.began_ns)
                 run, units = role.status.run.run, role.status.run.units
                 last |= {(run, unit): began_ns for unit in units if _is_awaited(view.units.get(unit), run)}
         for (run, name), arrived_ns in last.items():

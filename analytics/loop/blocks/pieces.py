@@ -102,7 +102,7 @@ def rows_of(
         "first": [grids[key].first_ns for key in keys],
         "last": [grids[key].last_ns for key in keys],
     }
-    table = catalog.reader(sql.replace("WANTED", _WANTED), wanted | parameters).read_all()
+    table = catalog.reader(sql.replace("WANTED", _WANTED), {**wanted, **parameters}).read_all()
     columns = {name: numbers(table.column(name)) for name in table.column_names}
     number = columns.pop("number")
     ordered = np.argsort(number, kind="stable")

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from analytics.alerts.book import Alert, AlertBook
+from analytics.alerts.kept_alerts import Alert, raised_alerts
 from analytics.alerts.service import PLACE
 from analytics.serve.api.operation import Call, get, post
 from analytics.serve.api.rows import iso
@@ -66,7 +66,7 @@ class Acknowledgement(msgspec.Struct, frozen=True, kw_only=True):
 def list_alerts(call: Call, asked: AlertsAsked) -> Alerts:
     """Alerts that `gyrofleet alert run` has raised: open ones, or all."""
     rows = []
-    for alert in AlertBook(call.store).alerts():
+    for alert in raised_alerts(call.store):
         if (asked.which == "open" and not _is_open(alert)) or asked.severity not in ("", alert.severity):
             continue
         rows.append(alert_row(alert))
@@ -90,7 +90,7 @@ def _is_open(alert: Alert) -> bool:
 def acknowledge_alert(call: Call, asked: AcknowledgementAsked) -> Acknowledgement:
     """Take note of an alert; the log has who did."""
     name = call.path["alert"]
-    if name not in {each.id for each in AlertBook(call.store).alerts()}:
+    if name not in {each.id for each in raised_alerts(call.store)}:
         raise NotFound(f"there is no alert {name!r}; /api/alerts?which=all lists them")
     document = AlertAcknowledged(run="", t_ns=time.time_ns(), alert=name, by=call.person.name, note=asked.note)
     record_documents(call.store, [document], role=_ROLE, place=PLACE, builds_lake=True)

@@ -4,7 +4,7 @@ from typing import Any
 
 import msgspec
 
-from analytics.alerts.book import AlertBook
+from analytics.alerts.kept_alerts import raised_alerts
 from analytics.serve.api.alerts import AlertRow, alert_row
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import dictionaries, iso
@@ -295,7 +295,7 @@ def _alerts(call: Call, run: str, units: set[str], heard: list[Heard], last_ns: 
     until_ns = 2**62 if last_ns is None else last_ns + _LATE_NS
     return [
         alert_row(alert)
-        for alert in AlertBook(call.store).alerts()
+        for alert in raised_alerts(call.store)
         if run in alert.key.split("/") or (alert.unit in units and first_ns <= (alert.raised_ns or 0) <= until_ns)
     ]
 

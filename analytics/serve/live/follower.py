@@ -1,5 +1,6 @@
 """A thread that keeps the floor: reads the log many times a second, and tells at once what has changed."""
 
+import itertools
 import threading
 import time
 from collections import Counter
@@ -7,14 +8,14 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from analytics.first_floor import fill_floor
 from analytics.floor import Floor, UnitNow, parsed_key
 from analytics.serve.live.course import LiveCourse
-from analytics.serve.live.first_floor import fill_floor
 from analytics.serve.live.floor_rows import FloorRows
 from analytics.serve.live.rows import LiveRows, RowTables
 from analytics.serve.live.tail import LiveTail
 from analytics.serve.shared_lake import SharedLake
-from storage.log.follower import LogFollower
+from storage.log.follower import FollowedMessage, LogFollower
 from storage.store import Store
 from stream.closing import Closing
 from stream.console import json_text
@@ -23,6 +24,7 @@ from stream.events import EstimatePublished
 from stream.wire.batches import RawBatch
 
 _LOOK_S = 0.05
+_AT_ONCE = 200  # messages
 _RUNS_S = 1.0  # between two rows of the same run
 _TRY_AGAIN_S = 5.0
 _FILLED_WITHIN_S = 10.0
@@ -78,9 +80,13 @@ class FloorFollower(Closing):
 
     def beyond(self, in_lake: Collection[str]) -> RowTables:
         """Rows of what a version of the lake does not have; waits until the log has been read once."""
-        self._is_read.wait(_FILLED_WITHIN_S)
+        self.wait()
         with self._lock:
             return self.fresh.beyond(in_lake)
+
+    def wait(self) -> None:
+        """Wait until the log has been read once, for some seconds."""
+        self._is_read.wait(_FILLED_WITHIN_S)
 
     def entered(self) -> str:
         """Changes with each document that changes limits, checks or models."""
@@ -117,17 +123,12 @@ class FloorFollower(Closing):
         with LogFollower(self._store, state.segments) as messages:
             while not self._ends.is_set():
                 began_s = time.monotonic()
-                with self._lock:
-                    for message in messages.poll():
-                        entered = self.floor.take_message(message)
-                        if entered is not None and message.place is not None:
-                            place = parsed_key(message.place.stream.key).place
-                            self.course.take(message.segment, place, entered, message.record.arrival_ns)
-                        rows.take(message)
-                        if isinstance(message.content, RawBatch) and message.place is not None:
-                            self.tail.take(message.segment, message.content)
-                        elif isinstance(message.content, EstimatePublished):
-                            self.tail.take_estimate(message.content)
+                new = messages.poll()
+                # read without the lock, so that requests have the floor meanwhile
+                while some := list(itertools.islice(new, _AT_ONCE)):
+                    with self._lock:
+                        for message in some:
+                            self._take(message, rows)
                 self.lag_s, self.problem = time.monotonic() - began_s, None
                 is_due = began_s - told_s >= _RUNS_S
                 if is_due:
@@ -143,6 +144,17 @@ class FloorFollower(Closing):
                 self._tell(tell, with_runs=is_due)
                 # as long again as the look took, so that requests have their turn
                 self._ends.wait(max(_LOOK_S, time.monotonic() - began_s))
+
+    def _take(self, message: FollowedMessage, rows: LiveRows) -> None:
+        entered = self.floor.take_message(message)
+        if entered is not None and message.place is not None:
+            place = parsed_key(message.place.stream.key).place
+            self.course.take(message.segment, place, entered, message.record.arrival_ns)
+        rows.take(message)
+        if isinstance(message.content, RawBatch) and message.place is not None:
+            self.tail.take(message.segment, message.content)
+        elif isinstance(message.content, EstimatePublished):
+            self.tail.take_estimate(message.content)
 
     def _tell(self, tell: Tell, *, with_runs: bool) -> None:
         with self._lock:

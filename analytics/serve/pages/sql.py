@@ -20,6 +20,7 @@ from analytics.serve.sql_pool import MOST_ROWS
 from stream.errors import BadInput, GyrofleetError
 
 _SHOWN_ROWS = 500
+_SHOWN_BYTES = 4 << 20
 _FILES = (Form.CSV, Form.PARQUET, Form.JSON)
 
 
@@ -60,7 +61,7 @@ def _content(call: Call, statement: str, *, is_sent: bool) -> dict[str, Any]:
         asked = api.SqlAsked(sql=statement, rows=_SHOWN_ROWS, shape="arrays")
         try:
             # the handler gives a result that encodes itself
-            encoded = api.sql(call, asked).encoded(Form.JSON)  # type: ignore[attr-defined]
+            encoded = api.sql(call, asked).encoded(Form.JSON, _SHOWN_BYTES)  # type: ignore[attr-defined]
             result = msgspec.json.decode(encoded.body)
         except GyrofleetError as error:
             problem = str(error)

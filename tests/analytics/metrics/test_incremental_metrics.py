@@ -156,9 +156,9 @@ def test_a_metric_that_is_asked_for_alone_is_the_same_and_the_others_follow_when
     asked: list[str] = []
     compute = evaluation._values
 
-    def computed(catalog: Any, metric: Any) -> pa.Table:
+    def computed(catalog: Any, metric: Any, *more: Any) -> pa.Table:
         asked.append(metric.header.id)
-        return compute(catalog, metric)
+        return compute(catalog, metric, *more)
 
     monkeypatch.setattr(evaluation, "_values", computed)
     bench = Bench(tested)

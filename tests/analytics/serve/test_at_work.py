@@ -5,6 +5,7 @@ import httpx
 from analytics.alerts.book import AlertBook
 from analytics.alerts.conditions.verdict import VerdictCondition
 from analytics.alerts.finding import Finding
+from analytics.alerts.kept_alerts import raised_alerts
 from analytics.alerts.rules import Rule
 from analytics.loop.bilingual import Bilingual
 from storage.store import Store
@@ -13,12 +14,13 @@ from tests.analytics.serve.conftest import Served
 
 def raised(served: Served, key: str) -> str:
     """An alert in the book of the store, as `gyrofleet alert run` puts it there."""
-    book = AlertBook(Store.open(served.store))
+    now_ns = 1_795_255_200 * 10**9
     rule = Rule(name="verdict", condition=VerdictCondition(), to=())
     finding = Finding(key, "FOG-0001", Bilingual("unit FOG-0001 has FAIL", "产品FOG-0001判定为FAIL"), is_event=True)
-    book.see(rule, finding, 1_795_255_200 * 10**9)
-    book.save()
-    return next(each.id for each in book.alerts() if each.key == key)
+    with AlertBook(Store.open(served.store), now_ns) as book:
+        book.see(rule, finding, now_ns, now_ns)
+        book.save()
+    return next(each.id for each in raised_alerts(Store.open(served.store)) if each.key == key)
 
 
 def test_the_status_of_a_store_at_rest(api: httpx.Client) -> None:

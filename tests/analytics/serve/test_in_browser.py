@@ -159,6 +159,7 @@ def test_the_pictures_of_a_unit_are_drawn_read_and_lead_on(window: Browser, serv
 
 def test_forms_of_the_pages_are_taken_from_a_browser(window: Browser, served: Served) -> None:
     window.open(f"{served.url}/store")
+    until(lambda: window.ask("!!document.querySelector('form[action=\"/act/verify_store\"]')"))
     window.ask("document.querySelector('form[action=\"/act/verify_store\"]').requestSubmit()")
     until(lambda: window.ask("document.querySelectorAll('#job-table tbody tr').length") >= 1)
     assert window.ask("location.pathname") == "/store"

@@ -123,3 +123,29 @@ def test_the_tables_and_examples_work(api: httpx.Client) -> None:
     assert {"samples", "unit_metrics", "verdicts"} <= {each["table"] for each in found["tables"]}
     assert all(each["columns"] for each in found["tables"])
     assert api.post("/api/sql", json={"sql": found["examples"][0]["sql"]}).status_code == 200
+
+
+@pytest.mark.parametrize("columns", ["true", "null"])
+@pytest.mark.parametrize("form", ["json", "csv"])
+def test_what_is_small_in_arrow_and_huge_as_text_is_refused(api: httpx.Client, columns: str, form: str) -> None:
+    """A bit or nothing for each value, until it is written: 300 such columns took 9 GB of the server."""
+    statement = f"select {', '.join(f'{columns} as c{number}' for number in range(25))} from range(1000000)"
+    answer = api.post("/api/sql", json={"sql": statement, "rows": 1_000_000, "format": form})
+    assert answer.status_code == 400
+    assert "more than 20,000,000 values" in answer.json()["error"]["message"]
+
+
+def test_a_long_text_in_a_dictionary_counts_in_each_row(api: httpx.Client) -> None:
+    statement = f"select 'b'::enum('{'x' * 500_000}', 'b') as e from range(100000)"
+    answer = api.post("/api/sql", json={"sql": statement, "rows": 100_000})
+    assert answer.status_code == 400
+    assert "more than 256 MiB" in answer.json()["error"]["message"]
+    assert api.post("/api/sql", json={"sql": "select 'b'::enum('a', 'b') as e"}).json()["rows"] == [{"e": "b"}]
+
+
+def test_a_page_shows_no_result_that_no_browser_can_show(api: httpx.Client) -> None:
+    sent = {"sql": "select repeat('x', 100000) as a from range(500)"}
+    page = api.post("/sql", data=sent)
+    assert page.status_code == 200
+    assert len(page.content) < 1_000_000
+    assert "more than 4 MiB" in page.text

@@ -18,7 +18,8 @@ from gyrofleet import main
 START = "2026-01-05T08:00:00Z"
 KEYS = {
     "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
-    "parameters", "runs", "steps", "standard", "clause", "reason",
+    "parameters", "runs", "steps", "standard", "clause", "reason", "u_type_a", "u_type_b", "U", "k",
+    "uncertainty_reason",
 }  # fmt: skip
 BIASES = {"FOG-0001": 0.2, "FOG-0002": 5.0}
 LIMITS = """
@@ -119,7 +120,7 @@ def test_a_selection_leaves_the_rest_out(ask: Ask) -> None:
     "words7---annex-a stands alone",
     "words6-has no time zone",
     "words0-there is no metric 'bais'; did you mean bias?",
-    "words4-no metric is of the standard 'GJB 2427'; there are GJB2426A",
+    "words4-no metric is of the standard 'GJB 2427'; there are CN102680005, GJB2426A",
 )
 @pytest.mark.parametrize(
     ("words", "said"),
@@ -128,7 +129,7 @@ def test_a_selection_leaves_the_rest_out(ask: Ask) -> None:
         (("--unit", "fog-0001"), "unit 'fog-0001' is in the store; did you mean FOG-0001?"),
         (("--run", "longer"), "did you mean long?"),
         (("--lot", "L1"), "lot 'L1'"),
-        (("--standard", "GJB 2427"), "no metric is of the standard 'GJB 2427'; there are GJB2426A"),
+        (("--standard", "GJB 2427"), "no metric is of the standard 'GJB 2427'; there are CN102680005, GJB2426A"),
         (("--since", "yesterday"), "--since 'yesterday' is not a moment"),
         (("--since", "2026-01-05T08:00"), "has no time zone"),
         (("--annex-a", "FOG-0001", "--unit", "FOG-0001"), "--annex-a stands alone"),

@@ -18,6 +18,7 @@ from storage.recording.command_box import GIVEN, TAKEN, CommandFolder, RunComman
 from storage.recording.run_command import GivenCommand, give_command, is_at_work
 from storage.store import Store
 from stream.events import CommandOutcome, RunAction
+from stream.status.role_status import boot
 from tests.analytics.serve.conftest import PASSWORD, TOKEN, Served, start, write_users
 from tests.forked_commands import CommandServer
 
@@ -233,6 +234,9 @@ def test_a_command_is_carried_out_at_most_once_through_kills(
     with CommandFolder(store, run) as folder:  # taken and killed
         folder.write("taken", TAKEN, command(run, RunAction.ABORT, "taken"))
         folder.write("late", GIVEN, msgspec.structs.replace(command(run, RunAction.ABORT, "late"), expires_ns=1))
+        # the clock was set back since: by it there is time left
+        over = msgspec.structs.replace(command(run, RunAction.ABORT, "over"), boot=boot(), expires_uptime_ns=1)
+        folder.write("over", GIVEN, over)
     process = spawn(*words)
     at_work(store, state, lambda found: "late" in found["commands"])
     paused = give_command(opened, run, RunAction.PAUSE, by="Li", reason="hold", patience_s=20.0)
@@ -254,9 +258,10 @@ def test_a_command_is_carried_out_at_most_once_through_kills(
     rows = kept.rows(COMMANDS)
     reasons = {row["command"]: row["reason"] for row in rows if row["reason"]}
     assert sorted((reasons[row["command"]], row["outcome"]) for row in rows if row["outcome"]) == [
-        ("1", "refused"), ("go on", "done"), ("hold", "done"), ("late", "refused"), ("taken", "refused"),
+        ("1", "refused"), ("go on", "done"), ("hold", "done"), ("late", "refused"),
+        ("over", "refused"), ("taken", "refused"),
     ]  # fmt: skip
-    assert len(reasons) == sum(1 for row in rows if row["reason"]) == 5, "each once"
+    assert len(reasons) == sum(1 for row in rows if row["reason"]) == 6, "each once"
 
 
 def test_an_abort_that_was_accepted_is_finished_after_a_kill(

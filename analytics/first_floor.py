@@ -1,4 +1,4 @@
-"""The floor when the server starts: open runs, and the last run of each station, from the lake."""
+"""The floor when somebody begins to look: open runs, and the last run of each station, from the lake."""
 
 import time
 from contextlib import suppress
@@ -16,7 +16,7 @@ _RUNS = """
 select run from (
   select run, outcome, epoch_ns(recorded) as recorded_ns, row_number() over
     (partition by site, station order by recorded desc nulls last, run) as rank
-  from internal.served_runs where site is not null
+  from runs where site is not null
 ) where rank = 1 or outcome = 'open' and recorded_ns > $since order by recorded_ns limit 200
 """
 _DOCUMENTS = """

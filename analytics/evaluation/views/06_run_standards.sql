@@ -1,0 +1,12 @@
+-- What the station of each run states of its measurement standards (a JSON text), and when the run began.
+create or replace table internal.run_standards as
+with stated as (
+  select run, t_ns, document->'$.details' as details,
+    case kind when 'RunStarted' then -arrival_ns else arrival_ns end as place, kind
+  from internal.lake_documents where kind in ('RunStarted', 'StationStated')
+)
+select run,
+  arg_max(details->>'$.standards', place) as standards,
+  arg_max(details->>'$.time_zone', place) as time_zone,
+  min(t_ns) filter (kind = 'RunStarted') as t_ns
+from stated group by run;

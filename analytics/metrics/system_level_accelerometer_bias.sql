@@ -1,0 +1,17 @@
+-- id:        system_level_accelerometer_bias
+-- en:        Accelerometer bias, system-level
+-- zh:        加速度计零偏(系统级标定)
+-- unit:      ug_0
+-- better:    neither
+-- grain:     unit, signal, run, method
+-- parameters: method, axis, speeds_deg_per_s, angle_random_walk, heading, heading_uncertainty_deg, misfit, largest_component
+-- parameters: changes_mm_per_s2, left_out
+-- source:    CN 102680005 steps 11 to 14
+-- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
+-- limits:    t
+-- equation:  B = (a_2 - a_1)/4
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
+-- python:    analytics.system_level.metric_rows:accelerometer_bias_rows
+-- of:        internal.rotation_steps
+-- Of the accelerometer that turns over, across the axis of the turn.
+from internal.rotation_steps order by run, unit, t_from_ns, "index"

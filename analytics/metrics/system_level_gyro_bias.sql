@@ -1,0 +1,18 @@
+-- id:        system_level_gyro_bias
+-- en:        Gyro bias, system-level
+-- zh:        陀螺零偏(系统级标定)
+-- unit:      deg/h
+-- better:    neither
+-- grain:     unit, signal, run, method
+-- parameters: method, axis, speeds_deg_per_s, angle_random_walk, heading, heading_uncertainty_deg, misfit, largest_component
+-- parameters: changes_mm_per_s2, left_out
+-- source:    CN 102680005 steps 11 to 14
+-- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
+-- limits:    t
+-- equation:  a_i = c g (pi (+-S + A) + b (T2 - T1)) - 2 B, dv'' = c g b at rest, c = -1
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
+-- python:    analytics.system_level.metric_rows:gyro_bias_rows
+-- of:        internal.rotation_steps
+-- Of the joint fit over the speeds, of the one with dv'' at rest, and of dv'' at rest alone. An error of the heading
+-- acts like a gyro bias, Omega_e cos(lat) times it (0.1 deg like 0.02 deg/h), on axes that point east, and is part of it.
+from internal.rotation_steps order by run, unit, t_from_ns, "index"

@@ -1,0 +1,19 @@
+-- id:        system_level_scale_factor_asymmetry
+-- en:        Asymmetric scale-factor error, system-level
+-- zh:        标度因数非对称性误差(系统级标定)
+-- unit:      ppm
+-- better:    neither
+-- grain:     unit, signal, run, method
+-- parameters: method, axis, speeds_deg_per_s, angle_random_walk, heading, heading_uncertainty_deg, misfit, largest_component
+-- parameters: changes_mm_per_s2, left_out, gjb_asymmetry
+-- source:    CN 102680005 steps 11 to 14
+-- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
+-- limits:    t
+-- equation:  A = (a_2 + a_3)/(2 c g pi), c = -1; K+ = 1 + S + A, K- = 1 + S - A
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
+-- python:    analytics.system_level.metric_rows:asymmetry_rows
+-- of:        internal.rotation_steps
+-- A gyro bias b adds b (T2 - T1)/pi to every A: method speed and average (the patent's) keep it, and their bounds hold
+-- it; joint fits A and b to all speeds; joint_rest to dv'' of all rests as well, which has the narrowest bounds. The
+-- asymmetry of GJB 2426A 5.8.3, (K+ - K-) over their mean, is 2 A/(1 + S): parameter gjb_asymmetry.
+from internal.rotation_steps order by run, unit, t_from_ns, "index"

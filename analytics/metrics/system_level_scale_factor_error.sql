@@ -1,0 +1,17 @@
+-- id:        system_level_scale_factor_error
+-- en:        Symmetric scale-factor error, system-level
+-- zh:        标度因数对称性误差(系统级标定)
+-- unit:      ppm
+-- better:    neither
+-- grain:     unit, signal, run, method
+-- parameters: method, axis, speeds_deg_per_s, angle_random_walk, heading, heading_uncertainty_deg, misfit, largest_component
+-- parameters: changes_mm_per_s2, left_out
+-- source:    CN 102680005 steps 11 to 14
+-- needs:     procedure system_level_asymmetry: nine half turns at three speeds, three gyros and three accelerometers
+-- limits:    t
+-- equation:  S = (a_1 - a_3)/(2 c g pi), c = -1
+-- influence: none: the heading that the station states is in the bounds already; its tables do not enter, the unit turns against its own accelerometers
+-- python:    analytics.system_level.metric_rows:symmetric_rows
+-- of:        internal.rotation_steps
+-- Of the same rotations as the asymmetry; a gyro bias drops out.
+from internal.rotation_steps order by run, unit, t_from_ns, "index"

@@ -1,0 +1,164 @@
+"""Issued certificates: numbers, what supersedes what, files that were changed, forged documents, signatures."""
+
+import datetime as dt
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import msgspec
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.hazmat.primitives.serialization import pkcs12
+from cryptography.x509.oid import NameOID
+
+from analytics.certificate.record import read_certificates
+from analytics.certificate.signature import check_signature, sign
+from storage.log.store_documents import forgery, sealed
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.errors import BadInput
+from stream.events import CertificateIssued
+from tests.analytics.certificate.conftest import UNIT
+
+DCC = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
+
+
+@pytest.fixture(scope="module")
+def issued(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Any]]:
+    """A copy of the store in which one certificate is issued, and what the command answered."""
+    folder = tmp_path_factory.mktemp("issued") / "copy"
+    shutil.copytree(laboratory, folder)
+    done = run_command(*ORDERED, "--out", "first.pdf", "--lang", "en", cwd=folder)
+    assert done.code == 0, done.err
+    return folder, done.json
+
+
+def verified(run_command: Callable[..., Any], folder: Path, name: str) -> tuple[int, dict[str, Any]]:
+    done = run_command("certificate", "verify", name, "--store", "lab", "--json", cwd=folder)
+    return done.code, done.json
+
+
+def test_a_whole_certificate_is_issued_genuine_and_valid(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    folder, answer = issued
+    assert answer["missing"] == []
+    assert not answer["is_draft"]
+    assert answer["number"] == f"GYL-{dt.datetime.now(dt.UTC).year}-0001"
+    assert answer["valid_until"] == "2027-03-01"
+    code, found = verified(run_command, folder, "first.pdf")
+    assert (code, found["genuine"], found["number"]) == (0, True, answer["number"])
+    kept = folder / "lab" / "certificates" / f"{answer['number']}.pdf"
+    assert kept.read_bytes() == (folder / "first.pdf").read_bytes()
+
+
+def test_one_changed_byte_is_noticed(issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]) -> None:
+    folder, _ = issued
+    content = bytearray((folder / "first.pdf").read_bytes())
+    content[len(content) // 2] ^= 1
+    (folder / "changed.pdf").write_bytes(content)
+    code, found = verified(run_command, folder, "changed.pdf")
+    assert (code, found["genuine"], found["valid"]) == (1, False, False)
+
+
+def test_the_digital_certificate_has_the_results_with_u_and_k(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    folder, answer = issued
+    root = ET.parse(folder / "first.xml").getroot()
+    assert root.findtext(".//dcc:uniqueIdentifier", namespaces=DCC) == answer["number"]
+    assert root.findtext(".//dcc:item//dcc:value", namespaces=DCC) == UNIT
+    rows = run_command("metrics", "--annex-a", UNIT, "--store", "lab", "--json", cwd=folder).json["rows"]
+    values = [each["value"] for row in rows for each in row["results"]]
+    quantities = root.findall(".//dcc:result//dcc:quantity", DCC)
+    assert len(quantities) == len(values)
+    for quantity, value in zip(quantities, values, strict=True):
+        number = float(quantity.findtext("si:real/si:value", namespaces=DCC) or "nan")
+        u = float(quantity.findtext(".//si:valueExpandedMU", namespaces=DCC) or "nan")
+        assert abs(number - value) <= 0.05 * u
+        assert float(quantity.findtext(".//si:coverageFactor", namespaces=DCC) or "nan") >= 2
+
+
+def test_a_new_one_on_the_same_runs_has_to_supersede(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    folder, answer = issued
+    refused = run_command(*ORDERED, "--out", "second.pdf", cwd=folder)
+    assert refused.code == 1
+    assert f"--supersedes {answer['number']}" in refused.out
+    assert not (folder / "second.pdf").exists()
+    unreasoned = run_command(*ORDERED, "--out", "second.pdf", "--supersedes", answer["number"], cwd=folder)
+    assert "--reason" in unreasoned.out
+    more = ("--supersedes", answer["number"], "--reason", "model corrected", "--out", "second.pdf", "--lang", "en")
+    second = run_command(*ORDERED, *more, cwd=folder)
+    assert second.code == 0, second.err
+    code, found = verified(run_command, folder, "first.pdf")
+    assert (code, found["genuine"], found["valid"]) == (1, True, False)
+    assert found["superseded_by"] == second.json["number"]
+    audit = run_command("audit", "--unit", UNIT, "--store", "lab", "--json", cwd=folder).json
+    assert [each["document"]["number"] for each in audit if each["kind"] == "CertificateIssued"] == [
+        answer["number"], second.json["number"],
+    ]  # fmt: skip
+    assert [each["by"] for each in audit if each["kind"] == "CertificateIssued"] == ["Chen Gang"] * 2
+
+
+def test_a_document_without_the_seal_of_the_store_is_no_certificate(issued: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = issued
+    store = Store.open(folder / "lab")
+    with Catalog(store) as catalog:
+        own = read_certificates(store, catalog).issued[0]
+    assert forgery(store, own) is None
+    forged = msgspec.structs.replace(own, number="GYL-2026-9999", uid="f")
+    assert "seal" in str(forgery(store, forged))
+    assert forgery(store, sealed(store, forged)) is None
+    assert "another store" in str(forgery(store, msgspec.structs.replace(own, store="5e")))
+    assert isinstance(own, CertificateIssued)
+
+
+def key(folder: Path) -> tuple[Path, Path]:
+    """A key with its certificate as PKCS #12 (passphrase ``open``), and the certificate as PEM."""
+    private = rsa.generate_private_key(public_exponent=65537, key_size=2048)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "Gyro Calibration Laboratory")])
+    now = dt.datetime.now(dt.UTC)
+    usage = x509.KeyUsage(
+        digital_signature=True, content_commitment=True, key_encipherment=False, data_encipherment=False,
+        key_agreement=False, key_cert_sign=False, crl_sign=False, encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+    certificate = (
+        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(private.public_key())
+        .serial_number(1).not_valid_before(now - dt.timedelta(days=1)).not_valid_after(now + dt.timedelta(days=30))
+        .add_extension(usage, critical=True).sign(private, hashes.SHA256())
+    )  # fmt: skip
+    content = pkcs12.serialize_key_and_certificates(
+        b"lab", private, certificate, None, serialization.BestAvailableEncryption(b"open")
+    )
+    (folder / "key.p12").write_bytes(content)
+    (folder / "root.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    return folder / "key.p12", folder / "root.pem"
+
+
+def test_a_signature_holds_until_a_byte_is_changed(issued: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    pdf = (issued[0] / "first.pdf").read_bytes()
+    private, root = key(tmp_path)
+    assert check_signature(pdf, None) is None
+    with pytest.raises(BadInput, match="another passphrase"):
+        sign(pdf, private, "wrong", reason="issue")
+    signed = sign(pdf, private, "open", reason="issue")
+    found = check_signature(signed, root)
+    assert found is not None
+    assert (found.intact, found.trusted) == (True, True)
+    assert "Gyro Calibration Laboratory" in found.by
+    stranger = check_signature(signed, None)
+    assert stranger is not None
+    assert (stranger.intact, stranger.trusted) == (True, False)
+    changed = bytearray(signed)
+    changed[len(pdf) // 2] ^= 1
+    found = check_signature(bytes(changed), root)
+    assert found is None or not found.intact
