@@ -86,6 +86,8 @@ def _add_commands() -> None:
     """Add the commands of all packages, in the order of use."""
     from analytics.commands.alert import alert
     from analytics.commands.allan import allan
+    from analytics.commands.audit import audit
+    from analytics.commands.certificate import certificate
     from analytics.commands.compensate import compensate
     from analytics.commands.demo import demo
     from analytics.commands.diagnose import diagnose
@@ -116,6 +118,7 @@ def _add_commands() -> None:
     main.add_section("Bring data in", demo, import_files, can, procedure, run, control, simulate, run_simulated, check)
     main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
+    main.add_section("Certify", certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover)

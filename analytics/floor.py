@@ -37,6 +37,7 @@ OfUnit = (
     UnitMounted | StepStarted | StepEnded | PowerOn | PowerOff | UnitReleased | EstimatePublished | EarlyDecision
     | VerdictGiven
 )  # fmt: skip
+OfRun = OfUnit | RunEnded | StationStated | LimitsApplied
 _DECIDED = (Verdict.PASS, Verdict.FAIL)
 parsed_key = lru_cache(100_000)(parse_key)
 
@@ -60,6 +61,7 @@ class RunNow:
     time_zone: str | None = None  # IANA name
     temperature_command_deg_c: float | None = None  # of the step at work
     limits: dict[str | None, tuple[Limit, ...]] = field(default_factory=dict)
+    tested: frozenset[str] = frozenset()  # empty where the run does not name its units
 
 
 @dataclass(slots=True)
@@ -82,6 +84,11 @@ class UnitNow:
     decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
     estimates: dict[tuple[str, str], EstimatePublished] = field(default_factory=dict)
     temperatures: dict[str, RawBatch] = field(default_factory=dict)  # the newest message by signal
+
+    @property
+    def is_instrument(self) -> bool:
+        """Whether it is an instrument of the station, such as the chamber, and not a unit under test."""
+        return bool(self.run.tested) and self.unit not in self.run.tested
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -156,6 +163,7 @@ class Floor:
         self.gone: list[int] = []
         self.changed_runs: set[str] = set()
         self.entered: Counter[str] = Counter()
+        self._over: set[str] = set()  # runs that have left the floor
         self._numbered = 0
 
     def take_message(self, message: FollowedMessage) -> AnyDocument | None:
@@ -167,7 +175,7 @@ class Floor:
         if isinstance(content, RawBatch):
             assert isinstance(key, SampleKey)
             self.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
-            if key.signal.endswith("temperature"):
+            if key.signal.endswith("temperature") and key.unit in self.units:
                 self.units[key.unit].temperatures[key.signal] = content
             return None
         self.take(key.place, content, arrival_ns)
@@ -177,10 +185,14 @@ class Floor:
         """Apply a document."""
         match document:
             case RunStarted():
+                self._over.discard(document.run)
                 self._start(place, document, arrival_ns)
             case RunResumed():
+                self._over.discard(document.run)
                 run = self._run(document.run, place, arrival_ns)
                 run.resumptions, run.outcome = run.resumptions + 1, "open"
+            case _ if document.run in self._over and isinstance(document, OfRun):
+                pass  # final estimates and verdicts come after the end, perhaps when the next run has begun
             case RunEnded():
                 self._run(document.run, place, arrival_ns).outcome = document.outcome
                 for unit in self._of_run(document.run):
@@ -224,6 +236,8 @@ class Floor:
 
     def sampled(self, place: Place, unit: str, run: str, t_ns: int, arrival_ns: int) -> None:
         """Take note of a unit's last sample; that alone is no change."""
+        if run in self._over:
+            return
         found = self.units.get(unit)
         if found is None or found.run.run != run:
             found = self._unit(place, unit, run, arrival_ns)
@@ -253,6 +267,7 @@ class Floor:
         run.procedure, run.operator, run.lot = document.procedure, document.operator, document.lot
         run.started_ns, run.date_known, run.outcome = document.t_ns, document.date_known, "open"
         run.time_zone = document.details.get("time_zone")
+        run.tested = frozenset(document.units)
         for unit in document.units:
             self._unit(place, unit, document.run, arrival_ns)
 
@@ -273,6 +288,7 @@ class Floor:
             self.gone.append(unit.number)
             self.changed.discard(unit.unit)
             self.fresh.discard(unit.unit)
+        self._over |= over
         for name in over:
             del self.runs[name]
             self.changed_runs.discard(name)

@@ -36,6 +36,7 @@ _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
+    **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),

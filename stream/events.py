@@ -6,40 +6,26 @@ source's clock. A document is identified by its ``uid``: sent twice, it is the s
 
 from enum import StrEnum
 from typing import Annotated, Any
-from uuid import uuid4
 
 import msgspec
 
+from stream.document import Document as Document
+from stream.document import Moment as Moment
+from stream.document import Verdict as Verdict
+from stream.document import new_uid as new_uid
 from stream.errors import NewerSchema, WireError
+from stream.store_events import RAW_ROWS_DROPPED as RAW_ROWS_DROPPED
+from stream.store_events import RAW_ROWS_RESTORED as RAW_ROWS_RESTORED
+from stream.store_events import AlertAcknowledged as AlertAcknowledged
+from stream.store_events import AlertCleared as AlertCleared
+from stream.store_events import AlertRaised as AlertRaised
+from stream.store_events import AlertSent as AlertSent
+from stream.store_events import CertificateIssued as CertificateIssued
+from stream.store_events import SpecificationAction as SpecificationAction
+from stream.store_events import SpecificationEntered as SpecificationEntered
+from stream.store_events import StoreNoted as StoreNoted
 
 EVENT_SCHEMA = 1
-RAW_ROWS_DROPPED = "raw_rows_dropped"  # `what` of a StoreNoted: raw rows that the lake no longer has
-RAW_ROWS_RESTORED = "raw_rows_restored"  # and: raw rows that were restored, with the documents that this cancels
-
-Moment = Annotated[int, msgspec.Meta(ge=-(2**63) + 1, le=2**63 - 1)]
-
-
-class Verdict(StrEnum):
-    """Outcome of a check, a unit or a run."""
-
-    PASS = "PASS"  # noqa: S105  not a password
-    FAIL = "FAIL"
-    MARGINAL = "MARGINAL"
-    NO_DATA = "NO_DATA"
-    ABORTED = "ABORTED"
-
-
-def new_uid() -> str:
-    """A new identity of a document."""
-    return uuid4().hex
-
-
-class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit_defaults=True):
-    """Base class of documents: their run, their time on the source's clock, and their identity."""
-
-    run: str
-    t_ns: Moment
-    uid: str = msgspec.field(default_factory=new_uid)
 
 
 class RunStarted(Document, frozen=True, kw_only=True, tag=True):
@@ -52,7 +38,7 @@ class RunStarted(Document, frozen=True, kw_only=True, tag=True):
     procedure: str | None = None
     operator: str | None = None
     lot: str | None = None
-    details: dict[str, str] = {}
+    details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class StepWords(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -128,7 +114,7 @@ class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
     fixture: str | None = None
     operator: str | None = None
     firmware: str | None = None
-    details: dict[str, str] = {}
+    details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
@@ -142,7 +128,7 @@ class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
 class StationStated(Document, frozen=True, kw_only=True, tag=True):
     """Later details of the station of a run, in the words of the details of its `RunStarted`; the last one counts."""
 
-    details: dict[str, str] = {}
+    details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
@@ -160,37 +146,6 @@ class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
     lower: float | None = None
     upper: float | None = None
     note: str = ""
-
-
-class SpecificationAction(StrEnum):
-    """Change that a document makes to the product specifications of a store."""
-
-    ADDED = "added"
-    REVISED = "revised"
-    WITHDRAWN = "withdrawn"
-    SETTLED = "settled"  # a person accepts that documents before it are lost
-
-
-class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
-    """A revision of a product specification is added or withdrawn, or a loss accepted; `run` is empty.
-
-    `content` is the TOML, empty where it is withdrawn. `previous` is the SHA-256 of the specification document before
-    it in the store, empty in the first. `rejudges` says whether earlier records are judged again; `settles` are hashes
-    of documents at which the chain is broken, which a person accepts. Recorders of several stores may share one bus:
-    `store` is the identity of its store, `seal` the seal.
-    """
-
-    action: SpecificationAction
-    name: str
-    revision: str
-    content: str = ""
-    by: str
-    reason: str = ""
-    previous: str = ""
-    rejudges: bool = False
-    settles: tuple[str, ...] = ()
-    store: str = ""
-    seal: str = ""
 
 
 class Limit(msgspec.Struct, frozen=True, kw_only=True):
@@ -412,50 +367,6 @@ class RunResumed(Document, frozen=True, kw_only=True, tag=True):
     reason: str = ""
 
 
-class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
-    """An event of a store, in one word, in a sentence, and in numbers.
-
-    `run` is empty. The details name the store, since recorders of several may share one bus.
-    """
-
-    what: str
-    text: str
-    details: dict[str, Any] = {}
-
-
-class AlertRaised(Document, frozen=True, kw_only=True, tag=True):
-    """A condition that somebody is told of; its `uid` names the alert."""
-
-    rule: str
-    severity: str
-    subject: str
-    text: str
-    text_zh: str = ""
-    unit: str | None = None
-
-
-class AlertCleared(Document, frozen=True, kw_only=True, tag=True):
-    """The condition of an alert has passed."""
-
-    alert: str
-
-
-class AlertSent(Document, frozen=True, kw_only=True, tag=True):
-    """A target has taken the message of an alert."""
-
-    alert: str
-    target: str
-    attempts: int = 1
-
-
-class AlertAcknowledged(Document, frozen=True, kw_only=True, tag=True):
-    """A person has taken note of an alert."""
-
-    alert: str
-    by: str
-    note: str = ""
-
-
 class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
     """Total number of samples of one signal and epoch."""
 
@@ -479,9 +390,10 @@ class RunEnded(Document, frozen=True, kw_only=True, tag=True):
 
 AnyDocument = (
     RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitReleased | UnitMounted | NoteAdded | StationStated
-    | CheckEntered | SpecificationEntered | LimitsApplied | EstimatePublished | NoiseFitted | SpectralLinesFound
-    | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched | RunResumed | StoreNoted
-    | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged | RunCommandGiven | RunCommandAnswered
+    | CheckEntered | SpecificationEntered | CertificateIssued | LimitsApplied | EstimatePublished | NoiseFitted
+    | SpectralLinesFound | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched
+    | RunResumed | StoreNoted | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged | RunCommandGiven
+    | RunCommandAnswered
 )  # fmt: skip
 
 

@@ -40,7 +40,7 @@ _KNOWN = {
     "deg/s^2": _Known("angular acceleration"), "T": _Known("magnetic flux density", 1e6),
     "uT": _Known("magnetic flux density"), "nT": _Known("magnetic flux density", 1e-3),
     "Pa": _Known("pressure"), "hPa": _Known("pressure", 100.0),
-    "deg": _Known("angle"), "arcsec": _Known("angle", 1 / 3600),
+    "deg": _Known("angle"), "rad": _Known("angle", math.degrees(1.0)), "arcsec": _Known("angle", 1 / 3600),
     "g_0": _Known("acceleration", 9.80665), "m/s^2": _Known("acceleration"),
     "1": _Known("ratio"), "count": _Known("count"), "percent": _Known("share"), "ppm": _Known("share", 1e-4),
     "deg/(h)**0.5": _Known("angle random walk"),

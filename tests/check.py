@@ -1,9 +1,9 @@
 """Every gate, from nothing but Python 3.11: ``python3 tests/check.py``.
 
-Makes ``.venv-check`` and installs there the wheel that it builds, as users do. Runs ruff, mypy and import-linter on the
-checkout, builds the documentation, and runs pytest beside nothing of the checkout but its tests and documents, so that
-only the wheel can be imported. With ``--all``, the long forms of the tests run as well, and some against the lowest
-versions of the libraries. The folders ``.venv-*`` may be deleted.
+Makes ``.venv-check`` and installs there the wheel that it builds, as users do. Runs ruff, and pytest beside nothing of
+the checkout but its tests and documents, so that only the wheel can be imported; mypy, import-linter and the build of
+the documentation run while tests wait. With ``--all``, the long forms of the tests run as well, and some against the
+lowest versions of the libraries. The folders ``.venv-*`` may be deleted.
 """
 
 import argparse
@@ -14,8 +14,10 @@ import sys
 import tempfile
 import tomllib
 import venv
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import IO
 
 ROOT = Path(__file__).resolve().parents[1]
 # what touches each library, run against the lowest versions that pyproject.toml allows
@@ -30,36 +32,65 @@ LOWEST = (
 )
 # more than there are processors: many tests wait for processes of their own
 PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 2), "--dist", "worksteal")
+PACKAGES = ("--pyargs", "stream", "storage", "ingest", "analytics")
+
+Command = Sequence[str | Path]
 
 
 def run(*command: str | Path, cwd: Path = ROOT) -> None:
     print(f"\n$ {' '.join(str(part) for part in command)}", flush=True)
+    if (code := exit_code(command, cwd=cwd)) != 0:
+        sys.exit(f"failed with exit code {code}: {' '.join(str(part) for part in command)}")
+
+
+def exit_code(command: Command, *, cwd: Path = ROOT, output: IO[str] | int | None = None) -> int:
     # tests start hundreds of processes, each of which would compile the project anew
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     # more tests run than there are processors: threads of the linear algebra would only wait for each other
     for library in ("OPENBLAS", "OMP"):
         env.setdefault(f"{library}_NUM_THREADS", "1")
-    code = subprocess.run([str(part) for part in command], cwd=cwd, env=env, check=False).returncode
-    if code != 0:
-        sys.exit(f"failed with exit code {code}: {' '.join(str(part) for part in command)}")
+    words = [str(part) for part in command]
+    return subprocess.run(words, cwd=cwd, env=env, stdout=output, stderr=output, check=False).returncode
 
 
 def environment(folder: Path) -> Path:
-    """A virtual environment; its folder of programs."""
-    if not (folder / "bin" / "python").exists():
+    """A virtual environment with uv and without the project; its folder of programs."""
+    bin_ = folder / "bin"
+    pip = (bin_ / "python", "-m", "pip")
+    if not (bin_ / "uv").exists():
         print(f"making {folder}", flush=True)
         venv.create(folder, with_pip=True, clear=True)
-    return folder / "bin"
+        run(*pip, "install", "--quiet", "uv")
+    if (bin_ / "gyrofleet").exists():
+        run(*pip, "uninstall", "--quiet", "--yes", "gyrofleet")
+    return bin_
+
+
+def with_uv_or_pip(uv: Command, pip: Command) -> None:
+    """Run a command of uv, which takes a sixth of pip's time; that of pip where only pip knows the registry."""
+    print(f"\n$ {' '.join(map(str, uv))}", flush=True)
+    if exit_code(uv) != 0:
+        run(*pip)
 
 
 def install(bin_: Path, *what: str | Path) -> None:
-    """Install into an environment with uv, in a sixth of pip's time; with pip where only that knows the registry."""
-    pip = (bin_ / "python", "-m", "pip", "install", "--quiet")
-    run(*pip, "uv")
-    with_uv = [bin_ / "uv", "pip", "install", "--quiet", "--python", bin_ / "python", *what]
-    print(f"\n$ {' '.join(map(str, with_uv))}", flush=True)
-    if subprocess.run(with_uv, cwd=ROOT, check=False).returncode != 0:
-        run(*pip, *what)
+    """Install into an environment."""
+    python = bin_ / "python"
+    with_uv_or_pip(
+        (bin_ / "uv", "pip", "install", "--quiet", "--python", python, *what),
+        (python, "-m", "pip", "install", "--quiet", *what),
+    )
+
+
+def build_wheel(bin_: Path, folder: Path) -> Path:
+    """The wheel of the checkout."""
+    python = bin_ / "python"
+    with_uv_or_pip(
+        (bin_ / "uv", "build", "--quiet", "--wheel", "--python", python, "--out-dir", folder, ROOT),
+        (python, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT),
+    )
+    (wheel,) = folder.glob("*.whl")
+    return wheel
 
 
 def development_requirements() -> list[str]:
@@ -69,14 +100,14 @@ def development_requirements() -> list[str]:
     return [requirement for requirement in group if not requirement.startswith("gyrofleet")]
 
 
-def check_sources(bin_: Path, log: Path) -> int:
-    """Everything that reads the checkout; its output goes to a file, since the documentation is built meanwhile."""
+def check_meanwhile(log: Path, *commands: Command) -> int:
+    """Run commands one after the other in the time that others leave; their output goes to a file."""
     with log.open("w") as file:
-        for command in (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",), ("lint-imports",)):
-            file.write(f"\n$ {' '.join(command)}\n")
+        for command in commands:
+            file.write(f"\n$ {' '.join(map(str, command))}\n")
             file.flush()
-            words = [str(bin_ / command[0]), *command[1:]]
-            if code := subprocess.run(words, cwd=ROOT, stdout=file, stderr=file, check=False).returncode:
+            if code := exit_code(("nice", "-n", "10", *command), output=file):
+                file.write(f"failed with exit code {code}\n")
                 return code
     return 0
 
@@ -104,26 +135,31 @@ def main() -> None:
     if sys.version_info < (3, 11):
         sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     bin_ = environment(ROOT / ".venv-check")
-    with tempfile.TemporaryDirectory() as temporary:
+    with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor() as pool:
         there = Path(temporary)
-        install(bin_, "build")
-        run(bin_ / "python", "-m", "build", "--wheel", "--outdir", there / "dist", ".")
-        (wheel,) = (there / "dist").glob("*.whl")
-        run(bin_ / "python", "-m", "pip", "uninstall", "--quiet", "--yes", "gyrofleet")
+        wheel = build_wheel(bin_, there / "dist")
         install(bin_, f"{wheel}[test]", *development_requirements())
-        with ThreadPoolExecutor() as pool:
-            sources = pool.submit(check_sources, bin_, there / "sources.txt")
-            # runs the notebook; a warning, as of a link that leads nowhere, fails
-            run(bin_ / "sphinx-build", "-q", "-W", "--keep-going", "docs", "docs/_build/html")
-            project = beside_the_wheel(there)
-            # once, else each of the parallel processes would compile them
-            run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
-            code = sources.result()
-        print((there / "sources.txt").read_text(), flush=True)
-        if code != 0:
-            sys.exit(f"failed with exit code {code}")
-        packages = ("--pyargs", "stream", "storage", "ingest", "analytics")
-        run(bin_ / "python", "-m", "pytest", *PARALLEL, *chosen, "tests", *packages, cwd=project)
+        run(bin_ / "ruff", "check", ".")
+        run(bin_ / "ruff", "format", "--check", ".")
+        logs = [there / "sources.txt", there / "documents.txt"]
+        meanwhile = [pool.submit(check_meanwhile, logs[0], (bin_ / "mypy",), (bin_ / "lint-imports",))]
+        project = beside_the_wheel(there)
+        pytest = (bin_ / "python", "-m", "pytest")
+        # once, else each of the parallel processes would compile the tests and what they call
+        collecting = (*pytest, "--collect-only", "tests", *PACKAGES)
+        collected = pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)
+        run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
+        collected.result()
+        # runs the notebook; a warning, as of a link that leads nowhere, fails
+        sphinx = (bin_ / "sphinx-build", "-q", "-W", "--keep-going", "docs", "docs/_build/html")
+        meanwhile.append(pool.submit(check_meanwhile, logs[1], sphinx))
+        testing = (*pytest, *PARALLEL, *chosen, "tests", *PACKAGES)
+        print(f"\n$ {' '.join(map(str, testing))}", flush=True)
+        codes = [exit_code(testing, cwd=project), *(each.result() for each in meanwhile)]
+        for log in logs:
+            print(log.read_text(), flush=True)
+        if any(codes):
+            sys.exit("failed: see above")
     if everything:
         lowest = environment(ROOT / ".venv-lowest")
         install(lowest, "--resolution", "lowest-direct", "--editable", ".[test]")

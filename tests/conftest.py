@@ -1,5 +1,6 @@
 """Fixtures for all tests: the measured recordings, and the command line as a user runs it."""
 
+import gc
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ from hypothesis import settings
 
 from tests import free_ports as ports
 from tests.forked_commands import CommandServer
+from tests.longest_first import longest_first
 
 # machines are loaded while tests run
 settings.register_profile("gyrofleet", deadline=None)
@@ -25,13 +27,29 @@ os.environ.pop("COLUMNS", None)
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
-@pytest.hookimpl(tryfirst=True)  # before `-m "not long"` is applied
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test with the mark `in_gate(*ids)`, mark the parameters of other ids as long."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """While thousands of tests are collected nothing becomes garbage; what is made then is not looked at again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
+    """Of a test with the mark `in_gate(*ids)`, mark the parameters of other ids as long; order those of the run."""
     for item in items:
         mark = item.get_closest_marker("in_gate")
         if mark is not None and isinstance(item, pytest.Function) and item.callspec.id not in mark.args:
             item.add_marker("long")
+    yield  # `-m "not long"` is applied
+    worker = getattr(config, "workerinput", None)
+    if worker is not None:
+        order = longest_first([item.nodeid for item in items], worker["workercount"])
+        items[:] = [items[place] for place in order]
 
 
 @pytest.fixture(scope="session")

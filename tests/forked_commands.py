@@ -49,16 +49,7 @@ _WANTED = (
 
 
 class CommandServer:
-    """Starts commands of the program in forked processes.
-
-    Examples
-    --------
-    >>> with CommandServer() as server:
-    ...     done = server.start(["--version"], stdout=subprocess.PIPE)
-    ...     out, _ = done.communicate(timeout=60)
-    >>> done.returncode, out.startswith("gyrofleet")
-    (0, True)
-    """
+    """Starts commands of the program in forked processes; a context."""
 
     def __enter__(self) -> "CommandServer":
         # a process whose parent has ended becomes a child of this one, and is waited for here

@@ -15,7 +15,7 @@ from stream.errors import BadInput
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from analytics.evaluation.annex_a import AnnexRow
+    from analytics.evaluation.inner_page import InnerRow
     from storage.sql.catalog import Catalog
 
 _SHOWN_ROWS = 500
@@ -65,7 +65,7 @@ def metrics(
     gyrofleet metrics --standard GJB2426A --since 2026-11-01 --xlsx november.xlsx
     gyrofleet metrics --annex-a FOG-0231 --lang zh
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from analytics.evaluation.annex_a import annex_a
+    from analytics.evaluation.inner_page import inner_page
     from analytics.evaluation.selection import Selection, dated, selected, undated_runs, unused_steps
     from analytics.evaluation.table import metrics_table, write_csv, write_xlsx
 
@@ -74,7 +74,7 @@ def metrics(
     asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
     with opened_catalog(folder, quiet=as_json) as catalog:
         if annex_unit is not None:
-            _print_annex(annex_a(catalog, annex_unit), annex_unit, language, as_json=as_json)
+            _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
             return
         rows = selected(catalog, asked)
         undated = undated_runs(catalog, asked) if since else 0
@@ -114,7 +114,7 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
             yield catalog
 
 
-def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json: bool) -> None:
+def _print_annex(rows: "Sequence[InnerRow]", unit: str, language: str, *, as_json: bool) -> None:
     from analytics.evaluation.table import format_parameters, format_value, interval_of
 
     if as_json:

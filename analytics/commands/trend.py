@@ -136,7 +136,7 @@ def _chart_table(found: "Trend", language: str) -> ResultTable:
             cells = [centre, f"{limits.sigma:.3g}", lower, upper]
         met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
         state = _STATES[language][chart.in_control]
-        name = chart.name or {"en": "all units", "zh": "全部样品"}[language]
+        name = chart.name or {"en": "all units", "zh": "全部产品"}[language]
         table.add_row(name, str(chart.series.value.size), *cells, state, met)
     if len(order) > _SHOWN_ROWS:
         table.caption = f"{len(order) - _SHOWN_ROWS} more; --json has all"

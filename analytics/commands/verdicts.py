@@ -97,11 +97,13 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
 
 
 def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
+    from analytics.evaluation.table import reason_of
+
     counted_as = ("passed", "failed", "marginal", "no data")
     table = _table(("unit", "product", "lot", "verdict", "latest", *counted_as, "reason"), language)
     for row in units:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
-        why = _reasons_text(row, language) or row["reason"] or ""
+        why = _reasons_text(row, language) or (reason_of(row, language) if row["reason"] else "")
         table.add_row(
             row["unit"], row["product"], row["lot"], _coloured(row["verdict"], language),
             _coloured(row["latest_verdict"], language), *counts, why,
@@ -120,7 +122,7 @@ def _reasons_text(row: dict[str, Any], language: str) -> str:
 
 
 def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
-    from analytics.evaluation.table import format_limits, format_number, format_parameters
+    from analytics.evaluation.table import format_limits, format_number, format_parameters, reason_of
     from stream.quantities import format_unit
 
     table = _table(
@@ -142,7 +144,7 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
             _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
             f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
-            row["reason"] or "",
+            reason_of(row, language) if row["reason"] else "",
         )  # fmt: skip
     return table
 

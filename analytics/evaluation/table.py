@@ -10,6 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.selection import Row, clauses_of
 from analytics.metric_registry.registry import metrics
 from storage.specifications.specification import format_parameter
@@ -105,13 +106,18 @@ def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
             table.add_row(
                 name_of(row["metric"], language),
                 row["signal"] or "",
-                styled(str(row["reason"]), "yellow") if row["value"] is None else format_value(row),
+                styled(reason_of(row, language), "yellow") if row["value"] is None else format_value(row),
                 interval_of(row),
                 "" if row["n"] is None else f"{row['n']:,}",
                 format_parameters(row["parameters"]),
                 "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items()),
             )
     return table
+
+
+def reason_of(row: Row, language: str) -> str:
+    """Why a value is missing, in ``en`` or ``zh``."""
+    return in_chinese(str(row["reason"])) if language == "zh" else str(row["reason"])
 
 
 def format_value(row: Row) -> str:

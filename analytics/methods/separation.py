@@ -36,6 +36,8 @@ class AccelerometerReading(NamedTuple):
 
     beta_deg: float
     output: float
+    standard_uncertainty: float = math.nan  # of the output, with its degrees of freedom
+    freedom: float = math.nan
 
 
 class Angle(NamedTuple):
@@ -51,12 +53,13 @@ class Separation(NamedTuple):
     """The separated angles."""
 
     # by name: of a gyro ``y0``, ``x0`` (table), ``y1`` (fixture), ``y2``, ``z2`` (the gyro's own); of an accelerometer
-    # ``y2``, ``z2``
+    # ``y2``, ``z2`` and ``twice_beta``
     angles: dict[str, Angle]
     gamma: Angle  # hypot(y2, z2): the misalignment of the input axis. Its bounds are not below 0
     offset: float  # output at rest, V0; where each position has its own, their mean
     rms: float  # root of the mean square of the residuals, in the output's unit
-    freedom: int  # readings less unknowns; 0 leaves no standard errors (NaN)
+    # of the standard errors: readings less unknowns, or those of the readings' own uncertainties; 0 leaves none (NaN)
+    freedom: float
 
 
 def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Separation:
@@ -93,22 +96,30 @@ def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_fac
 
     `readings`: at 0, 90, 180 and 270 degrees, any number of repeats. `scale_factor`: output per g.
 
-    V = V0 + k (y0 + z2 sin(beta) - y2 cos(beta)); V0 and the plumb line's error y0 stay together in `offset`. Closed
-    forms: y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k. Erratum: the paper's mean gamma of 21.5 arcsec should
-    read 21.1.
+    V = V0 + k (y0 + z2 sin(beta) - y2 cos(beta) + c cos(2 beta)); V0 and the plumb line's error y0 stay together in
+    `offset`. Closed forms: y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k, and
+    c = (V(0) + V(180) - V(90) - V(270))/4k, ``twice_beta``, which the paper's model lacks: 13.1 to 13.5 arcsec in its
+    table 2, of a surface that is not flat or an axis that is not round. It leaves y2 and z2 as they are, and would
+    otherwise count as their error. Of one tumble the standard errors are those of the readings' own uncertainties; of
+    several, of their scatter, if it is larger. Erratum: the paper's mean gamma of 21.5 arcsec should read 21.1.
 
     >>> outputs = {0: -0.001845, 180: -0.001911, 90: -0.001912, 270: -0.002175}
     >>> found = accelerometer_separation([AccelerometerReading(*each) for each in outputs.items()], 1.299)
-    >>> round(found.angles["y2"].value, 1), round(found.angles["z2"].value, 1), round(found.gamma.value, 1)
-    (-5.2, 20.9, 21.5)
+    >>> [round(found.angles[name].value, 1) for name in ("y2", "z2", "twice_beta")], round(found.gamma.value, 1)
+    ([-5.2, 20.9, 13.1], 21.5)
     """
-    beta, output = np.array(readings, dtype=np.float64).T
+    beta, output, u, freedom = np.array(readings, dtype=np.float64).T
     beta = np.radians(beta)
-    design = np.stack([-scale_factor * np.cos(beta), scale_factor * np.sin(beta)], axis=1)
-    return _separated(np.ones((len(beta), 1)), design, output, ["y2", "z2"], "accelerometer separation")
+    along = [-np.cos(beta), np.sin(beta), np.cos(2 * beta)]
+    design = scale_factor * np.stack(along, axis=1)
+    names = ["y2", "z2", "twice_beta"]
+    return _separated(np.ones((len(beta), 1)), design, output, names, "accelerometer separation", u, freedom)
 
 
-def _separated(offsets: FloatArray, columns: FloatArray, output: FloatArray, names: list[str], what: str) -> Separation:
+def _separated(
+    offsets: FloatArray, columns: FloatArray, output: FloatArray, names: list[str], what: str,
+    u: FloatArray | None = None, freedoms: FloatArray | None = None,
+) -> Separation:  # fmt: skip
     design, constants = np.concatenate([offsets, columns], axis=1), offsets.shape[1]
     size = np.sqrt((design * design).sum(axis=0))
     rank = int(np.linalg.matrix_rank(design / np.where(size > 0, size, 1.0), tol=1e-6))
@@ -120,9 +131,15 @@ def _separated(offsets: FloatArray, columns: FloatArray, output: FloatArray, nam
     scaled = design / size
     solved, *_ = np.linalg.lstsq(scaled, output, rcond=None)
     residual = output - scaled @ solved
-    freedom = len(output) - design.shape[1]
-    variance = float(residual @ residual) / freedom if freedom else math.nan
-    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(size, size)
+    spare = len(output) - design.shape[1]
+    variance = float(residual @ residual) / spare if spare else math.nan
+    covariance, freedom = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(size, size), float(spare)
+    if u is not None and freedoms is not None and np.isfinite(u).all():
+        weights = np.linalg.pinv(scaled) / size[:, np.newaxis]
+        own = (weights * u**2) @ weights.T
+        if not np.trace(own[constants:, constants:]) < np.trace(covariance[constants:, constants:]):
+            fourth = float((u**4 / np.maximum(np.nan_to_num(freedoms, nan=1.0), 1.0)).sum())
+            covariance, freedom = own, float((u**2).sum()) ** 2 / fourth if fourth > 0 else 1e9
     coefficients = solved / size
     t = float(student_quantile((1 + CONFIDENCE) / 2, freedom)) if freedom else math.nan
     errors = np.sqrt(np.diag(covariance))
@@ -150,7 +167,7 @@ def gyro_rows(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
 
 
 def accelerometer_rows(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
-    """Rows of the metric: y2, z2 and gamma."""
+    """Rows of the metric: y2, z2, twice_beta and gamma."""
     return _rows(catalog, sql, ("beta0", "beta90", "beta180", "beta270"), _of_accelerometer)
 
 
@@ -180,7 +197,13 @@ def _of_accelerometer(steps: _Steps, _: Sequence[str]) -> Separation:
             how = "give the nominal one of the product, per g, or import the output in g_0"
             raise BadInput(f"no scale factor for an output in {measure}: {how}") from error
         per_g = float(step["per_g"])
-    return accelerometer_separation([AccelerometerReading(each["beta"], each["output"]) for each in steps], per_g)
+    readings = [
+        AccelerometerReading(
+            each["beta"], each["output"], *(math.nan if each[name] is None else each[name] for name in ("u", "freedom"))
+        )
+        for each in steps
+    ]
+    return accelerometer_separation(readings, per_g)
 
 
 def _rows(
@@ -202,4 +225,4 @@ def _rows(
             continue
         words["rms"] = float(f"{found.rms:.4g}")
         for name, angle in (found.angles | {"gamma": found.gamma}).items():
-            yield common | angle._asdict() | {"freedom": float(found.freedom), "parameters": {"angle": name} | words}
+            yield common | angle._asdict() | {"freedom": found.freedom, "parameters": {"angle": name} | words}

@@ -10,9 +10,11 @@
 -- limits:    given
 -- equation:  y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k, gamma = hypot(y2, z2)
 -- python:    analytics.methods.separation:accelerometer_rows
+-- Beside them what the paper's model lacks: twice_beta = (V(0) + V(180) - V(90) - V(270))/4k, a term in twice the angle.
 -- k of an output in V is the nominal scale_factor of the product, which for a unit without a gyro is taken per g.
 with gyro as (select distinct run, unit from internal.gyro_steps)
-select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean as output, s.unit_of_measure, s.gravity_m_per_s2,
+select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean as output,
+  s.standard_uncertainty as u, s.freedom, s.unit_of_measure, s.gravity_m_per_s2,
   regexp_extract(s.position, '^beta(-?[0-9.]+)$', 1)::double as beta,
   case when g.unit is null then p.scale_factor end as per_g,
   case when g.unit is null and p.scale_factor is not null then 'nominal of product ' || s.product

@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from functools import lru_cache
+from pathlib import Path
 
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findSystemFonts, fontManager, get_font
@@ -34,6 +35,12 @@ def chinese_font() -> str | None:
 def _first_installed() -> str | None:
     installed = {entry.name for entry in fontManager.ttflist}
     return next((name for name in _CHINESE_FONTS if name in installed), None)
+
+
+def chinese_font_file() -> tuple[str, Path] | None:
+    """Name and file of the installed font with Chinese characters, None where there is none."""
+    name = chinese_font()
+    return None if name is None else (name, Path(fontManager.findfont(FontProperties(family=name))))
 
 
 def set_fonts(figure: Figure) -> None:

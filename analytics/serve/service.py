@@ -20,6 +20,7 @@ from analytics.serve.jobs import Jobs
 from analytics.serve.live.broadcast import Broadcast, event
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.live.fresh_views import FreshViews
+from analytics.serve.live.packed import packed
 from analytics.serve.memo import Memo
 from analytics.serve.problems import Stopping
 from analytics.serve.shared_lake import SharedCatalogue, SharedLake
@@ -81,7 +82,7 @@ class Service:
         """Connect the parts with each other."""
         self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state))
         self.changes = Broadcast(self.stopping)
-        self.warming = Warming(self.lake)
+        self.warming = Warming(self.lake, self.live)
 
     @property
     def busy_threads(self) -> int:
@@ -107,7 +108,8 @@ class Service:
 
         def tell(version: int, kind: str, data: bytes) -> None:
             with suppress(RuntimeError):  # the server has ended
-                loop.call_soon_threadsafe(self.changes.send, version, event(kind, f"{self.nonce}-{version}", data))
+                change = event(kind, f"{self.nonce}-{version}", data)
+                loop.call_soon_threadsafe(self.changes.send, version, change, packed(change))
 
         self.live.start(self.lake, tell)
         self.warming.start()

@@ -3,15 +3,16 @@
 import hashlib
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, TypeVar
 
 import msgspec
 
+from analytics.serve.metrics_process import LARGE_SAMPLES, MetricsProcess
 from storage.manifests.lake import MANIFEST, Part, read_manifest
-from storage.sql.catalog import Catalog
+from storage.sql.catalog import Catalog, NotKept
 from storage.store import Store
 from stream.closing import Closing
 
@@ -152,6 +153,7 @@ class SharedLake(Closing):
     def __init__(self, store: Store, entered: Callable[[], str]) -> None:
         self._store, self._entered = store, entered
         self._seen: tuple[tuple[int, int, int], LakeState] | None = None
+        self._process = MetricsProcess(store)
         self.views = SharedCatalogue(self._viewed)
         self.metrics = SharedCatalogue(self._filled)
 
@@ -183,7 +185,14 @@ class SharedLake(Closing):
         return catalog
 
     def _filled(self, state: LakeState) -> Catalog:
-        catalog = Catalog(self._store, parts=state.parts)
+        if sum(part.samples for part in state.parts) >= LARGE_SAMPLES:
+            with suppress(NotKept):
+                return self._opened_filled(state, frozen=True)
+            self._process.run()
+        return self._opened_filled(state, frozen=False)
+
+    def _opened_filled(self, state: LakeState, *, frozen: bool) -> Catalog:
+        catalog = Catalog(self._store, parts=state.parts, frozen=frozen)
         try:
             catalog.fill()
         except BaseException:
@@ -193,5 +202,6 @@ class SharedLake(Closing):
 
     def close(self) -> None:
         """Close all catalogues."""
+        self._process.close()
         self.views.close()
         self.metrics.close()

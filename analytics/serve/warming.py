@@ -2,6 +2,7 @@
 
 import threading
 
+from analytics.serve.live.follower import FloorFollower
 from analytics.serve.shared_lake import SharedLake
 from stream.closing import Closing
 from stream.errors import GyrofleetError
@@ -12,8 +13,8 @@ _LOOK_S = 1.0
 class Warming(Closing):
     """A thread that opens the views of each version of the lake, and its metrics if any page has used them lately."""
 
-    def __init__(self, lake: SharedLake) -> None:
-        self._lake = lake
+    def __init__(self, lake: SharedLake, live: FloorFollower) -> None:
+        self._lake, self._live = lake, live
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True, name="warming")
 
@@ -36,6 +37,7 @@ class Warming(Closing):
                     warm = state.tag
                     with self._lake.views.lease(state):
                         pass
+                    self._live.wait()  # most pages need both, and nobody waits for metrics yet
                     if self._lake.metrics.uses > uses:
                         with self._lake.metrics.lease(state):
                             pass

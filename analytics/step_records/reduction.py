@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from analytics.step_records.integrated_output import is_integrated, rate_statistics
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
@@ -46,7 +47,8 @@ class _EvaluatedSignal(NamedTuple):
         expected = (window[1] - window[0]) / max(self.dt_ns, 1)
         is_slow = self.dt_ns >= SECOND_NS // 2
         is_gridded = not self.irregular or window[1] - window[0] < SHORT_NS
-        return self.kept_raw == self.samples and (is_slow or (expected <= MOST_RAW and is_gridded))
+        is_short = is_slow or is_integrated(self.signal) or (expected <= MOST_RAW and is_gridded)
+        return self.kept_raw == self.samples and is_short
 
 
 def reduce_run(catalog: Catalog, run: str) -> pa.Table:
@@ -54,8 +56,9 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
 
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
     the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over at least
-    `SHORT_NS`, is evaluated from its first to its last whole second of the source's clock. One row of `COLUMNS` for
-    each signal and stretch; `reason` where a stretch holds no sample.
+    `SHORT_NS`, is evaluated from its first to its last whole second of the source's clock; not one of an integrated
+    output, whose record is of its rate. One row of `COLUMNS` for each signal and stretch; `reason` where it holds no
+    sample.
     """
     signals = list(_signals(catalog, run))
     rows: list[dict[str, Any]] = []
@@ -149,7 +152,8 @@ def _reduced(run: str, signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_r
     per_block = 1.0 if is_raw else SECOND_NS / max(signal.dt_ns, 1)
     for window in signal.windows:
         row: dict[str, Any] = {"run": run, "unit": signal.unit, "signal": signal.signal, "n": 0}
-        row |= {"t_from_ns": window[0], "t_to_ns": window[1], "unit_of_measure": signal.unit_of_measure}
+        measure = f"{signal.unit_of_measure}/s" if is_integrated(signal.signal) else signal.unit_of_measure
+        row |= {"t_from_ns": window[0], "t_to_ns": window[1], "unit_of_measure": measure}
         # a block has the time of its beginning: that of the last whole one, whose last sample may be the window's end
         begins = window if is_raw else (window[0], window[1] + signal.dt_ns - SECOND_NS)
         within = slice(0, 0)
@@ -162,11 +166,22 @@ def _reduced(run: str, signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_r
             yield row | {"reason": settled if window[0] <= window[1] else "the step ended before its settle time"}
             continue
         start_ns, n, mean, m2 = blocks
+        if is_integrated(signal.signal):
+            yield row | _of_rate(start_ns[within], n[within], mean[within], signal)
+            continue
         found = series_statistics(
             start_ns[within], n[within], mean[within], m2[within], base_ns=base_ns, samples_per_block=per_block,
             window_ns=begins, step=signal.step,
         )  # fmt: skip
         yield row | _numbers(found)
+
+
+def _of_rate(start_ns: IntArray, n: IntArray, angles: FloatArray, signal: _EvaluatedSignal) -> dict[str, Any]:
+    """Statistics of the rate of an integrated output."""
+    found = rate_statistics(start_ns, angles, signal.unit_of_measure, signal.step)
+    if found is None:
+        return {"reason": "one sample of an angle, of which no rate can be made"}
+    return _numbers(found._replace(n=int(n.sum())))
 
 
 def _numbers(found: SeriesStatistics) -> dict[str, Any]:

@@ -22,7 +22,7 @@ class NotComputed(NamedTuple):
 
 
 NOTHING = Words("", "")
-_GROUPS_ZH = {"station": "测试站", "fixture": "夹具", "lot": "批次", "unit": "样品", "product": "产品"}
+_GROUPS_ZH = {"station": "试验台", "fixture": "夹具", "lot": "批次", "unit": "产品", "product": "产品"}
 
 
 @cache

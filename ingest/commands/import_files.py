@@ -184,7 +184,7 @@ def _stated_place(site: str | None, station: str | None, location: dict[str, Any
     stated = {name: value for name, value in location.items() if value is not None}
     if stated.keys() & {"latitude_deg", "altitude_m"}:
         stated["gravity_m_per_s2"] = None  # measured gravity does not hold at another latitude or altitude
-    return found.place, replace(found.table, **stated).details
+    return found.place, replace(found.table, **stated).details | found.standards_details
 
 
 def _is_can_log(path: Path) -> bool:

@@ -242,7 +242,7 @@ def _limits(asked: ProcedureRun, job: _Job, sources: StationSources | None, fold
 
 def _about(job: _Job, parameters: Mapping[str, str]) -> dict[str, str]:
     chosen = {f"parameter.{name}": str(value) for name, value in job.procedure.chosen(parameters).items()}
-    where = job.station.table.details
+    where = job.station.table.details | job.station.standards_details
     calibrated = {
         f"calibration_due.{name}": options.calibration_due
         for name, (_, options) in job.station.instruments.items()

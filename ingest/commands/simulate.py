@@ -25,21 +25,31 @@ _LEFT_S = 2.0  # for the processes of a killed station to end
 
 @click.command("simulate")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@_defaulted("--units", type=click.IntRange(1, 1000), default=4, help="Gyros, in a new folder.")
+@_defaulted("--units", type=click.IntRange(1, 1000), default=4, help="Units, in a new folder.")
+@_defaulted("--device", type=click.Choice(["gyro", "imu"]), default="gyro", help="What they are, in a new folder.")
 @_defaulted("--speed", type=click.FloatRange(0.01, 1000.0), default=50.0, help="Times real time, in a new folder.")
-@_defaulted("--rate-hz", type=click.FloatRange(0.1, 1000.0), default=10.0, help="Samples a second, in a new folder.")
+@click.option(
+    "--rate-hz", type=click.FloatRange(0.1, 1000.0), help="Samples a second, in a new folder: 10, of an imu 100."
+)
 @_defaulted("--seed", type=click.IntRange(min=0), default=1, help="Seed, in a new folder.")
 @reporting
-def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, *, as_json: bool) -> None:
-    """Simulate a test station: chamber, rate table and supply that speak SCPI, and gyros on a CAN bus.
+def simulate(
+    folder: Path, units: int, device: str, speed: float, rate_hz: float | None, seed: int, *, as_json: bool
+) -> None:
+    """Simulate a test station: chamber, rate table and supply that speak SCPI, and units on a CAN bus.
+
+    A gyro has one axis. An imu (inertial measurement unit) has three gyros and three accelerometers, rate_x to accel_z,
+    and a table that also carries it to the positions of `system_level_asymmetry` and of the attitude units' procedures.
 
     It is used like a real one: `gyrofleet run PROCEDURE --station FOLDER/station.toml --units FOLDER/units.csv`. In a
-    new folder the files of a station are written first; fleet.toml holds the effects planted in the gyros. What was
+    new folder the files of a station are written first; fleet.toml holds the effects planted in them. What was
     drawn for each power-on goes to truth.jsonl, which nothing else reads. Ctrl-C ends it.
     """
-    from ingest.simulator.station_files import STATION, UNITS, read_simulation, write_station
+    from ingest.simulator.station_files import STATION, UNITS, Device, read_simulation, write_station
 
-    write_station(folder, [f"SIM-{i:04d}" for i in range(1, units + 1)], speed=speed, rate_hz=rate_hz, seed=seed)
+    names = [f"SIM-{i:04d}" for i in range(1, units + 1)]
+    rate_hz = rate_hz or (100.0 if device == "imu" else 10.0)
+    write_station(folder, names, speed=speed, rate_hz=rate_hz, seed=seed, device=Device(device))
     simulation = read_simulation(folder)
     with until_stopped() as stop, _locked(folder) as lock:
         processes: list[subprocess.Popen[str]] = []

@@ -13,6 +13,7 @@ import msgspec
 
 from ingest.can.summary import CanCounts, CanSummary
 from ingest.importing.stored import StoredSamples, check_steps
+from ingest.measurement_standards import DETAIL
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow
 from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
@@ -135,9 +136,12 @@ class FileSending:
             stored = self._stated.get(run, {})
             for name, value in self._about.items():
                 if stored.get(name, value) != value:
+                    differs = f"{name} {stored[name]}, now it is {value}"
+                    if name == DETAIL:
+                        differs = "other measurement standards than the station's file states now"
                     raise BadInput(
-                        f"{self.path}: run {run} is stored with {name} {stored[name]}, now it is {value}; what is "
-                        f"stored stays. To correct it, and all values that rest on it, give --restate"
+                        f"{self.path}: run {run} is stored with {differs}; what is stored stays. To correct it, and "
+                        f"all values that rest on it, give --restate"
                     )
 
     def send(self, sender: Sender, progress: Progress | None) -> None:

@@ -9,12 +9,11 @@ import inspect
 import pkgutil
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
-import msgspec
-
+from ingest.measurement_standards import Standard
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
 
@@ -29,12 +28,10 @@ class Reading(NamedTuple):
     value: float
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of every instrument's table in `station.toml`; subclasses add their own."""
+class Options(Standard, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of every instrument's table in `station.toml`, with what is stated of it; subclasses add their own."""
 
     sample_interval_s: float = 1.0  # interval between readings, seconds at the station
-    calibration_due: str | None = None  # day on which its calibration ends, as 2027-03-31
-    serial: str = ""
 
 
 class Instrument(ABC):
@@ -68,6 +65,15 @@ class Instrument(ABC):
     def is_settled(self, what: str) -> bool:  # noqa: ARG002
         """Whether a setting has reached its last value."""
         return True
+
+    @property
+    def positions(self) -> Collection[str]:
+        """Positions, by the names of procedures, to which it carries the units without an operator."""
+        return ()
+
+    def carry(self, position: str) -> None:
+        """Carry the units to a position; returns when they are there."""
+        raise BadInput(f"the {self.names['en']} {self.name} carries no unit to position {position}")
 
     def sample(self) -> list[Reading]:
         """Measure every signal once."""

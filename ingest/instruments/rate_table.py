@@ -1,6 +1,9 @@
 """Single-axis rate table."""
 
+from collections.abc import Collection
 from types import MappingProxyType
+
+import msgspec
 
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
@@ -16,12 +19,15 @@ class RateTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fi
     rate_band_fraction: float = 1e-3  # this fraction of it for `stable_s`
     angle_band_deg: float = 0.01  # a position has settled when it is measured within this of its setting for `stable_s`
     stable_s: float = 2.0
+    # commands by which it carries the units to positions, by the names of procedures; no operator is asked there
+    positions: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class RateTable(ScpiInstrument):
     """Single-axis rate table; settings ``rate`` and ``angle``, signals ``table_rate`` and ``table_angle``.
 
-    Positive is anticlockwise seen from above: the rate vector points upwards. The safe state is at rest.
+    Positive is anticlockwise seen from above: the rate vector points upwards. The safe state is at rest. A table with
+    more axes, or a robot beside it, carries the units to the `positions` of its options.
 
     >>> from ingest.station_clock import StationClock
     >>> options = RateTableOptions(resource="TCPIP::192.168.1.22::5025::SOCKET", max_rate_deg_per_s=200)
@@ -65,6 +71,15 @@ station file allows; nothing was sent
         super().set(what, value)
         # the table either turns or stands at an angle
         self._settling = {what: self._settling[what]}
+
+    @property
+    def positions(self) -> Collection[str]:
+        """Positions to which it carries the units without an operator."""
+        return tuple(self.options.positions)
+
+    def carry(self, position: str) -> None:
+        """Carry the units to a position, and wait until it has answered."""
+        self.connection.command(self.options.positions[position])
 
     def make_safe(self) -> None:
         """Bring it to rest."""

@@ -6,16 +6,17 @@ the course before the time that an answer states does not change any more.
 
 import json
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ingest.simulator.physics.mounting import TableEnvironment
+from ingest.simulator.physics.positions import CarriedEnvironment, mounting_of
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.device import SimulatedDevice
 from ingest.simulator.scpi.electrical import SimulatedSupply
 from ingest.simulator.scpi.tables import SimulatedRateTable, SimulatedVibrationTable
 from ingest.simulator.scpi.timeline import Segment
 from ingest.station_clock import StationClock
+from stream.batch import IntArray
 from stream.errors import InstrumentError
 
 _PATIENCE_S = 5.0
@@ -30,9 +31,9 @@ class SimulatedBench(NamedTuple):
     supply: SimulatedSupply
 
     @classmethod
-    def at(cls, clock: StationClock) -> "SimulatedBench":
-        """New instruments on a clock."""
-        tables = SimulatedRateTable(clock), SimulatedVibrationTable(clock)
+    def at(cls, clock: StationClock, positions: Sequence[str] = ()) -> "SimulatedBench":
+        """New instruments on a clock; the table carries the units to these positions by itself."""
+        tables = SimulatedRateTable(clock, positions=positions), SimulatedVibrationTable(clock)
         return cls(SimulatedChamber(clock), *tables, SimulatedSupply(clock))
 
     @property
@@ -40,12 +41,23 @@ class SimulatedBench(NamedTuple):
         """The instruments by their names in the station's file."""
         return self._asdict()
 
-    def environment(self, latitude_deg: float, position: str) -> TableEnvironment:
-        """Environment of the gyros: both tables turn about the same axis, inside the chamber."""
-        return TableEnvironment(
-            latitude_deg, position, temperature_deg_c=self.chamber.temperature_deg_c,
+    def environment(self, latitude_deg: float, position: str, interval_ns: int = 0) -> CarriedEnvironment:
+        """Environment of the units: both tables turn about the same axis, inside the chamber.
+
+        The units stand in `position` until the table carries them to another. With `interval_ns` values are those of
+        the intervals of this length before the times.
+        """
+        mounting_of(position)
+
+        def positions(t_ns: IntArray) -> tuple[tuple[str, ...], IntArray]:
+            names, which = self.table.positions(t_ns)
+            return tuple(name or position for name in names), which
+
+        return CarriedEnvironment(
+            latitude_deg, positions, temperature_deg_c=self.chamber.temperature_deg_c,
             rate_deg_per_s=lambda t_ns: self.table.rate_deg_per_s(t_ns) + self.vibration.rate_deg_per_s(t_ns),
             angle_deg=lambda t_ns: self.table.angle_deg(t_ns) + self.vibration.angle_deg(t_ns),
+            interval_ns=interval_ns,
         )  # fmt: skip
 
 

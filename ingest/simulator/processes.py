@@ -1,4 +1,4 @@
-"""The two processes of a simulated station: instruments that speak SCPI, and gyros on a CAN bus."""
+"""The two processes of a simulated station: instruments that speak SCPI, and gyros or IMUs on a CAN bus."""
 
 import os
 import sys
@@ -10,19 +10,21 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
 from ingest.simulator.bench import CourseClient, CourseDevice, SimulatedBench
+from ingest.simulator.can_frames import CanDevice, Frames, messages_of, powered_device
+from ingest.simulator.physics.environment import Environment
 from ingest.simulator.physics.gyro import SimulatedGyro
-from ingest.simulator.physics.mounting import TableEnvironment
-from ingest.simulator.physics.plan import Plan, load_plan
-from ingest.simulator.physics.truth import truth
+from ingest.simulator.physics.imu import SimulatedImu
+from ingest.simulator.physics.plan import ImuPlan, Plan, load_imu_plan, load_plan
+from ingest.simulator.physics.positions import POSITION_NAMES
+from ingest.simulator.physics.truth import imu_truth, truth
 from ingest.simulator.scpi.electrical import SimulatedSupply
 from ingest.simulator.scpi.server import ScpiServer
-from ingest.simulator.station_files import FIRST_ID, MULTICAST, PLAN, Simulation, read_simulation
+from ingest.simulator.station_files import FIRST_ID, MULTICAST, PLAN, Device, Simulation, read_simulation
 from ingest.station_clock import StationClock
 from stream.console import until_stopped
-from stream.errors import GyrofleetError
+from stream.errors import BadInput, GyrofleetError
 
 TRUTH = "truth.jsonl"
 _TICK_S = 0.005
@@ -31,11 +33,11 @@ _PARENT = os.getppid()
 
 
 @dataclass
-class _Gyro:
+class _Device:
     unit: str
     arbitration_id: int
     power_ons: int = 0
-    model: SimulatedGyro | None = None
+    powered: CanDevice | None = None
 
 
 class GyroBus:
@@ -45,18 +47,20 @@ class GyroBus:
     tick, each an arbitration id and 8 bytes, in order of time; `on_power` is called at the begin and the end of every
     power-on, with its seconds so far; `power_ons` are the earlier ones of each unit.
 
-    A frame has the counts of the rate (int32), the temperature in 0.01 degC (int16) and the sample's number (uint16).
+    `CanGyro` and `CanImu` say what is in the frames.
     """
 
     def __init__(
-        self, plan: Plan, environment: TableEnvironment, supply: SimulatedSupply,
+        self, plan: Plan | ImuPlan, environment: Environment, supply: SimulatedSupply,
         send: Callable[[Sequence[tuple[int, bytes]]], None],
-        on_power: Callable[[SimulatedGyro, float], None] = lambda *_: None, power_ons: Mapping[str, int] | None = None,
+        on_power: Callable[[SimulatedGyro | SimulatedImu, float], None] = lambda *_: None,
+        power_ons: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
         power_ons = power_ons or {}
         self._plan, self._environment, self._supply, self._send = plan, environment, supply, send
         self._on_power = on_power
-        self._gyros = [_Gyro(unit, FIRST_ID + i, power_ons.get(unit, 0)) for i, unit in enumerate(plan.units)]
+        ids = range(FIRST_ID, 2**11, messages_of(plan))
+        self._devices = [_Device(unit, ids[i], power_ons.get(unit, 0)) for i, unit in enumerate(plan.units)]
         self._done_ns = 0
         self.frames = 0
 
@@ -71,11 +75,11 @@ class GyroBus:
 
     def end(self, t_ns: int | None = None) -> None:
         """End every power-on at a time, by default at that of the last `advance`."""
-        for gyro in self._gyros:
-            if gyro.model is not None:
-                end_ns = self._done_ns if t_ns is None else t_ns
-                self._on_power(gyro.model, (end_ns - gyro.model.start_ns) / 1e9)
-                gyro.model = None
+        for device in self._devices:
+            if device.powered is not None:
+                end_ns, model = self._done_ns if t_ns is None else t_ns, device.powered.model
+                self._on_power(model, (end_ns - model.start_ns) / 1e9)
+                device.powered = None
 
     def _powered(self, now_ns: int) -> list[tuple[int, int, bool]]:
         """Intervals from the last `advance` to now, and whether there was power."""
@@ -88,43 +92,22 @@ class GyroBus:
         return [each for each in zip(borders, ends, on, strict=True) if each[0] < each[1]]
 
     def _sample(self, start_ns: int, end_ns: int) -> None:
-        times: list[npt.NDArray[np.int64]] = []
-        ids: list[npt.NDArray[np.uint32]] = []
-        rows: list[npt.NDArray[np.uint8]] = []
-        for gyro in self._gyros:
-            if gyro.model is None:
-                gyro.power_ons += 1
-                gyro.model = self._plan.gyro(
-                    gyro.unit, gyro.power_ons, environment=self._environment, start_ns=start_ns
+        parts: list[Frames] = []
+        for device in self._devices:
+            if device.powered is None:
+                device.power_ons += 1
+                device.powered = powered_device(
+                    self._plan, device.unit, device.power_ons, self._environment, start_ns, device.arbitration_id
                 )
-                self._on_power(gyro.model, 0.0)
-            due = gyro.model.due(end_ns)
-            if due <= 0:
-                continue
-            samples = gyro.model.samples(due)
-            number = samples.first + np.arange(due, dtype=np.int64)
-            t_ns = gyro.model.start_ns + number * gyro.model.parameters.sample_interval_ns
-            times.append(t_ns[samples.present])
-            ids.append(np.full(int(samples.present.sum()), gyro.arbitration_id, np.uint32))
-            temperature = self._environment.temperature_deg_c(t_ns)
-            rows.append(_payload(samples.counts, temperature, number)[samples.present])
-        if not times:
+                self._on_power(device.powered.model, 0.0)
+            parts.append(device.powered.frames(end_ns))
+        frames = Frames(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        if not len(frames.ids):
             return
-        order = np.argsort(np.concatenate(times), kind="stable")
-        all_ids, all_rows = np.concatenate(ids)[order].tolist(), np.concatenate(rows)[order]
-        data = all_rows.tobytes()
+        order = np.argsort(frames.t_ns, kind="stable")
+        all_ids, data = frames.ids[order].tolist(), frames.data[order].tobytes()
         self._send([(each, data[8 * i : 8 * i + 8]) for i, each in enumerate(all_ids)])
         self.frames += len(all_ids)
-
-
-def _payload(
-    counts: npt.NDArray[np.int32], temperature_deg_c: npt.NDArray[np.float64], number: npt.NDArray[np.int64]
-) -> npt.NDArray[np.uint8]:
-    rows = np.zeros(len(counts), np.dtype([("rate", "<i4"), ("temperature", "<i2"), ("counter", "<u2")]))
-    rows["rate"] = counts
-    rows["temperature"] = np.clip(np.rint(temperature_deg_c * 100.0), -32768, 32767)
-    rows["counter"] = number % 65536
-    return rows.view(np.uint8).reshape(len(counts), 8)
 
 
 def play_instruments(folder: Path) -> None:
@@ -146,9 +129,10 @@ def play_gyros(folder: Path) -> None:
     simulation = read_simulation(folder)
     bench = _bench(simulation)
 
-    def write(model: SimulatedGyro, duration_s: float) -> None:
+    def write(model: SimulatedGyro | SimulatedImu, duration_s: float) -> None:
+        planted = truth(model, duration_s) if isinstance(model, SimulatedGyro) else imu_truth(model, duration_s)
         with (folder / TRUTH).open("ab") as file:
-            file.write(msgspec.json.encode(truth(model, duration_s)) + b"\n")
+            file.write(msgspec.json.encode(planted) + b"\n")
 
     with (
         CourseClient("127.0.0.1", simulation.ports["world"], bench.named) as courses,
@@ -160,9 +144,12 @@ def play_gyros(folder: Path) -> None:
             for arbitration_id, data in frames:
                 bus.send(can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False, check=False))
 
-        environment = bench.environment(simulation.latitude_deg, simulation.position)
+        is_imu = simulation.device is Device.IMU
+        plan = load_imu_plan(folder / PLAN) if is_imu else load_plan(folder / PLAN)
+        interval_ns = _interval_ns(plan) if isinstance(plan, ImuPlan) else 0
+        environment = bench.environment(simulation.latitude_deg, simulation.position, interval_ns)
         power_ons = power_ons_so_far(folder / TRUTH)
-        gyros = GyroBus(load_plan(folder / PLAN), environment, bench.supply, send, write, power_ons)
+        gyros = GyroBus(plan, environment, bench.supply, send, write, power_ons)
         print("ready", flush=True)
         try:
             while stop.asked_at is None and os.getppid() == _PARENT:
@@ -172,9 +159,19 @@ def play_gyros(folder: Path) -> None:
             gyros.end()
 
 
+def _interval_ns(plan: ImuPlan) -> int:
+    """The sample interval of all units, which share the environment that they take means of."""
+    intervals_ns = {each.sample_interval_ns for each in plan.parameters.values()}
+    if len(intervals_ns) > 1:
+        raise BadInput("simulated station: its inertial measurement units have one sample_interval_ns, in [fleet]")
+    return intervals_ns.pop()
+
+
 def _bench(simulation: Simulation) -> SimulatedBench:
     """The instruments; the gyros' process has copies, which follow those of the instruments' process."""
-    return SimulatedBench.at(StationClock(simulation.speed, simulation.start_ns, simulation.origin_s))
+    clock = StationClock(simulation.speed, simulation.start_ns, simulation.origin_s)
+    positions = POSITION_NAMES if simulation.device is Device.IMU else ()
+    return SimulatedBench.at(clock, positions)
 
 
 class _PowerOn(msgspec.Struct):
@@ -195,6 +192,8 @@ def power_ons_so_far(path: Path) -> dict[str, int]:
 def main() -> None:
     """`python -m ingest.simulator.processes instruments|gyros FOLDER`."""
     _, role, folder = sys.argv
+    # python-can imports it where it is installed, in most of a second, for logs in MF4; there are none here
+    vars(sys)["modules"]["asammdf"] = None
     try:
         {"instruments": play_instruments, "gyros": play_gyros}[role](Path(folder))
     except GyrofleetError as error:

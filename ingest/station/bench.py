@@ -63,6 +63,18 @@ class StationBench:
             instrument.set(what, value)
         return True
 
+    def carries_to(self, position: str) -> bool:
+        """Whether an instrument carries the units to a position, so that no operator is needed."""
+        return any(position in each.positions for each in self._instruments.values())
+
+    def carry(self, position: str) -> bool:
+        """Carry the units to a position; True when done."""
+        for instrument in self._instruments.values():
+            if position in instrument.positions:
+                with instrument.lock:
+                    instrument.carry(position)
+        return True
+
     def is_settled(self, what: str) -> bool:
         """Whether a setting is reached."""
         instrument = self._instruments[self._station.settings[what]]

@@ -142,7 +142,10 @@ class StationRun:
             source.start()
 
     def _work(self, step: PlannedStep, active: list[RunSource], restart: Callable[[], None]) -> None:
-        if step.prompt is not None:
+        position = step.words.position
+        if step.prompt is not None and position is not None and self._bench.carries_to(position):
+            self._until(step, f"carrying to {position}", partial(self._bench.carry, position), self._settle_timeout_s)
+        elif step.prompt is not None:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
             self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
         if step.power in {"cycle", "off"}:
@@ -203,7 +206,7 @@ class StationRun:
         coverage = self._log.coverage
         until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
         is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731
-        self._until(step, "the last samples come", is_enough, None)
+        self._until(step, "the last samples come", is_enough, None, is_recorded=True)
         named = step.words.step or step.words.procedure
         lacking = coverage.lacking()
         for unit, what in lacking:
@@ -224,7 +227,15 @@ class StationRun:
         end_ns = (self._clock.now_ns() if since_ns is None else since_ns) + round(station_s * 1e9)
         self._until(step, doing, lambda: self._clock.now_ns() >= end_ns, None)
 
-    def _until(self, step: PlannedStep, doing: str, is_so: Callable[[], bool], timeout_s: float | None) -> None:
+    def _until(
+        self,
+        step: PlannedStep,
+        doing: str,
+        is_so: Callable[[], bool],
+        timeout_s: float | None,
+        *,
+        is_recorded: bool = False,
+    ) -> None:
         """Wait until `is_so`; an instrument that fails meanwhile is tried again for as long."""
         began_ns = self._clock.now_ns()
         asked_ns = 0
@@ -251,7 +262,7 @@ class StationRun:
                     f"run {self._log.state.run}, step {step.number} ({named}): {doing} is not done after "
                     f"{passed_s:,.0f} s{trouble}; the station was made safe"
                 )
-            left_s = sum(map(lasts_s, self._steps[self._log.state.step :])) - passed_s
+            left_s = sum(map(lasts_s, self._steps[self._log.state.step + is_recorded :])) - passed_s
             self._operator.at(step, doing, max(0.0, left_s))
             self._mark_seen()
             time.sleep(_LOOK_S)

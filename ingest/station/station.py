@@ -15,6 +15,7 @@ from ingest.can.bus.interface import CanBusOptions
 from ingest.instruments.base import Instrument, Options, instrument_kinds
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import resource_trouble
+from ingest.measurement_standards import DETAIL, Standard, standards_text
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
 from stream.identity import Place, check_name
@@ -116,10 +117,15 @@ class StationTable(StationLocation, frozen=True, kw_only=True, forbid_unknown_fi
     simulated: bool = False
 
 
+class StandardTable(Standard, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[standards.NAME]`: a measurement standard that is not connected: a level, a north reference, a fixture."""
+
+
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     station: StationTable
     clock: ClockTable = ClockTable()
     instruments: dict[str, dict[str, Any]] = {}
+    standards: dict[str, dict[str, Any]] = {}
     buses: dict[str, BusTable] = {}
     lines: dict[str, LineTable] = {}
     slots: dict[str, SlotTable] = {}
@@ -133,6 +139,7 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
     table: StationTable
     clock: ClockTable
     instruments: Mapping[str, tuple[str, Options]]  # kind and options of every instrument by its name
+    standards: Mapping[str, StandardTable]  # that are not connected
     buses: Mapping[str, BusTable]
     lines: Mapping[str, LineTable]
     slots: Mapping[str, SlotTable]
@@ -146,6 +153,19 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
     def place(self) -> Place:
         """Site and station, as samples carry them."""
         return Place(self.table.site, self.table.name)
+
+    @property
+    def all_standards(self) -> dict[str, tuple[str, Standard]]:
+        """Kind and statement of every instrument, and of every standard that is not connected, by its name."""
+        connected: dict[str, tuple[str, Standard]] = dict(self.instruments)
+        return connected | {name: ("", each) for name, each in self.standards.items()}
+
+    @property
+    def standards_details(self) -> dict[str, str]:
+        """What is stated of its standards, as a detail of a run; empty where nothing is."""
+        every = self.all_standards
+        is_stated = any(each.serial or each.certificate or each.uncertainty for _, each in every.values())
+        return {DETAIL: standards_text(every)} if is_stated else {}
 
     def make_clock(self) -> StationClock:
         """The station's clock."""
@@ -175,16 +195,16 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
         return self.path.parent / name
 
     def overdue(self, first: dt.date, last: dt.date) -> list[str]:
-        """Instruments whose calibration ends before the last day of a run, each as a sentence."""
+        """Instruments and standards whose calibration ends before the last day of a run, each as a sentence."""
         found = []
-        for name, (kind, options) in self.instruments.items():
-            if options.calibration_due is None:
+        for name, (kind, standard) in self.all_standards.items():
+            if standard.calibration_due is None:
                 continue
-            due = dt.date.fromisoformat(options.calibration_due)
+            due = dt.date.fromisoformat(standard.calibration_due)
             if due < last:
-                serial = f", serial {options.serial}" if options.serial else ""
+                serial = f", serial {standard.serial}" if standard.serial else ""
                 word, during = ("was", "") if due < first else ("is", ", before the run ends")
-                found.append(f"the {kind} {name}{serial} {word} due for calibration on {due}{during}")
+                found.append(f"the {kind or 'standard'} {name}{serial} {word} due for calibration on {due}{during}")
         return found
 
 
@@ -203,11 +223,12 @@ def load_station(path: Path) -> Station:
     file.station.check(lambda field: f"{path}: station.{field}")
     _check_clock(path, file.clock)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
+    standards = {name: _standard(path, name, table, instruments) for name, table in file.standards.items()}
     for name, slot in file.slots.items():
         _check_power(f"{path}: slots.{name}.power is {slot.power!r}", slot.power, instruments)
     return Station(
-        path=path, table=file.station, clock=file.clock, instruments=instruments, buses=file.buses, lines=file.lines,
-        slots=file.slots, settings=_settings(path, file.settings, instruments),
+        path=path, table=file.station, clock=file.clock, instruments=instruments, standards=standards, buses=file.buses,
+        lines=file.lines, slots=file.slots, settings=_settings(path, file.settings, instruments),
     )  # fmt: skip
 
 
@@ -228,14 +249,12 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     if kind not in kinds:
         known = ", ".join(sorted(kinds))
         raise BadInput(f"{path}: instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
-    # a date without quotes is a TOML date
-    rest = {key: value.isoformat() if isinstance(value, dt.date) else value for key, value in table.items()}
+    rest = _plain(table)
     del rest["kind"]
     try:
         options = msgspec.convert(rest, kinds[kind].options_type)
-        if options.calibration_due is not None:
-            dt.date.fromisoformat(options.calibration_due)
-    except (msgspec.ValidationError, ValueError) as error:
+        options.check()
+    except (msgspec.ValidationError, ValueError, BadInput) as error:
         raise BadInput(f"{path}: instruments.{name} (a {kind}): {error}") from error
     if not 0.0 < options.sample_interval_s < float("inf"):
         raise BadInput(
@@ -245,6 +264,23 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     if isinstance(options, ScpiOptions) and (trouble := resource_trouble(options.resource)) is not None:
         raise BadInput(f"{path}: instruments.{name}.resource is {options.resource!r}: {trouble}")
     return kind, options
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """A table with dates as texts: a date without quotes is a TOML date."""
+    return {key: value.isoformat() if isinstance(value, dt.date) else value for key, value in table.items()}
+
+
+def _standard(path: Path, name: str, table: dict[str, Any], instruments: Mapping[str, object]) -> StandardTable:
+    check_name("standard", name)
+    if name in instruments:
+        raise BadInput(f"{path}: standards.{name} has the name of an instrument; state its uncertainty there")
+    try:
+        standard = msgspec.convert(_plain(table), StandardTable)
+        standard.check()
+    except (msgspec.ValidationError, ValueError, BadInput) as error:
+        raise BadInput(f"{path}: standards.{name}: {error}") from error
+    return standard
 
 
 def _check_power(found: str, power: str | None, instruments: Mapping[str, tuple[str, Options]]) -> None:

@@ -87,7 +87,8 @@ def _what(role: "RoleReport") -> str:
             early += (
                 f"; {len(run.released)} of {len(run.units)} units released, {run.saved_s / 3600:,.1f} unit hours saved"
             )
-        return f"{run.run}: step {run.step} of {run.steps}, {run.doing}{left}{early}{waiting}"
+        doing = f", {run.doing}{left}" if role.condition in ("working", "paused", "silent") else ""
+        return f"{run.run}: step {run.step} of {run.steps}{doing}{early}{waiting}"
     samples = status.numbers.get("samples_total")
     lag_s = status.numbers.get("lag_seconds")
     parts = [] if samples is None else [f"{samples:,.0f} samples"]

@@ -9,7 +9,7 @@ import os
 import time
 from hashlib import sha256
 from secrets import token_bytes
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -18,7 +18,7 @@ from storage.log.sequence import LogPlace
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
 from stream.errors import StoreError
-from stream.events import AnyDocument, SpecificationEntered, StoreNoted, encode_event
+from stream.events import AnyDocument, CertificateIssued, SpecificationEntered, StoreNoted, encode_event
 from stream.identity import Place
 from stream.wire.acknowledgement import StreamId
 
@@ -26,6 +26,9 @@ LAKE = Place("store", "lake")
 _SECRET = "seal.key"  # noqa: S105  a file name
 _SEAL = "seal"
 _BYTES = 32
+# documents that only the store itself enters
+SEALED = (SpecificationEntered, CertificateIssued)
+Sealed = TypeVar("Sealed", bound=SpecificationEntered | CertificateIssued)
 
 
 def store_document(store: str, what: str, text: str, details: dict[str, Any]) -> StoreNoted:
@@ -64,23 +67,29 @@ def signed(store: Store, document: StoreNoted) -> StoreNoted:
     return msgspec.structs.replace(document, details={**details, _SEAL: _digest(_secret(store), plain)})
 
 
-def signed_specification(store: Store, document: SpecificationEntered) -> SpecificationEntered:
+def sealed(store: Store, document: Sealed) -> Sealed:
     """The document with the identity and the signature of a store."""
     plain = msgspec.structs.replace(document, store=store.identity, seal="")
     return msgspec.structs.replace(plain, seal=_digest(_secret(store), plain))
 
 
+def is_sealed(store: Store, document: SpecificationEntered | CertificateIssued) -> bool:
+    """Whether a document has the signature of a store."""
+    return hmac.compare_digest(document.seal.encode(), sealed(store, document).seal.encode())
+
+
 def forgery(store: Store, document: AnyDocument) -> str | None:
     """Why a document that came over the bus must not be recorded; None if it may be.
 
-    Documents of this store and its specifications need its signature. Documents of other stores are recorded, their
-    specifications are not.
+    Documents of this store, its specifications and certificates need its signature. Documents of other stores are
+    recorded, their specifications and certificates are not.
     """
-    if isinstance(document, SpecificationEntered):
+    if isinstance(document, SEALED):
         if document.store != store.identity:
-            return "it is a specification of another store"
+            what = "specification" if isinstance(document, SpecificationEntered) else "certificate"
+            return f"it is a {what} of another store"
         seal: object = document.seal
-        wanted = signed_specification(store, document).seal
+        wanted = sealed(store, document).seal
     elif isinstance(document, StoreNoted) and not is_foreign(document, store.identity):
         seal, wanted = document.details.get(_SEAL), signed(store, document).details[_SEAL]
     else:
@@ -89,7 +98,7 @@ def forgery(store: Store, document: AnyDocument) -> str | None:
     return None if is_valid else "it claims to be of the store that is recorded to, and lacks its seal"
 
 
-def _digest(secret: bytes, document: StoreNoted | SpecificationEntered) -> str:
+def _digest(secret: bytes, document: StoreNoted | SpecificationEntered | CertificateIssued) -> str:
     return hmac.new(secret, msgspec.json.encode(document, order="deterministic"), sha256).hexdigest()
 
 

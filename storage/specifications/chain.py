@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from storage.log.store_documents import signed_specification
+from storage.log.store_documents import sealed
 from storage.log.tail import documents_beyond
 from storage.recording.client import record_documents
 from storage.sql.catalog import Catalog
@@ -94,7 +94,7 @@ def hash_of(document: SpecificationEntered) -> str:
 
 def append_document(store: Store, document: SpecificationEntered) -> None:
     """Append a document, sealed, to the log, durably; StoreError or DeliveryError if it cannot be written."""
-    record_documents(store, [signed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
+    record_documents(store, [sealed(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 
 
 def _breaks(links: Iterable[Link], following: dict[str, list[str]]) -> Iterator[Break]:

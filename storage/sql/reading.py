@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from storage.lake.tables import SAMPLES_FILE, damaged, open_table
 from storage.sql.catalog import Catalog
-from storage.sql.columns import numbers
+from storage.sql.columns import numbers, rows_with
 from storage.store import Store
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
@@ -128,7 +128,7 @@ def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch
             for is_shared, numbers in itertools.groupby(own, key=lambda i: bounds[i].min != bounds[i].max):
                 extra = ["channel"] if is_shared else []
                 for batch in file.iter_batches(_ROWS, list(numbers), [*extra, "seq", "t_ns", *columns]):
-                    rows = batch.filter(pc.equal(batch.column("channel"), channel)) if is_shared else batch
+                    rows = rows_with(batch, "channel", channel) if is_shared else batch
                     data = rows.column(columns[0])
                     if column == "counts":
                         data = pc.add(data, rows.column("above"))

@@ -22,6 +22,8 @@ MISSPECIFIED = (
     "bursts",
     "quantised",
 )
+EXCESSIVE = ("steep_flicker", "doubled")
+"""Noise so far from the declared one that a diagnosis must say so: 1/f**3, and all coefficients twice as large."""
 _PADDED = 8
 
 
@@ -62,8 +64,8 @@ def synthesise(
     rates: Sequence[FloatArray], step_s: float, noise: Noise, misspecified: str, rng: np.random.Generator
 ) -> list[FloatArray]:
     """Noise of each run in deg/h, at the instants at which the rate of the table is given in deg/s."""
-    if misspecified not in ("", *MISSPECIFIED):
-        raise ValueError(f"{misspecified!r} is none of {', '.join(MISSPECIFIED)}")
+    if misspecified not in ("", *MISSPECIFIED, *EXCESSIVE):
+        raise ValueError(f"{misspecified!r} is none of {', '.join((*MISSPECIFIED, *EXCESSIVE))}")
     turn_on = rng.standard_normal(len(rates)) * noise.turn_on
     if misspecified == "correlated_turn_on":
         turn_on = np.cumsum(turn_on) * 0.7
@@ -77,6 +79,7 @@ def _as_it_is(declared: Noise, misspecified: str) -> Noise:
     factors: Mapping[str, Noise] = {
         "random_walk_3x": replace(declared, k=3.0 * declared.k),
         "white_1p3": replace(declared, n=1.3 * declared.n),
+        "doubled": replace(declared, n=2.0 * declared.n, b=2.0 * declared.b, k=2.0 * declared.k),
     }
     return factors.get(misspecified, declared)
 

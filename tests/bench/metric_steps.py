@@ -16,6 +16,7 @@ from analytics.step_records.step_table import step_means
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray
+from tests.bench.attitude_steps import attitude_tests
 
 SECOND_NS = 10**9
 DAY_NS = 86_400 * SECOND_NS
@@ -57,6 +58,7 @@ class Step(NamedTuple):
     zero: float = 0.0
     scale_ppm: float = 0.0
     seconds: int = 60
+    signal: str = "rate"
 
 
 def still(words: dict[str, Any], zero: float = 0.0, seconds: int = 60) -> Step:
@@ -157,6 +159,8 @@ def tests_of(unit: Unit, rng: np.random.Generator) -> dict[str, list[list[Step]]
             ]
         ],
     }
+    for procedure, steps in attitude_tests().items():
+        found[procedure] = [[Step(each.words, each.rate, each.zero, signal=each.signal) for each in steps]]
     for cause in ("shock", "vibration"):
         found[f"bias_{cause}"] = [
             [
@@ -243,7 +247,7 @@ def _run(
         for average, each in zip((1, 10, 100), found.pop("averages"), strict=True):
             found |= {f"{name}_{average}s": value for name, value in each._asdict().items()}
         yield {
-            "run": f"{procedure}-{number}", "unit": unit.name, "signal": "rate", "index": index,
+            "run": f"{procedure}-{number}", "unit": unit.name, "signal": step.signal, "index": index,
             "procedure": procedure, "date_known": True, "time_zone": "UTC", "room": False, "station": "station-1",
             "t_start_ns": at_ns, "t_from_ns": at_ns, "t_to_ns": end_ns, "duration_s": (end_ns - at_ns) / 1e9,
             "unit_of_measure": "deg/h", "input_rate": step.words.get("rate_command"),

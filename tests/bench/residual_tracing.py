@@ -4,8 +4,9 @@
         [--peers] [--results FILE.jsonl] [--processes 2] [--minutes 30] [--only gravity_o,...] [--short] [--speed]
 
 From the root of the checkout. Each campaign is one line of JSON in the file of results; those that are there already
-are not run again. `--count` is the number of seeds: of the row ``null`` each of nine misspecifications, of ``planted``
-every effect at every size, of ``two`` three pairs a seed. The noise is synthesised without the engine's noise model.
+are not run again. `--count` is the number of seeds: of the row ``null`` each of nine misspecifications, of ``excess``
+two noises far from the declared one, of ``planted`` every effect at every size, of ``two`` three pairs a seed. The
+noise is synthesised without the engine's noise model.
 """
 
 import argparse

@@ -16,12 +16,13 @@ from analytics.loop.effects.registry import effect, effects
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import DECLARED_MODEL, MISSPECIFIED, Campaign, DenseWhitener, Planted
+from tests.bench.loop_noise import EXCESSIVE
 
 DECLARED = ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05)
 MODEL = ErrorModel.parse(f"rate = {DECLARED_MODEL}")
 SIZES = (6.0, 10.0, 20.0)
 TWO_EFFECTS_Z, DESIGN_Z = 12.0, 14.0
-ROWS = ("null", "planted", "two", "ramp", "once", "outside", "removed")
+ROWS = ("null", "excess", "planted", "two", "ramp", "once", "outside", "removed")
 _NULL, _PLANTED, _TWO, _DESIGN = 1000, 2000, 3000, 4000  # first seeds
 _WITHOUT_ENVIRONMENT = ("static", "temperature", "rate", "positions")
 _ONCE = (*_WITHOUT_ENVIRONMENT, "environment", *_WITHOUT_ENVIRONMENT * 3)
@@ -90,8 +91,9 @@ def cases(
 
 
 def _of_seed(row: str, number: int, sizes: Sequence[float]) -> Iterator[Case]:
-    if row == "null":
-        yield from (Case(row, name, 0.0, _NULL + number) for name in MISSPECIFIED)
+    if row in ("null", "excess"):
+        noises = MISSPECIFIED if row == "null" else EXCESSIVE
+        yield from (Case(row, name, 0.0, _NULL + number) for name in noises)
     elif row == "planted":
         yield from (Case(row, name, z, _PLANTED + number) for z in sizes for name in plantable())
     elif row == "two":
@@ -112,7 +114,7 @@ def plantable() -> list[str]:
 
 def built(case: Case) -> Built:
     """Make the runs of a case."""
-    if case.row == "null":
+    if case.row in ("null", "excess"):
         campaign = standard(case.seed)
         return Built(campaign, campaign.runs(misspecified=case.name, noise_seed=case.noise_seed), ())
     campaign = _design(case.row, case.seed)

@@ -53,6 +53,7 @@ def tables(lines: Sequence[Line]) -> tuple[list[str], bool]:
     text, kept = [], True
     makers: Sequence[Callable[[Sequence[Line]], Iterator[str | tuple[str, bool]]]] = (
         null_table,
+        excess_table,
         planted_table,
         two_table,
         design_table,
@@ -83,6 +84,19 @@ def null_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
     before, after = _false(own)
     yield judged("before the held-out set", before, len(own), 0.03, most=True)
     yield judged("after the held-out set", after, len(own), 0.01, most=True)
+
+
+def excess_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
+    """Noise that is far from the declared one."""
+    own = [each for each in lines if each["row"] == "excess"]
+    for name in sorted({each["name"] for each in own}):
+        of_name = [each for each in own if each["name"] == name]
+        verdicts = Counter(each["verdict"] for each in of_name)
+        yield f"\nNothing planted, {name}: {_counted(verdicts)}"
+        for each in of_name:
+            if each["verdict"] != "unexplained":
+                yield f"    seed {each['seed']}: {_said(each)}"
+        yield judged("unexplained", verdicts["unexplained"], len(of_name), 0.95, most=False)
 
 
 def _false(lines: Sequence[Line]) -> tuple[int, int]:

@@ -35,7 +35,7 @@ TERMS = {
     "scale_factor_vibration_change", "range", "threshold", "resolution", "polarity", "startup_time", "warmup_time",
     "power", "misalignment", "misalignment_repeatability", "gyro_separation", "accelerometer_separation", "bandwidth",
     "output_delay", "visual_check", "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk",
-    "rate_ramp",
+    "rate_ramp", "attitude_unit_bias", "attitude_unit_misalignment",
 }  # fmt: skip
 # They read samples, estimates or entered checks besides the records, which the simulated units do not have.
 ELSEWHERE = {
@@ -43,7 +43,7 @@ ELSEWHERE = {
     "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk", "rate_ramp", "allan_deviation",
 }  # fmt: skip
 # what a doubled output doubles: all that is in deg/h, and these
-DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability"}
+DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability", "attitude_unit_misalignment"}
 # what a measured scale factor is itself
 SCALE_FACTORS = {
     "scale_factor", "scale_factor_acceleration_sensitivity", "scale_factor_shock_change",
@@ -243,7 +243,7 @@ def metrics_scaled(
 
 
 def is_scale_factor(record: dict[str, Any]) -> bool:
-    return bool(record["procedure"].startswith("scale_factor"))
+    return "scale_factor" in record["procedure"]
 
 
 def of_whole_unit(simulated: Simulated) -> Records:

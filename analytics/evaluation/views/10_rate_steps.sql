@@ -7,7 +7,7 @@ create or replace macro is_instrument_name(signal) as
     '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$');
 
 create or replace macro is_output_name(signal) as
-  regexp_matches(signal, '^rate(_|$)') and not is_instrument_name(signal);
+  (regexp_matches(signal, '^rate(_|$)') or is_integrated_output(signal)) and not is_instrument_name(signal);
 
 create or replace macro no_scale_factor(unit_of_measure) as
   'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';

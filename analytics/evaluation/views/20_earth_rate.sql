@@ -9,22 +9,7 @@ create or replace macro no_latitude() as
 create or replace macro no_level_rate() as
   'no latitude, so the Earth''s rate on the axis is unknown: give the station''s latitude_deg';
 
---
--- A position may name the body axis that is up: the IRA of a signal rate_x is X; that of a gyro with one axis is Z (JJF
--- 2014-2022 figure 2: IRA is o'z'). Of the other axes up, the IRA is level, and no word tells its heading.
-create or replace macro body_axis_of(signal) as
-  case when regexp_matches(lower(signal), '(_|rate)[xyz]$') then upper(signal[-1])
-    when not regexp_matches(lower(signal), '[xyz]$') then 'Z' end;
-
-create or replace macro axis_in(position) as
-  nullif(regexp_extract(position, '^[+-]?([XYZ])(_|[+-]|$)', 1), '');
-
-create or replace macro side_in(position) as
-  case
-    when regexp_matches(position, '_up$|[+]$|^[+]') then 1
-    when regexp_matches(position, '_down$|-$|^-') then -1
-  end;
-
+-- A position may name the body axis that is up. Of the other axes the IRA is level, and no word tells its heading.
 create or replace macro earth_projection(position, latitude_deg, signal) as
   case
     when regexp_matches(position, '^IRA_(east|west|east_west)$') then 0.0

@@ -9,16 +9,15 @@ select
   standard_uncertainty * coalesce(rate_factor / 3600, 1) as u,
   freedom,
   output_unit,
-  temperature, station, time_zone, date_known, t_from_ns, t_to_ns
+  temperature, station, time_zone, date_known, t_from_ns, t_to_ns, duration_s
 from internal.gyro_steps
 where n > 0 and rate_command is not null and frequency is null
   and (
     is_scale_factor_procedure("procedure") or not is_other_procedure("procedure")
     or (regexp_matches("procedure", '^(threshold|resolution)') and step in ('rest_before', 'rate', 'rest_after'))
   )
-  -- an axis other than the one that is up sees no rate; so does the input axis across the table's (misalignment)
+  -- an axis other than the one that is up, or turned, sees no rate; so does the input axis across the table's
+  -- (misalignment)
   and not regexp_matches(coalesce(position, ''), '^[Oo][XxYy]_')
-  and (
-    not regexp_matches(coalesce(position, ''), '^[XYZ]_(up|down)$') or not regexp_matches(signal, '_[xyz]$')
-    or lower(position[1]) = signal[-1]
-  );
+  and coalesce(axis_in(position) = named_axis_of(signal) or not regexp_matches(position, '_(up|down)$'), true)
+  and coalesce(axis_word_of(axis) = named_axis_of(signal) or not starts_with("procedure", 'attitude_unit'), true);

@@ -11,7 +11,9 @@ with measured as (
     min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns,
     coalesce(list({
       "index": "index", command: rate_command, rate: input_rate, output: output, u: u, freedom: coalesce(freedom, 1),
-      temperature: temperature
+      temperature: temperature,
+      -- from the first sample to the one after the last
+      lasts_s: duration_s * n / greatest(n - 1, 1)
     } order by "index") filter (not at_rest), []) as points,
     list({"index": "index", output: output, u: u, freedom: coalesce(freedom, 1)} order by "index")
       filter (at_rest) as rests,
@@ -58,6 +60,16 @@ create or replace macro lack_of_directions(forwards, backwards, clause) as
       || '; measure each rate in both directions (' || clause || ')' end
   ), '');
 
+create or replace macro lack_of_answer(points) as
+  case when len(points) > 1 and list_min([p.output for p in points]) = list_max([p.output for p in points]) then
+    format('the output is {:g} at every rate: the axis does not answer', points[1].output) end;
+
+create or replace macro lack_of_seconds(points, asked, clause) as
+  case when list_min([p.lasts_s for p in points]) < asked * (1 - 1e-3) then
+    format('{:g} s recorded at {} deg/s, at least {:g} s at each rate are asked for ({})',
+      round(list_min([p.lasts_s for p in points]), 1), listed([p.command for p in points if p.lasts_s < asked * (1 - 1e-3)]),
+      asked, clause) end;
+
 create or replace macro lack_of_range(largest, asked, product) as
   case when largest < asked * (1 - 1e-6) then
     format('the largest rate is {:g} deg/s, that of product {} is {:g} deg/s and must be among them', largest, product,
@@ -80,7 +92,9 @@ with sided as (
 ), lacks as (
   select s.* exclude (side), o.plus, o.minus,
     (s.rest_before.output + s.rest_after.output) / 2 as rest_zero,
-    case when output_unit = 'deg/s' then '1' else output_unit || '/(deg/s)' end as k_unit,
+    case when output_unit = 'deg/s' then '1' when ends_with(output_unit, '/s') then output_unit[:-3] || '/deg'
+      else output_unit || '/(deg/s)' end as k_unit,
+    lack_of_answer(points) as lack_of_answer,
     lack_of_directions(forwards, backwards, '5.8.1.3') as gjb_directions,
     lack_of_directions(forwards, backwards, '7.2.1.1 b') as jjf_directions,
     lack_of_range(largest_rate, max_rate_deg_per_s, product) as lack_of_range,
@@ -90,15 +104,17 @@ with sided as (
       when rest_before is null then 'no record of the table at rest before the rates (5.8.1.3 d)'
       when rest_after is null then 'no record of the table at rest after the rates (5.8.1.3 d)'
     end as lack_of_rest,
-    case when len(forwards) + len(backwards) < 7 then
-      len(forwards) + len(backwards) || ' rates measured, 7 to 11 are asked for (7.1.1 c)' end as jjf1536_lack
+    concat_ws('; ', case when len(forwards) + len(backwards) < 7 then
+      len(forwards) + len(backwards) || ' rates measured, 7 to 11 are asked for (7.1.1 c)' end,
+      lack_of_seconds(points, 20.0, '7.1.1 d')) as jjf1536_lack
   from sided s left join other o using (run, unit, signal, steps)
   where s.side = 'both'
 )
 select *,
-  nullif(concat_ws('; ', gjb_directions, lack_of_range, lack_of_rest), '') as gjb_reason,
-  nullif(concat_ws('; ', jjf_directions, lack_of_range), '') as jjf_reason,
-  nullif(concat_ws('; ', jjf1536_lack, replace(lack_of_rest, '5.8.1.3 d', '(11)')), '') as jjf1536_reason,
+  nullif(concat_ws('; ', lack_of_answer, gjb_directions, lack_of_range, lack_of_rest), '') as gjb_reason,
+  nullif(concat_ws('; ', lack_of_answer, jjf_directions, lack_of_range), '') as jjf_reason,
+  nullif(concat_ws('; ', lack_of_answer, nullif(jjf1536_lack, ''), replace(lack_of_rest, '5.8.1.3 d', '(11)')), '')
+    as jjf1536_reason,
   {
     "procedure": "procedure", repeat: repeat, temperature_command: temperature_command, room: room, position: position,
     axis: axis, phase: phase

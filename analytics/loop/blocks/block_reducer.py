@@ -191,6 +191,8 @@ class BlockReducer:
         recorded = [run.blocks for run in runs]
         numbers = position_numbers(self.catalog)
         turns, notes = derived.assumed_axis({run.name: run.steps for run in runs}, recorded)
+        references = [(source, run.blocks.t0_ns) for run in runs if (source := run.reference) is not None]
+        self._joiner.expect_changes(references)
         for run in runs:
             run.blocks = derived.with_motion(run.blocks, run.found, run.steps, turns, numbers)
             if (source := run.reference) is not None:

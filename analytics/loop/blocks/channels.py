@@ -1,15 +1,12 @@
 """Channels beside a signal: in standard units, joined to its blocks by time; angles, which may wrap, as phasors."""
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
 from analytics.loop.blocks.pieces import Grid
-from analytics.loop.blocks.run_blocks import HARMONICS, SECOND_NS, Channel, ComplexArray
+from analytics.loop.blocks.run_blocks import HARMONICS, Channel, ComplexArray
 from analytics.loop.blocks.signal_blocks import SignalBlocks
-from storage.sql.columns import numbers
 from stream.batch import FloatArray, IntArray
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
@@ -123,15 +120,6 @@ def ranges(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: 
     least = np.minimum.reduceat(np.append(lo, np.inf), edges)[::2]
     most = np.maximum.reduceat(np.append(hi, -np.inf), edges)[::2]
     return np.asarray(most - least, dtype=np.float64)
-
-
-def readings_of(batches: Iterable[pa.RecordBatch], grid: Grid) -> Readings:
-    """Readings from stored batches."""
-    parts = [(numbers(batch.column("t_ns")), numbers(batch.column("value"))) for batch in batches]
-    if not parts:
-        return Readings(np.empty(0), np.empty(0))
-    t_ns, value = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Readings((t_ns - grid.t0_ns) / SECOND_NS, value)
 
 
 class AngleBlocks:

@@ -1,12 +1,11 @@
 """Reads the channels of a run and joins each to the blocks of a signal, by the method that its readings allow."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
 from analytics.loop.blocks.channels import (
     AngleBlocks,
@@ -16,7 +15,6 @@ from analytics.loop.blocks.channels import (
     joined_readings,
     polled_angle,
     ranges,
-    readings_of,
     standard_unit,
     without_aliases,
 )
@@ -24,15 +22,13 @@ from analytics.loop.blocks.outliers import RateSeries, is_far_outside, motion, m
 from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel
 from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
+from analytics.loop.blocks.stored_readings import MOST_READINGS, StoredReadings
 from analytics.loop.blocks.stored_signals import ChannelSource
 from storage.sql.catalog import Catalog
-from storage.sql.columns import numbers
 from stream.batch import BoolArray, FloatArray, IntArray
 
 _DENSE = 4  # readings a block from which on block means are taken
 _BESIDE = 4  # blocks beside a time range from which readings are taken, too
-_MOST_EXTREMES = 30
-_MOST_READINGS = 500_000  # of the signals that are read together
 _TOLERATED = 1.05  # of the interval between readings
 
 
@@ -63,7 +59,7 @@ class ChannelJoiner:
         self._tolerance_s = tolerance_s
         self._known: dict[tuple[SignalKey, Grid], SignalBlocks | None] = {}
         self._sampled: dict[str, tuple[float, int]] = {}
-        self._extremes: dict[tuple[str, str, str, int], tuple[FloatArray, ...]] = {}
+        self._stored = StoredReadings(catalog)
 
     def prepare(
         self,
@@ -86,9 +82,12 @@ class ChannelJoiner:
             wide = {each.key: self._wide(grids[each.run]) for each in group}
             found = block_means(self._catalog, wide, self._block_s, rolled_up=group[0].is_rolled_up)
             self._known |= {(each.key, grids[each.run]): found.get(each.key) for each in group}
+        singly = [each for own in sources.values() for each in own if self._is_read_singly(each, own)]
+        self._stored.read_ahead([(each, self._wide(grids[each.run])) for each in singly])
 
     def forget(self, unit: str) -> None:
-        """Drop the blocks of a unit, which no other unit needs."""
+        """Drop the blocks of a unit, which no other unit needs, and single readings."""
+        self._stored.forget()
         self._known = {key: each for key, each in self._known.items() if key[0].unit != unit}
 
     def channels(
@@ -119,18 +118,12 @@ class ChannelJoiner:
 
     def changes(self, source: ChannelSource, slot: IntArray, t0_ns: int) -> FloatArray:
         """Range of a channel about each block, in its standard unit, see `ranges`."""
-        key = (source.unit, source.signal, source.run, t0_ns)
-        if key not in self._extremes:
-            table = self._catalog.reader(
-                "select (t_ns - $t0) / 1e9 as t_s, lo, hi from rollup_1s "
-                "where unit = $unit and signal = $signal and run = $run order by t_ns",
-                {"unit": source.unit, "signal": source.signal, "run": source.run, "t0": t0_ns},
-            ).read_all()
-            while len(self._extremes) >= _MOST_EXTREMES:
-                self._extremes.pop(next(iter(self._extremes)))
-            self._extremes[key] = tuple(numbers(table.column(name)) for name in ("t_s", "lo", "hi"))
         factor = standard_unit(source.name, source.unit_of_measure).factor
-        return ranges(slot, self._block_s, *self._extremes[key]) * abs(factor)
+        return ranges(slot, self._block_s, *self._stored.extremes(source, t0_ns)) * abs(factor)
+
+    def expect_changes(self, wanted: Sequence[tuple[ChannelSource, int]]) -> None:
+        """Announce the channels, with the begin of slot 0, whose `changes` will be asked for."""
+        self._stored.expect_extremes(wanted)
 
     def _joined(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         if source.is_angle:
@@ -142,8 +135,8 @@ class ChannelJoiner:
         if source.kept_raw != source.samples:  # means of an angle that wraps would be wrong
             return _empty(signal, unit.name)
         angle = AngleBlocks(grid, self._block_ns, unit.factor)
-        for batch in self._batches(source, grid):
-            angle.update(numbers(batch.column("t_ns")), numbers(batch.column("value")))
+        for t_ns, value in self._stored.pieces(source, self._wide(grid)):
+            angle.update(t_ns, value)
         return angle.channel(signal.slot)
 
     def _means(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
@@ -162,10 +155,8 @@ class ChannelJoiner:
 
     def _readings(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         """A channel by its single readings."""
-        unit, readings = (
-            standard_unit(source.name, source.unit_of_measure),
-            readings_of(self._batches(source, grid), grid),
-        )
+        unit = standard_unit(source.name, source.unit_of_measure)
+        readings = self._stored.of(source, self._wide(grid))
         intervals = np.diff(readings.t_s)
         tolerance_s = self._tolerance(float(np.median(intervals)) if len(intervals) else 0.0)
         raw = joined_readings(signal, readings, unit, tolerance_s)
@@ -180,19 +171,28 @@ class ChannelJoiner:
 
     def _polled(self, angle: ChannelSource, rate: ChannelSource, signal: SignalBlocks, grid: Grid) -> Channel | None:
         """An angle with too few readings for means, by the table's rate; None where that is read less often."""
-        if (
-            angle.interval_s * _DENSE <= self._block_s
-            or rate.interval_s > _TOLERATED * angle.interval_s
-            or rate.kept_raw < rate.samples
-        ):
+        if not self._is_polled(angle, rate):
             return None
-        turned, rates = (readings_of(self._batches(each, grid), grid) for each in (angle, rate))
+        turned, rates = (self._stored.of(each, self._wide(grid)) for each in (angle, rate))
         if not len(rates.t_s):
             return None
         degrees = turned.value * standard_unit(angle.name, angle.unit_of_measure).factor
         about = interpolated(turned.t_s, rates, _TOLERATED * angle.interval_s)
         per_s = standard_unit(rate.name, rate.unit_of_measure).factor
         return polled_angle(signal.slot, self._block_s, Readings(turned.t_s, degrees), about * per_s)
+
+    def _is_polled(self, angle: ChannelSource, rate: ChannelSource) -> bool:
+        is_sparse = angle.interval_s * _DENSE > self._block_s
+        return is_sparse and rate.interval_s <= _TOLERATED * angle.interval_s and rate.kept_raw >= rate.samples
+
+    def _is_read_singly(self, source: ChannelSource, beside: Sequence[ChannelSource]) -> bool:
+        """Whether a channel is joined by its single readings, among those of its run."""
+        if source.is_angle:
+            return source.kept_raw == source.samples
+        continues = source.name == "table_rate" and any(
+            each.is_angle and self._is_polled(each, source) for each in beside
+        )
+        return continues or not self._is_dense(source)
 
     def _is_dense(self, source: ChannelSource) -> bool:
         """Whether its readings are averaged over each block: there are many, or they are taken with the samples."""
@@ -206,15 +206,6 @@ class ChannelJoiner:
     def _wide(self, grid: Grid) -> Grid:
         beside_ns = _BESIDE * self._block_ns
         return Grid(grid.t0_ns, grid.first_ns - beside_ns, grid.last_ns + beside_ns)
-
-    def _batches(self, source: ChannelSource, grid: Grid) -> Iterator[pa.RecordBatch]:
-        wide = self._wide(grid)
-        times = {"first": wide.first_ns, "last": wide.last_ns}
-        return self._catalog.batches(
-            "select t_ns, value from samples where unit = $unit and signal = $signal and run = $run "
-            "and t_ns between $first and $last and isfinite(value) order by t_ns",
-            {"unit": source.unit, "signal": source.signal, "run": source.run, **times},
-        )
 
 
 def _motion(
@@ -272,7 +263,7 @@ def _groups(sources: Sequence[ChannelSource]) -> list[list[ChannelSource]]:
     for (rolled_up, *_), signal in groupby(ordered, key=lambda each: (each.is_rolled_up, each.unit, each.signal)):
         own = list(signal)
         more = sum(each.samples for each in own)
-        if groups and groups[-1][0].is_rolled_up is rolled_up and readings + more <= _MOST_READINGS:
+        if groups and groups[-1][0].is_rolled_up is rolled_up and readings + more <= MOST_READINGS:
             groups[-1] += own
             readings += more
         else:

@@ -2,14 +2,18 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers
 from stream.batch import FloatArray, IntArray
+
+NumberArray = npt.NDArray[Any]
 
 
 class SignalKey(NamedTuple):
@@ -54,41 +58,57 @@ _ROLLED_UP = """
 select w.number, s.t_ns as start_ns, s.t_ns + 500000000 as t_ns, s.t_ns + 1000000000 * (s.n - 1) // s.n as end_ns,
   s.n, s.mean, s.m2, s.lo, s.hi
 from rollup_1s s WANTED and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns
-""".replace("WANTED", _WANTED)
+"""
 _FROM_SAMPLES = """
 select w.number, min(s.t_ns) as start_ns, avg(s.t_ns - w.t0_ns)::bigint + any_value(w.t0_ns) as t_ns,
   max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
   min(s.value) as lo, max(s.value) as hi
 from samples s WANTED and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
 group by w.number, (s.t_ns - w.t0_ns) // $piece_ns
-""".replace("WANTED", _WANTED)
+"""
 
 
 def pieces_of(
     catalog: Catalog, grids: Mapping[SignalKey, Grid], block_ns: int, *, rolled_up: bool
 ) -> Iterator[tuple[SignalKey, Pieces]]:
     """Pieces of several signals, read by one statement; signals without any are left out."""
-    keys = list(grids)
     whole = rolled_up and block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
-    table = catalog.reader(
-        _ROLLED_UP if whole else _FROM_SAMPLES,
-        {
-            "units": [key.unit for key in keys],
-            "signals": [key.signal for key in keys],
-            "runs": [key.run for key in keys],
-            "numbers": list(range(len(keys))),
-            "t0": [grids[key].t0_ns for key in keys],
-            "first": [grids[key].first_ns for key in keys],
-            "last": [grids[key].last_ns for key in keys],
-            **({} if whole else {"piece_ns": max(1, block_ns // 32)}),
-        },
-    ).read_all()
+    parameters = {} if whole else {"piece_ns": max(1, block_ns // 32)}
+    for key, columns in rows_of(catalog, _ROLLED_UP if whole else _FROM_SAMPLES, grids, "start_ns", parameters):
+        yield key, Pieces(**columns)
+
+
+def rows_of(
+    catalog: Catalog,
+    sql: str,
+    grids: Mapping[SignalKey, Grid],
+    order: str,
+    parameters: Mapping[str, object] = MappingProxyType({}),
+) -> Iterator[tuple[SignalKey, dict[str, NumberArray]]]:
+    """Rows of several signals, read by one statement, by signal; signals without any are left out.
+
+    Parameters
+    ----------
+    sql: Selects ``w.number`` and other numbers of a table ``s``; its ``WANTED`` is the join with the signals ``w``.
+    order: The column by which the rows of a signal are ordered.
+    """
+    keys = list(grids)
+    wanted = {
+        "units": [key.unit for key in keys],
+        "signals": [key.signal for key in keys],
+        "runs": [key.run for key in keys],
+        "numbers": list(range(len(keys))),
+        "t0": [grids[key].t0_ns for key in keys],
+        "first": [grids[key].first_ns for key in keys],
+        "last": [grids[key].last_ns for key in keys],
+    }
+    table = catalog.reader(sql.replace("WANTED", _WANTED), {**wanted, **parameters}).read_all()
     columns = {name: numbers(table.column(name)) for name in table.column_names}
     number = columns.pop("number")
-    order = np.argsort(number, kind="stable")
-    edges = np.searchsorted(number[order], np.arange(len(keys) + 1))
+    ordered = np.argsort(number, kind="stable")
+    edges = np.searchsorted(number[ordered], np.arange(len(keys) + 1))
     for at, key in enumerate(keys):
-        rows = order[edges[at] : edges[at + 1]]
+        rows = ordered[edges[at] : edges[at + 1]]
         if rows.size:
-            rows = rows[np.argsort(columns["start_ns"][rows], kind="stable")]  # quick on what is nearly in order
-            yield key, Pieces(**{name: column[rows] for name, column in columns.items()})
+            rows = rows[np.argsort(columns[order][rows], kind="stable")]  # quick on what is nearly in order
+            yield key, {name: column[rows] for name, column in columns.items()}

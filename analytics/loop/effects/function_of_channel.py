@@ -8,7 +8,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, numbers, range_over
 from analytics.loop.effects.block_kernels import mean_excess
 from analytics.loop.effects.channel_names import channel_name
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
 
 _KNOTS, _POSITIONS = "knots", "positions"
 _RATE_PARTS = (0.01, 0.025, 0.05, 0.25, 0.5, 1.0)
@@ -170,19 +170,35 @@ def _spline_columns(value: FloatArray, knots: FloatArray) -> FloatArray:
     >>> columns.shape, columns.sum(axis=1)
     ((3, 5), array([1., 1., 1.]))
     """
-    from scipy.interpolate import BSpline
-
+    padded = _padded(knots)
     inside = np.clip(np.where(np.isfinite(value), value, knots[0]), knots[0], knots[-1])
-    columns = np.asarray(BSpline.design_matrix(inside, _padded(knots), _DEGREE).toarray(), np.float64)
+    interval = _interval(inside, knots)
+    # the recurrence of Cox and de Boor for the splines that are not zero; scipy.interpolate is slow to import
+    splines = [np.ones(value.size)]
+    for order in range(1, _DEGREE + 1):
+        left = [inside - padded[interval + 1 - order + j] for j in range(order)]
+        right = [padded[interval + 1 + j] - inside for j in range(order)]
+        shares = [spline / (right[j] + left[j]) for j, spline in enumerate(splines)]
+        rising = [np.zeros(value.size), *(left[j] * share for j, share in enumerate(shares))]
+        falling = [*(right[j] * share for j, share in enumerate(shares)), np.zeros(value.size)]
+        splines = [up + down for up, down in zip(rising, falling, strict=True)]
+    columns = np.zeros((value.size, knots.size + _DEGREE - 1))
+    for j, spline in enumerate(splines):
+        columns[np.arange(value.size), interval - _DEGREE + j] = spline
     columns[~np.isfinite(value)] = np.nan
     return columns
+
+
+def _interval(inside: FloatArray, knots: FloatArray) -> IntArray:
+    """Number of the padded knot at or before each value."""
+    return np.asarray(np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, knots.size - 2) + _DEGREE)
 
 
 def _spline_value(value: FloatArray, knots: FloatArray, coefficients: Sequence[float]) -> FloatArray:
     """The spline with these coefficients, by de Boor's recurrence."""
     padded = _padded(knots)
     inside = np.clip(value, knots[0], knots[-1])
-    interval = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, knots.size - 2) + _DEGREE
+    interval = _interval(inside, knots)
     weights = np.asarray(coefficients, np.float64)
     levels = [weights[interval - _DEGREE + j] for j in range(_DEGREE + 1)]
     for order in range(1, _DEGREE + 1):

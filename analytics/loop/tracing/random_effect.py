@@ -2,7 +2,6 @@
 
 import msgspec
 import numpy as np
-from scipy import optimize
 
 from analytics.methods.distributions import chi_square_quantile, normal_log_density, student_quantile
 from stream.batch import FloatArray
@@ -83,4 +82,6 @@ def _variance_at(values: FloatArray, errors: FloatArray, squares: float) -> floa
     most = float(np.ptp(values) ** 2)
     while _weighted_squares(values, errors, most) > squares:
         most *= 4.0
-    return float(optimize.brentq(lambda each: _weighted_squares(values, errors, each) - squares, 0.0, most))
+    from scipy.optimize import brentq  # slow to import
+
+    return float(brentq(lambda each: _weighted_squares(values, errors, each) - squares, 0.0, most))

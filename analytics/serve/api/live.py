@@ -16,6 +16,7 @@ from analytics.serve.api.rows import iso
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.live.broadcast import event
+from analytics.serve.live.packed import BEGIN, packed
 from analytics.serve.problems import TooMany
 from analytics.serve.service import Service
 from stream.console import json_text
@@ -24,6 +25,7 @@ from stream.errors import NotFound
 _MOST_LISTENERS = 1000
 _MOST_OF_ONE = 200
 _LONGEST_S = 3600.0
+_RETRY, _SILENCE = b"retry: 2000\n\n", b": \n\n"
 
 
 class FloorDocument(msgspec.Struct, frozen=True, kw_only=True):
@@ -130,17 +132,24 @@ async def live(request: Request, *, service: Service) -> Response:
         raise TooMany("too many pages listen to the floor", 10.0)
     nonce, _, number = request.headers.get("last-event-id", "").partition("-")
     version = int(number) if nonce == service.nonce and number.isdecimal() and len(number) < 16 else -1
-    first = None
+    is_packed = "gzip" in request.headers.get("accept-encoding", "")
+    first = _RETRY
     if version < 0 or not service.changes.has_after(version):
         encode = functools.partial(_all, service)
         version, first = await anyio.to_thread.run_sync(encode, limiter=service.fast, abandon_on_cancel=True)
-    events = _of_person(service, person.name, _events(service, version, first))
-    return StreamingResponse(events, media_type="text/event-stream", headers={"X-Accel-Buffering": "no"})
+    if is_packed:
+        first = await anyio.to_thread.run_sync(packed, first, limiter=service.fast, abandon_on_cancel=True)
+    events = _of_person(service, person.name, _events(service, version, first, is_packed=is_packed))
+    headers = {"X-Accel-Buffering": "no", "Vary": "Accept-Encoding"}
+    if is_packed:
+        headers["Content-Encoding"] = "gzip"
+    return StreamingResponse(events, media_type="text/event-stream", headers=headers)
 
 
 def _all(service: Service) -> tuple[int, bytes]:
     document = service.live.document()
-    return document["version"], json_text(document).encode()
+    version = document["version"]
+    return version, _RETRY + event("floor", f"{service.nonce}-{version}", json_text(document).encode())
 
 
 async def _of_person(service: Service, name: str, events: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
@@ -153,12 +162,11 @@ async def _of_person(service: Service, name: str, events: AsyncIterator[bytes]) 
         service.listening[name] -= 1
 
 
-async def _events(service: Service, version: int, first: bytes | None) -> AsyncIterator[bytes]:
+async def _events(service: Service, version: int, first: bytes, *, is_packed: bool) -> AsyncIterator[bytes]:
     ends_s = time.monotonic() + _LONGEST_S  # the browser comes back, and says who it is once more
-    yield b"retry: 2000\n\n"
-    if first is not None:
-        yield event("floor", f"{service.nonce}-{version}", first)
-    async for change in service.changes.after(version):
-        yield b": \n\n" if change is None else change
+    yield BEGIN + first if is_packed else first
+    silence = packed(_SILENCE) if is_packed else _SILENCE
+    async for change in service.changes.after(version, is_packed=is_packed):
+        yield silence if change is None else change
         if time.monotonic() > ends_s:
             return

@@ -1,6 +1,7 @@
 """Allan deviation of some units of a run side by side, with the limits that they are judged by."""
 
 import time
+from itertools import islice
 
 import msgspec
 
@@ -23,6 +24,9 @@ from stream.worker.limit_checks import (
 
 MOST_UNITS = 8
 _FIRST = 3
+_ESTIMATED = (
+    "select distinct unit from estimates where run = $run and signal = $signal and estimator = 'allan_deviation'"
+)
 _ABOUT = "select product from internal.served_units where unit = $unit and run = $run"
 _SIGNALS = "select distinct signal, unit_of_measure from internal.lake_channels where run = $run and unit = $unit"
 
@@ -45,6 +49,8 @@ class DrawnLimit(msgspec.Struct, frozen=True, kw_only=True):
     characteristic: str
     verdict: str
     value: float | None
+    lo: float | None
+    hi: float | None
 
 
 class UnitCurve(msgspec.Struct, frozen=True, kw_only=True):
@@ -70,7 +76,7 @@ class RunAllan(msgspec.Struct, frozen=True, kw_only=True):
 def run_allan(call: Call, asked: RunAllanAsked) -> RunAllan:
     """Allan deviation of up to 8 units of a run, the newest live estimate of each, with its limits.
 
-    Without units, the first ones of which there is a live estimate.
+    Without units, the first ones of which there is an estimate, live or stored.
     """
     course = run_course(call, Nothing())
     if len(asked.unit) > MOST_UNITS:
@@ -95,8 +101,9 @@ def _signals(call: Call, course: RunCourse, units: tuple[str, ...]) -> list[str]
 
 def _first(call: Call, course: RunCourse, signal: str) -> tuple[str, ...]:
     live = call.service.live.tail
-    there = (unit for unit in course.units if live.curve((unit, course.run, signal)) is not None)
-    return tuple(unit for unit, _ in zip(there, range(_FIRST), strict=False))
+    stored = {unit for (unit,) in call.views.rows(_ESTIMATED, {"run": course.run, "signal": signal})}
+    there = (unit for unit in course.units if unit in stored or live.curve((unit, course.run, signal)) is not None)
+    return tuple(islice(there, _FIRST))
 
 
 def _curve(call: Call, course: RunCourse, unit: str, signal: str) -> UnitCurve:
@@ -154,4 +161,6 @@ def _drawn(limit: Limit, curve: Allan) -> DrawnLimit | None:
     verdict = Verdict.NO_DATA
     if value is not None and lo is not None and hi is not None:
         verdict = Verdict.PASS if hi <= upper else Verdict.FAIL if lo > upper else Verdict.MARGINAL
-    return DrawnLimit(tau_s=tau_s, upper=upper, characteristic=limit.characteristic, verdict=verdict.value, value=value)
+    return DrawnLimit(
+        tau_s=tau_s, upper=upper, characteristic=limit.characteristic, verdict=verdict.value, value=value, lo=lo, hi=hi
+    )

@@ -35,7 +35,11 @@ from steps where run = $run and ($unit = '' or unit = $unit)
 group by all order by t_start_ns, "index" limit 5000
 """
 _UNITS = """
-with recorded as (
+with named as (
+  select unnest(from_json(document->'$.units', '["varchar"]')) as unit from internal.lake_documents
+  where kind = 'RunStarted' and run = $run
+  union select unit from internal.served_units where run = $run
+), recorded as (
   select unit, list(distinct signal order by signal) as signals, sum(samples)::bigint as samples,
     max(t_last_ns) as t_last_ns, max(arrival_last_ns) as arrival_last_ns
   from internal.lake_channels where run = $run group by unit
@@ -49,13 +53,16 @@ with recorded as (
 )
 select coalesce(r.unit, u.unit) as unit, u.product, u.lot, u.slot, u.fixture, coalesce(r.signals, []) as signals,
   coalesce(r.samples, 0) as samples, r.t_last_ns, r.arrival_last_ns, g.verdict, d.early,
+  exists(from named) and coalesce(r.unit, u.unit) not in (from named) as is_instrument,
   e.verdict as released, e.t_ns as released_ns, e.planned_s - e.recorded_s as saved_s
 from recorded r full join (select * from internal.served_units where run = $run) u using (unit)
 left join given g using (unit) left join decided d using (unit)
 left join (select * from internal.served_releases where run = $run) e using (unit)
 where coalesce(r.unit, u.unit) > $after order by 1 limit $rows
 """
-_COUNTS = f"select coalesce(verdict, 'OPEN'), count(*) from ({_UNITS}) group by 1 order by 1"  # noqa: S608  our own
+_COUNTS = f"""
+select coalesce(verdict, released, 'OPEN'), count(*) from ({_UNITS}) where not is_instrument group by 1 order by 1
+"""  # noqa: S608  our own statement
 _DOCUMENTS = """
 select t_ns, kind, unit, document from internal.lake_documents
 where run = $run and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'NoteAdded',
@@ -143,7 +150,10 @@ class StepRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
-    """A unit in a run: its verdict so far, the outcomes of its early decisions, and its release before the end."""
+    """A unit in a run: its verdict so far, the outcomes of its early decisions, and its release before the end.
+
+    What delivers samples and is none of the units that the run names `is_instrument` of the station.
+    """
 
     unit: str
     product: str | None
@@ -156,6 +166,7 @@ class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
     arrival_last_ns: int | None
     verdict: str | None
     early: str | None
+    is_instrument: bool
     released: str | None
     released_ns: int | None
     saved_s: float | None
@@ -195,10 +206,11 @@ def run(call: Call, asked: RunAsked) -> RunDocument:
         for each in dictionaries(call.fresh, _DOCUMENTS, {"run": name})
     ]
     counts = call.fresh.rows(_COUNTS, {"run": name, "after": "", "rows": 2**31})
+    so_far = call.service.live.verdicts_so_far(name) if row.outcome == "open" else None
     parameters = {"limit": asked.limit, "after": units[-1].unit if units else None, "unit": asked.unit}
     return RunDocument(
         run=row, steps=[StepRow(**each) for each in steps], documents=documents, units=units,
-        verdicts={str(verdict): int(n) for verdict, n in counts},
+        verdicts=so_far or {str(verdict): int(n) for verdict, n in counts},
         next=link("api", "runs", name, **parameters) if has_more else None,
     )  # fmt: skip
 

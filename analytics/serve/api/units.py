@@ -12,8 +12,13 @@ from storage.sql.catalog import Catalog
 from stream.errors import NotFound
 
 _UNITS = """
-with recorded as (
-  select unit, count(distinct run) as runs, count(distinct signal) as signals, sum(samples)::bigint as samples,
+with named as (
+  select distinct run, unnest(from_json(document->'$.units', '["varchar"]')) as unit
+  from internal.lake_documents where kind = 'RunStarted'
+  union select run, unit from internal.served_units
+), recorded as (
+  select unit, bool_and(run in (select run from named)) as is_in_runs_that_name_units,
+    count(distinct run) as runs, count(distinct signal) as signals, sum(samples)::bigint as samples,
     arg_max(run, arrival_last_ns) as last_run, arg_max(site, arrival_last_ns) as site,
     arg_max(station, arrival_last_ns) as station, max(arrival_last_ns) as recorded_ns
   from internal.lake_channels group by unit
@@ -26,13 +31,15 @@ with recorded as (
 )
 select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, m.slot, m.fixture, m.firmware,
   coalesce(r.runs, 0) as runs, coalesce(r.last_run, m.run) as last_run, coalesce(r.signals, 0) as signals,
-  coalesce(r.samples, 0) as samples, g.verdict, r.recorded_ns, z.time_zone
+  coalesce(r.samples, 0) as samples, coalesce(r.is_in_runs_that_name_units, false)
+    and coalesce(r.unit, m.unit) not in (select unit from named) as is_instrument, g.verdict, r.recorded_ns, z.time_zone
 from recorded r full join mounted m using (unit) left join given g using (unit)
 left join (select run, time_zone from internal.served_runs) z on z.run = coalesce(r.last_run, m.run)
 """
 _PAGE = f"""
 select * from ({_UNITS}) where unit > $after and contains(lower(unit), lower($search))
   and ($product = '' or product = $product) and ($lot = '' or lot = $lot)
+  and ($instruments or not is_instrument)
   and ($station = '' or station = $station) and ($verdict = '' or coalesce(verdict, '') = $verdict)
 order by unit limit $rows
 """  # noqa: S608  our own statement
@@ -56,6 +63,7 @@ class UnitsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
     lot: Name = ""
     station: Name = ""
     verdict: Name = ""
+    instruments: bool = False  # what delivers samples in runs that do not name it as a unit, such as a chamber, as well
 
 
 class UnitRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,6 +81,7 @@ class UnitRow(msgspec.Struct, frozen=True, kw_only=True):
     last_run: str | None
     signals: int
     samples: int
+    is_instrument: bool
     verdict: str | None
     recorded_ns: int | None
     time_zone: str | None

@@ -13,14 +13,14 @@ class Broadcast:
     """Numbered changes; used from the event loop."""
 
     def __init__(self, stopping: asyncio.Event) -> None:
-        self._kept: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)
+        self._kept: deque[tuple[int, bytes, bytes]] = deque(maxlen=_KEPT)
         self._stopping = stopping
         self._news = asyncio.Event()
         self.listeners = 0
 
-    def send(self, version: int, event: bytes) -> None:
-        """Send a change to all."""
-        self._kept.append((version, event))
+    def send(self, version: int, event: bytes, packed: bytes) -> None:
+        """Send a change to all, to each as it is or packed."""
+        self._kept.append((version, event, packed))
         self.wake()
 
     def wake(self) -> None:
@@ -32,16 +32,16 @@ class Broadcast:
         """Whether all changes after a version are kept."""
         return bool(self._kept) and self._kept[0][0] <= version + 1 and version <= self._kept[-1][0]
 
-    async def after(self, version: int) -> AsyncIterator[bytes | None]:
+    async def after(self, version: int, *, is_packed: bool = False) -> AsyncIterator[bytes | None]:
         """Changes after a version as they come; None where there was none for a while. Ends when the server stops."""
         self.listeners += 1
         try:
             while not self._stopping.is_set():
                 news = self._news
                 found = self._after(version)
-                for number, event in found:
+                for number, event, packed in found:
                     version = number
-                    yield event
+                    yield packed if is_packed else event
                 if found:
                     continue
                 try:
@@ -51,7 +51,7 @@ class Broadcast:
         finally:
             self.listeners -= 1
 
-    def _after(self, version: int) -> list[tuple[int, bytes]]:
+    def _after(self, version: int) -> list[tuple[int, bytes, bytes]]:
         """Kept changes after a version; the newest are looked at first, since most listeners miss one or two."""
         return list(takewhile(lambda each: each[0] > version, reversed(self._kept)))[::-1]
 

@@ -2,6 +2,7 @@
 
 import time
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from typing import Any
 
 from analytics.floor import Floor, RunNow, UnitNow
@@ -37,7 +38,7 @@ class FloorRows:
         limit, the second (since 1970) in which its last sample arrived, and whether it is released before the end
         of its run.
         """
-        units = list(floor.units.values())
+        units = [unit for unit in floor.units.values() if not unit.is_instrument]
         states = [self._state(unit) for unit in units]
         return {
             "version": self.version,
@@ -56,8 +57,7 @@ class FloorRows:
 
         Rows of runs count their units and take milliseconds: without `with_runs` they are left to the next time.
         """
-        fresh = [floor.units[name] for name in floor.fresh if name in floor.units]
-        changed = [floor.units[name] for name in floor.changed if name in floor.units]
+        fresh, changed = _tested(floor, floor.fresh), _tested(floor, floor.changed)
         self._runs |= floor.changed_runs | {unit.run.run for unit in changed}
         runs = self._runs if with_runs else set()
         if not (changed or fresh or floor.gone or runs):
@@ -96,6 +96,12 @@ class FloorRows:
         ]
 
 
+def _tested(floor: Floor, names: Iterable[str]) -> list[UnitNow]:
+    """Those of the units that are on the floor, without instruments of the station."""
+    found = (floor.units[name] for name in names if name in floor.units)
+    return [unit for unit in found if not unit.is_instrument]
+
+
 def unit_row(unit: UnitNow) -> list[int | str | None]:
     """What seldom changes of a unit."""
     return [unit.number, unit.unit, unit.run.run, unit.slot, unit.product]
@@ -110,7 +116,7 @@ def runs_of(floor: Floor, wanted: set[str] | None = None) -> list[dict[str, Any]
     left: defaultdict[str, list[float]] = defaultdict(list)
     for unit in floor.units.values():
         run = unit.run.run
-        if wanted is not None and run not in wanted:
+        if (wanted is not None and run not in wanted) or unit.is_instrument:
             continue
         verdicts[run][unit.so_far] += 1
         silent[run] += unit.is_silent

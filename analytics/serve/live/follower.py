@@ -1,7 +1,9 @@
 """A thread that keeps the floor: reads the log many times a second, and tells at once what has changed."""
 
+import itertools
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,7 +15,7 @@ from analytics.serve.live.floor_rows import FloorRows
 from analytics.serve.live.rows import LiveRows, RowTables
 from analytics.serve.live.tail import LiveTail
 from analytics.serve.shared_lake import SharedLake
-from storage.log.follower import LogFollower
+from storage.log.follower import FollowedMessage, LogFollower
 from storage.store import Store
 from stream.closing import Closing
 from stream.console import json_text
@@ -22,6 +24,7 @@ from stream.events import EstimatePublished
 from stream.wire.batches import RawBatch
 
 _LOOK_S = 0.05
+_AT_ONCE = 200  # messages
 _RUNS_S = 1.0  # between two rows of the same run
 _TRY_AGAIN_S = 5.0
 _FILLED_WITHIN_S = 10.0
@@ -63,6 +66,13 @@ class FloorFollower(Closing):
         with self._lock:
             yield self.floor.units.get(name)
 
+    def verdicts_so_far(self, run: str) -> dict[str, int] | None:
+        """Units of a run on the floor by their verdict so far, early decisions included; None if it is not there."""
+        self._is_filled.wait(_FILLED_WITHIN_S)
+        with self._lock:
+            units = [unit for unit in self.floor.units.values() if unit.run.run == run and not unit.is_instrument]
+            return dict(sorted(Counter(unit.so_far or "OPEN" for unit in units).items())) if units else None
+
     @property
     def log_version(self) -> int:
         """Grows as channels and documents come that the lake does not have."""
@@ -70,9 +80,13 @@ class FloorFollower(Closing):
 
     def beyond(self, in_lake: Collection[str]) -> RowTables:
         """Rows of what a version of the lake does not have; waits until the log has been read once."""
-        self._is_read.wait(_FILLED_WITHIN_S)
+        self.wait()
         with self._lock:
             return self.fresh.beyond(in_lake)
+
+    def wait(self) -> None:
+        """Wait until the log has been read once, for some seconds."""
+        self._is_read.wait(_FILLED_WITHIN_S)
 
     def entered(self) -> str:
         """Changes with each document that changes limits, checks or models."""
@@ -109,17 +123,12 @@ class FloorFollower(Closing):
         with LogFollower(self._store, state.segments) as messages:
             while not self._ends.is_set():
                 began_s = time.monotonic()
-                with self._lock:
-                    for message in messages.poll():
-                        entered = self.floor.take_message(message)
-                        if entered is not None and message.place is not None:
-                            place = parsed_key(message.place.stream.key).place
-                            self.course.take(message.segment, place, entered, message.record.arrival_ns)
-                        rows.take(message)
-                        if isinstance(message.content, RawBatch) and message.place is not None:
-                            self.tail.take(message.segment, message.content)
-                        elif isinstance(message.content, EstimatePublished):
-                            self.tail.take_estimate(message.content)
+                new = messages.poll()
+                # read without the lock, so that requests have the floor meanwhile
+                while some := list(itertools.islice(new, _AT_ONCE)):
+                    with self._lock:
+                        for message in some:
+                            self._take(message, rows)
                 self.lag_s, self.problem = time.monotonic() - began_s, None
                 is_due = began_s - told_s >= _RUNS_S
                 if is_due:
@@ -135,6 +144,17 @@ class FloorFollower(Closing):
                 self._tell(tell, with_runs=is_due)
                 # as long again as the look took, so that requests have their turn
                 self._ends.wait(max(_LOOK_S, time.monotonic() - began_s))
+
+    def _take(self, message: FollowedMessage, rows: LiveRows) -> None:
+        entered = self.floor.take_message(message)
+        if entered is not None and message.place is not None:
+            place = parsed_key(message.place.stream.key).place
+            self.course.take(message.segment, place, entered, message.record.arrival_ns)
+        rows.take(message)
+        if isinstance(message.content, RawBatch) and message.place is not None:
+            self.tail.take(message.segment, message.content)
+        elif isinstance(message.content, EstimatePublished):
+            self.tail.take_estimate(message.content)
 
     def _tell(self, tell: Tell, *, with_runs: bool) -> None:
         with self._lock:

@@ -10,6 +10,8 @@ import pyarrow as pa
 
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.shared_lake import SERVED, SERVED_KINDS, LakeState, SharedLake
+from storage.sql.catalog import Catalog
+from storage.sql.overlay import Overlay
 from stream.closing import Closing
 
 _numbers = itertools.count()
@@ -25,17 +27,19 @@ class FreshViews(Closing):
         channels, events = live.beyond(state.segments)
         with ExitStack() as stack:
             catalog = stack.enter_context(lake.views.lease(replace(state, log_version=0)))
-            name = f"log_{next(_numbers)}"
-            self._overlay = stack.enter_context(catalog.overlay(name, channels, events, SERVED, SERVED_KINDS))
+            self._views: Catalog | Overlay = catalog
+            if channels.num_rows or events.num_rows:
+                name = f"log_{next(_numbers)}"
+                self._views = stack.enter_context(catalog.overlay(name, channels, events, SERVED, SERVED_KINDS))
             self._leases = stack.pop_all()
 
     def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:
         """The batches of a result of one of the project's own reading statements."""
-        return self._overlay.batches(sql, parameters)
+        return self._views.batches(sql, parameters)
 
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
         """All rows of a statement's result."""
-        return self._overlay.rows(sql, parameters)
+        return self._views.rows(sql, parameters)
 
     def close(self) -> None:
         """Leave the lake."""

@@ -65,6 +65,14 @@ class Texts:
         """The one of two texts that is in this language."""
         return (en, zh)[self._at]
 
+    def reason(self, reason: str) -> str:
+        """Why there is no value, or no verdict, in this language where it is known in it."""
+        if self.language == "en":
+            return reason
+        from analytics.evaluation.reasons import in_chinese
+
+        return in_chinese(reason)
+
     def word(self, word: str | None, kind: str) -> str:
         """A word of the data, such as a verdict, where it has a translation; else the word itself.
 

@@ -1,5 +1,6 @@
 """Templates: every text escaped, numbers and moments in one manner."""
 
+import json
 import math
 from functools import cache
 from typing import Any
@@ -15,10 +16,12 @@ from analytics.serve.api.rows import iso
 from analytics.serve.doors.gate import PERSON
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.language import COOKIE, LANGUAGES, Texts, language_of
-from analytics.serve.pages.zones import DEFAULT, local
+from analytics.serve.pages.zones import DEFAULT, local, typed
 from stream.events import Verdict
 
 _YEAR_S = 365 * 86_400
+_MOST_DIGITS = 9
+_REMARK = "remark"
 
 
 @cache
@@ -34,6 +37,9 @@ def _environment() -> jinja2.Environment:
         "runs_of": _runs,
         "kinds_of": _kinds,
         "namesakes": _namesakes,
+        "spread": spread,
+        "parameters": _parameters,
+        "remark_of": _remark_of,
     }
     environment.filters |= {
         "number": number,
@@ -41,6 +47,7 @@ def _environment() -> jinja2.Environment:
         "duration": duration,
         "segment": _segment,
         "bytes": size,
+        "typed": typed,
     }
     return environment
 
@@ -68,8 +75,8 @@ def page(request: Request, template: str, context: dict[str, Any], status: int =
 def number(value: object, uncertainty: float | None = None) -> str:
     """A number for people: to two digits of its uncertainty, else six digits; other values as their text.
 
-    >>> number(12.3456789, 0.0123), number(1234567), number(None), number(True)
-    ('12.346', '1,234,567', '', 'yes')
+    >>> number(12.3456789, 0.0123), number(1.2345e-7, 2e-9), number(1234567), number(None), number(True)
+    ('12.346', '1.235e-07', '1,234,567', '', 'yes')
     """
     if value is None:
         return ""
@@ -81,9 +88,39 @@ def number(value: object, uncertainty: float | None = None) -> str:
         return str(value)
     if not math.isfinite(value):
         return str(value)
-    if uncertainty is not None and uncertainty > 0 and math.isfinite(uncertainty) and 1e-4 <= abs(value) < 1e7:
-        return f"{value:.{min(max(1 - math.floor(math.log10(uncertainty)), 0), 9)}f}"
-    return f"{value:.6g}"
+    if uncertainty is None or not 0 < uncertainty < math.inf or value == 0:
+        return f"{value:.6g}"
+    last = math.floor(math.log10(uncertainty)) - 1  # the decimal place of the uncertainty's second digit
+    if 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{min(max(-last, 0), _MOST_DIGITS)}f}"
+    return f"{value:.{min(max(math.floor(math.log10(abs(value))) - last, 1), _MOST_DIGITS)}e}"
+
+
+def spread(lo: float | None, hi: float | None) -> float | None:
+    """The standard uncertainty that a 95 % interval stands for, near enough to round by.
+
+    >>> spread(1.0, 1.5), spread(1.0, None)
+    (0.125, None)
+    """
+    return None if lo is None or hi is None else (hi - lo) / 4
+
+
+def _parameters(row: dict[str, Any]) -> str:
+    """What tells values of one characteristic apart, as commands show it."""
+    from analytics.evaluation.table import format_parameters
+
+    return format_parameters({name: each for name, each in _parameters_of(row).items() if name != _REMARK})
+
+
+def _remark_of(row: dict[str, Any]) -> str:
+    """What a value's remark says of the record that it rests on."""
+    return str(_parameters_of(row).get(_REMARK) or "")
+
+
+def _parameters_of(row: dict[str, Any]) -> dict[str, Any]:
+    found = row["parameters"] or {}
+    given: dict[str, Any] = json.loads(found) if isinstance(found, str) else found
+    return given
 
 
 @jinja2.pass_context

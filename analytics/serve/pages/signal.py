@@ -11,7 +11,7 @@ from analytics.serve.api import signals as api
 from analytics.serve.api.operation import Call, link
 from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.pages.page import shown
-from analytics.serve.pages.zones import zone_of_run
+from analytics.serve.pages.zones import common_zone, typed, zone_of_run, zoned
 from stream.quantities import report_unit
 
 _TABLE_POINTS = 100
@@ -40,7 +40,9 @@ class SignalPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 @shown("/signals/{unit}/{run}/{signal}", "signal.html.jinja", is_slow=True)
 def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
     """A stretch of a signal."""
-    few = api.SignalAsked(from_=asked.from_, to=asked.to, points=_TABLE_POINTS)
+    zone = zone_of_run(call, call.path["run"]) or common_zone(call)
+    first, last = zoned(asked.from_, zone), zoned(asked.to, zone)
+    few = api.SignalAsked(from_=first, to=last, points=_TABLE_POINTS)
     found = api.signal(call, few)
     of = (found.unit, found.run, found.signal)
     others = _others(call, found)
@@ -54,9 +56,11 @@ def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
         "beside": beside,
         "zooms": _zooms(found, asked.beside),
         "sql": _statement(found),
-        "data": link("api", "signals", *of, points=1000, **{"from": asked.from_, "to": asked.to}),
+        "data": link("api", "signals", *of, points=1000, **{"from": first, "to": last}),
         "allan_data": link("api", "allan", *of),
-        "zone": zone_of_run(call, found.run),
+        "zone": zone,
+        "from_typed": typed(found.from_ns, zone) if first else "",
+        "to_typed": typed(found.to_ns, zone) if last else "",
     }
 
 

@@ -15,6 +15,7 @@ from analytics.serve.pages.page import shown
 
 _MOST_HISTORIES = 6
 _AUDIT = 30
+_ORDER = {"FAIL": 0, "MARGINAL": 1, "NO_DATA": 2}
 
 
 @shown("/units", "units.html.jinja")
@@ -44,6 +45,8 @@ def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
     ]
     return {
         "found": found,
+        "verdicts_first": sorted(found.verdicts, key=_by_need),
+        "named": {row["metric"]: (row["en"], row["zh"]) for row in found.verdicts},
         "histories": drawn,
         "allan": _drawn(pictures.unit_allan(call, of_signal), found.unit, "allan", signal=asked.signal),
         "temperature": _drawn(
@@ -54,6 +57,11 @@ def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
         "audit": [(row, summary(row.document)) for row in events.unit_audit(call, Paged(limit=_AUDIT)).events],
         "data": link("api", "units", found.unit),
     }
+
+
+def _by_need(row: dict[str, Any]) -> tuple[int, int]:
+    """What needs somebody first; of these the newest first."""
+    return _ORDER.get(row["verdict"], len(_ORDER)), -(row["t_ns"] or 0)
 
 
 def _drawn(found: Picture, unit: str, which: str, **parameters: str) -> dict[str, Any]:

@@ -41,6 +41,36 @@ def local(t_ns: int, name: str) -> tuple[str, str]:
     return text, DEFAULT if zone is UTC else name
 
 
+def zoned(text: str | None, name: str) -> str | None:
+    """A moment that a person typed: one that states no zone is in this one; anything else is left as it is.
+
+    >>> zoned("2026-11-21 18:00", "Asia/Shanghai"), zoned("2026-11-21T10:00:00Z", "Asia/Shanghai"), zoned("noon", "UTC")
+    ('2026-11-21T18:00:00+08:00', '2026-11-21T10:00:00Z', 'noon')
+    """
+    try:
+        moment = datetime.fromisoformat((text or "").strip())
+    except ValueError:
+        return text
+    return (
+        text
+        if moment.tzinfo is not None or (text or "").isdecimal()
+        else moment.replace(tzinfo=_zone(name)).isoformat()
+    )
+
+
+def typed(t_ns: int, name: str) -> str:
+    """A moment as `zoned` reads it, to the microsecond.
+
+    >>> typed(1_795_255_200_500_000_000, "Asia/Shanghai")
+    '2026-11-21 18:00:00.500000'
+    """
+    return (
+        datetime.fromtimestamp(t_ns // 10**9, _zone(name))
+        .replace(microsecond=t_ns % 10**9 // 1000, tzinfo=None)
+        .isoformat(" ")
+    )
+
+
 @lru_cache
 def _zone(name: str) -> tzinfo:
     try:

@@ -2,8 +2,12 @@
 import {colour, faint, onTheme} from "./colours.js";
 import {ZONE, duration, element, figure, moment, say} from "./texts.js";
 
-const LEAST = 6, MOST = 26, TOLD_MS = 10_000, TABLE_MS = 1000;
+const LEAST = 6, MOST = 26, TOLD_MS = 10_000, TABLE_MS = 1000, PAGE_MS = 10_000;
+const PARTS = ["floor-alerts", "floor-stations", "floor-table"]; // of the page, which the server writes anew
 const COLOURS = {"": "--no-data", PASS: "--pass", FAIL: "--fail", MARGINAL: "--marginal", NO_DATA: "--no-data", ABORTED: "--fail"};
+
+/** A verdict as people read it. */
+const word = code => say(code || "open");
 
 export function start(section) {
   const floor = new Floor(section);
@@ -11,6 +15,17 @@ export function start(section) {
   source.addEventListener("floor", event => floor.fill(JSON.parse(event.data)));
   source.addEventListener("change", event => floor.change(JSON.parse(event.data)));
   source.addEventListener("error", () => floor.tell(say("away"), true));
+}
+
+/** The document at an address, without its scripts; null if it does not come. */
+function pageAt(url) {
+  return new Promise(resolve => {
+    const request = new XMLHttpRequest();
+    request.responseType = "document"; // text made a document here is refused by the page's own policy
+    request.addEventListener("loadend", () => resolve(request.status === 200 ? request.responseXML : null));
+    request.open("GET", url);
+    request.send();
+  });
 }
 
 class Floor {
@@ -21,8 +36,10 @@ class Floor {
     section.querySelector("h2").after(this.canvas, this.reading, this.live);
     this.units = [];   // {number, unit, run, slot, state} in the order of the cells
     this.places = new Map();
-    this.rows = new Map([...document.querySelectorAll("#floor-units tr[data-number]")].map(row => [+row.dataset.number, row]));
+    this.#found();
     this.waiting = new Map();
+    this.writing = 0;
+    this.writtenAt = -PAGE_MS;
     this.timer = 0;
     this.at = -1;
     this.toldAt = 0;
@@ -43,6 +60,7 @@ class Floor {
     this.#place();
     this.draw();
     this.#tell(found.time_ns);
+    if (String(found.version) !== document.getElementById("live-floor").dataset.version) this.#write();
   }
 
   /** Take what has changed. */
@@ -62,6 +80,7 @@ class Floor {
       for (const at of changed) this.#cell(at);
     }
     for (const state of found.states) if (this.rows.has(state[0])) this.waiting.set(state[0], state);
+    if (found.runs.length || found.units.length || gone.size) this.#write();
     if (this.waiting.size && !this.timer) this.timer = setTimeout(() => this.#rows(), TABLE_MS);
     this.#tell(found.time_ns);
   }
@@ -102,8 +121,8 @@ class Floor {
     this.at = at;
     if (this.units[before]) this.#cell(before);
     this.#cell(at);
-    const [, verdict, , silent, step, left, nearest, last, released] = unit.state ?? [];
-    const parts = [unit.unit, this.verdicts[verdict] || say("open"), unit.slot, unit.run, this.steps[step]];
+    const [, verdict, early, silent, step, left, nearest, last, released] = unit.state ?? [];
+    const parts = [unit.unit, word(this.verdicts[verdict]) + (early && !released ? say("early") : ""), unit.slot, unit.run, this.steps[step]];
     if (released) parts.push(say("released"));
     if (silent) parts.push(say("silent"));
     if (nearest !== null && nearest !== undefined) parts.push(say("nearest", {ratio: figure(nearest)}));
@@ -120,6 +139,27 @@ class Floor {
   #place() {
     this.units.sort((a, b) => a.run.localeCompare(b.run) || a.number - b.number);
     this.places = new Map(this.units.map((unit, at) => [unit.number, at]));
+  }
+
+  /** The rows of the table of units that are shown. */
+  #found() {
+    this.rows = new Map([...document.querySelectorAll("#floor-units tr[data-number]")].map(row => [+row.dataset.number, row]));
+  }
+
+  /** Take the tables from the server again, soon and seldom; not while somebody is in them with the keyboard. */
+  #write() {
+    if (this.writing) return;
+    this.writing = setTimeout(async () => {
+      this.writing = 0;
+      const parts = PARTS.map(id => document.getElementById(id));
+      this.writtenAt = performance.now();
+      if (document.hidden || parts.some(part => part.contains(document.activeElement))) return this.#write();
+      const page = await pageAt(location.href);
+      const fresh = PARTS.map(id => page?.getElementById(id));
+      if (!fresh.every(Boolean)) return this.#write();
+      parts.forEach((part, i) => part.replaceChildren(...document.importNode(fresh[i], true).childNodes));
+      this.#found();
+    }, Math.max(TABLE_MS, this.writtenAt + PAGE_MS - performance.now()));
   }
 
   #set(state) {
@@ -181,8 +221,8 @@ class Floor {
     for (const [number, state] of this.waiting) {
       const row = this.rows.get(number);
       const [verdict, silent, , , , step, ratio, left, last] = row.querySelectorAll("td");
-      const word = this.verdicts[state[1]];
-      verdict.replaceChildren(element("span", {className: `verdict ${word.toLowerCase()}`, textContent: word || say("open")}));
+      const code = this.verdicts[state[1]];
+      verdict.replaceChildren(element("span", {className: `verdict ${(code || "open").toLowerCase()}`, textContent: word(code)}), state[2] && !state[8] ? say("early") : "");
       silent.textContent = state[8] ? say("released") : state[3] ? say("silent") : "";
       step.textContent = this.steps[state[4]] ?? "";
       ratio.textContent = state[6] === null ? "" : figure(state[6]);
@@ -198,10 +238,10 @@ class Floor {
     this.toldAt = now;
     const counts = new Map();
     for (const {state} of this.units) {
-      const word = this.verdicts[state?.[1] ?? 0] || say("open");
-      counts.set(word, (counts.get(word) ?? 0) + 1);
+      const code = this.verdicts[state?.[1] ?? 0];
+      counts.set(code, (counts.get(code) ?? 0) + 1);
     }
-    const listed = [...counts].map(([word, n]) => say("count", {word, n})).join(", ");
+    const listed = [...counts].map(([code, n]) => say("count", {word: word(code), n})).join(", ");
     this.tell(`${say("live", {time: moment(time_ns / 1e9)})}${listed ? ": " + listed : ""}`);
   }
 }

@@ -75,14 +75,14 @@ function draw(view, found) {
   view.section.dataset.limits = String(limits.length);
   view.section.dataset.samples = String(Math.max(...shown.map(each => each.curve.samples)));
   const items = found.units.flatMap(each => each.limits.map(one => element("li", {},
-    `${each.unit}, ${say("limit")} ${figure(one.tau_s)} s: ${figure(one.upper)} ${unit}: ${one.value === null ? "–" : figure(one.value)} `,
+    `${each.unit}, ${say("limit")} ${figure(one.tau_s)} s: ${figure(one.upper)} ${unit}: ${one.value === null ? "–" : figure(one.value) + say("bounds", {lo: figure(one.lo), hi: figure(one.hi)})} `,
     element("span", {className: `verdict ${one.verdict.toLowerCase()}`, textContent: words(one.verdict)}))));
   if (items.length) document.getElementById("allan-limits").replaceChildren(...items);
 }
 
 /** Leave the bounds out of the legend. */
 function named(plot) {
-  [...plot.root.querySelectorAll(".u-legend .u-series")].forEach((row, i) => i % 3 && row.remove());
+  [...plot.root.querySelectorAll(".u-legend .u-series")].forEach((row, i) => i % 3 === 2 || row.remove());
 }
 
 /** A scale in which the limits are seen too. */

@@ -149,7 +149,7 @@ class TimeLine {
     }
     const condition = words(progress.condition);
     const left = progress.left_s === null ? "" : `, ${say("left", {time: duration(progress.left_s)})}`;
-    const text = `${condition}: ${progress.step} / ${progress.steps} ${progress.doing}${left}`;
+    const text = `${condition}: ${progress.step} / ${progress.steps} ${words(progress.doing)}${left}`;
     line.setAttribute("aria-live", condition === this.condition ? "off" : "polite"); // only a change is told
     this.condition = condition;
     line.textContent = text;

@@ -3,7 +3,7 @@ import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
 import {asked, element, figure, moment, say} from "./texts.js";
 
-const PANEL = 150, POINTS = 1200, WAIT_MS = 90, FOLLOW_MS = 1000, TABLE_ROWS = 100;
+const PANEL = 150, POINTS = 1200, FOLLOW_MS = 1000, TABLE_ROWS = 100;
 const ns = seconds => (BigInt(Math.round(seconds * 1e6)) * 1000n).toString();
 
 export async function start(section) {
@@ -53,9 +53,9 @@ class View {
       if (this.chosen) for (const name of beside.length ? beside.map(box => box.value) : ["none"]) url.searchParams.append("beside", name);
       history.replaceState(null, "", url);
       for (const link of this.section.querySelectorAll(".exports a")) link.href = stretched(link.href, from, to);
-      this.#table();
     }
     this.#draw(quiet);
+    if (kept) requestAnimationFrame(() => setTimeout(() => this.#table())); // the curve is on the screen first
     this.#follow(from, to);
   }
 
@@ -76,20 +76,41 @@ class View {
     return [Number(this.found.from_ns) / 1e9, Number(this.found.to_ns) / 1e9];
   }
 
+  /** The stretch that was asked for last, shown or not yet. */
+  get wantedSpan() {
+    return this.aim ?? this.span;
+  }
+
   zoom(factor, around = 0.5) {
-    const [from, to] = this.span, length = (to - from) * factor, middle = from + (to - from) * around;
+    const [from, to] = this.wantedSpan, length = (to - from) * factor, middle = from + (to - from) * around;
     this.ask(middle - length * around, middle + length * (1 - around));
   }
 
   move(by) {
-    const [from, to] = this.span, step = (to - from) * by;
+    const [from, to] = this.wantedSpan, step = (to - from) * by;
     this.ask(from + step, to + step);
   }
 
-  ask(from, to) {
+  /** Ask at once; of what is asked for while an answer is on its way only the last is asked, after it. */
+  async ask(from, to) {
     if (to - from < 1e-6) return;
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.show(ns(from), ns(to)), WAIT_MS);
+    this.aim = [from, to];
+    if (this.asking) return;
+    this.asking = true;
+    try {
+      for (let sent = null; this.aim && sent !== this.aim;) {
+        sent = this.aim;
+        await this.show(ns(sent[0]), ns(sent[1]));
+      }
+    } finally {
+      this.asking = false;
+      this.aim = null;
+    }
+  }
+
+  #all() {
+    this.aim = null;
+    this.show("", "");
   }
 
   #columns() {
@@ -127,7 +148,7 @@ class View {
       options, data,
       label: () => say("signal", {signal: this.found.signal, unit, n: this.found.t_ns.length}),
       read: i => this.#reading(i, data),
-      keys: {"+": () => this.zoom(0.5), "=": () => this.zoom(0.5), "-": () => this.zoom(2), 0: () => this.show("", ""), "[": () => this.move(-0.5), "]": () => this.move(0.5)},
+      keys: {"+": () => this.zoom(0.5), "=": () => this.zoom(0.5), "-": () => this.zoom(2), 0: () => this.#all(), "[": () => this.move(-0.5), "]": () => this.move(0.5)},
     };
     if (this.plot) {
       Object.assign(this.plot.parts, parts);
@@ -135,7 +156,7 @@ class View {
     } else {
       this.plot = new Plot(this.host, parts);
       this.plot.frame.addEventListener("wheel", event => this.#wheel(event), {passive: false});
-      this.plot.frame.addEventListener("dblclick", () => this.show("", ""));
+      this.plot.frame.addEventListener("dblclick", () => this.#all());
     }
     if (quiet) return; // a screen reader would never end
     const n = this.found.t_ns.length;
@@ -216,9 +237,11 @@ class View {
   }
 
   #submit(event) {
+    const {from, to} = event.currentTarget.elements;
+    if (from.value.trim() || to.value.trim()) return; // the server reads times in the zone of the page
     event.preventDefault();
-    const form = event.currentTarget;
-    this.show(form.elements.from.value.trim(), form.elements.to.value.trim());
+    this.aim = null;
+    this.show("", "");
   }
 }
 

@@ -9,6 +9,7 @@ import msgspec
 
 from ingest.simulator.physics.draws import SampleRange
 from ingest.simulator.physics.gyro import SimulatedGyro
+from ingest.simulator.physics.imu import AXES, SimulatedImu
 from ingest.simulator.physics.plan import Plan
 from stream.atomic_file import replacement
 from stream.errors import BadInput
@@ -39,6 +40,18 @@ def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:
         "duration_s": duration_s, "parameters": msgspec.to_builtins(gyro.parameters), "drawn": drawn,
         "jumps": [tuple(jump) for jump in bias.jumps_until(duration_s)] if bias else [],
         "dropouts": _within(readout.dropouts(), samples), "stuck": _within(readout.stuck(), samples),
+    }  # fmt: skip
+
+
+def imu_truth(imu: SimulatedImu, duration_s: float) -> dict[str, Any]:
+    """The same of an inertial measurement unit: ``gyros`` and ``accelerometers`` by axis."""
+    return {
+        "unit": imu.unit, "power_on": imu.power_on, "seed": imu.seed, "duration_s": duration_s,
+        "gyros": {axis: truth(gyro, duration_s) for axis, gyro in zip(AXES, imu.gyros, strict=True)},
+        "accelerometers": {
+            axis: {"parameters": msgspec.to_builtins(each.parameters), "bias_turn_on_ug": each.bias_turn_on_ug}
+            for axis, each in zip(AXES, imu.accelerometers, strict=True)
+        },
     }  # fmt: skip
 
 

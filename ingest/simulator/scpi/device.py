@@ -5,12 +5,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 from ingest.simulator.scpi.timeline import Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray
 
+Given = TypeVar("Given")
 Handler = Callable[[str], str | None]
 
 
@@ -46,7 +47,7 @@ class SimulatedDevice:
 
     def __init__(
         self, identity: str, clock: StationClock, settings: Mapping[str, Callable[[float], None]],
-        queries: Mapping[str, Callable[[], str]],
+        queries: Mapping[str, Callable[[], str]], words: Mapping[str, Callable[[str], None]] | None = None,
     ) -> None:  # fmt: skip
         self.clock, self.identity = clock, identity
         self.fault = DeviceFault.NONE
@@ -54,6 +55,7 @@ class SimulatedDevice:
         self._errors: deque[str] = deque(maxlen=20)
         self._lock = threading.Lock()
         self._settings = [(_header(name), handler) for name, handler in settings.items()]
+        self._words = [(_header(name), handler) for name, handler in (words or {}).items()]
         common = {
             "*IDN?": lambda: self.identity,
             "*OPC?": lambda: "1",
@@ -103,12 +105,19 @@ class SimulatedDevice:
                 value = float({"ON": "1", "OFF": "0"}.get(parameter.upper(), parameter))
             except ValueError:
                 raise Refused('-104,"Data type error"') from None
-            if self.fault is DeviceFault.REFUSE:
-                raise Refused('-221,"Settings conflict;door open"')
-            if self.fault is not DeviceFault.UNSETTLED:
-                setting(value)
+            self._unless_at_fault(setting, value)
             return
+        for pattern, take in self._words:
+            if pattern.fullmatch(header):
+                self._unless_at_fault(take, parameter)
+                return
         raise Refused('-113,"Undefined header"')
+
+    def _unless_at_fault(self, do: Callable[[Given], None], given: Given) -> None:
+        if self.fault is DeviceFault.REFUSE:
+            raise Refused('-221,"Settings conflict;door open"')
+        if self.fault is not DeviceFault.UNSETTLED:
+            do(given)
 
 
 def within(value: float, low: float, high: float) -> float:

@@ -1,12 +1,12 @@
 """Simulated tables that speak SCPI: a single-axis rate table and an angular-vibration table."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ingest.simulator.scpi.device import SimulatedDevice, single, within
+from ingest.simulator.scpi.device import Refused, SimulatedDevice, single, within
 from ingest.simulator.scpi.timeline import Segment, Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
@@ -27,23 +27,26 @@ class _Motion(NamedTuple):
     rate_deg_per_s: float
     acceleration_deg_per_s2: float
     ripple_deg_per_s: float
+    position: str = ""  # the one that the units are carried to; empty for that of the station
 
 
 class SimulatedRateTable(SimulatedDevice):
-    """Rate table: ``RATE:SETP``, ``ANGL:SETP``, ``RATE:ACT?``, ``ANGL:ACT?``.
+    """Rate table: ``RATE:SETP``, ``ANGL:SETP``, ``RATE:ACT?``, ``ANGL:ACT?``; ``POS`` carries the units to a position.
 
     Segments of constant acceleration, with a ripple on the rate while it turns; the angle is the exact integral of the
     rate, ripple included, and is not reduced to one turn.
     """
 
-    def __init__(self, clock: StationClock, *, ripple_deg_per_s: float = 2e-4) -> None:
+    def __init__(self, clock: StationClock, *, ripple_deg_per_s: float = 2e-4, positions: Sequence[str] = ()) -> None:
         queries = {
             "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
             "ANGLe:ACTual?": lambda: self.now(self.angle_deg, 6),
         }
         settings = {"RATE:SETPoint": self._set_rate, "ANGLe:SETPoint": self._set_angle}
-        super().__init__("GYROFLEET,SIMULATED RATE TABLE,0,1", clock, settings, queries)
+        words = {"POSition": self.carry}
+        super().__init__("GYROFLEET,SIMULATED RATE TABLE,0,1", clock, settings, queries, words)
         self._ripple_deg_per_s = ripple_deg_per_s
+        self._positions = frozenset(positions)
         self.course = self._line = Timeline(clock, _Motion(0.0, 0.0, 0.0, 0.0), _rate)
 
     def rate_deg_per_s(self, t_ns: IntArray | int) -> FloatArray:
@@ -53,6 +56,24 @@ class SimulatedRateTable(SimulatedDevice):
     def angle_deg(self, t_ns: IntArray | int) -> FloatArray:
         """Angle at these times of the past, deg, over several turns."""
         return self._line.at(t_ns, _angle)
+
+    def positions(self, t_ns: IntArray) -> tuple[tuple[str, ...], IntArray]:
+        """Names of the positions at these times of the past, and the index of each time's name in them."""
+        names: list[str] = []
+
+        def index(motion: _Motion, dt_s: FloatArray) -> FloatArray:
+            if motion.position not in names:
+                names.append(motion.position)
+            return np.full(dt_s.shape, float(names.index(motion.position)))
+
+        which = self._line.at(t_ns, index)
+        return tuple(names), which.astype(np.int64)
+
+    def carry(self, position: str) -> None:
+        """Carry the units to a position at once; the table comes to rest."""
+        if position not in self._positions:
+            raise Refused(f'-224,"Illegal parameter value;no position {position}"')
+        self._move(lambda motion: [_to_rate(motion.rate_deg_per_s, 0.0)], 0.0, position=position)
 
     def _set_rate(self, value: float) -> None:
         target = within(value, -_MAX_RATE_DEG_PER_S, _MAX_RATE_DEG_PER_S)
@@ -72,10 +93,13 @@ class SimulatedRateTable(SimulatedDevice):
         self._move(legs, 0.0, value)
 
     def _move(
-        self, legs: Callable[[_Motion], list[tuple[float, float]]], rate: float, angle: float | None = None
-    ) -> None:
+        self, legs: Callable[[_Motion], list[tuple[float, float]]], rate: float, angle: float | None = None,
+        position: str | None = None,
+    ) -> None:  # fmt: skip
         def plan(now_ns: int, present: _Motion, dt_s: float) -> list[Segment[_Motion]]:
             motion = _after(present, dt_s)
+            if position is not None:
+                motion = motion._replace(position=position)
             t_ns, segments = now_ns, []
             for duration_s, acceleration in legs(motion):
                 if duration_s <= 0.0:
@@ -86,7 +110,7 @@ class SimulatedRateTable(SimulatedDevice):
                 t_ns += round(duration_s * 1e9)
             end = motion.angle_deg if angle is None else angle
             ripple = self._ripple_deg_per_s if rate else 0.0
-            segments.append(Segment(t_ns, _Motion(end, rate, 0.0, ripple)))
+            segments.append(Segment(t_ns, _Motion(end, rate, 0.0, ripple, motion.position)))
             return segments
 
         self._line.change(plan)

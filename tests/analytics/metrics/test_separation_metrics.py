@@ -53,6 +53,7 @@ def angles(rows: list[dict[str, Any]], *names: str, run: str = "r1") -> list[flo
     return list(found.values())
 
 
+ACCELEROMETER_ANGLES = ("y2", "z2", "twice_beta", "gamma")
 GYRO_ANGLES = ("y0", "x0", "y1", "y2", "z2", "gamma")
 
 
@@ -96,7 +97,8 @@ def test_the_published_accelerometer_table_comes_out(recorded: Any, product: Any
     steps = [step for i, (outputs, _) in enumerate(TABLE_2) for step in tumbles(outputs, run=f"r{i}")]
     rows = recorded(steps, "accelerometer_separation")
     for i, (_, printed) in enumerate(TABLE_2):
-        np.testing.assert_allclose(angles(rows, "y2", "z2", "gamma", run=f"r{i}"), printed, atol=0.1)
+        y2, z2, _, gamma = angles(rows, *ACCELEROMETER_ANGLES, run=f"r{i}")
+        np.testing.assert_allclose((y2, z2, gamma), printed, atol=0.1)
     gammas = [row["value"] for row in rows if row["angle"] == "gamma"]
     assert np.mean(gammas) == pytest.approx(21.1, abs=0.1)  # erratum: 21.5 is printed
 
@@ -106,7 +108,28 @@ def test_accelerations_need_no_scale_factor(recorded: Any, measure: str, per_g: 
     outputs = tuple(per_g * each for each in (0.001, 0.0013, 0.0012, 0.0009))
     rows = recorded(tumbles(outputs, unit_of_measure=measure, signal="acceleration_x"), "accelerometer_separation")
     y2, z2 = 0.0001 / ARCSEC, 0.0002 / ARCSEC
-    np.testing.assert_allclose(angles(rows, "y2", "z2", "gamma"), [y2, z2, math.hypot(y2, z2)], rtol=1e-9)
+    twice = (0.001 + 0.0012 - 0.0013 - 0.0009) / 4 / ARCSEC
+    expected = [y2, z2, twice, math.hypot(y2, z2)]
+    np.testing.assert_allclose(angles(rows, *ACCELEROMETER_ANGLES), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_the_term_in_twice_the_angle_has_an_uncertainty(recorded: Any, product: Any) -> None:
+    """Of one tumble that of the four readings, u/(2 k); of three, their scatter, a display's step of 1 uV."""
+    product(f'[product.ACC]\nscale_factor = {ACCELEROMETER_SCALE}\nscale_factor_unit = "V"\n')
+    noise = {"standard_uncertainty": 2e-6, "freedom": 50.0}
+    one = tumbles(TABLE_2[0][0], run="one", **noise)
+    three = [step for outputs, _ in TABLE_2 for step in tumbles(outputs, run="three", standard_uncertainty=1e-9)]
+    rows = recorded([*one, *three], "accelerometer_separation")
+    alone = {row["angle"]: row for row in rows if row["run"] == "one"}
+    assert alone["twice_beta"]["standard_uncertainty"] == pytest.approx(1e-6 / ACCELEROMETER_SCALE / ARCSEC)
+    assert alone["y2"]["standard_uncertainty"] == pytest.approx(2e-6 / 2**0.5 / ACCELEROMETER_SCALE / ARCSEC)
+    assert alone["gamma"]["lo"] < alone["gamma"]["value"] < alone["gamma"]["hi"]
+    together = {row["angle"]: row for row in rows if row["run"] == "three"}
+    assert together["twice_beta"]["value"] == pytest.approx(13.354, abs=0.01)
+    outputs = np.array([volts for volts, _ in TABLE_2])
+    scatter = math.sqrt(((outputs - outputs.mean(axis=0)) ** 2).sum() / 8)
+    u = scatter / math.sqrt(12) / ACCELEROMETER_SCALE / ARCSEC
+    assert (together["twice_beta"]["standard_uncertainty"], together["twice_beta"]["freedom"]) == (pytest.approx(u), 8)
 
 
 def test_a_simulated_run_gives_what_was_planted(tested: Any) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from analytics.floor import SILENT_AFTER_NS, Floor
-from analytics.serve.live.floor_rows import STATE_COLUMNS, VERDICTS, FloorRows
+from analytics.serve.live.floor_rows import STATE_COLUMNS, VERDICTS, FloorRows, runs_of
 from stream.events import (
     Check,
     EarlyDecision,
@@ -15,6 +15,7 @@ from stream.events import (
     LimitsApplied,
     PowerOn,
     RunEnded,
+    RunResumed,
     RunStarted,
     StepEnded,
     StepStarted,
@@ -145,6 +146,33 @@ def test_an_ended_run_is_not_silent_and_leaves_when_the_next_begins() -> None:
     assert set(floor.units) == {"U2", "U3"}
     assert gone in floor.gone
     assert set(floor.runs) == {"r2"}
+
+
+def test_what_comes_late_of_a_run_that_has_left_does_not_bring_it_back() -> None:
+    floor = floor_of(started("r1", "U1"), RunEnded(run="r1", t_ns=9), started("r2", "U1"))
+    verdict = VerdictGiven(run="r1", t_ns=9, unit="U1", verdict=Verdict.FAIL)
+    for late in (estimated(2.0), verdict, RunEnded(run="r1", t_ns=9)):
+        floor.take(PLACE, late, 20 * S)
+    floor.sampled(PLACE, "U1", "r1", 9, 20 * S)
+    assert [row["run"] for row in runs_of(floor)] == ["r2"]
+    assert (floor.units["U1"].run.run, floor.units["U1"].verdict) == ("r2", "")
+    floor.take(PLACE, RunResumed(run="r1", t_ns=30, gap_ns=9), 30 * S)
+    assert {row["run"] for row in runs_of(floor)} == {"r1", "r2"}
+
+
+def test_instruments_of_the_station_are_no_units_of_the_floor() -> None:
+    floor = floor_of(started("r1", "U1"))
+    rows = FloorRows()
+    for name in ("U1", "chamber"):
+        floor.sampled(PLACE, name, "r1", S, S)
+    floor.listen(S + 2 * SILENT_AFTER_NS)
+    changes, document = rows.changes(floor), rows.document(floor)
+    assert changes is not None
+    for told in (changes, document):
+        assert [row[1] for row in told["units"]] == ["U1"]
+        assert len(told["states"]) == 1
+        assert [(row["units"], row["silent"]) for row in told["runs"]] == [(1, 1)]
+    assert floor.units["chamber"].is_silent  # rules of alerts hear of it
 
 
 def test_another_station_keeps_its_run() -> None:

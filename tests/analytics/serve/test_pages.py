@@ -7,7 +7,12 @@ from html.parser import HTMLParser
 import httpx
 import pytest
 
+from analytics.evaluation.reasons import in_chinese
+from analytics.evaluation.table import format_number
+from analytics.serve.pages.language import Texts
+from stream.events import Document
 from tests.analytics.serve.conftest import Served
+from tests.analytics.serve.served_store import START_NS
 
 PAGES = (
     "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", "/signals/FOG-0001/run-1/rate", "/trends",
@@ -85,9 +90,36 @@ def test_figures_on_a_page_are_those_of_the_api(api: httpx.Client) -> None:
     for row in found["verdicts"]:
         assert row["metric"] in text
         assert f"{row['upper']:.6g}" in text
+        if row["value"] is not None:  # as the command shows it: to two digits of its uncertainty
+            assert f">{format_number(row['value'], (row['hi'] - row['lo']) / 4)}<" in text
     assert "Bias" in text
     rows = api.get("/api/signals/FOG-0001/run-1/rate", params={"points": 100}).json()
     assert f"{max(rows['max']):.6g}" in api.get("/signals/FOG-0001/run-1/rate").text
+
+
+def test_values_of_a_characteristic_are_told_apart_and_reasons_are_translated(api: httpx.Client) -> None:
+    rows = api.get("/api/units/FOG-0001").json()["metrics"]
+    english, chinese = (unescape(api.get(f"/units/FOG-0001?lang={language}").text) for language in ("en", "zh"))
+    for text in (english, chinese):
+        assert "earth_rate = none" in text
+        assert "earth_rate = removed" in text
+    reasons = {row["reason"] for row in rows if row["reason"]}
+    assert reasons
+    for reason in reasons:
+        assert reason in english
+        assert reason not in chinese
+        assert in_chinese(reason) in chinese
+
+
+def test_times_are_typed_in_the_zone_of_the_page(api: httpx.Client) -> None:
+    path, typed = "/signals/FOG-0001/run-1/rate", {"from": "2026-11-21 10:02:00", "to": "2026-11-21T10:03:00.5"}
+    text = api.get(path, params=typed).text
+    assert 'value="2026-11-21 10:02:00"' in text
+    assert 'value="2026-11-21 10:03:00.500000"' in text
+    seconds = int(START_NS // 10**9) + 120
+    assert f'data-from="{seconds}000000000" data-to="{seconds + 60}500000000"' in text
+    assert api.get(f"/api{path}", params=typed).status_code == 400  # programs state their zone
+    assert api.get("/events", params=typed).status_code == 200
 
 
 def test_a_statement_is_answered_without_scripts(served: Served) -> None:
@@ -126,3 +158,10 @@ def test_changes_are_offered_to_those_who_may(served: Served) -> None:
         assert "/act/diagnose_unit" in engineer.get("/diagnosis/FOG-0001").text
         assert "/act/verify_store" not in viewer.get("/store").text
         assert "/act/verify_store" in engineer.get("/store").text
+
+
+def test_every_kind_of_document_has_a_name_in_both_languages() -> None:
+    english, chinese = Texts("en"), Texts("zh")
+    for kind in (each.__name__ for each in Document.__subclasses__() if each.__name__ != "EstimatePublished"):
+        assert english.word(kind, "kind") != kind
+        assert re.search("[一-鿿]", chinese.word(kind, "kind")), kind

@@ -108,6 +108,15 @@ def test_a_request_in_the_middle_is_answered_as_it_ends(folder: Path, command_se
     assert answers[0].json()["error"]["kind"] == "Stopping"
 
 
+def test_two_signals_at_once_are_one_end(folder: Path, command_server: CommandServer) -> None:
+    process, _ = start(command_server, "--store", "S", "--port", 0, "--token", "T", cwd=folder)
+    for number in (signal.SIGINT, signal.SIGTERM):  # Ctrl-C, and the program that started it passes the end on
+        process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err
+
+
 def test_users_come_and_go_while_it_runs(folder: Path, command_server: CommandServer, run_command: Run) -> None:
     users = ("--users", "people.toml")
     added = run_command("users", "add", "dashboard", "--role", "viewer", "--program", *users, "--json", cwd=folder)

@@ -53,8 +53,8 @@ def test_a_station_with_an_offset_is_named_and_sized(reported: Reported) -> None
     assert station["lo"] < 0.05 < station["hi"]
     assert station["hi"] - station["lo"] < 0.02
     chinese = "\n".join(each.zh for each in sentences(trend))
-    assert "测试站 B 的值比测试站 A 高" in chinese
-    assert "差异来自测试站" in chinese
+    assert "试验台 B 的值比试验台 A 高" in chinese
+    assert "差异来自试验台" in chinese
 
 
 def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported) -> None:
@@ -91,7 +91,7 @@ def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capabilit
     assert "Station A: Cp " in said
     assert "Station B: no capability: the process is not in control (its level changes" in said
     chinese = "\n".join(each.zh for each in sentences(trend))
-    assert "测试站 B：无过程能力指数" in chinese
+    assert "试验台 B：无过程能力指数" in chinese
     assert " to " not in chinese
 
 

@@ -13,7 +13,7 @@ from storage.check.verify import verify
 from storage.findings import Severity
 from storage.log.event_log import EventLog
 from storage.log.sequence import place_of
-from storage.log.store_documents import signed_specification
+from storage.log.store_documents import sealed
 from storage.recording.recorder import Recorder
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.chain import Chain, chain_of, hash_of, read_chain
@@ -167,13 +167,13 @@ def test_what_was_known_of_a_period_ends_where_a_document_changes_it() -> None:
 def test_what_another_says_over_the_bus_changes_no_specification(
     store: Store, changes: dict[str, str], said: str
 ) -> None:
-    sealed = signed_specification(store, A)
+    own = sealed(store, A)
     with (
         LocalBus() as bus,
         WriterLock(store, "test"),
         Recorder(store, bus, EventLog(store), builds_lake=False) as recorder,
     ):
-        payload = encode_event(msgspec.structs.replace(sealed, **changes), "e", 0)
+        payload = encode_event(msgspec.structs.replace(own, **changes), "e", 0)
         bus.publish(event_key(PLACE), payload)
         until = time.monotonic() + 10
         while not recorder.counts.rejected and time.monotonic() < until:

@@ -88,7 +88,7 @@ def test_people_read_tables_and_sentences_in_either_language(ask: Ask, folder: P
     assert "Station bench-B gives values" in english.stdout
     assert (folder / "bias.png").stat().st_size > 20_000
     chinese = ask("trend", "bias", "--by", "station", "--lang", "zh").stdout
-    assert "测试站 bench-B 的值比测试站 bench-A 高" in chinese
+    assert "试验台 bench-B 的值比试验台 bench-A 高" in chinese
     assert "受控" in chinese
 
 

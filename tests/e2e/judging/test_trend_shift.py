@@ -100,4 +100,4 @@ def test_every_measurement_stands_on_the_charts_of_the_chambers(ask: Ask, folder
     assert "in control" in reported
     assert (folder / "bias.svg").stat().st_size > 20_000
     chinese = ask("trend", "bias", "--lang", "zh").stdout
-    assert "测试站 chamber-2 的水平在" in chinese
+    assert "试验台 chamber-2 的水平在" in chinese

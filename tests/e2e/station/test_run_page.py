@@ -80,10 +80,24 @@ def text(window: Browser, selector: str) -> str:
 def test_a_run_is_followed_and_commanded_on_its_page(
     served: Served, store: Path, bench: Bench, spawn: Spawn, state: State, window: Browser
 ) -> None:
+    window.open(served.url)
+    assert "No run is on the floor" in text(window, "#floor-stations")
     process = spawn(*bench.run("scale_factor", *SHORT))
     run = begun(store, state, lambda found: found["step"] >= 3 and bool(found["open_steps"]))
     with served.program() as client:
         until(lambda: client.get(f"/api/runs/{run}/course").json().get("measured"))
+        units = {each["unit"]: each["is_instrument"] for each in client.get(f"/api/runs/{run}").json()["units"]}
+        tested = {unit for unit, is_instrument in units.items() if not is_instrument}
+        assert tested == {unit for unit in units if unit.startswith("SIM-")}
+        assert {"chamber", "table"} <= units.keys() - tested
+        assert sum(client.get(f"/api/runs/{run}").json()["verdicts"].values()) == len(tested)
+        assert {each["unit"] for each in client.get("/api/units").json()["units"]} == tested
+        every = client.get("/api/units", params={"instruments": "true"}).json()["units"]
+        assert {each["unit"] for each in every} == units.keys()
+        assert {row[1] for row in client.get("/api/floor").json()["units"]} == tested
+    # without being loaded again, the floor has the run and its units
+    until(lambda: run in text(window, "#floor-stations") and "SIM-0001" in text(window, "#floor-table"))
+    assert window.complaints() == []
     window.open(f"{served.url}/runs/{run}")
     for panel in ("rate", "temperature"):
         until(partial(window.ask, f"!!document.querySelector('#time-line-{panel} canvas')"))
@@ -135,8 +149,7 @@ def test_the_allan_deviation_of_chosen_units_is_followed_with_its_limit(
     until(lambda: window.ask("!!document.querySelector('#run-allan canvas')"))
     checked = "[...document.querySelectorAll('input[name=show]:checked')].map(box => box.value)"
     assert window.ask(checked) == ["SIM-0002"]
-    assert "SIM-0002" in text(window, "#run-allan .u-legend")
-    assert "SIM-0001" not in text(window, "#run-allan .u-legend")
+    assert text(window, "#run-allan .u-legend").strip() == "SIM-0002"
     samples = int(until(lambda: window.ask("document.getElementById('run-allan').dataset.samples")))
     until(lambda: int(window.ask("document.getElementById('run-allan').dataset.samples")) > samples)  # it is followed
     until(lambda: "合格" in text(window, "#allan-limits"))

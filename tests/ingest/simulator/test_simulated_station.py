@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ingest.simulator.bench import CourseClient, CourseDevice
 from ingest.simulator.physics.gyro import SimulatedGyro
+from ingest.simulator.physics.imu import SimulatedImu
 from ingest.simulator.physics.mounting import TableEnvironment
 from ingest.simulator.physics.plan import parse_plan
 from ingest.simulator.processes import GyroBus, power_ons_so_far
@@ -71,7 +72,7 @@ def played(
     frames: Frames = []
     reported: list[tuple[str, int, float]] = []
 
-    def tell(model: SimulatedGyro, duration_s: float) -> None:
+    def tell(model: SimulatedGyro | SimulatedImu, duration_s: float) -> None:
         reported.append((model.unit, model.power_on, duration_s))
 
     bus = GyroBus(PLAN, environment, supply, frames.extend, tell, power_ons)

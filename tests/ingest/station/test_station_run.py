@@ -129,6 +129,7 @@ def station() -> Station:
     return Station(
         path=Path("station.toml"), table=StationTable(site="plant", name="bench"), clock=ClockTable(), instruments={},
         buses={}, lines={}, slots={"S1": SlotTable(power="supply")}, settings=settings,
+        standards={},
     )  # fmt: skip
 
 

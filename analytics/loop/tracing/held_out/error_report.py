@@ -61,7 +61,7 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
         excited = driven > EXCITED * driven.max(initial=0.0)
         rms = [float(np.sqrt(each.mean())) for each in squares]
         on = [float(np.sqrt(each[excited].mean())) if excited.any() else None for each in squares]
-        run = np.array([record.stack.run_number[rows[0]] for rows in averages.rows])
+        run = record.stack.run_number[averages.first]
         within = less_run_means(raw[0], run), less_run_means(raw[1], run)
         row = ErrorAt(
             averaging_s=seconds,
@@ -100,7 +100,7 @@ def expected_gain(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> Err
     difference of squared errors, which drift dominates (`error_gain`). None where the effects predict nothing within
     runs.
     """
-    run = np.array([box.record.stack.run_number[rows[0]] for rows in averages.rows])
+    run = box.record.stack.run_number[averages.first]
     columns = np.column_stack([box.predictions, box.record.design])
     within = np.column_stack([less_run_means(each, run) for each in averages.of(columns).T])
     width = box.predictions.shape[1]
@@ -126,7 +126,7 @@ def error_shares(box: HeldOutSet, found: Search) -> dict[str, float]:
     the decrease of the error, which is at most 1; an effect that makes predictions worse has a negative share.
     """
     for _, averages in reversed([each for each in _averages(box) if each[0] <= REFERENCE_S]):
-        run = np.array([box.record.stack.run_number[rows[0]] for rows in averages.rows])
+        run = box.record.stack.run_number[averages.first]
         before = less_run_means(averages.of(box.before), run)
         whole = float(before @ before)
         if run.size == np.unique(run).size or not whole > 0:

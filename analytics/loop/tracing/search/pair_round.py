@@ -68,6 +68,8 @@ def _screened(
         for each in candidates.items
         if each.effect.kind is EffectKind.LIBRARY and each.effect.role is Role.CAUSE and resolved[each.columns].all()
     ]
+    is_single = np.array([each.width == 1 for each in items], dtype=np.bool_)
+    starts = np.array([each.start for each in items], dtype=np.int64)
     whitening = {id(each): own_whitening(normal[each.columns, each.columns]) for each in items}
     statistic = {id(each): float(np.sum((whitening[id(each)] @ right[each.columns]) ** 2)) for each in items}
     found = []
@@ -75,7 +77,9 @@ def _screened(
         along = whitening[id(first)] @ normal[first.columns]
         beside = right - along.T @ (whitening[id(first)] @ right[first.columns])
         rest = diagonal - np.sum(along**2, axis=0)
-        for second in items[number + 1 :]:
+        with np.errstate(divide="ignore", invalid="ignore"):  # of columns within the span of the first
+            too_small = is_single & ~(statistic[id(first)] + (beside**2 / rest)[starts] >= _LEAST_STATISTIC)
+        for second in (items[at] for at in np.flatnonzero(~too_small) if at > number):
             at = second.columns
             if first.effect.name == second.effect.name or np.any(rest[at] < LEAST_APART * diagonal[at]):
                 continue

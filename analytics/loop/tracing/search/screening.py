@@ -55,8 +55,11 @@ class Candidates:
         if number in self._cache:
             return self._cache[number]
         stack = self.records[number].stack
-        each = [effect_columns(stack, item.effect, item.shape) for item in self.items]
-        columns = np.column_stack(each or [np.empty((len(stack), 0))]) / self.scale
+        return self.keep(number, [effect_columns(stack, item.effect, item.shape) for item in self.items])
+
+    def keep(self, number: int, each: Sequence[FloatArray]) -> FloatArray:
+        """The columns of one record, from those of each candidate; kept for the next call if there is room."""
+        columns = np.column_stack(each or [np.empty((len(self.records[number]), 0))]) / self.scale
         if sum(each.nbytes for each in list(self._cache.values())) + columns.nbytes <= _CACHE_BYTES:
             self._cache[number] = columns
         return columns
@@ -93,6 +96,7 @@ def candidates_for(
     not_tested: dict[str, Bilingual] = {}
     items: list[Candidate] = []
     scales: list[FloatArray] = []
+    last: list[FloatArray] = []  # columns of the last record
     runs = [run for record in records for run in record.stack.runs]
     for name, effect in effects.items():
         if effect.kind not in kinds or name in model.effects:
@@ -102,20 +106,33 @@ def candidates_for(
             not_tested[name] = Bilingual(f"channel {lost[0]}: {why}", f"通道{lost[0]}：{why.zh}")
             continue
         tried = [(shape, _spread(records, effect, shape)) for shape in effect.shapes(runs)]
-        usable = [(shape, spread) for shape, spread in tried if isinstance(spread, np.ndarray)]
+        usable = [(shape, spread) for shape, spread in tried if isinstance(spread, _Spread)]
         if not usable:
             not_tested[name] = next((why for _, why in tried if isinstance(why, Bilingual)), NO_SHAPE)
             continue
         for shape, spread in usable:
-            items.append(Candidate(effect, shape, sum(map(len, scales)), len(spread)))
-            scales.append(spread)
+            items.append(Candidate(effect, shape, sum(map(len, scales)), len(spread.scale)))
+            scales.append(spread.scale)
+            if len(records) == 1:
+                last.append(spread.last)
     scale = np.concatenate(scales) if scales else np.empty(0)
-    return Candidates(tuple(records), tuple(items), scale, not_tested)
+    found = Candidates(tuple(records), tuple(items), scale, not_tested)
+    if len(records) == 1:
+        found.keep(0, last)
+    return found
 
 
-def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> FloatArray | Bilingual:
+class _Spread(NamedTuple):
+    """Spread of each column of an effect over all records, and its columns on the last record."""
+
+    scale: FloatArray
+    last: FloatArray
+
+
+def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> _Spread | Bilingual:
     """Spread of each column over all records, or why the effect cannot be tested."""
     n, total, squares = 0, 0.0, 0.0
+    columns = np.empty((0, 0))
     for record in records:
         columns = effect_columns(record.stack, effect, shape)
         if not np.isfinite(columns).all():
@@ -140,7 +157,7 @@ def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> Floa
         return Bilingual(
             f"it varies by {size} in these runs, too little to test it", f"在这些试验中其变化仅为{size}，过小而无法检验"
         )
-    return np.asarray(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)))
+    return _Spread(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)), columns)
 
 
 @dataclass(frozen=True)
@@ -189,7 +206,7 @@ def screen(
     left = _left(total)
     null = _draws(total.normal, left, rng)
     results: list[Screened] = []
-    best_null: dict[tuple[str, int], FloatArray] = {}
+    best_null: dict[int, FloatArray] = {}
     for item in candidates.items:
         name = item.effect.name
         test = None if name in without else _test(item, total, left)
@@ -197,9 +214,9 @@ def screen(
             continue
         results.append(test.screened)
         chi_square = np.sum((test.whiten @ null[test.own]) ** 2, axis=0)
-        family = name, test.screened.degrees
-        best_null[family] = np.maximum(best_null.get(family, 0.0), chi_square)
-    null_p = [special.gammaincc(degrees / 2, best / 2) for (_, degrees), best in best_null.items()]
+        degrees = test.screened.degrees  # of two with the same degrees, the larger has the smaller p-value
+        best_null[degrees] = np.maximum(best_null.get(degrees, 0.0), chi_square)
+    null_p = [special.gammaincc(degrees / 2, best / 2) for degrees, best in best_null.items()]
     return Screen(tuple(results), _effective_tests(null_p))
 
 
@@ -266,6 +283,8 @@ def _draws(normal: FloatArray, left: BoolArray, rng: np.random.Generator) -> Flo
 
 def own_whitening(normal: FloatArray) -> FloatArray:
     """Matrix that decorrelates the products of a candidate's columns with white noise."""
+    if normal.shape == (1, 1):
+        return np.asarray(1 / np.sqrt(normal))
     scale = np.sqrt(np.diag(normal))
     eigenvalues, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
     kept = eigenvalues > LEAST_LEFT * eigenvalues[-1]

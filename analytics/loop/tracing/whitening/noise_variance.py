@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -24,13 +25,21 @@ class Averages:
 
     rows: tuple[IntArray, ...]
 
+    @cached_property
+    def first(self) -> IntArray:
+        """First block of each."""
+        return np.array([rows[0] for rows in self.rows], dtype=np.int64)
+
+    @cached_property
+    def last(self) -> IntArray:
+        """Last block of each."""
+        return np.array([rows[-1] for rows in self.rows], dtype=np.int64)
+
     def of(self, values: FloatArray) -> FloatArray:
         """Mean of values, or of columns, over each average."""
         sums = np.cumsum(values, axis=0)
-        first = np.array([rows[0] for rows in self.rows])
-        last = np.array([rows[-1] for rows in self.rows])
-        size = (last + 1 - first).reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray((sums[last] - sums[first] + values[first]) / size)
+        size = (self.last + 1 - self.first).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray((sums[self.last] - sums[self.first] + values[self.first]) / size)
 
 
 def averages_of(record: UnitRecord, blocks: int, within: IntArray) -> Averages:
@@ -95,7 +104,7 @@ def squares_spread(record: UnitRecord, noise: ModelNoise, averages: Averages) ->
 def _by_run(record: UnitRecord, averages: Averages) -> Iterator[tuple[BoolArray, list[IntArray]]]:
     """The blocks of each run with averages, and the rows of each of these."""
     number = record.stack.run_number
-    run_of = np.array([number[rows[0]] for rows in averages.rows])
+    run_of = number[averages.first]
     for run in np.unique(run_of):
         yield number == run, [rows for rows, of in zip(averages.rows, run_of, strict=True) if of == run]
 
@@ -105,9 +114,10 @@ def _faded(values: FloatArray, decay: float) -> FloatArray:
     """Sum of the earlier rows, each faded by `decay` for every block since."""
     out = np.empty(values.shape)
     total = np.zeros(values.shape[1])
-    for t in range(len(values)):
-        out[t] = total
-        total = decay * values[t] + decay * total
+    for t in range(values.shape[0]):
+        for c in range(values.shape[1]):  # expressions of whole rows take seconds to compile
+            out[t, c] = total[c]
+            total[c] = decay * values[t, c] + decay * total[c]
     return out
 
 
@@ -123,8 +133,8 @@ def within_run_variance(record: UnitRecord, noise: ModelNoise, averages: Average
     total = float(expected_variance(record, quiet, averages).sum())
     for of_run, own in _by_run(record, averages):
         weights = np.zeros(len(record))
-        for rows in own:
-            weights[rows] += 1 / rows.size / len(own)
+        sizes = [rows.size for rows in own]
+        weights[np.concatenate(own)] = np.repeat(1 / np.array(sizes) / len(own), sizes)
         of_mean = correlated_variance(record, quiet, of_run, weights)
         of_mean += record.noise_model.space(quiet).white * float(np.sum(_white(record) * weights**2))
         total -= len(own) * of_mean
@@ -134,22 +144,22 @@ def within_run_variance(record: UnitRecord, noise: ModelNoise, averages: Average
 def expected_variance(record: UnitRecord, noise: ModelNoise, averages: Averages) -> FloatArray:
     """Variance of each average, including turn-on scatter."""
     space = record.noise_model.space(noise)
-    slot = record.stack.slot
-    number = record.stack.run_number
-    starts = slot[np.flatnonzero(record.steps == 0)]
-    weight = _white(record)
-    correlated: dict[bytes, float] = {}
-    variances = []
-    for rows in averages.rows:
-        own = slot[rows] - slot[rows[0]]
+    slot, number = record.stack.slot, record.stack.run_number
+    starts = slot[record.steps == 0]
+    sizes = averages.last + 1 - averages.first
+    average, rows = np.repeat(np.arange(sizes.size), sizes), np.concatenate(averages.rows)
+    place = rows - averages.first[average]
+    walked = slot[rows] - starts[number[rows]]
+    # mean of min(i, j) over all pairs of increasing numbers
+    both = np.bincount(average, walked * (2 * (sizes[average] - place) - 1)) / sizes**2
+    white = space.white * np.bincount(average, _white(record)[rows]) / sizes**2
+    correlated = np.empty(sizes.size)
+    known: dict[bytes, float] = {}
+    for at, (first, last) in enumerate(zip(averages.first, averages.last, strict=True)):
+        own = slot[first : last + 1] - slot[first]
         key = own.tobytes()
-        if key not in correlated:
+        if key not in known:
             apart = np.abs(own[:, None] - own[None, :])
-            parts = [v * float(np.mean(d**apart)) for d, v in zip(space.decay, space.variance, strict=True)]
-            correlated[key] = sum(parts)
-        walked = slot[rows] - starts[number[rows[0]]]
-        # mean of min(i, j) over all pairs of increasing numbers
-        both = float(np.sum(walked * (2 * np.arange(rows.size, 0, -1) - 1))) / rows.size**2
-        white = space.white * float(weight[rows].mean()) / rows.size
-        variances.append(white + correlated[key] + space.start + space.walk * both)
-    return np.array(variances)
+            known[key] = sum(v * float(np.mean(d**apart)) for d, v in zip(space.decay, space.variance, strict=True))
+        correlated[at] = known[key]
+    return np.asarray(white + correlated + space.start + space.walk * both)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,12 +48,12 @@ class Stack:
         """A function of each run, at the blocks used."""
         return np.concatenate([of_run(run)[rows] for run, rows in zip(self.runs, self.rows, strict=True)])
 
-    @property
+    @cached_property
     def slot(self) -> IntArray:
         """Number of each block on the grid of its run."""
         return np.concatenate([run.slot[rows] for run, rows in zip(self.runs, self.rows, strict=True)])
 
-    @property
+    @cached_property
     def run_number(self) -> IntArray:
         """Number of the run of each block."""
         return np.repeat(np.arange(len(self.runs)), [rows.size for rows in self.rows])

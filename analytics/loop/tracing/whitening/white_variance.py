@@ -58,13 +58,18 @@ def has_outliers(record: UnitRecord) -> bool:
 
 def _pair_variance(differences: FloatArray) -> float:
     """White variance from the median of differences of neighbours, robust against drift and outliers."""
-    return float((MAD_TO_SIGMA * np.median(np.abs(differences - np.median(differences)))) ** 2 / 2)
+    return _median_variance(np.abs(differences - np.median(differences)))
+
+
+def _median_variance(apart: FloatArray) -> float:
+    return float((MAD_TO_SIGMA * np.median(apart)) ** 2 / 2)
 
 
 def _class_variance(differences: FloatArray) -> float:
     """White variance of blocks of one class; from the upper tenth of the differences if the signal is coarse."""
-    usual = _pair_variance(differences)
-    tenth = float(np.quantile(np.abs(differences - np.median(differences)), 0.9))
+    apart = np.abs(differences - np.median(differences))
+    usual = _median_variance(apart)
+    tenth = float(np.quantile(apart, 0.9))
     wide = (TENTH_TO_SIGMA * tenth) ** 2 / 2
     return usual if usual > COARSE * wide else wide
 

@@ -6,6 +6,7 @@ proportional to the number of blocks. Gaps between blocks are treated exactly.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -51,7 +52,7 @@ class NoiseModel:
         """Length of a block in hours."""
         return self.block_s / SECONDS_PER_HOUR
 
-    @property
+    @cached_property
     def correlation_s(self) -> FloatArray:
         """Correlation times of the flicker states, seconds."""
         shortest = 2 * self.block_s
@@ -61,15 +62,19 @@ class NoiseModel:
 
     def space(self, noise: ModelNoise) -> StateSpace:
         """State space of these coefficients."""
-        correlation_s = self.correlation_s
         return StateSpace(
             white=noise.N**2 / self.block_h,
             start=noise.turn_on**2,
             walk=noise.K**2 * self.block_h,
-            decay=np.exp(-self.block_s / correlation_s),
-            variance=np.full(correlation_s.size, self._flicker_share() * noise.B**2),
+            decay=self._decay,
+            variance=np.full(self._decay.size, self._flicker_share * noise.B**2),
         )
 
+    @cached_property
+    def _decay(self) -> FloatArray:
+        return np.asarray(np.exp(-self.block_s / self.correlation_s))
+
+    @cached_property
     def _flicker_share(self) -> float:
         """Variance of each flicker state per B**2."""
         correlation_s = self.correlation_s[:, None]
@@ -181,40 +186,48 @@ def _begin(covariance, start, variance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _predict(covariance, step, walk, decay, variance, factor):  # type: ignore[no-untyped-def]
-    states = factor.size
-    for i in range(1, states):
-        factor[i] = decay[i - 1] if step == 1 else decay[i - 1] ** step
-    for i in range(states):
-        for j in range(states):
-            covariance[i, j] *= factor[i] * factor[j]
-    covariance[0, 0] += walk * step
-    for i in range(1, states):
-        covariance[i, i] += variance[i - 1] * (1 - factor[i] * factor[i])
+def _step(step, walk, decay, variance, shrink, grow):  # type: ignore[no-untyped-def]
+    """Set what a number of blocks multiplies the covariance by, and what it adds on the diagonal."""
+    shrink[0, 0], grow[0] = 1.0, walk * step
+    for i in range(decay.size):
+        factor = decay[i] ** step
+        shrink[0, i + 1] = shrink[i + 1, 0] = factor
+        grow[i + 1] = variance[i] * (1 - factor * factor)
+        for j in range(decay.size):
+            shrink[i + 1, j + 1] = factor * decay[j] ** step
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _filter_gains(steps, white, walk, start, decay, variance, gain, innovation):  # type: ignore[no-untyped-def]
     n, states = steps.size, decay.size + 1
-    factor, column = np.ones(states), np.empty(states)
-    covariance = np.zeros((states, states))
+    column, grow = np.empty(states), np.empty(states)
+    covariance, shrink = np.zeros((states, states)), np.empty((states, states))
+    prepared = 0  # number of blocks that `shrink` and `grow` are for
     for t in range(n):
         if steps[t] == 0:
             _begin(covariance, start, variance)
         else:
-            _predict(covariance, steps[t], walk, decay, variance, factor)
+            if steps[t] != prepared:
+                prepared = steps[t]
+                _step(prepared, walk, decay, variance, shrink, grow)
+            for i in range(states):
+                for j in range(states):
+                    covariance[i, j] *= shrink[i, j]
+                covariance[i, i] += grow[i]
         total = white[t]
         for i in range(states):
-            column[i] = 0.0
+            row = 0.0
             for j in range(states):
-                column[i] += covariance[i, j]
-            total += column[i]
+                row += covariance[i, j]
+            column[i] = row
+            total += row
         innovation[t] = total
+        per_total = 1 / total
         for i in range(states):
-            gain[t, i] = column[i] / total
-        for i in range(states):
+            own = column[i] * per_total
+            gain[t, i] = own
             for j in range(states):
-                covariance[i, j] -= gain[t, i] * column[j]
+                covariance[i, j] -= own * column[j]
 
 
 @njit(cache=True, nogil=True, fastmath=True)

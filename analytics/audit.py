@@ -1,0 +1,101 @@
+"""Audit of a unit: who did what when, with which data, limits and version, from the log alone."""
+
+import csv
+import datetime as dt
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from storage.sql.catalog import Catalog
+from stream.atomic_file import replacement
+from stream.console import csv_text
+from stream.errors import BadInput, NotFound
+
+# documents of a unit, and of its runs as a whole; without the figures of the worker, of which a run has hundreds
+AUDITED = """
+(unit = $unit or (unit is null and run in (select run from internal.lake_channels where unit = $unit
+  union select run from internal.lake_documents where unit = $unit)))
+and kind not in ('EarlyDecision', 'EstimatePublished', 'NoiseFitted', 'SpectralLinesFound')
+"""
+_ROWS = f"""
+select kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, t_ns, arrival_ns, uid, document,
+  regexp_extract(filename, '([^/]+)/[^/]+$', 1) as part
+from internal.lake_documents where {AUDITED} order by arrival_ns, t_ns, uid
+"""  # noqa: S608  our own statement
+_BY = ("by", "author", "operator")
+_SUMMARY = (
+    "action", "number", "procedure", "step", "specification", "name", "revision", "version", "stage", "product", "lot",
+    "slot", "limit", "metric", "item", "verdict", "outcome", "what", "alert", "target", "text", "note", "reason",
+)  # fmt: skip
+_COLUMNS = ("at", "kind", "run", "station", "by", "what", "limits", "software", "segments", "uid")
+
+
+class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One document: its time and arrival (UTC), who entered it, what it says, and the log segments that hold it."""
+
+    at: str
+    arrival: str
+    kind: str
+    run: str | None
+    station: str
+    by: str
+    what: str
+    limits: str
+    software: str
+    segments: dict[str, str]  # name and SHA-256
+    uid: str
+    document: dict[str, Any]
+
+
+def audit_of(catalog: Catalog, unit: str) -> list[AuditRow]:
+    """Everything that happened to a unit, the earliest first; NotFound if the store has nothing of it."""
+    sources = {part.name: dict(part.sources) for part in catalog.parts}
+    rows = list(_rows(catalog, unit, sources))
+    if not rows:
+        raise NotFound(f"the log of {catalog.store.folder} has no document of unit {unit!r}")
+    return rows
+
+
+def _rows(catalog: Catalog, unit: str, sources: dict[str, dict[str, str]]) -> Iterator[AuditRow]:
+    for kind, run, _, site, station, t_ns, arrival_ns, uid, text, part in catalog.rows(_ROWS, {"unit": unit}):
+        document = msgspec.json.decode(text)
+        details = document.get("details") or {}
+        yield AuditRow(
+            at=_moment(t_ns), arrival=_moment(arrival_ns), kind=kind, run=run, station=f"{site}/{station}",
+            by=next((str(document[name]) for name in _BY if document.get(name)), ""), what=summary(document),
+            limits=str(document.get("revision", "")) if kind == "LimitsApplied" else "",
+            software=str(document.get("software") or details.get("software") or ""),
+            segments=sources.get(part, {}), uid=uid, document=document,
+        )  # fmt: skip
+
+
+def summary(document: dict[str, Any]) -> str:
+    """What a document says in a few words: its texts, outcomes and reasons.
+
+    >>> summary({"kind": "RunEnded", "outcome": "completed", "streams": [1]})
+    'completed'
+    >>> summary({"specification": "FOG", "revision": "A", "action": "add", "reason": "first"})
+    'add, FOG, A, first'
+    """
+    parts = [str(document[name]) for name in _SUMMARY if isinstance(document.get(name), str | int | float)]
+    return ", ".join(each for each in parts if each)
+
+
+def write_audit(rows: Iterable[AuditRow], path: Path) -> None:
+    """Write the audit as CSV, in UTF-8 with the byte-order mark that spreadsheets need."""
+    try:
+        with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(_COLUMNS)
+            for row in rows:
+                segments = " ".join(f"{name}:{sha256}" for name, sha256 in row.segments.items())
+                cells = [segments if name == "segments" else getattr(row, name) or "" for name in _COLUMNS]
+                writer.writerow([csv_text(each) for each in cells])
+    except OSError as error:
+        raise BadInput(f"cannot write {path}: {error.strerror or error}; give --csv another file") from error
+
+
+def _moment(t_ns: int) -> str:
+    return dt.datetime.fromtimestamp(t_ns / 1e9, dt.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,293 @@
+"""What a certificate states, item by item of its standard, and what is missing for it."""
+
+import datetime as dt
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from analytics.certificate.evidence import Evidence, Span
+from analytics.certificate.order import Order, Text
+from analytics.certificate.references import Reference
+from analytics.certificate.results import ResultRow
+from analytics.certificate.standards import Item, Standard
+from analytics.certificate.words import Words
+
+_SAME = "/"
+
+
+class Facts(NamedTuple):
+    """All that a certificate is made of."""
+
+    standard: Standard
+    order: Order
+    evidence: Evidence
+    rows: tuple[ResultRow, ...]
+    number: str  # empty in a draft
+    issued: dt.date
+
+    @property
+    def references(self) -> tuple[Reference, ...]:
+        """Measurement standards: those that the runs state, and those of the order."""
+        return (*self.evidence.references, *(Reference.of_table(each) for each in self.order.reference))
+
+
+class Line(NamedTuple):
+    """A line of a section: label and text; a label may be empty."""
+
+    label: Words
+    text: Words
+
+
+class Section(msgspec.Struct, frozen=True, kw_only=True):
+    """One item of the standard: its lines, and what is missing for it."""
+
+    item: Item
+    lines: tuple[Line, ...]
+    missing: tuple[Words, ...] = ()
+
+
+class Content(msgspec.Struct, frozen=True, kw_only=True):
+    """The whole content."""
+
+    facts: Facts
+    sections: tuple[Section, ...]
+
+    @property
+    def missing(self) -> tuple[tuple[str, Words], ...]:
+        """What is missing, each with the clause that asks for it."""
+        return tuple((section.item.clause, each) for section in self.sections for each in section.missing)
+
+    def section(self, filled_by: str) -> Section | None:
+        """The section of a name, if the standard has it."""
+        return next((each for each in self.sections if each.item.filled_by == filled_by), None)
+
+
+def content_of(facts: Facts) -> Content:
+    """The content of a certificate: one section for each item of its standard."""
+    sections = []
+    for item in facts.standard.items:
+        lines, missing = FILLED_BY[item.filled_by](facts)
+        sections.append(Section(item=item, lines=tuple(lines), missing=tuple(missing)))
+    return Content(facts=facts, sections=tuple(sections))
+
+
+_Filled = tuple[Sequence[Line], Sequence[Words]]
+
+
+def _required(*lines: tuple[str, str, Text]) -> _Filled:
+    """Lines whose text somebody has to give."""
+    found = [Line(Words(en, zh), Words.of(given)) for en, zh, given in lines]
+    missing = [
+        Words(f"{each.label.en.lower()} is not given", f"未给出{each.label.zh}") for each in found if not each.text
+    ]
+    return [each for each in found if each.text], missing
+
+
+def _title(_: Facts) -> _Filled:
+    return [Line(Words("Title", "标题"), Words("Calibration certificate", "校准证书"))], []
+
+
+def _laboratory(facts: Facts) -> _Filled:
+    table = facts.order.laboratory
+    lines, missing = _required(
+        ("Name of the laboratory", "实验室名称", table.name), ("Address of the laboratory", "实验室地址", table.address)
+    )
+    accredited = Words.of(table.accreditation)
+    return [*lines, *([Line(Words("Accreditation", "认可"), accredited)] if accredited else [])], missing
+
+
+def _place(facts: Facts) -> _Filled:
+    place, table = Words.of(facts.order.laboratory.place), facts.order.laboratory
+    stations = sorted({f"{run.site} {_SAME} {run.station}" for run in facts.evidence.runs})
+    at = Words(", ".join(stations), "、".join(stations))
+    where = place or (Words("at the address of the laboratory", "实验室地址") if Words.of(table.address) else None)
+    if where is None:
+        return [], [Words("the place of calibration is not given", "未给出校准地点")]
+    return [Line(Words("Place of calibration", "校准地点"), where), Line(Words("Station", "试验台"), at)], []
+
+
+def _number(facts: Facts) -> _Filled:
+    text = Words(facts.number, facts.number) if facts.number else Words("draft, not issued", "草稿，未签发")
+    return [Line(Words("Certificate number", "证书编号"), text)], []
+
+
+def _customer(facts: Facts) -> _Filled:
+    table = facts.order.customer
+    return _required(
+        ("Name of the customer", "客户名称", table.name), ("Address of the customer", "客户地址", table.address)
+    )
+
+
+def _device(facts: Facts) -> _Filled:
+    table, evidence = facts.order.device, facts.evidence
+    lines, missing = _required(
+        ("Description", "名称", table.description or facts.standard.device),
+        ("Model", "型号规格", table.model or evidence.product or ""),
+        ("Serial number", "编号", evidence.unit),
+    )
+    more = [Line(Words("Manufacturer", "制造厂"), Words.of(table.manufacturer))] if table.manufacturer else []
+    firmware = [Line(Words("Firmware", "固件版本"), Words.of(evidence.firmware))] if evidence.firmware else []
+    return [*lines[:1], *more, *lines[1:], *firmware], missing
+
+
+def _maker_and_model(facts: Facts) -> _Filled:
+    lines, missing = _device(facts)
+    _, no_maker = _required(("Manufacturer", "制造厂", facts.order.device.manufacturer))
+    return lines, [*missing, *no_maker]
+
+
+def _dates(facts: Facts) -> _Filled:
+    days, received = facts.evidence.days, facts.order.device.received
+    lines = [] if received is None else [_dated("Received", "接收日期", received)]
+    if days is None:
+        return lines, [Words("the date of a run is not known; import it with --start", "试验日期未知")]
+    first, last = days
+    text = first.isoformat() if first == last else f"{first} - {last}"
+    lines.append(Line(Words("Calibrated", "校准日期"), Words(text, text)))
+    lines.append(_dated("Issued", "签发日期", facts.issued))
+    lines.append(_dated("Recommended next calibration", "建议复校日期", later(last, facts.order.valid_months)))
+    return lines, []
+
+
+def _received_and_dates(facts: Facts) -> _Filled:
+    lines, missing = _dates(facts)
+    no_day = [] if facts.order.device.received else [Words("the date of receipt is not given", "未给出接收日期")]
+    return lines, [*missing, *no_day]
+
+
+def _sampling(facts: Facts) -> _Filled:
+    none = Words("The calibrated item is no sample of a lot.", "被校对象不是抽样样品。")
+    return [Line(Words("Sampling", "抽样"), Words.of(facts.order.device.sampling) or none)], []
+
+
+def _specification(facts: Facts) -> _Filled:
+    one = facts.standard
+    text = Words(f"{one.code} {one.title.en}", f"{one.code}《{one.title.zh}》")
+    return [Line(Words("Specification", "技术规范"), text)], []
+
+
+def _references(facts: Facts) -> _Filled:
+    last_day = None if facts.evidence.days is None else facts.evidence.days[1]
+    missing = [what for each in facts.references for what in each.missing(last_day)]
+    if not facts.references:
+        missing.append(Words("no measurement standard is named", "未给出所用测量标准"))
+    return [Line(each.name, each.text) for each in facts.references], missing
+
+
+def _environment(facts: Facts) -> _Filled:
+    asked, given, one = facts.order.environment, facts.evidence, facts.standard
+    lines: list[Line] = []
+    missing: list[Words] = []
+    for en, zh, symbol, recorded, stated, wanted in (
+        ("Temperature", "温度", "°C", given.temperature_deg_c, asked.temperature_deg_c, one.temperature_deg_c),
+        ("Relative humidity", "相对湿度", "%", given.relative_humidity_percent, asked.relative_humidity_percent,
+         one.relative_humidity_percent),
+    ):  # fmt: skip
+        span = recorded or stated
+        if span is None:
+            missing.append(Words(f"{en.lower()} is neither recorded nor given", f"{zh}未记录也未给出"))
+            continue
+        lines.append(Line(Words(en, zh), _spanned(span, symbol, is_recorded=recorded is not None)))
+        if not wanted[0] <= span[0] <= span[1] <= wanted[1] and not Words.of(facts.order.deviations):
+            between = f"{wanted[0]:g} - {wanted[1]:g} {symbol}"
+            missing.append(
+                Words(f"{en.lower()} was outside {between}: state the deviation", f"{zh}超出 {between}：须说明偏离")
+            )
+    if (largest := one.temperature_change_deg_c) is not None and asked.temperature_change_deg_c is not None:
+        change = asked.temperature_change_deg_c
+        lines.append(Line(Words("Change during a measurement", "校准过程中温度波动量"), Words.of(f"{change:g} °C")))
+        if change > largest:
+            missing.append(Words(f"temperature changed by more than {largest:g} °C", f"温度波动量超过 {largest:g} °C"))
+    if other := Words.of(asked.other):
+        lines.append(Line(Words("Other", "其他"), other))
+    return lines, missing
+
+
+def _spanned(span: Span, symbol: str, *, is_recorded: bool) -> Words:
+    least, most = (f"{each:.1f}" for each in span)
+    text = f"{least} {symbol}" if least == most else f"({least} - {most}) {symbol}"
+    return Words(f"{text}, recorded" if is_recorded else text, f"{text}，实测记录" if is_recorded else text)
+
+
+def _results(facts: Facts) -> _Filled:
+    missing: list[Words] = []
+    ordered = set(facts.order.items)
+    for row in facts.rows:
+        if row.metric in ordered and not row.results:
+            missing.append(Words(f"{row.name.en}: {row.reason}", f"{row.name.zh}：{row.reason}"))
+        if ordered and row.metric not in ordered:
+            continue
+        reasons = dict.fromkeys(each.why_no_u for each in row.results if each.expanded is None)
+        en, zh = f"{row.name.en}: no expanded uncertainty", f"{row.name.zh}：无扩展不确定度"
+        missing += [Words(f"{en}: {why}", f"{zh}：{why}") for why in reasons]
+    if not any(row.results for row in facts.rows):
+        missing.append(Words("there is no result", "没有校准结果"))
+    simulated = [each.run for each in facts.evidence.runs if each.simulated]
+    missing += [Words(f"run {run} is simulated", f"试验 {run} 为仿真数据") for run in simulated]
+    text = Words(
+        "U is the expanded uncertainty with coverage factor k, evaluated by JJF 1059.1 (JCGM 100).",
+        "U 为扩展不确定度，k 为包含因子，按 JJF 1059.1 评定。",
+    )
+    return [Line(Words("", ""), text)], missing
+
+
+def _deviations(facts: Facts) -> _Filled:
+    return _required(("Deviations", "偏离", facts.order.deviations))
+
+
+def _issuer(facts: Facts) -> _Filled:
+    people = facts.order.people
+    lines, missing = _required(
+        ("Issued by", "签发人", people.issued_by), ("Position of the issuer", "职务", people.issued_as)
+    )
+    return [*lines, _dated("Issued", "签发日期", facts.issued)], missing
+
+
+def _operators(facts: Facts) -> _Filled:
+    people = facts.order.people
+    return _required(("Calibrated by", "校准员", people.calibrated_by), ("Checked by", "核验员", people.checked_by))
+
+
+def _seal(_: Facts) -> _Filled:
+    return [Line(Words("Seal for calibration", "校准专用章"), Words("(place of the seal)", "（盖章处）"))], []
+
+
+def _only_this_item(_: Facts) -> _Filled:
+    text = Words("The results hold for the calibrated item only.", "校准结果仅对被校对象有效。")
+    return [Line(Words("", ""), text)], []
+
+
+def _no_partial_copy(_: Facts) -> _Filled:
+    text = Words(
+        "This certificate may not be copied in part without the written approval of the laboratory.",
+        "未经实验室书面批准，不准部分复制本证书。",
+    )
+    return [Line(Words("", ""), text)], []
+
+
+def _dated(en: str, zh: str, day: dt.date) -> Line:
+    return Line(Words(en, zh), Words.of(day.isoformat()))
+
+
+def later(day: dt.date, months: int) -> dt.date:
+    """The day before the same day so many months later, on which a validity ends.
+
+    >>> later(dt.date(2026, 3, 2), 12), later(dt.date(2026, 1, 31), 1)
+    (datetime.date(2027, 3, 1), datetime.date(2026, 2, 27))
+    """
+    years, month = divmod(day.month - 1 + months, 12)
+    first = dt.date(day.year + years, month + 1, 1)
+    following = dt.date(first.year + first.month // 12, first.month % 12 + 1, 1)
+    return min(first + dt.timedelta(days=day.day - 1), following - dt.timedelta(days=1)) - dt.timedelta(days=1)
+
+
+# by the name in `standards.toml`
+FILLED_BY: dict[str, Callable[[Facts], _Filled]] = {
+    "title": _title, "laboratory": _laboratory, "place": _place, "number": _number, "seal": _seal,
+    "customer": _customer, "device": _device, "maker_and_model": _maker_and_model, "dates": _dates,
+    "received_and_dates": _received_and_dates, "sampling": _sampling, "specification": _specification,
+    "references": _references, "environment": _environment, "results": _results, "deviations": _deviations,
+    "issuer": _issuer, "operators": _operators, "only_this_item": _only_this_item,
+    "no_partial_copy": _no_partial_copy,
+}  # fmt: skip

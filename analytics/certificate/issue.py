@@ -1,0 +1,170 @@
+"""Issuing a certificate: its content from the store, its files, and the document in the log that makes it one."""
+
+import datetime as dt
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from analytics.certificate.content import Content, Facts, content_of, later
+from analytics.certificate.digital import digital_certificate
+from analytics.certificate.evidence import read_evidence
+from analytics.certificate.figures import figures_of
+from analytics.certificate.layout import certificate_pdf
+from analytics.certificate.order import Order
+from analytics.certificate.record import FOLDER, Certificates, append_certificate, read_certificates, sha256_of
+from analytics.certificate.results import result_rows
+from analytics.certificate.standards import Standard
+from analytics.certificate.words import Language, Words
+from analytics.evaluation.inner_page import inner_page
+from storage.sql.catalog import Catalog
+from storage.store import only_one
+from stream.atomic_file import write_durably
+from stream.errors import BadInput, StoreError
+from stream.events import CertificateIssued
+
+_WHO = "gyrofleet certificate"
+
+
+class Wanted(NamedTuple):
+    """The certificate that is asked for."""
+
+    unit: str
+    standard: Standard
+    order: Order
+    language: Language
+    out: Path
+    number: str = ""
+    supersedes: str = ""
+    reason: str = ""
+    as_draft: bool = False
+    sign: Callable[[bytes], bytes] | None = None
+
+
+class Issued(msgspec.Struct, frozen=True, kw_only=True):
+    """What was written: a certificate, or a draft that lists what is missing."""
+
+    number: str | None
+    is_draft: bool
+    missing: list[str]
+    sha256: str
+    digital: str  # path of the digital certificate
+    valid_until: str | None
+
+
+def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
+    """Write a certificate and enter it in the log; a draft, which is not entered, where anything is missing.
+
+    Beside the PDF the digital certificate is written as XML. An issued certificate is also kept in the store. Raises
+    BadInput if the number is taken, or if another certificate rests on the same runs and is not superseded; NotFound if
+    the unit is not in the store; StoreError if a file or the log cannot be written.
+    """
+    store = catalog.store
+    rows = result_rows(inner_page(catalog, wanted.unit, wanted.standard.name))
+    runs = sorted({run for row in rows for each in row.results for run in each.runs})
+    evidence = read_evidence(catalog, wanted.unit, runs)
+    now = dt.datetime.now(dt.UTC).replace(microsecond=0)
+    facts = Facts(wanted.standard, wanted.order, evidence, rows, "", now.date())
+    content = content_of(facts)
+    if content.missing or wanted.as_draft:
+        pdf, digital = _files(catalog, content, wanted, now)
+        return _written(wanted, pdf, digital, content, None)
+    with only_one(store.folder / FOLDER / ".lock", _WHO):
+        issued = read_certificates(store, catalog)
+        number = wanted.number or issued.next_number(wanted.order.number_prefix, now.year)
+        _check(issued, wanted, number, set(runs))
+        content = content_of(facts._replace(number=number))
+        pdf, digital = _files(catalog, content, wanted, now)
+        if wanted.sign is not None:
+            pdf = wanted.sign(pdf)
+        document = _document(content, wanted, pdf, digital)
+        _write(store.folder / FOLDER / f"{_file_name(number)}.pdf", pdf)
+        _write(store.folder / FOLDER / f"{_file_name(number)}.xml", digital)
+        found = _written(wanted, pdf, digital, content, document)
+        append_certificate(store, document)
+    return found
+
+
+def _check(issued: Certificates, wanted: Wanted, number: str, runs: set[str]) -> None:
+    if issued.by_number(number) is not None:
+        raise BadInput(f"certificate {number} is issued already; leave --number out for the next free one")
+    if wanted.supersedes:
+        old = issued.by_number(wanted.supersedes)
+        if old is None or old.unit != wanted.unit:
+            known = ", ".join(each.number for each in issued.in_force(wanted.unit, wanted.standard.name)) or "none"
+            raise BadInput(
+                f"--supersedes {wanted.supersedes}: no certificate of {wanted.unit} has it; there are {known}"
+            )
+        if (successor := issued.successor(old.number)) is not None:
+            raise BadInput(f"certificate {old.number} is superseded by {successor.number} already")
+        if not wanted.reason:
+            raise BadInput(f"--supersedes {old.number} needs a --reason")
+    for each in issued.in_force(wanted.unit, wanted.standard.name):
+        if each.number != wanted.supersedes and runs & set(each.runs):
+            raise BadInput(
+                f"certificate {each.number} of {wanted.unit} rests on the same runs; replace it with "
+                f"--supersedes {each.number} --reason TEXT"
+            )
+
+
+def _files(catalog: Catalog, content: Content, wanted: Wanted, now: dt.datetime) -> tuple[bytes, bytes]:
+    release = version("gyrofleet")
+    digital = digital_certificate(content, release=release, supersedes=wanted.supersedes)
+    data = sha256_of(results_of(content).encode())
+    pdf = certificate_pdf(
+        content, figures_of(catalog, wanted.unit, content.facts.rows), wanted.language, attached=digital,
+        mark=f"gyrofleet {release}, data SHA-256 {data}", set_at=now,
+    )  # fmt: skip
+    return pdf, digital
+
+
+def _document(content: Content, wanted: Wanted, pdf: bytes, digital: bytes) -> CertificateIssued:
+    facts, results = content.facts, results_of(content)
+    days = facts.evidence.days
+    assert days is not None  # otherwise it is a draft
+    return CertificateIssued(
+        run="", t_ns=time.time_ns(), number=facts.number, unit=wanted.unit, standard=wanted.standard.name,
+        language=wanted.language, sha256=sha256_of(pdf), digital_sha256=sha256_of(digital),
+        data_sha256=sha256_of(results.encode()), results=results,
+        runs=tuple(run.run for run in facts.evidence.runs),
+        valid_until=later(days[1], wanted.order.valid_months).isoformat(),
+        by=Words.of(wanted.order.people.issued_by).en, software=f"gyrofleet {version('gyrofleet')}",
+        supersedes=wanted.supersedes, reason=wanted.reason,
+    )  # fmt: skip
+
+
+def results_of(content: Content) -> str:
+    """The results as JSON, of which the log keeps the text and its hash."""
+    return msgspec.json.encode(content.facts.rows, order="sorted").decode()
+
+
+def _written(
+    wanted: Wanted, pdf: bytes, digital: bytes, content: Content, document: CertificateIssued | None
+) -> Issued:
+    beside = wanted.out.with_suffix(".xml")
+    _write(beside, digital)
+    _write(wanted.out, pdf)
+    return Issued(
+        number=None if document is None else document.number, is_draft=document is None,
+        missing=[f"{clause}: {each.en}" for clause, each in content.missing], sha256=sha256_of(pdf),
+        digital=str(beside), valid_until=None if document is None else document.valid_until,
+    )  # fmt: skip
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_durably(path, content)
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _file_name(number: str) -> str:
+    """A file's name of a number, which may have slashes.
+
+    >>> _file_name("GYL/2026 0001")
+    'GYL_2026_0001'
+    """
+    return "".join(each if each.isalnum() or each in "-." else "_" for each in number)

@@ -1,0 +1,78 @@
+"""Certificates in the log of a store: issued ones, each sealed, and which of them supersedes which."""
+
+import hashlib
+from collections.abc import Sequence
+
+import msgspec
+
+from storage.log.store_documents import is_sealed, sealed
+from storage.log.tail import documents_beyond
+from storage.recording.client import record_documents
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.events import CertificateIssued
+from stream.identity import Place
+
+FOLDER = "certificates"  # within the store: the issued files
+
+_PLACE = Place("store", FOLDER)
+_ROLE = "gyrofleet certificate"
+_SQL = "select document, arrival_ns from internal.lake_documents where kind = $kind"
+
+
+class Certificates:
+    """The issued certificates of a store, in the order of their arrival; documents without its seal do not count."""
+
+    def __init__(self, issued: Sequence[CertificateIssued]) -> None:
+        self.issued = tuple(issued)
+
+    def by_hash(self, sha256: str) -> CertificateIssued | None:
+        """The certificate whose PDF has that SHA-256."""
+        return next((each for each in self.issued if each.sha256 == sha256), None)
+
+    def by_number(self, number: str) -> CertificateIssued | None:
+        """The certificate of a number."""
+        return next((each for each in self.issued if each.number == number), None)
+
+    def successor(self, number: str) -> CertificateIssued | None:
+        """The certificate that supersedes that of a number."""
+        return next((each for each in self.issued if each.supersedes == number), None)
+
+    def in_force(self, unit: str, standard: str) -> list[CertificateIssued]:
+        """Certificates of a unit by a standard that no other one supersedes."""
+        of_unit = (each for each in self.issued if each.unit == unit and each.standard == standard)
+        return [each for each in of_unit if self.successor(each.number) is None]
+
+    def next_number(self, prefix: str, year: int) -> str:
+        """The next free number of a year.
+
+        >>> Certificates([]).next_number("GYL", 2026)
+        'GYL-2026-0001'
+        """
+        stem = f"{prefix}-{year}-" if prefix else f"{year}-"
+        used = [each.number.removeprefix(stem) for each in self.issued if each.number.startswith(stem)]
+        return f"{stem}{max((int(each) for each in used if each.isdecimal()), default=0) + 1:04d}"
+
+
+def read_certificates(store: Store, catalog: Catalog) -> Certificates:
+    """The certificates of a store, also those not yet in the lake."""
+    found = {
+        document.uid: (arrival_ns, document)
+        for text, arrival_ns in catalog.rows(_SQL, {"kind": CertificateIssued.__name__})
+        for document in [msgspec.json.decode(text, type=CertificateIssued)]
+    }
+    for document, arrival_ns in documents_beyond(store, {each for part in catalog.parts for each in part.segments}):
+        if isinstance(document, CertificateIssued):
+            found.setdefault(document.uid, (arrival_ns, document))
+    ordered = sorted(found.values(), key=lambda each: (each[0], each[1].t_ns))
+    return Certificates([document for _, document in ordered if is_sealed(store, document)])
+
+
+def append_certificate(store: Store, document: CertificateIssued) -> None:
+    """Append the document of a certificate, sealed, to the log, durably."""
+    record_documents(store, [sealed(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
+
+
+def sha256_of(content: bytes) -> str:
+    """SHA-256 in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,43 @@
+"""The command `gyrofleet audit`: what happened to a unit, from the log."""
+
+from pathlib import Path
+
+import click
+
+from analytics.commands.metrics import language_option
+from storage.commands.stored_names import UNIT
+from stream.console import counted, notes, print_json, reporting, results, store_option
+from stream.result_table import ResultTable
+
+_TITLES = {"en": ("when (UTC)", "what", "run", "who", "details"), "zh": ("时间(UTC)", "事件", "试验", "人员", "内容")}
+
+
+@click.command("audit")
+@store_option
+@click.option("--unit", type=UNIT, required=True, help="Which unit.")
+@click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write to this CSV file.")
+@language_option
+@reporting
+def audit(folder: Path, unit: str, csv_path: Path | None, language: str, *, as_json: bool) -> None:
+    """Who did what to a unit when, with which data, limits and version, from the log alone.
+
+    \b
+    gyrofleet audit --unit FOG-0231
+    gyrofleet audit --unit FOG-0231 --csv audit.csv
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from analytics.audit import audit_of, write_audit
+    from storage.sql.catalog import Catalog
+    from storage.store import Store
+
+    with Catalog(Store.open(folder)) as catalog:
+        rows = audit_of(catalog, unit)
+    if csv_path is not None:
+        write_audit(rows, csv_path)
+        notes().print(f"{counted(len(rows), 'row')} written to {csv_path}")
+    if as_json:
+        print_json(rows)
+    elif csv_path is None:
+        table = ResultTable(*_TITLES[language], title=unit)
+        for row in rows:
+            table.add_row(row.at, row.kind, row.run or "", row.by, ", ".join(filter(None, (row.what, row.limits))))
+        results().print(table)

@@ -1,0 +1,53 @@
+"""Reasons in Chinese: why there is no value or no verdict, what a value rests on."""
+
+import re
+import tomllib
+from functools import cache, lru_cache
+from importlib.resources import files
+
+_PLACE = re.compile(r"\{(\d)\}")
+_VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
+
+
+@lru_cache(4096)
+def in_chinese(reason: str) -> str:
+    """A reason of a metric, verdict or clock in Chinese; itself where `reasons.toml` does not have it.
+
+    >>> in_chinese("record of 300 s: the clauses ask for one hour as a rule")
+    '记录长 300 s：条款一般要求一小时'
+    >>> in_chinese("3 power-ons measured, the clause asks for 6 or more")
+    '测得 3 次上电，条款要求不少于 6 次'
+    >>> in_chinese("something else")
+    'something else'
+    """
+    found = _translated(reason)
+    if found is not None:
+        return found
+    parts = [_translated(part) for part in reason.split("; ")]
+    return "；".join(part for part in parts if part) if len(parts) > 1 and all(parts) else reason
+
+
+def _translated(text: str) -> str | None:
+    for pattern, chinese in _patterns():
+        if (match := pattern.fullmatch(text)) is not None:
+            filled = [_VERDICTS.get(part) or in_chinese(part) for part in match.groups()]
+            return "".join(filled[int(each[1])] if _PLACE.fullmatch(each) else each for each in _pieces(chinese))
+    return None
+
+
+@cache
+def _patterns() -> list[tuple[re.Pattern[str], str]]:
+    """English texts as patterns, those with the most own letters first."""
+    content = tomllib.loads(files("analytics.evaluation").joinpath("reasons.toml").read_text(encoding="utf-8"))
+    known = sorted(content.items(), key=lambda each: -len(_PLACE.sub("", each[0])))
+    return [(re.compile(_PLACE.sub("(.+?)", _escaped(english))), chinese) for english, chinese in known]
+
+
+def _escaped(english: str) -> str:
+    """The pattern of a text in which places stay as they are."""
+    return "".join(each if _PLACE.fullmatch(each) else re.escape(each) for each in _pieces(english))
+
+
+def _pieces(text: str) -> list[str]:
+    """Places of a text, and what stands between them."""
+    return re.split(r"(\{\d\})", text)

@@ -1,0 +1,16 @@
+-- id:        attitude_unit_misalignment
+-- en:        Misalignment of an attitude unit
+-- zh:        航姿仪失准角
+-- unit:      arcmin
+-- better:    neither
+-- grain:     unit, signal, run, turned axis, rate, repeat
+-- parameters: element, turned_axis, output_axis, rate_deg_per_s, turns, turns_by, radians, repeat, scale_factor
+-- source:    JJF 1536-2015 5.6-5.8 (7)-(9), 7.3 (17)
+-- needs:     procedure attitude_unit_misalignment: each axis up, whole turns at a high rate in both directions
+-- limits:    t
+-- equation:  L_yx = (N_yx - N_-yx)/(2 360 n), the ratio of two angles
+-- python:    analytics.metrics.attitude_unit_misalignment:compute
+-- of:        internal.attitude_turns
+-- Errata: the ratio is in rad, the code has degrees; (7) and (17) lack the brackets about 2 360 n, (17) prints pi for n;
+-- (9) and table 3 misprint L_yz and N_yx; annex C swaps the subscripts of 5.6, where L_yx is what Y sees of a turn of X.
+from internal.attitude_turns order by run, unit, repeat nulls first, "index", signal

@@ -1,0 +1,102 @@
+"""A draft: every clause of the standard is in the PDF, and what is missing is listed first."""
+
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pypdf import PdfReader
+
+from analytics.certificate.content import FILLED_BY
+from analytics.certificate.standards import standards
+from tests.analytics.certificate.conftest import UNIT
+
+
+def text_of(path: Path) -> str:
+    return "\n".join(page.extract_text() for page in PdfReader(BytesIO(path.read_bytes())).pages)
+
+
+def test_each_item_of_a_standard_is_filled() -> None:
+    for standard in standards().values():
+        assert {item.filled_by for item in standard.items} <= FILLED_BY.keys()
+        assert len({item.filled_by for item in standard.items}) == len(standard.items)
+
+
+def test_without_an_order_a_draft_lists_what_is_missing(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    out = tmp_path / "draft.pdf"
+    words = ("certificate", "--unit", UNIT, "--standard", "JJF 2014-2022", "--out", out, "--lang", "en", "--json")
+    done = run_command(*words, "--store", laboratory / "lab", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert done.json["is_draft"]
+    assert done.json["number"] is None
+    missing = done.json["missing"]
+    for clause in ("8 b", "8 e", "8 k", "8 m", "8 n", "annex A"):
+        assert any(each.startswith(f"{clause}: ") for each in missing), clause
+    text = text_of(out)
+    assert "DRAFT" in text
+    assert "name of the laboratory is not given" in text
+
+
+@pytest.mark.parametrize("language", ["zh", "en"])
+def test_every_item_of_clause_8_and_annex_a_is_printed(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path, language: str
+) -> None:
+    out = tmp_path / f"{language}.pdf"
+    words = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--out", out, "--draft")
+    done = run_command(*words, "--lang", language, "--store", "lab", "--json", cwd=laboratory)
+    assert done.code == 0, done.err
+    text = "".join(text_of(out).split())
+    standard = standards()["JJF2014"]
+    for item in standard.items:
+        if item.filled_by not in {"title", "number"}:
+            assert "".join(getattr(item, language).split()) in text
+            assert "".join(item.clause.split()) in text
+    expected = {
+        "zh": "校准证书 陀螺校准实验室 示例航天有限公司 标度因数 启动时间 JJF2014-2022 王力 T-881",
+        "en": "Calibrationcertificate ExampleAerospaceLtd Scalefactor Start-uptime ChenGang T-881",
+    }
+    for each in (UNIT, *expected[language].split()):
+        assert each in text
+    # 24 rows, those without a result too
+    not_calibrated = {"zh": "未校准", "en": "notcalibrated"}[language]
+    assert text.count(not_calibrated) == sum(row["results"] == [] for row in annex(laboratory, run_command))
+
+
+def annex(laboratory: Path, run_command: Callable[..., Any]) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = run_command(
+        "metrics", "--annex-a", UNIT, "--store", "lab", "--json", cwd=laboratory
+    ).json["rows"]
+    assert len(rows) == 24
+    return rows
+
+
+def test_the_file_is_pdf_a_with_the_digital_certificate_in_it(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    out = tmp_path / "a.pdf"
+    words = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--out", out, "--draft")
+    done = run_command(*words, "--store", "lab", "--json", cwd=laboratory)
+    reader = PdfReader(BytesIO(out.read_bytes()))
+    assert reader.xmp_metadata is not None
+    assert b"<pdfaid:part>3</pdfaid:part>" in out.read_bytes()
+    ((name, contents),) = reader.attachments.items()
+    assert name == "certificate.xml"
+    assert contents[0] == Path(done.json["digital"]).read_bytes()
+
+
+def test_a_unit_that_is_not_there_and_a_standard_without_certificates_are_refused(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    words = ("certificate", "--out", tmp_path / "x.pdf", "--store", laboratory / "lab")
+    for more, expected in (
+        (("--unit", "G-0043", "--standard", "JJF2014"), "G-0042"),
+        (("--unit", UNIT, "--standard", "ISO 9001"), "JJF2014"),
+        (("--unit", UNIT), "--standard"),
+    ):
+        done = run_command(*words, *more, cwd=tmp_path)
+        assert done.code == 1
+        assert expected in done.err
+        assert not (tmp_path / "x.pdf").exists()
