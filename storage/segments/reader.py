@@ -182,6 +182,8 @@ class SegmentScan:
     def _extend(self, content: Buffer, chunk: Chunk, index: ChannelIndex, end: int) -> None:
         """Extend the undamaged beginning by this chunk, if it reaches up to it."""
         if chunk.begin != self.whole_bytes:
+            if not self.damaged:  # the index before it, which readers of this segment skip: others would be misled
+                self.damaged.append(ByteSpan(self.whole_bytes, chunk.begin))
             return
         after = chunk.begin + chunk.head.frame_bytes
         indexes = encode_index(index)
