@@ -13,7 +13,7 @@ from analytics.serve.doors.headers import SECURITY_HEADERS
 from analytics.serve.doors.origin import is_named
 from analytics.serve.doors.proxy import Caller, ForgedProxy
 from analytics.serve.doors.roles import Person
-from analytics.serve.problems import Misdirected, TooMany
+from analytics.serve.problems import HttpProblem, Misdirected, TooMany
 from stream.errors import GyrofleetError
 
 PERSON = "gyrofleet.person"
@@ -70,6 +70,7 @@ class Gate:
                 for name, value in SECURITY_HEADERS.items():
                     headers.setdefault(name, value)
                 headers.setdefault("Cache-Control", "no-store")
+                headers.update({"Connection": "close"} if _has_two_lengths(scope) else {})
             await send(message)
 
         self._count()
@@ -99,6 +100,8 @@ class Gate:
 
     def _known(self, scope: Scope) -> Person | None:
         headers = Headers(scope=scope)
+        if _has_two_lengths(scope):
+            raise HttpProblem("the request has a Content-Length and a Transfer-Encoding; send one of them")
         if not is_named(headers.get("host", ""), self._names):
             raise Misdirected(
                 "the request is for another host; call this server by its address, or start it with --name HOST"
@@ -120,6 +123,12 @@ class Gate:
         if caller is not None:
             scope["client"] = (caller.address, 0)
         return caller
+
+
+def _has_two_lengths(scope: Scope) -> bool:
+    """Whether a proxy might take the end of a request for the begin of another one (RFC 9112 6.1)."""
+    names = {name.lower() for name, _ in scope["headers"]}
+    return {b"content-length", b"transfer-encoding"} <= names
 
 
 def address_of(scope: Scope) -> str:

@@ -94,6 +94,20 @@ def test_two_lengths_are_refused(served: Served) -> None:
     assert status == 400
 
 
+def test_a_request_of_two_lengths_smuggles_no_other(served: Served) -> None:
+    """A proxy that goes by the length forwards both as one; here the second was answered."""
+    second = f"GET /api/units HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKEN}\r\n"
+    head = (
+        f"POST /api/sql HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: 200\r\n"
+        f"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n{second}"
+    )
+    status, _, body = raw(served, head)
+    assert status == 400
+    assert "send one of them" in body
+    assert "HTTP/1.1" not in body
+    assert "FOG" not in body
+
+
 @pytest.mark.parametrize("path", ["/api/live", "/api/units"])
 def test_a_web_socket_is_closed(served: Served, path: str) -> None:
     head = (
