@@ -25,7 +25,6 @@ _SHARE = 0.99  # of a rest or a sampling rate, for what the borders of samples c
 _MOVING_RAD_PER_S = math.radians(0.5)
 _PAUSE_S = 1.0  # rest of at least this length between two motions
 _SETTLING_S = 0.5  # dropped after a motion that is cut off
-_A_TURN_RAD = math.radians(90.0)
 _HALF_TURN_WITHIN_RAD = math.radians(5.0)
 _LEVEL_WITHIN = math.sin(math.radians(5.0))
 _FOLLOWS_WITHIN = math.sin(math.radians(2.0))
@@ -103,7 +102,8 @@ def around_the_turn(series: ImuSeries, name: str) -> tuple[ImuSeries, Rests]:
     breaks = np.flatnonzero(np.diff(moving) > _PAUSE_S / series.dt_s)
     begins, ends = moving[np.append(0, breaks + 1)], moving[np.append(breaks, len(moving) - 1)] + 1
     turned = [np.abs(series.rates_rad_per_s[:, a:b].sum(axis=1)).max() for a, b in zip(begins, ends, strict=True)]
-    if (turns := int(np.sum(np.array(turned) * series.dt_s > _A_TURN_RAD))) > 1:
+    # the end of a way back to the angle is no second turn
+    if (turns := int(np.sum(np.array(turned) * series.dt_s > math.pi - _HALF_TURN_WITHIN_RAD))) > 1:
         raise BadInput(f"{name}: {turns} turns in one record; name each by its position, rotation_1 to rotation_9")
     at = int(np.argmax(turned))
     settling = round(_SETTLING_S / series.dt_s)
