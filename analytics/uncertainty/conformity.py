@@ -52,7 +52,7 @@ def global_risks(mean: float, deviation: float, u: float, tolerance: Interval, a
 
     >>> risks = global_risks(0.0, 1.0, 0.2, Interval(-2.0, 2.0), Interval(-2.0, 2.0))
     >>> round(risks.consumer, 4), round(risks.producer, 4)
-    (0.0074, 0.0106)
+    (0.0068, 0.0111)
     """
     lower, upper = tolerance.bounds
     inside = acceptance.bounds

@@ -196,7 +196,7 @@ with candidate as materialized (
       when v is null and value is null then reason
       when v is null then 'the value is in ' || unit_of_measure || ', the limit in ' || limit_unit
       when by_value = 'NO_DATA' then 'no U, which the rule ' || decision_rule || ' needs: ' || coalesce(uncertainty_reason, '')
-      when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then printf('U = %.3g is more than the %.3g up to '
+      when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then format('U = {:.3g} is more than the {:.3g} up to '
         || 'which risks are shared: measure with a smaller one', v_u_expanded, "largest_U")
       when decision_rule <> 'interval' then null
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
