@@ -1,1 +1,1 @@
-"""Alerts: conditions of a store that people are told of by e-mail or webhook, each once."""
+"""Alerts: conditions of a store that are reported to people by e-mail or webhook, each once."""

@@ -1,4 +1,4 @@
-"""The book of a store's alerts: what was raised, who was told, who has taken note; kept through kills."""
+"""The book of a store's alerts: what was raised, which targets took it, who acknowledged it; kept through kills."""
 
 import hashlib
 import threading
@@ -77,7 +77,7 @@ class AlertBook(Closing):
             if alert.raised_ns is None and is_due:
                 alert.raised_ns, alert.text, alert.text_zh = wall_ns, str(finding.text), finding.text.zh
                 alert.deliveries += [Delivery(target=name, event=RAISED) for name in rule.to]
-                self._told(alert)
+                self._mark_changed(alert)
                 raised = AlertRaised(
                     run="", t_ns=wall_ns, uid=alert.id, rule=rule.name, severity=rule.severity, subject=alert.subject,
                     text=alert.text, text_zh=alert.text_zh, unit=alert.unit,
@@ -138,7 +138,7 @@ class AlertBook(Closing):
         with self.lock:
             for alert, delivery in parcel:
                 delivery.attempts, delivery.sent_ns, delivery.error = delivery.attempts + 1, wall_ns, ""
-                self._told(alert)
+                self._mark_changed(alert)
                 sent = AlertSent(
                     run="", t_ns=wall_ns, alert=alert.id, target=delivery.target, attempts=delivery.attempts
                 )
@@ -192,7 +192,7 @@ class AlertBook(Closing):
         with self.lock:
             self._file.close()
 
-    def _told(self, alert: Alert) -> None:
+    def _mark_changed(self, alert: Alert) -> None:
         """Note that the messages of an alert have changed."""
         self._changed.add(alert.id)
         if any(each.sent_ns is None for each in alert.deliveries):
@@ -213,7 +213,7 @@ class AlertBook(Closing):
         alert.deliveries += [
             Delivery(target=each.target, event=CLEARED) for each in alert.deliveries if each.event == RAISED
         ]
-        self._told(alert)
+        self._mark_changed(alert)
         self._log(AlertCleared(run="", t_ns=wall_ns, alert=alert.id))
 
     def _log(self, document: LogDocument) -> None:

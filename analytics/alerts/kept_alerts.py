@@ -46,7 +46,7 @@ class Delivery(msgspec.Struct, kw_only=True):
 
 
 class Alert(msgspec.Struct, kw_only=True):
-    """An alert; `since_ns` is since when its condition lasts, `raised_ns` since when people are told of it."""
+    """An alert; `since_ns` is since when its condition lasts, `raised_ns` when it was first reported."""
 
     id: str
     rule: str

@@ -1,4 +1,4 @@
-"""The rules of a site: which conditions are alerts, after how long, and who is told (TOML)."""
+"""The rules of a site: which conditions are alerts, after how long, and to whom they are reported (TOML)."""
 
 import datetime as dt
 from fnmatch import fnmatchcase
@@ -44,7 +44,7 @@ class QuietHours(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Rule(msgspec.Struct, frozen=True, kw_only=True):
-    """A condition, how long it lasts before it is an alert, and who is told."""
+    """A condition, how long it lasts before it is an alert, and its targets."""
 
     name: str
     condition: Condition

@@ -23,8 +23,8 @@ class TargetSender(Closing):
     """Sends the messages of a book to one target, in a thread of its own.
 
     While a target takes nothing it is tried after 5 s, 10 s, and so on up to 10 min. `trouble` says since when and why
-    it takes nothing, if so; `report` is told when that begins and ends. `now_ns` is a clock that nobody sets; a message
-    may take `longest_send_s` in all. The first wait is `first_wait_s`.
+    it takes nothing, if so; `report` is called when that begins and ends. `now_ns` is a clock that nobody sets; a
+    message may take `longest_send_s` in all. The first wait is `first_wait_s`.
     """
 
     def __init__(

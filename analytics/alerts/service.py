@@ -47,7 +47,7 @@ class AlertService(Closing):
         self._zero_ns = self._began_ns - time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         self._book = AlertBook(store, self._now_ns())
         sealed = {path.stem for path in sealed_segments(store)}
-        if not self._book.segment:  # what was before the first alert service is not told
+        if not self._book.segment:  # what was before the first alert service is not reported
             self._book.read_to(max(sealed, default="") + "+")
         self._book.hold(self._now_ns())
         self._floor, self._hearing = Floor(), Hearing()
@@ -168,7 +168,7 @@ class AlertService(Closing):
     def _save(self) -> None:
         try:
             self._book.save()
-        except StoreError as error:  # people are told all the same; after a kill perhaps twice
+        except StoreError as error:  # it is sent all the same; after a kill perhaps twice
             self._problem("book", str(error))
         else:
             self._problem("book", "")

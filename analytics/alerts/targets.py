@@ -1,4 +1,4 @@
-"""Who is told: what all targets share."""
+"""Base class of targets, which alerts are sent to."""
 
 import os
 from collections.abc import Collection, Sequence
@@ -20,7 +20,7 @@ class NotSent(GyrofleetError):
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
-    """What a target is told of an alert."""
+    """What a target receives of an alert."""
 
     id: str
     event: str  # ``raised``, ``cleared`` or ``test``

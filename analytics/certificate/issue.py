@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import msgspec
 
-from analytics.certificate.content import Content, Facts, content_of, later
-from analytics.certificate.digital import digital_certificate
-from analytics.certificate.evidence import read_evidence
-from analytics.certificate.figures import figures_of
-from analytics.certificate.layout import certificate_pdf
-from analytics.certificate.order import Order
+from analytics.certificate.document.digital import digital_certificate
+from analytics.certificate.document.figures import figures_of
+from analytics.certificate.document.layout import certificate_pdf
 from analytics.certificate.record import FOLDER, Certificates, append_certificate, read_certificates, sha256_of
-from analytics.certificate.results import result_rows
-from analytics.certificate.standards import Standard
-from analytics.certificate.words import Language, Words
+from analytics.certificate.statement.content import Content, Facts, content_of, later
+from analytics.certificate.statement.evidence import read_evidence
+from analytics.certificate.statement.order import Order
+from analytics.certificate.statement.results import result_rows
+from analytics.certificate.statement.standards import Standard
+from analytics.certificate.statement.words import Language, Words
 from analytics.evaluation.inner_page import inner_page
 from storage.sql.catalog import Catalog
 from storage.store import only_one

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import msgspec
 
+from analytics.certificate.document.signature import SignatureCheck, check_signature
 from analytics.certificate.record import Certificates, sha256_of
-from analytics.certificate.signature import SignatureCheck, check_signature
 from stream.errors import BadInput
 
 _LARGEST_BYTES = 100_000_000

@@ -16,8 +16,8 @@ from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from analytics.certificate.issue import Issued
+    from analytics.certificate.statement.words import Language
     from analytics.certificate.verification import Verified
-    from analytics.certificate.words import Language
 
 
 @click.group("certificate", cls=CommandGroup, invoke_without_command=True)
@@ -61,10 +61,10 @@ def certificate(
         return
     if unit is None or standard is None or out is None:
         raise BadInput("give --unit, --standard and --out, or `gyrofleet certificate verify FILE`")
+    from analytics.certificate.document.signature import sign
     from analytics.certificate.issue import Wanted, issue_certificate
-    from analytics.certificate.order import read_order
-    from analytics.certificate.signature import sign
-    from analytics.certificate.standards import standard_of
+    from analytics.certificate.statement.order import read_order
+    from analytics.certificate.statement.standards import standard_of
 
     if key is not None and key_passphrase is None:
         key_passphrase = click.prompt("Passphrase of the key", hide_input=True, err=True)

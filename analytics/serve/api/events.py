@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from analytics.audit import AUDITED
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
 from analytics.serve.api.units import unit_row
@@ -24,12 +25,9 @@ where ($kind = '' or kind = $kind) and ($run = '' or run = $run) and ($unit = ''
   and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
 order by arrival_ns desc, uid limit $rows
 """  # noqa: S608  our own statement
-# what happened to a unit, without the figures of the worker, of which a run has hundreds
 _AUDIT = f"""
 select * from ({_ROWS})
-where (unit = $unit or (unit is null and run in (select run from internal.served_signals where unit = $unit)))
-  and kind not in ('EarlyDecision', 'EstimatePublished', 'NoiseFitted', 'SpectralLinesFound')
-  and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
+where {AUDITED} and ($at is null or (-arrival_ns, uid) > (-$at, $uid))
 order by arrival_ns desc, uid limit $rows
 """  # noqa: S608  our own statement
 _KINDS = "select kind, count(*) as n from internal.lake_documents group by kind order by kind"

@@ -12,7 +12,7 @@ from analytics.serve.api.encoding import Form
 from analytics.serve.api.operation import Call, Nothing, get, post
 from analytics.serve.api.rows import moment
 from analytics.serve.api.signals import SignalAsked, signal
-from analytics.serve.api.sql import SqlAsked, sql
+from analytics.serve.api.sql import SqlAsked, answered
 from analytics.serve.doors.roles import Role
 from storage.sql.reading import find_signal
 from stream.errors import BadInput
@@ -160,8 +160,7 @@ def _series(call: Call, asked: QueryAsked, target: Target, fields: dict[str, Any
 
 def _table(call: Call, fields: dict[str, Any]) -> list[dict[str, Any]]:
     asked = SqlAsked(sql=str(fields.get("sql") or ""), shape="arrays")
-    # the handler gives a result that encodes itself
-    rows = msgspec.json.decode(sql(call, asked).encoded(Form.JSON).body)  # type: ignore[attr-defined]
+    rows = msgspec.json.decode(answered(call, asked).encoded(Form.JSON).body)
     columns = [
         {"text": each["name"], "type": _GRAFANA_TYPES.get(each["type"][:3], "string")} for each in rows["columns"]
     ]

@@ -4,7 +4,7 @@ import tempfile
 import time
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import msgspec
 import pyarrow as pa
@@ -44,6 +44,12 @@ class SqlTables(msgspec.Struct, frozen=True, kw_only=True):
 @post("/api/sql", role=Role.VIEWER)
 def sql(call: Call, asked: SqlAsked) -> SqlRows:
     """Run one statement that reads; as JSON, or as Arrow, CSV or Parquet by the header Accept or `format`."""
+    # the endpoint encodes it in the form that is asked for, which in JSON is that of SqlRows
+    return cast("SqlRows", answered(call, asked))
+
+
+def answered(call: Call, asked: SqlAsked) -> SqlResult:
+    """The result of a statement; QueryError if it fails, BadInput if it is empty."""
     if not asked.sql.strip():
         raise BadInput("the statement is empty; write one, as: select unit, signal, run, samples from signals")
     began_s = time.monotonic()
@@ -61,8 +67,7 @@ def sql(call: Call, asked: SqlAsked) -> SqlRows:
         result.batches.close()  # ends the process where rows are left
     table = pa.Table.from_batches(batches, result.schema).slice(0, asked.rows)
     seconds = time.monotonic() - began_s
-    # encoded by the endpoint in the form that is asked for
-    return SqlResult(table, asked.shape, seconds, is_truncated=rows > asked.rows)  # type: ignore[return-value]
+    return SqlResult(table, asked.shape, seconds, is_truncated=rows > asked.rows)
 
 
 @get("/api/sql/tables", is_slow=True)

@@ -49,8 +49,7 @@ async def sql(request: Request, *, service: Service) -> Response:
 
 def _file(call: Call, statement: str, form: Form) -> Response:
     """The whole result as a file."""
-    # the handler gives a result that encodes itself
-    encoded = api.sql(call, api.SqlAsked(sql=statement, rows=MOST_ROWS)).encoded(form)  # type: ignore[attr-defined]
+    encoded = api.answered(call, api.SqlAsked(sql=statement, rows=MOST_ROWS)).encoded(form)
     headers = {"Content-Disposition": f'attachment; filename="result.{form}"'}
     return Response(encoded.body, media_type=encoded.media_type, headers=headers)
 
@@ -60,8 +59,7 @@ def _content(call: Call, statement: str, *, is_sent: bool) -> dict[str, Any]:
     if is_sent:
         asked = api.SqlAsked(sql=statement, rows=_SHOWN_ROWS, shape="arrays")
         try:
-            # the handler gives a result that encodes itself
-            encoded = api.sql(call, asked).encoded(Form.JSON, _SHOWN_BYTES)  # type: ignore[attr-defined]
+            encoded = api.answered(call, asked).encoded(Form.JSON, _SHOWN_BYTES)
             result = msgspec.json.decode(encoded.body)
         except GyrofleetError as error:
             problem = str(error)

@@ -4,13 +4,14 @@ from typing import Any
 
 import msgspec
 
+from analytics.audit import summary
 from analytics.plots.picture import Picture
 from analytics.serve.api import events
 from analytics.serve.api import unit_pictures as pictures
 from analytics.serve.api import units as api
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name, Paged
-from analytics.serve.pages.events import summary
+from analytics.serve.pages.events import shortened
 from analytics.serve.pages.page import shown
 
 _MOST_HISTORIES = 6
@@ -54,7 +55,9 @@ def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
         ),
         "metrics": sorted({(row["metric"], row["en"], row["zh"]) for row in found.metrics if row["value"] is not None}),
         "signals": sorted({name for run in found.runs for name in run.signals}),
-        "audit": [(row, summary(row.document)) for row in events.unit_audit(call, Paged(limit=_AUDIT)).events],
+        "audit": [
+            (row, shortened(summary(row.document))) for row in events.unit_audit(call, Paged(limit=_AUDIT)).events
+        ],
         "data": link("api", "units", found.unit),
     }
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from pypdf import PdfReader
 
-from analytics.certificate.content import FILLED_BY
-from analytics.certificate.standards import standards
+from analytics.certificate.statement.content import FILLED_BY
+from analytics.certificate.statement.standards import standards
 from tests.analytics.certificate.conftest import UNIT
 
 

@@ -15,8 +15,8 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.serialization import pkcs12
 from cryptography.x509.oid import NameOID
 
+from analytics.certificate.document.signature import check_signature, sign
 from analytics.certificate.record import read_certificates
-from analytics.certificate.signature import check_signature, sign
 from storage.log.store_documents import forgery, sealed
 from storage.sql.catalog import Catalog
 from storage.store import Store

@@ -128,7 +128,7 @@ def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server
     counted: list[int] = []
     with beside.program() as client, LogFollower(store) as log:
         due: deque[tuple[float, set[str], int]] = deque()  # what is to be seen, and from when on
-        uids, samples, open_answers = set[str](), 0, 0
+        uids, samples, was_open = set[str](), 0, False
         while process.poll() is None:
             for message in log.poll():
                 if isinstance(message.content, RawBatch):
@@ -148,7 +148,7 @@ def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server
                     assert answer.status_code == 200, answer.text
                     assert answer.json()["run"]["samples"] >= least
             if answer.status_code == 200:
-                open_answers += answer.json()["run"]["outcome"] == "open"
+                was_open |= answer.json()["run"]["outcome"] == "open"
                 counted.append(answer.json()["run"]["samples"])
                 assert sum(each["kind"] == "RunStarted" for each in answer.json()["documents"]) == 1
                 assert [run["run"] for run in client.get("/api/runs").json()["runs"]] == ["now", "before"]
@@ -158,10 +158,9 @@ def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server
                 assert row["last_run"] == "now"
         _, err = process.communicate()
         assert process.returncode == 0, err
-        assert open_answers
+        assert was_open
         assert sorted(counted) == counted
-        # it grows from answer to answer; a busy machine gives few
-        assert len(set(counted)) >= min(4, open_answers)
+        assert len(set(counted)) >= 4
         deadline_s = time.monotonic() + 5.0  # two seconds, and the lake's version
         while (found := client.get("/api/runs/now").json())["run"]["outcome"] != "completed":
             assert time.monotonic() < deadline_s

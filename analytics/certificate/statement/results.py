@@ -9,14 +9,16 @@ from typing import Any
 
 import msgspec
 
-from analytics.certificate.words import Words
+from analytics.certificate.statement.words import Words
 from analytics.evaluation.inner_page import InnerRow
 from analytics.evaluation.selection import Row
 from analytics.evaluation.type_b import COVERAGE
 from analytics.uncertainty.rounding import round_up
 from storage.specifications.specification import format_parameter
 
-_CONDITIONS = tomllib.loads(files("analytics.certificate").joinpath("conditions.toml").read_text(encoding="utf-8"))
+_CONDITIONS = tomllib.loads(
+    files("analytics.certificate.statement").joinpath("conditions.toml").read_text(encoding="utf-8")
+)
 _UNITS = {
     "1": "", "deg/h": "°/h", "deg/s": "°/s", "deg/sqrt(h)": "°/√h", "deg/h/degC": "(°/h)/°C", "1/degC": "1/°C",
     "ppm/degC": "ppm/°C", "degC": "°C", "arcmin": "′", "arcsec": "″", "deg": "°", "deg/h/g": "(°/h)/g",

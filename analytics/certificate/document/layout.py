@@ -8,10 +8,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from analytics.certificate.content import Content, Section
-from analytics.certificate.figures import Figure
-from analytics.certificate.results import Result, ResultRow
-from analytics.certificate.words import Language, Words
+from analytics.certificate.document.figures import Figure
+from analytics.certificate.statement.content import Content, Section
+from analytics.certificate.statement.results import Result, ResultRow
+from analytics.certificate.statement.words import Language, Words
 from analytics.plots.plot_fonts import chinese_font_file
 from stream.errors import BadInput
 
@@ -40,7 +40,7 @@ def certificate_pdf(
     fonts, folders = _fonts(language)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        source = files("analytics.certificate").joinpath("certificate.typ").read_text(encoding="utf-8")
+        source = files("analytics.certificate.document").joinpath("certificate.typ").read_text(encoding="utf-8")
         (folder / "certificate.typ").write_text(source, encoding="utf-8")
         for each in figures:
             (folder / each.name).write_bytes(each.svg)

@@ -6,7 +6,7 @@ from zoneinfo import ZoneInfo
 
 import msgspec
 
-from analytics.certificate.references import Reference, stated_references
+from analytics.certificate.statement.references import Reference, stated_references
 from storage.sql.catalog import Catalog
 
 _RUNS = """

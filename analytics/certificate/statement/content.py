@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import msgspec
 
-from analytics.certificate.evidence import Evidence, Span
-from analytics.certificate.order import Order, Text
-from analytics.certificate.references import Reference
-from analytics.certificate.results import ResultRow
-from analytics.certificate.standards import Item, Standard
-from analytics.certificate.words import Words
+from analytics.certificate.statement.evidence import Evidence, Span
+from analytics.certificate.statement.order import Order, Text
+from analytics.certificate.statement.references import Reference
+from analytics.certificate.statement.results import ResultRow
+from analytics.certificate.statement.standards import Item, Standard
+from analytics.certificate.statement.words import Words
 
 _SAME = "/"
 

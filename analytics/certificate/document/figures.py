@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.certificate.results import ResultRow
-from analytics.certificate.words import Words
+from analytics.certificate.statement.results import ResultRow
+from analytics.certificate.statement.words import Words
 from analytics.curves.allan_curve import allan_curve
 from analytics.plots.allan_plot import plot_allan
 from analytics.plots.figure_file import in_both

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from analytics.certificate.words import Words
+from analytics.certificate.statement.words import Words
 from stream.errors import BadInput
 from stream.toml_text import decode_toml
 

@@ -9,21 +9,21 @@ from typing import Annotated, Any
 
 import msgspec
 
-from stream.document import Document as Document
-from stream.document import Moment as Moment
-from stream.document import Verdict as Verdict
-from stream.document import new_uid as new_uid
 from stream.errors import NewerSchema, WireError
-from stream.store_events import RAW_ROWS_DROPPED as RAW_ROWS_DROPPED
-from stream.store_events import RAW_ROWS_RESTORED as RAW_ROWS_RESTORED
-from stream.store_events import AlertAcknowledged as AlertAcknowledged
-from stream.store_events import AlertCleared as AlertCleared
-from stream.store_events import AlertRaised as AlertRaised
-from stream.store_events import AlertSent as AlertSent
-from stream.store_events import CertificateIssued as CertificateIssued
-from stream.store_events import SpecificationAction as SpecificationAction
-from stream.store_events import SpecificationEntered as SpecificationEntered
-from stream.store_events import StoreNoted as StoreNoted
+from stream.events.document import Document as Document
+from stream.events.document import Moment as Moment
+from stream.events.document import Verdict as Verdict
+from stream.events.document import new_uid as new_uid
+from stream.events.store_events import RAW_ROWS_DROPPED as RAW_ROWS_DROPPED
+from stream.events.store_events import RAW_ROWS_RESTORED as RAW_ROWS_RESTORED
+from stream.events.store_events import AlertAcknowledged as AlertAcknowledged
+from stream.events.store_events import AlertCleared as AlertCleared
+from stream.events.store_events import AlertRaised as AlertRaised
+from stream.events.store_events import AlertSent as AlertSent
+from stream.events.store_events import CertificateIssued as CertificateIssued
+from stream.events.store_events import SpecificationAction as SpecificationAction
+from stream.events.store_events import SpecificationEntered as SpecificationEntered
+from stream.events.store_events import StoreNoted as StoreNoted
 
 EVENT_SCHEMA = 1
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from stream.document import Document
+from stream.events.document import Document
 
 RAW_ROWS_DROPPED = "raw_rows_dropped"  # `what` of a StoreNoted: raw rows that the lake no longer has
 RAW_ROWS_RESTORED = "raw_rows_restored"  # and: raw rows that were restored, with the documents that this cancels

@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import msgspec
 
-from analytics.certificate.words import Words
+from analytics.certificate.statement.words import Words
 from stream.errors import BadInput
 
 
@@ -40,7 +40,7 @@ def standards() -> dict[str, Standard]:
     >>> [item.clause for item in standards()["JJF2014"].items][:3]
     ['8 a', '8 b', '8 c']
     """
-    text = files("analytics.certificate").joinpath("standards.toml").read_text(encoding="utf-8")
+    text = files("analytics.certificate.statement").joinpath("standards.toml").read_text(encoding="utf-8")
     found = tomllib.loads(text)
     return {name: msgspec.convert({**table, "name": name}, Standard) for name, table in found.items()}
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from analytics.certificate.order import ReferenceTable
-from analytics.certificate.words import Words
+from analytics.certificate.statement.order import ReferenceTable
+from analytics.certificate.statement.words import Words
 from ingest.instruments.base import instrument_kinds
 from ingest.measurement_standards import DETAIL, QUANTITIES
 from storage.sql.catalog import Catalog

@@ -6,17 +6,17 @@ from importlib.resources import files
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element, QName, SubElement
 
-from analytics.certificate.content import Content
-from analytics.certificate.evidence import Span
-from analytics.certificate.order import Order
-from analytics.certificate.results import Result, ResultRow
-from analytics.certificate.words import Words
+from analytics.certificate.statement.content import Content
+from analytics.certificate.statement.evidence import Span
+from analytics.certificate.statement.order import Order
+from analytics.certificate.statement.results import Result, ResultRow
+from analytics.certificate.statement.words import Words
 
 _DCC, _SI, _XSI = "https://ptb.de/dcc", "https://ptb.de/si", "http://www.w3.org/2001/XMLSchema-instance"
 _VERSION = "3.3.0"
 _SCHEMA = f"{_DCC} {_DCC}/v{_VERSION}/dcc.xsd"
 _UNITS: dict[str, str] = tomllib.loads(
-    files("analytics.certificate").joinpath("si_units.toml").read_text(encoding="utf-8")
+    files("analytics.certificate.document").joinpath("si_units.toml").read_text(encoding="utf-8")
 )["units"]
 _LANGUAGES = ("en", "zh")
 

@@ -1,0 +1,1 @@
+"""The files of a certificate: PDF with curves, digital certificate, signature."""
