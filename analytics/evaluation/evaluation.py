@@ -124,11 +124,11 @@ def define_views(catalog: Catalog, steps: pa.Table) -> None:
 
 
 def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -> None:
-    """Run the SQL scripts of a folder of this package in the order of their names, or some of them."""
+    """Define what the SQL scripts of a folder of this package define, or some of them, in the order of their names."""
     scripts = files("analytics.evaluation").joinpath(folder).iterdir()
     for script in sorted(scripts, key=lambda each: each.name):
         if script.name.endswith(".sql") and (not names or script.name in names):
-            catalog.define(script.read_text(encoding="utf-8"))
+            catalog.defer(script.read_text(encoding="utf-8"))
 
 
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:

@@ -1,6 +1,5 @@
 """SQL over a store: read-only DuckDB views on the lake."""
 
-import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -14,6 +13,7 @@ import pyarrow as pa
 from storage.findings import Finding
 from storage.lake.tables import TABLES
 from storage.manifests.lake import Part, read_manifest
+from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
@@ -24,6 +24,7 @@ from stream.errors import QueryError
 
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
+_DATABASE = "store"
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -89,7 +90,11 @@ class Catalog(Closing):
         self.frozen = frozen
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
+        self._is_in_memory = file is None
+        if self._is_in_memory:  # compressed, large tables take a tenth of the memory
+            self._connection.execute(f"attach ':memory:' as {_DATABASE} (compress); use {_DATABASE}")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
+        self._deferred = DeferredDefinitions(self._execute)
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
@@ -132,6 +137,14 @@ class Catalog(Closing):
 
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
+        self._deferred.define(words_of(sql))
+        self._execute(sql)
+
+    def defer(self, script: str) -> None:
+        """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
+        self._deferred.add(script)
+
+    def _execute(self, sql: str) -> None:
         try:
             self._connection.execute(sql)
         except duckdb.Error as error:
@@ -140,9 +153,10 @@ class Catalog(Closing):
     def put(self, name: str, table: pa.Table) -> None:
         """Create or replace a table; one that no layer lists goes to the schema `internal`."""
         schema = "main" if name in known_tables() else "internal"
+        self._deferred.discard(name)
         self._connection.register("put_rows", table)
         try:
-            self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+            self._execute(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
         finally:
             self._connection.unregister("put_rows")
 
@@ -154,9 +168,11 @@ class Catalog(Closing):
         with reading_lake(self.store):
             return Overlay(self._connection, name, channels, events, kept, kinds)
 
-    def fill(self) -> None:
-        """Compute the tables of all layers now."""
-        self._fill(" ".join(table for layer in layers() for table in layer.tables))
+    def fill(self, tables: Collection[str] = ()) -> None:
+        """Compute the tables of all layers now, and define all views; only these tables if some are given."""
+        self._fill(" ".join(tables or (table for layer in layers() for table in layer.tables)))
+        if not tables:
+            self._deferred.define_all()
 
     @contextmanager
     def suspended_layers(self) -> Iterator[tuple[Layer, ...]]:
@@ -168,9 +184,7 @@ class Catalog(Closing):
             self._unfilled = waiting
 
     def _fill(self, sql: str) -> None:
-        if not self._unfilled:
-            return
-        words = set(re.findall(r"\w+", sql.lower()))
+        words = words_of(sql)
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
             self._define_views()
             self._unfilled.remove(layer)  # first, since the layer queries this catalogue
@@ -179,6 +193,14 @@ class Catalog(Closing):
             except BaseException:
                 self._unfilled.append(layer)
                 raise
+        self._deferred.define(words)
+
+    def _cursor(self) -> duckdb.DuckDBPyConnection:
+        """A cursor in the catalogue's database, as it is of the connection."""
+        cursor = self._connection.cursor()
+        if self._is_in_memory:
+            cursor.execute(f"use {_DATABASE}")
+        return cursor
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
@@ -187,7 +209,7 @@ class Catalog(Closing):
             kind = one_statement(self._connection, sql).type
             if kind not in _READING:
                 raise refused(kind.name)
-            return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
+            return self._cursor().sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise _failed(error) from error
 
@@ -208,7 +230,7 @@ class Catalog(Closing):
         self._fill(sql)
         needs_layers = not named.isdisjoint(of_layers)
         if self._live is None or (needs_layers and named.isdisjoint(VIEWS)):  # tables of layers have no live rows
-            return self._connection.cursor()
+            return self._cursor()
         self._live.fill(named)
         return self._live.cursor(of_layers=needs_layers)
 
@@ -236,7 +258,7 @@ class Catalog(Closing):
         """The whole result of a statement of many views and macros: it is planned once, a reader's twice."""
         self._fill(sql)
         try:
-            with self._connection.cursor() as cursor:
+            with self._cursor() as cursor:
                 cursor.execute(f"create temporary table whole as {sql}")
                 return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
