@@ -24,7 +24,7 @@ from stream.errors import QueryError
 
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
-_DATABASE = "store"
+_COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -91,8 +91,8 @@ class Catalog(Closing):
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
         self._is_in_memory = file is None
-        if self._is_in_memory:  # compressed, large tables take a tenth of the memory
-            self._connection.execute(f"attach ':memory:' as {_DATABASE} (compress); use {_DATABASE}")
+        if self._is_in_memory:
+            self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
         self._deferred = DeferredDefinitions(self._execute)
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
@@ -150,13 +150,33 @@ class Catalog(Closing):
         except duckdb.Error as error:
             raise QueryError(plain_message(error)) from error
 
-    def put(self, name: str, table: pa.Table) -> None:
-        """Create or replace a table; one that no layer lists goes to the schema `internal`."""
-        schema = "main" if name in known_tables() else "internal"
+    def put(self, name: str, table: pa.Table | pa.RecordBatchReader, *, is_large: bool = False) -> None:
+        """Create or replace a table; one that no layer lists goes to the schema `internal`.
+
+        One that a layer lists is a view on a table that takes little memory, as is a large one.
+        """
         self._deferred.discard(name)
+        place, view = self._place_of(name, is_large=is_large)
+        self._write(f"create or replace table {place} as from put_rows", table)
+        if view is not None:
+            self._execute(f"create or replace view {view} as from {place}")
+
+    def append(self, name: str, table: pa.Table, *, is_large: bool = False) -> None:
+        """Append rows to a table that was put."""
+        self._write(f"insert into {self._place_of(name, is_large=is_large)[0]} from put_rows", table)
+
+    def _place_of(self, name: str, *, is_large: bool) -> tuple[str, str | None]:
+        """Where a table is, and the view on it if there is one."""
+        is_listed = name in known_tables()
+        view = f'{"main" if is_listed else "internal"}."{name}"'
+        if not (is_listed or is_large):
+            return view, None
+        return (f'{_COMPACT}.main."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
+
+    def _write(self, sql: str, table: pa.Table | pa.RecordBatchReader) -> None:
         self._connection.register("put_rows", table)
         try:
-            self._execute(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+            self._execute(sql)
         finally:
             self._connection.unregister("put_rows")
 
@@ -195,13 +215,6 @@ class Catalog(Closing):
                 raise
         self._deferred.define(words)
 
-    def _cursor(self) -> duckdb.DuckDBPyConnection:
-        """A cursor in the catalogue's database, as it is of the connection."""
-        cursor = self._connection.cursor()
-        if self._is_in_memory:
-            cursor.execute(f"use {_DATABASE}")
-        return cursor
-
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
         self._fill(sql)
@@ -209,7 +222,7 @@ class Catalog(Closing):
             kind = one_statement(self._connection, sql).type
             if kind not in _READING:
                 raise refused(kind.name)
-            return self._cursor().sql(sql, params=parameters).to_arrow_reader(rows)
+            return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise _failed(error) from error
 
@@ -230,7 +243,7 @@ class Catalog(Closing):
         self._fill(sql)
         needs_layers = not named.isdisjoint(of_layers)
         if self._live is None or (needs_layers and named.isdisjoint(VIEWS)):  # tables of layers have no live rows
-            return self._cursor()
+            return self._connection.cursor()
         self._live.fill(named)
         return self._live.cursor(of_layers=needs_layers)
 
@@ -254,11 +267,16 @@ class Catalog(Closing):
         """The batches of a statement's result."""
         yield from self.guarded(self.reader(sql, parameters, rows))
 
-    def table(self, sql: str) -> pa.Table:
-        """The whole result of a statement of many views and macros: it is planned once, a reader's twice."""
+    def table(self, sql: str, given: pa.Table | None = None) -> pa.Table:
+        """The whole result of a statement of many views and macros: it is planned once, a reader's twice.
+
+        The rows `given` are its table ``given_rows``.
+        """
         self._fill(sql)
         try:
-            with self._cursor() as cursor:
+            with self._connection.cursor() as cursor:
+                if given is not None:
+                    cursor.register("given_rows", given)
                 cursor.execute(f"create temporary table whole as {sql}")
                 return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
