@@ -1,0 +1,42 @@
+"""The sources that an address names: a store's folder, a fleet store's, or an endpoint."""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from storage.fleet_store import FleetStore, is_fleet
+from storage.replication.folder_source import FolderSource
+from storage.replication.source import SegmentSource
+from stream.errors import BadInput
+
+_ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws|unixsock-stream|serial)/\S+")
+
+
+def is_endpoint(address: str) -> bool:
+    """Whether an address is one of the bus.
+
+    >>> is_endpoint("tcp/10.0.0.7:7448"), is_endpoint("night")
+    (True, False)
+    """
+    return _ENDPOINT.fullmatch(address) is not None
+
+
+@contextmanager
+def opened_sources(addresses: Sequence[str], plant: str | None) -> Iterator[list[SegmentSource]]:
+    """The plants behind the addresses; `plant` is the name of one at its first use, or which of several is meant."""
+    with ExitStack() as stack:
+        found: list[SegmentSource] = []
+        for address in addresses:
+            folder = Path(address)
+            if is_endpoint(address):
+                raise BadInput(f"{address}: endpoints are not served yet")
+            if is_fleet(folder):
+                fleet = FleetStore.open(folder)
+                chosen = fleet.replicas() if plant is None else [fleet.replica(plant)]
+                found += [stack.enter_context(FolderSource(each.store.folder)) for each in chosen]
+            else:
+                if plant is not None and len(addresses) > 1:
+                    raise BadInput("--plant names one plant; give one --from with it")
+                found.append(stack.enter_context(FolderSource(folder, plant)))
+        yield found
