@@ -23,7 +23,7 @@ _EVERY_S = 2.0
 @click.command("replicate")
 @click.option(
     "--from", "sources", multiple=True, metavar="PLANT",
-    help="A plant: folder of its store, or endpoint at which it is served; may be repeated. A fleet store: its plants.",
+    help="Folder of a plant's store, may be repeated; of a fleet store: all of its plants.",
 )  # fmt: skip
 @click.option("--to", "target", type=click.Path(path_type=Path), metavar="FLEET", help="Folder of the fleet store.")
 @click.option("--plant", metavar="NAME", help="Name of the plant at its first use, else its folder's; then which one.")
@@ -44,7 +44,7 @@ def replicate(
 
     \b
     gyrofleet replicate --from night --to fleet --plant hangzhou
-    gyrofleet replicate --from tcp/10.0.0.7:7448 --from tcp/10.1.0.7:7448 --to fleet --watch --bandwidth 2e6
+    gyrofleet replicate --from day --from night --to fleet --watch
     """  # noqa: D301  click's mark for lines that are not to be joined
     from storage.fleet_store import FleetStore
     from storage.replication.bandwidth import Bandwidth
