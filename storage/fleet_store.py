@@ -14,7 +14,15 @@ import msgspec
 
 from storage.plant import Plant, read_plant, write_plant
 from storage.store import Store
-from storage.store_marker import FLEET_MARKER, MARKER, REPLICA, alone_in, write_markers
+from storage.store_marker import (
+    FLEET_MARKER,
+    MARKER,
+    REPLICA,
+    alone_in,
+    identity_of_copy,
+    identity_of_segments,
+    write_markers,
+)
 from stream.atomic_file import sync_folder, write_durably
 from stream.errors import StoreError
 
@@ -96,9 +104,27 @@ class FleetStore:
 
         PlantRefused if another plant has its name, or this plant has another name here.
         """
+        known = next((each for each in self.replicas() if each.plant == plant), None)
+        if known is not None:
+            return known
+        folder = self.folder / PLANTS / plant.name
+        try:
+            with alone_in(self.folder):  # of several processes and threads one creates it
+                self._check_new(plant)
+                for part in (folder, folder / "tmp", folder / REPLICA, folder / "log", folder / "lake"):
+                    part.mkdir(exist_ok=True)
+                write_plant(folder, plant)
+                write_markers(folder, plant.store)
+                sync_folder(folder)
+                sync_folder(folder.parent)
+        except OSError as error:
+            raise StoreError(f"cannot write {folder}: {error}; free or repair the disk of the fleet store") from error
+        return Replica(plant, Store.open(folder))
+
+    def _check_new(self, plant: Plant) -> None:
         for each in self.replicas():
             if each.plant == plant:
-                return each
+                continue
             if each.plant.name == plant.name:
                 raise PlantRefused(
                     f"plant {plant.name} of store {plant.store}, first segment {plant.first_sha256[:12]}: another "
@@ -112,16 +138,10 @@ class FleetStore:
                     "of it is taken. A plant keeps its name"
                 )
         folder = self.folder / PLANTS / plant.name
-        try:
-            for part in (folder, folder / "tmp", folder / REPLICA, folder / "log", folder / "lake"):
-                part.mkdir(exist_ok=True)
-            write_plant(folder, plant)
-            write_markers(folder, plant.store)
-            for made in (folder, folder.parent):
-                sync_folder(made)
-        except OSError as error:
-            raise StoreError(f"cannot write {folder}: {error}; free or repair the disk of the fleet store") from error
-        return Replica(plant, Store.open(folder))
+        if any((folder / "log").glob("*.mcap")):  # a copy whose marks are lost
+            left, origin = read_plant(folder), identity_of_copy(folder) or identity_of_segments(folder)
+            if left not in (None, plant) or origin not in (None, plant.store):
+                raise PlantRefused(f"{folder} holds segments of store {origin}, plant {plant.name} has {plant.store}")
 
     def add_refusal(self, plant: Plant, what: str) -> None:
         """Keep that a plant was not admitted, for `refusals`."""

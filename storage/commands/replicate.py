@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from storage.replication.service import Pass
 
 _EVERY_S = 2.0
+_ENDPOINT = "tcp/127.0.0.1:7448"
 
 
 @click.command("replicate")
 @click.option(
     "--from", "sources", multiple=True, metavar="PLANT",
-    help="Folder of a plant's store, may be repeated; of a fleet store: all of its plants.",
+    help="A plant: its store's folder, or the endpoint that serves it; may be repeated. A fleet store: its plants.",
 )  # fmt: skip
 @click.option("--to", "target", type=click.Path(path_type=Path), metavar="FLEET", help="Folder of the fleet store.")
 @click.option("--plant", metavar="NAME", help="Name of the plant at its first use, else its folder's; then which one.")
@@ -31,11 +32,18 @@ _EVERY_S = 2.0
 @click.option(
     "--bandwidth", type=click.FloatRange(min=1), metavar="BYTES_PER_S", help="Limit of all plants together; as 2e6."
 )
+@click.option(
+    "--serve", "serves", is_flag=True, help="Serve a plant's segments to fleet stores instead, until stopped."
+)
+@click.option("--store", "folder", type=click.Path(path_type=Path), help="With --serve: the store, or a fleet store.")
+@click.option("--listen", metavar="ENDPOINT", help="With --serve: address.  [default: tcp/127.0.0.1:7448]")
+@click.option("--connect", metavar="ENDPOINT", help="With --serve: a `gyrofleet router` instead of --listen.")
 @click.option("--no-lake", is_flag=True, help="Leave the lakes to `gyrofleet rebuild`, or to a later pass.")
 @reporting
 def replicate(
-    sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None, *, is_watch: bool,
-    no_lake: bool, as_json: bool,
+    sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None,
+    folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool, serves: bool, no_lake: bool,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Copy the sealed segments of plants into a fleet store, each once, verified at arrival.
 
@@ -44,13 +52,21 @@ def replicate(
 
     \b
     gyrofleet replicate --from night --to fleet --plant hangzhou
-    gyrofleet replicate --from day --from night --to fleet --watch
+    gyrofleet replicate --serve --store night --listen tcp/0.0.0.0:7448
+    gyrofleet replicate --from tcp/10.0.0.7:7448 --to fleet --watch
     """  # noqa: D301  click's mark for lines that are not to be joined
     from storage.fleet_store import FleetStore
     from storage.replication.bandwidth import Bandwidth
     from storage.replication.opened import opened_sources
     from storage.replication.service import Replication
 
+    if serves:
+        if folder is None or sources or target is not None:
+            raise BadInput("--serve takes --store, and --listen or --connect; --from and --to are of the other side")
+        _serve(folder, listen, connect, plant, as_json=as_json)
+        return
+    if folder is not None or listen or connect:
+        raise BadInput("--store, --listen and --connect go with --serve; else give --from PLANT and --to FLEET")
     if not sources or target is None:
         raise BadInput("give --from PLANT and --to FLEET")
     with until_stopped() as stopped, progress_bar(hidden=as_json) as bar, opened_sources(sources, plant) as opened:
@@ -73,6 +89,35 @@ def replicate(
             if not is_watch or stopped.wait(_EVERY_S):
                 break
     sys.exit(0 if found.is_well or is_watch else 1)
+
+
+def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | None, *, as_json: bool) -> None:
+    from contextlib import ExitStack
+
+    from storage.fleet_store import FleetStore, is_fleet
+    from storage.replication.bus_server import PlantServer
+    from storage.replication.folder_source import FolderSource
+    from stream.transport.zenoh_bus import ZenohBus
+
+    if listen and connect:
+        raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
+    folders = [folder]
+    if is_fleet(folder):
+        fleet = FleetStore.open(folder)
+        folders = [each.store.folder for each in (fleet.replicas() if plant is None else [fleet.replica(plant)])]
+    endpoint = connect or listen or _ENDPOINT
+    with until_stopped() as stopped, ExitStack() as stack:
+        bus = stack.enter_context(ZenohBus(listen=[] if connect else [endpoint], connect=[connect] if connect else []))
+        names = [
+            PlantServer(bus, stack.enter_context(FolderSource(each, None if is_fleet(folder) else plant))).plant.name
+            for each in folders
+        ]
+        if as_json:
+            print_json({"event": "serving", "plants": names, "listen": endpoint})
+        else:
+            notes().print(f"serving {', '.join(names)} at {endpoint}; Ctrl-C ends")
+        while not stopped.wait(1.0):
+            pass
 
 
 class _Shown:

@@ -1,5 +1,6 @@
 """A limit of bandwidth: a token bucket."""
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -30,6 +31,7 @@ class Bandwidth:
         self._rate, self._clock, self._sleep = bytes_per_s, clock, sleep
         self._tokens = bytes_per_s or 0.0
         self._at = clock()
+        self._lock = threading.Lock()
 
     @property
     def most_at_once(self) -> int | None:
@@ -40,9 +42,11 @@ class Bandwidth:
         """Wait until `size` more bytes may pass."""
         if self._rate is None:
             return
-        now = self._clock()
-        self._tokens = min(self._rate, self._tokens + (now - self._at) * self._rate)
-        self._at = now
-        self._tokens -= size
-        if self._tokens < 0.0:
-            self._sleep(-self._tokens / self._rate)
+        with self._lock:  # plants share it
+            now = self._clock()
+            self._tokens = min(self._rate, self._tokens + (now - self._at) * self._rate)
+            self._at = now
+            self._tokens -= size
+            wait_s = -self._tokens / self._rate
+        if wait_s > 0.0:
+            self._sleep(wait_s)

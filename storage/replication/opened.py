@@ -6,11 +6,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from storage.fleet_store import FleetStore, is_fleet
+from storage.replication.bus_source import BusSource
 from storage.replication.folder_source import FolderSource
 from storage.replication.source import SegmentSource
 from stream.errors import BadInput
 
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws|unixsock-stream|serial)/\S+")
+
+_ONE = "--plant names one plant; give one --from with it"
 
 
 def is_endpoint(address: str) -> bool:
@@ -30,13 +33,15 @@ def opened_sources(addresses: Sequence[str], plant: str | None) -> Iterator[list
         for address in addresses:
             folder = Path(address)
             if is_endpoint(address):
-                raise BadInput(f"{address}: endpoints are not served yet")
-            if is_fleet(folder):
+                if plant is not None and len(addresses) > 1:
+                    raise BadInput(_ONE)
+                found.append(stack.enter_context(BusSource(address, plant)))
+            elif is_fleet(folder):
                 fleet = FleetStore.open(folder)
                 chosen = fleet.replicas() if plant is None else [fleet.replica(plant)]
                 found += [stack.enter_context(FolderSource(each.store.folder)) for each in chosen]
             else:
                 if plant is not None and len(addresses) > 1:
-                    raise BadInput("--plant names one plant; give one --from with it")
+                    raise BadInput(_ONE)
                 found.append(stack.enter_context(FolderSource(folder, plant)))
         yield found

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 
+import msgspec
+
 from storage.fleet_store import FleetStore, PlantRefused, Replica
 from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path
 from storage.plant import checked
@@ -82,8 +84,14 @@ class Receiver:
             refusal = Refusal(plant.name, "plant_identity", plant.first_segment, str(error))
             self._fleet.add_refusal(plant, str(error))
             return Progress(plant=plant.name, store=plant.store, refused=(refusal,), at_ns=time.time_ns())
-        with WriterLock(replica.store, REPLICATION):
-            return self._pass(replica)
+        try:
+            with WriterLock(replica.store, REPLICATION):
+                return self._pass(replica)
+        except (StoreError, OSError) as error:  # of this copy: the other plants go on
+            before = read_progress(replica)
+            return msgspec.structs.replace(
+                before, at_ns=time.time_ns(), added=0, added_bytes=0, added_files=0, trouble=str(error)
+            )
 
     def _pass(self, replica: Replica) -> Progress:
         self._open(replica)

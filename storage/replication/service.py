@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
+from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
 
@@ -17,6 +18,7 @@ from storage.replication.source import SegmentSource
 from stream.errors import StoreError
 
 _PATIENCE_S = 10.0
+_AT_ONCE = 16
 
 
 class Pass(msgspec.Struct, frozen=True):
@@ -64,16 +66,9 @@ class Replication:
 
     def run(self, sources: Iterable[SegmentSource]) -> Pass:
         """One pass over the plants."""
-        done = []
-        for source in sources:
-            receiver = self._receivers.get(id(source))
-            if receiver is None:
-                receiver = self._receivers[id(source)] = Receiver(
-                    source, self.fleet, bandwidth=self._bandwidth, report=self._report, stopped=self._stopped
-                )
-            done.append(receiver.run())
-            if self._stopped():
-                break
+        receivers = [self._receiver(source) for source in sources]
+        with ThreadPoolExecutor(max(1, min(_AT_ONCE, len(receivers)))) as pool:  # one that is slow holds up no other
+            done = list(pool.map(lambda each: each.run(), receivers))
         changed = {each.plant for each in done if each.added or self._lakes is None or each.plant in self._failed}
         self._failed = self._build_lakes(changed) if self._builds_lakes else {}
         return Pass(
@@ -81,6 +76,14 @@ class Replication:
             added_bytes=sum(each.added_bytes for each in done), added_files=sum(each.added_files for each in done),
             plants=tuple(done), conflicts=self._conflicting(), lakes=self._failed,
         )  # fmt: skip
+
+    def _receiver(self, source: SegmentSource) -> Receiver:
+        found = self._receivers.get(id(source))
+        if found is None:
+            found = self._receivers[id(source)] = Receiver(
+                source, self.fleet, bandwidth=self._bandwidth, report=self._report, stopped=self._stopped
+            )
+        return found
 
     def _conflicting(self) -> tuple[Conflict, ...]:
         """Conflicting identities; looked for again where a lake has changed."""
