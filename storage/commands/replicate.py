@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
-from stream.console import notes, print_json, progress_bar, reporting, results, until_stopped
+from stream.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
 from stream.errors import BadInput
 from stream.result_table import ResultTable
 
@@ -38,24 +39,28 @@ _ENDPOINT = "tcp/127.0.0.1:7448"
 @click.option("--store", "folder", type=click.Path(path_type=Path), help="With --serve: the store, or a fleet store.")
 @click.option("--listen", metavar="ENDPOINT", help="With --serve: address.  [default: tcp/127.0.0.1:7448]")
 @click.option("--connect", metavar="ENDPOINT", help="With --serve: a `gyrofleet router` instead of --listen.")
+@click.option("--recall", "recalls", is_flag=True, help="Read all of --to; fetch what is lost or damaged.")
 @click.option("--no-lake", is_flag=True, help="Leave the lakes to `gyrofleet rebuild`, or to a later pass.")
 @reporting
 def replicate(
     sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None,
-    folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool, serves: bool, no_lake: bool,
-    as_json: bool,
+    folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool, serves: bool, recalls: bool,
+    no_lake: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Copy the sealed segments of plants into a fleet store, each once, verified at arrival.
 
     What a plant sends can only continue its own history: a changed segment, a fork of its list, or a wrong hash is
     refused and reported, and the exit code is 1. A pass that is cut off resumes where it was.
 
+    With --recall a segment that was lost on one side comes from the other: --to is the fleet store, or the store of a
+    plant whose copy --from has; an empty folder becomes the plant's store again.
+
     \b
     gyrofleet replicate --from night --to fleet --plant hangzhou
     gyrofleet replicate --serve --store night --listen tcp/0.0.0.0:7448
     gyrofleet replicate --from tcp/10.0.0.7:7448 --to fleet --watch
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from storage.fleet_store import FleetStore
+    from storage.fleet_store import FleetStore, is_fleet
     from storage.replication.bandwidth import Bandwidth
     from storage.replication.opened import opened_sources
     from storage.replication.service import Replication
@@ -69,9 +74,13 @@ def replicate(
         raise BadInput("--store, --listen and --connect go with --serve; else give --from PLANT and --to FLEET")
     if not sources or target is None:
         raise BadInput("give --from PLANT and --to FLEET")
+    if recalls and not (is_fleet(target) or is_watch):
+        _recall(sources, target, plant, bandwidth, as_json=as_json)
+        return
     with until_stopped() as stopped, progress_bar(hidden=as_json) as bar, opened_sources(sources, plant) as opened:
         replication = Replication(
             FleetStore.create(target), bandwidth=Bandwidth(bandwidth, sleep=stopped.wait), builds_lakes=not no_lake,
+            rereads=recalls,
             report=_Shown(bar), stopped=lambda: stopped.asked_at is not None,
         )  # fmt: skip
         shown: object = None
@@ -118,6 +127,34 @@ def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | N
             notes().print(f"serving {', '.join(names)} at {endpoint}; Ctrl-C ends")
         while not stopped.wait(1.0):
             pass
+
+
+def _recall(
+    sources: tuple[str, ...], target: Path, plant: str | None, bandwidth: float | None, *, as_json: bool
+) -> None:
+    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.opened import recalled_from
+    from storage.replication.recall import recall
+
+    if len(sources) != 1:
+        raise BadInput("--recall brings one store back: give one --from")
+    with until_stopped() as stopped, recalled_from(sources[0], target, plant) as source:
+        limit = Bandwidth(bandwidth, sleep=stopped.wait)
+        found = recall(target, source, bandwidth=limit, stopped=lambda: stopped.asked_at is not None)
+    if as_json:
+        print_json({"is_well": found.is_well, **msgspec.to_builtins(found)})
+    else:
+        results().print(
+            f"{counted(len(found.segments), 'segment')} of {found.plant} came back, {found.bytes:,} bytes, and "
+            f"{counted(found.files, 'file')}; {found.intact:,} segments were intact"
+        )
+        for path in found.aside:
+            notes().print(f"quarantined: {path}", soft_wrap=True, markup=False)
+        for refusal in found.refused:
+            notes().print(f"refused: {refusal.segment}: {refusal.what}", soft_wrap=True, markup=False)
+        if found.trouble:
+            notes().print(f"trouble: {found.trouble}", soft_wrap=True, markup=False)
+    sys.exit(0 if found.is_well else 1)
 
 
 class _Shown:

@@ -8,16 +8,16 @@ from pathlib import Path
 import msgspec
 
 from storage.fleet_store import FleetStore, PlantRefused, Replica
-from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path
+from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, rewrite_manifest
 from storage.plant import checked
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.bandwidth import Bandwidth
-from storage.replication.folder_source import kept_sha256
+from storage.replication.carried_files import CarriedFiles, Stopped
 from storage.replication.lines_ahead import LinesAhead
 from storage.replication.plant_list import ListRefused, PlantList, segment_named
 from storage.replication.progress import Progress, Refusal, read_progress, write_progress
 from storage.replication.segment_check import check_segment, is_intact, set_aside
-from storage.replication.source import MAX_FILE_BYTES, MAX_FILES, SegmentMissing, SegmentSource, SourceGone, is_carried
+from storage.replication.source import SegmentMissing, SegmentSource, SourceGone
 from storage.segments.disk import DISK, Disk
 from storage.store import REPLICATION, WriterLock
 from stream.errors import BadInput, StoreError
@@ -29,10 +29,6 @@ _REPORT_EVERY_S = 0.2
 _MAX_UNDELIVERED = 1_000  # in one pass; a list without segments has no end
 
 Report = Callable[[Progress], object]
-
-
-class Stopped(Exception):
-    """The pass is to end now; the next one resumes."""
 
 
 class Receiver:
@@ -50,12 +46,16 @@ class Receiver:
         Gets the progress after each segment and range.
     stopped : callable
         Whether the pass is to end.
+    rereads : bool
+        Whether every segment that is here is read, and fetched again if it is damaged.
     """
 
     def __init__(
         self, source: SegmentSource, fleet: FleetStore, *, bandwidth: Bandwidth | None = None,
-        report: Report = lambda _progress: None, stopped: Callable[[], bool] = lambda: False, disk: Disk = DISK,
+        report: Report = lambda _progress: None, stopped: Callable[[], bool] = lambda: False, rereads: bool = False,
+        disk: Disk = DISK,
     ) -> None:  # fmt: skip
+        self._rereads = rereads
         self._source, self._fleet, self._disk = source, fleet, disk
         self._bandwidth, self._report, self._stopped = bandwidth or Bandwidth(), report, stopped
         self._seen: tuple[object, ...] = ()
@@ -65,7 +65,8 @@ class Receiver:
         self._began = self._reported = time.monotonic()
         self._refused: list[Refusal] = []
         self._notes: list[str] = []
-        self._added = self._added_bytes = self._files = self._transferred = self._undelivered = 0
+        self._added = self._added_bytes = self._transferred = self._undelivered = 0
+        self._files = CarriedFiles()
 
     def run(self) -> Progress:
         """Do the pass. Nothing that the source returns raises; StoreError if the fleet store cannot be written."""
@@ -98,8 +99,10 @@ class Receiver:
         trouble = ""
         try:
             self._continue_list()
+            if self._rereads:
+                self._reread()
             self._fetch_pending()
-            self._fetch_files()
+            self._files.fetch(self._source, self._store.folder, self._arrivals, self._refuse, self._stopped)
         except Stopped:
             trouble = "stopped; the next pass resumes"
         except ListRefused as error:
@@ -187,6 +190,16 @@ class Receiver:
             else:
                 self._bring(entry)
 
+    def _reread(self) -> None:
+        """Set damaged segments aside, and list those that the manifest has lost."""
+        if self._manifest.found.damage:
+            rewrite_manifest(self._store, [*self._manifest.found.entries.values(), *self._manifest.found.lost.values()])
+            self._manifest = ManifestWriter(self._store, self._disk)
+        for name, listed in self._list.entries.items():
+            entry = self._manifest.found.entries.get(name) or self._list.salvaged.get(name, listed)
+            if (self._store.log / name).exists():
+                self._bring(entry)
+
     def _fetch_pending(self) -> None:
         """Bring segments that are listed and not here: refused or missing at earlier passes, or lost here."""
         here = {path.name for path in self._store.log.glob("*.mcap")}
@@ -229,47 +242,11 @@ class Receiver:
             self._manifest.add(entry)
         return True
 
-    def _fetch_files(self) -> None:
-        """Bring certificates and error models that are not here; one that is here is never replaced."""
-        for number, file in enumerate(self._source.files()):
-            if number >= MAX_FILES:
-                self._refuse("endless_list", file.name, f"more than {MAX_FILES:,} files are listed")
-                return
-            if not is_carried(file.name) or not 0 <= file.size <= MAX_FILE_BYTES:
-                self._refuse(
-                    "file_invalid", file.name[:200], f"{file.name[:80]!r} is no file that travels, or too long"
-                )
-                continue
-            target = self._store.folder / file.name
-            if target.exists():
-                if target.stat().st_size != file.size or self._sha256(target) != file.sha256:
-                    what = f"{file.name} is another file than the one received before, which is kept"
-                    self._refuse("changed_file", file.name, what)
-                continue
-            self._bring_file(Wanted(file.name, file.size, file.sha256))
-
-    def _bring_file(self, wanted: Wanted) -> None:
-        if self._stopped():
-            raise Stopped
-        target = self._store.folder / wanted.name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            self._arrivals.fetch(self._source, wanted, target, lambda _part: None)
-        except (ArrivalRefused, SegmentMissing) as error:
-            kind = error.kind if isinstance(error, ArrivalRefused) else "file_missing"
-            self._refuse(kind, wanted.name, str(error))
-        else:
-            self._files += 1
-
     def _lines(self, after: int) -> Iterator[bytes]:
         for raw in self._source.segments(after):
             if self._stopped():
                 raise Stopped
             yield raw
-
-    def _sha256(self, path: Path) -> str:
-        status = path.stat()
-        return kept_sha256(str(path), status.st_ino, status.st_size, status.st_mtime_ns)
 
     def _refuse(self, kind: str, segment: str, what: str) -> None:
         self._refused.append(Refusal(self._plant.name, kind, segment, what))
@@ -291,7 +268,7 @@ class Receiver:
             plant=self._plant.name, store=self._plant.store, at_ns=time.time_ns(),
             contact_ns=time.time_ns() if not trouble else self._before.contact_ns, segments=len(held),
             bytes=sum(entry.size for entry in held.values()), added=self._added, added_bytes=self._added_bytes,
-            added_files=self._files, transferred_bytes=self._transferred, seconds=time.monotonic() - self._began,
+            added_files=self._files.added, transferred_bytes=self._transferred, seconds=time.monotonic() - self._began,
             lag=self._before.lag if self._ahead is None else self._ahead.lag(held, self._pending.values()),
             refused=tuple(self._refused), notes=tuple(self._notes), trouble=trouble,
         )  # fmt: skip

@@ -49,14 +49,15 @@ class Replication:
         The limit of all plants together.
     builds_lakes : bool
         Whether each plant's lake is built from what has arrived.
-    report, stopped : callables
+    report, stopped, rereads
         See `Receiver`.
     """
 
     def __init__(
         self, fleet: FleetStore, *, bandwidth: Bandwidth | None = None, builds_lakes: bool = True,
-        report: Report = lambda _progress: None, stopped: Callable[[], bool] = lambda: False,
+        report: Report = lambda _progress: None, stopped: Callable[[], bool] = lambda: False, rereads: bool = False,
     ) -> None:  # fmt: skip
+        self._rereads = rereads
         self.fleet, self._bandwidth, self._builds_lakes = fleet, bandwidth or Bandwidth(), builds_lakes
         self._report, self._stopped = report, stopped
         self._receivers: dict[int, Receiver] = {}
@@ -81,7 +82,12 @@ class Replication:
         found = self._receivers.get(id(source))
         if found is None:
             found = self._receivers[id(source)] = Receiver(
-                source, self.fleet, bandwidth=self._bandwidth, report=self._report, stopped=self._stopped
+                source,
+                self.fleet,
+                bandwidth=self._bandwidth,
+                report=self._report,
+                stopped=self._stopped,
+                rereads=self._rereads,
             )
         return found
 
