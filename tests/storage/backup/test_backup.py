@@ -48,7 +48,8 @@ def store(tmp_path: Path) -> Store:
 
 def counts(store: Store) -> list[dict[str, Any]]:
     with SqlDoor(store) as door:
-        return door.ask(COUNTS).read_all().to_pylist()
+        rows: list[dict[str, Any]] = door.ask(COUNTS).read_all().to_pylist()
+        return rows
 
 
 def test_a_restored_store_is_the_same(store: Store, tmp_path: Path) -> None:
