@@ -62,11 +62,16 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
     `wanted` metrics are computed, all if empty. Values of units whose records and products have not changed are read
     from the kept file; recomputed they are the same to the last bit. Metrics that are not wanted may be missing.
     """
+    with catalog.suspended_layers():
+        _update(catalog, progress, frozenset(wanted))
+
+
+def _update(catalog: Catalog, progress: Progress | None, wanted: frozenset[str]) -> None:
     define_views(catalog, step_records(catalog, progress))
     prints = _unit_fingerprints(catalog)
     file, marks = kept_metrics(catalog.kept)
     every = frozenset(metrics())
-    needed = frozenset(wanted) or every
+    needed = wanted or every
     known = {unit: _computed(mark, prints.get(unit), every) for unit, mark in marks.items()}
     stale = frozenset(unit for unit in prints if not needed <= known.get(unit, frozenset()))
     if not stale and all(known.values()):

@@ -94,6 +94,7 @@ class Catalog(Closing):
         self._is_in_memory = file is None
         if self._is_in_memory:
             self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
+            self._connection.execute(f"create schema {_COMPACT}.internal")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
         self._deferred = DeferredDefinitions(self._execute)
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
@@ -175,7 +176,7 @@ class Catalog(Closing):
         view = f'{"main" if is_listed else "internal"}."{name}"'
         if not (is_listed or is_large):
             return view, None
-        return (f'{_COMPACT}.main."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
+        return (f'{_COMPACT}.internal."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
 
     def _write(self, sql: str, table: pa.Table) -> None:
         self._connection.register("put_rows", table)
