@@ -26,3 +26,8 @@ from rate_steps
 where n > 0 and rate_command <> 0 and frequency is null and named_axis_of(signal) is not null
   and regexp_matches("procedure", '^(attitude_unit_)?misalignment|失准角')
   and not regexp_matches(coalesce(position, ''), '^[Oo][XxYy]_');
+
+-- 1, and null where a bias by equal angles may hold what its axis sees of the Earth's vertical rate.
+create or replace macro level_rate_is_known(parameters) as
+  case when parameters->>'$.method' = 'equal angles' and parameters->>'$.vertical_rate_deg_per_h' is null
+    then null else 1 end;

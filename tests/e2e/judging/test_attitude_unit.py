@@ -1,0 +1,117 @@
+"""An attitude unit on the simulated station, by JJF 1536-2015: procedures, figures, compensation and certificate."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.analytics.certificate.conftest import ORDER
+from tests.e2e.conftest import Bench, finish
+
+# of X, Y, Z: ppm, deg/h; leans of each input axis towards the next two axes, arcsec
+SCALES_PPM = {"x": 250.0, "y": -180.0, "z": 90.0}
+BIASES = {"x": 6.0, "y": -3.0, "z": 1.5}
+LEANS = {"x": (400.0, -200.0), "y": (-410.0, 620.0), "z": (310.0, -515.0)}
+INSTRUMENTS = """
+serial = "T-881"
+certificate = "2026-RT-0113"
+calibration_due = 2099-09-30
+[instruments.table.uncertainty]
+rate = { U = 5e-5, k = 2.0, unit = "1" }
+rate_nonuniformity = { U = 2e-5, k = 2.0, unit = "1" }
+"""
+STANDARDS = """
+[standards.site]
+serial = "N-3"
+certificate = "2026-GEO-7"
+calibration_due = 2099-05-31
+[standards.site.uncertainty]
+levelling = { half_width = 5.0, unit = "arcsec" }
+mounting = { U = 5.0, k = 2.0, unit = "arcsec" }
+clock = { U = 1.0, k = 2.0, unit = "ppm" }
+"""
+RUNS = {
+    "attitude_unit_scale_factor": ("warm_up_s=1",),
+    "attitude_unit_bias": ("position_record_s=60", "position_settle_s=2"),
+    "attitude_unit_bias_many": ("position_record_s=40", "position_settle_s=2", "angles_deg=0,90,180,270"),
+    "attitude_unit_misalignment": (),
+}
+
+
+def fleet() -> str:
+    """The plan of one unit with known errors."""
+    parts = ['[fleet]\nseed = 5\nunits = ["SIM-0001"]\nsample_interval_ns = 50000000\n']
+    for axis in "xyz":
+        towards, further = LEANS[axis]
+        parts.append(
+            f"[fleet.gyro_{axis}.scale]\nerror_ppm = {SCALES_PPM[axis]}\n"
+            f"[fleet.gyro_{axis}.bias]\nconstant_deg_per_h = {BIASES[axis]}\n"
+            f"[fleet.gyro_{axis}.misalignment]\ny_arcsec = {towards}\nz_arcsec = {further}\n"
+            f"[fleet.gyro_{axis}.noise]\nangle_random_walk_deg_per_sqrt_h = 0.002\n"
+            f"[fleet.gyro_{axis}.readout]\ncarries_rest = true\n"
+        )
+    return "".join(parts)
+
+
+def own_part(axis: str) -> float:
+    """Cosine of the lean of an input axis."""
+    return math.sqrt(1.0 - sum(math.sin(math.radians(each / 3600)) ** 2 for each in LEANS[axis]))
+
+
+def planted(row: dict[str, Any]) -> float:
+    """What the simulator has for a row of the metrics: K, B in deg/h, or L in arcmin."""
+    axis = row["signal"][-1]
+    if row["metric"] == "scale_factor":
+        return (1.0 + SCALES_PPM[axis] * 1e-6) * own_part(axis)
+    if row["metric"] == "attitude_unit_bias":
+        return BIASES[axis] / ((1.0 + SCALES_PPM[axis] * 1e-6) * own_part(axis))
+    turned = row["parameters"]["element"][-1]
+    lean = LEANS[axis][("xyz".index(turned) - "xyz".index(axis)) % 3 - 1]
+    return math.sin(math.radians(lean / 3600)) / own_part(axis) * 180 / math.pi * 60
+
+
+@pytest.fixture(scope="module")
+def laboratory(
+    tmp_path_factory: pytest.TempPathFactory, simulated: Callable[..., Bench], run_command: Callable[..., Any]
+) -> Path:
+    """The folder of a store S in which the simulated unit has been calibrated by all four procedures."""
+    here = tmp_path_factory.mktemp("attitude")
+    (here / "sim").mkdir()
+    (here / "sim" / "fleet.toml").write_text(fleet())
+    # twenty times real time: a busy machine hands samples over late, and must not be late by a step
+    bench = simulated(here / "sim", "--units", 1, "--device", "imu", "--speed", 20, "--rate-hz", 20)
+    station = here / "sim" / "station.toml"
+    text = station.read_text().replace("[instruments.table.positions]", f"{INSTRUMENTS}\n[instruments.table.positions]")
+    # a certificate of a simulated run is a draft: here the station plays a real one
+    station.write_text(text.replace("simulated = true\n", "") + STANDARDS)
+    try:
+        for procedure, changes in RUNS.items():
+            more = [word for each in changes for word in ("--set", each)]
+            done = run_command(*bench.run(procedure, *more), cwd=here)
+            assert done.code == 0, done.err
+    finally:
+        finish(bench)
+    (here / "order.toml").write_text(ORDER, encoding="utf-8")
+    return here
+
+
+@pytest.mark.long
+def test_what_is_planted_comes_back_within_the_stated_uncertainty(
+    laboratory: Path, run_command: Callable[..., Any]
+) -> None:
+    truth = json.loads((laboratory / "sim" / "truth.jsonl").read_text().splitlines()[-1])
+    for axis, gyro in truth["gyros"].items():
+        assert gyro["parameters"]["bias"]["constant_deg_per_h"] == BIASES[axis]
+    asked = run_command("metrics", "--store", "S", "--standard", "JJF 1536", "--json", cwd=laboratory)
+    assert asked.code == 0, asked.err
+    wanted = {"scale_factor": 3, "attitude_unit_bias": 6, "attitude_unit_misalignment": 6}
+    for metric, n in wanted.items():
+        rows = [row for row in asked.json if row["metric"] == metric]
+        assert len(rows) == n
+        for row in rows:
+            assert row["value"] is not None, row
+            assert row["U"] is not None, row
+            assert abs(row["value"] - planted(row)) <= row["U"], (row["signal"], row["parameters"], row["value"])
