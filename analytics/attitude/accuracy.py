@@ -28,11 +28,14 @@ _STILL_DEG = 1e-3  # ripple of a table at rest, over a step
 
 
 class AttitudeErrors(msgspec.Struct, frozen=True, kw_only=True):
-    """What the attitude at the end of a step is off, deg."""
+    """What the attitude at the end of a step is off, deg; pitch and roll are None where no level axis is named.
+
+    The level part of the Earth's rate is then of unknown direction.
+    """
 
     heading_deg: float
-    pitch_deg: float
-    roll_deg: float
+    pitch_deg: float | None
+    roll_deg: float | None
 
 
 class StepAccuracy(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,7 +68,7 @@ class Reference(NamedTuple):
     end: FloatArray
     earth_rad_per_s: FloatArray  # east, north, up; without the level part where the heading is not known
     turned_deg: FloatArray  # what the axes turned
-    u_level_deg: float  # of what is left out about a level axis: the part of the level rate that does not average out
+    is_heading_known: bool
 
 
 class CompensatedStep(NamedTuple):
@@ -122,15 +125,11 @@ def _of_step(step: AttitudeStep, found: CompensatedStep | str, calibration: Atti
     end = _turned(found.compensated_deg_per_s, found.rates.dt_s, reference)
     is_rate = bool(np.isfinite(gains).all())
     raw_end = _turned(found.rates.deg_per_s * gains[:, np.newaxis], found.rates.dt_s, reference) if is_rate else None
-    of_level = reference.u_level_deg * np.array([1.0, 1.0, 0.0])
-    of_attitude = K * np.sqrt((reference.end**2) @ u**2 + of_level**2)
+    of_attitude = K * np.sqrt((reference.end**2) @ u**2)
     return msgspec.structs.replace(
         whole, attitude=attitude_angles(end), reference_attitude=attitude_angles(reference.end),
-        raw_error=None if raw_end is None else _errors(raw_end, reference.end),
-        compensated_error=_errors(end, reference.end),
-        expanded_deg=AttitudeErrors(
-            heading_deg=float(of_attitude[2]), pitch_deg=float(of_attitude[0]), roll_deg=float(of_attitude[1])
-        ),
+        raw_error=None if raw_end is None else _errors(raw_end, reference),
+        compensated_error=_errors(end, reference), expanded_deg=_about_axes(of_attitude, reference),
     )  # fmt: skip
 
 
@@ -138,7 +137,7 @@ def reference_of(step: AttitudeStep, axes: tuple[str, str, str], lasts_s: float)
     """How the unit stood and was turned; what is not known of it.
 
     Where only the axis of turning is named, the level part of the Earth's rate is left out, since the heading is not
-    known: over whole turns it averages out, over a part of one it counts as uncertain.
+    known; in the angles it averages out over whole turns.
     """
     if step.latitude_deg is None:
         return "the latitude of the station is not known"
@@ -150,14 +149,13 @@ def reference_of(step: AttitudeStep, axes: tuple[str, str, str], lasts_s: float)
     directions = {} if where is None else dict(where.axes)
     turn_deg = step.rate_deg_per_s * lasts_s
     moves = abs(turn_deg) > _STILL_DEG
-    left_out = 0.0
-    if len(directions) == len(axes):
+    is_heading_known = len(directions) == len(axes)
+    if is_heading_known:
         start = np.array([directions[axis] for axis in axes], np.float64).T
         if where is not None and where.angle_deg is not None:
             start = _about_up(where.angle_deg) @ start
     elif step.turned in axes:
         start = _with_axis_vertical(axes.index(step.turned), step.side)
-        left_out = math.degrees(earth[1]) * lasts_s * abs(np.sinc(turn_deg / 360.0)) / math.sqrt(2.0)
         earth = earth * [0.0, 0.0, 1.0]
     else:
         return "the position names no directions of the axes, as X_east_Y_north or X_up"
@@ -165,7 +163,7 @@ def reference_of(step: AttitudeStep, axes: tuple[str, str, str], lasts_s: float)
         return "the table turns the unit about an axis that is not named, or not upright"
     turned = start.T @ (np.array([0.0, 0.0, turn_deg if moves else 0.0]) + np.degrees(earth) * lasts_s)
     end = _about_up(turn_deg if moves else 0.0) @ start
-    return Reference(start, end, earth, turned, left_out)
+    return Reference(start, end, earth, turned, is_heading_known)
 
 
 def _about_up(angle_deg: float) -> FloatArray:
@@ -188,6 +186,12 @@ def _turned(rates_deg_per_s: FloatArray, dt_s: float, reference: Reference) -> F
     return end
 
 
-def _errors(found: FloatArray, reference: FloatArray) -> AttitudeErrors:
-    east, north, up = Rotation.from_matrix(found @ reference.T).as_rotvec(degrees=True).tolist()
-    return AttitudeErrors(heading_deg=up, pitch_deg=east, roll_deg=north)
+def _errors(found: FloatArray, reference: Reference) -> AttitudeErrors:
+    return _about_axes(Rotation.from_matrix(found @ reference.end.T).as_rotvec(degrees=True), reference)
+
+
+def _about_axes(turn_deg: FloatArray, reference: Reference) -> AttitudeErrors:
+    """Turns about east, north, up as pitch, roll, heading."""
+    east, north, up = turn_deg.tolist()
+    known = reference.is_heading_known
+    return AttitudeErrors(heading_deg=up, pitch_deg=east if known else None, roll_deg=north if known else None)

@@ -12,7 +12,7 @@ import msgspec
 from analytics.certificate.document.digital import digital_certificate
 from analytics.certificate.document.figures import figures_of
 from analytics.certificate.document.layout import certificate_pdf
-from analytics.certificate.record import FOLDER, Certificates, append_certificate, read_certificates, sha256_of
+from analytics.certificate.record import FOLDER, Certificates, append_certificate, file_of, read_certificates, sha256_of
 from analytics.certificate.statement.content import Content, Facts, content_of, later
 from analytics.certificate.statement.evidence import read_evidence
 from analytics.certificate.statement.order import Order
@@ -81,8 +81,8 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
         if wanted.sign is not None:
             pdf = wanted.sign(pdf)
         document = _document(content, wanted, pdf, digital)
-        _write(store.folder / FOLDER / f"{_file_name(number)}.pdf", pdf)
-        _write(store.folder / FOLDER / f"{_file_name(number)}.xml", digital)
+        _write(file_of(store, number), pdf)
+        _write(file_of(store, number, ".xml"), digital)
         found = _written(wanted, pdf, digital, content, document)
         append_certificate(store, document)
     return found
@@ -159,12 +159,3 @@ def _write(path: Path, content: bytes) -> None:
         write_durably(path, content)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-def _file_name(number: str) -> str:
-    """A file's name of a number, which may have slashes.
-
-    >>> _file_name("GYL/2026 0001")
-    'GYL_2026_0001'
-    """
-    return "".join(each if each.isalnum() or each in "-." else "_" for each in number)

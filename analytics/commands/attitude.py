@@ -80,4 +80,5 @@ def _cells(found: "StepAccuracy", language: str) -> tuple[str, ...]:
 def _three(errors: "AttitudeErrors | None") -> str:
     if errors is None:
         return _NONE
-    return f"{errors.heading_deg:.4f}  {errors.pitch_deg:.4f}  {errors.roll_deg:.4f}"
+    angles = errors.heading_deg, errors.pitch_deg, errors.roll_deg
+    return "  ".join(_NONE if each is None else f"{each:.4f}" for each in angles)

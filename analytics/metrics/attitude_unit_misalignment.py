@@ -7,6 +7,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
 from analytics.methods.attitude_cross_axes import Element, Elements, element_name
 from analytics.methods.attitude_positions import triad_of
@@ -17,6 +18,19 @@ ARCMIN_PER_RAD = 10800 / math.pi
 # Of a turn: what is left of it sees the level part of the Earth's rate, 0.0004 deg of it at 100 deg/s.
 _WHOLE = 0.02
 _TURNS = 'from internal.attitude_turns order by run, unit, repeat nulls first, "index", signal'
+# standard deviation of the means of whole turns
+_SPREAD = """
+with turns as (
+  select w.run, w.unit, w.signal, w."index", (s.t_ns - w.t_from_ns) // w.turn_ns as turn, avg(s.value) as mean
+  from internal.attitude_windows w
+  join samples s on s.run = w.run and s.unit = w.unit and s.signal = w.signal
+    and s.t_ns >= w.t_from_ns and s.t_ns < w.t_from_ns + (w.t_to_ns + 1 - w.t_from_ns) // w.turn_ns * w.turn_ns
+  where s.run in (select run from internal.attitude_windows) and s.unit in (select unit from internal.attitude_windows)
+  group by all
+)
+select run, unit, signal, "index", count(*), stddev_samp(mean) from turns group by all
+"""
+_LEAST_MEANS = 3
 _LEAST_TURNS = 10
 _LEAST_HZ = 10.0
 
@@ -34,6 +48,7 @@ class Turning(NamedTuple):
 def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric: each of the six elements for every rate and repeat, or why there is none."""
     steps = catalog.reader(sql).read_all().to_pylist()
+    _by_turns(catalog, steps)
     for (run, unit, repeat), group in groupby(steps, itemgetter("run", "unit", "repeat")):
         rows = list(group)
         signals = {row["own"]: row["signal"] for row in rows}
@@ -45,6 +60,29 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
                     chosen = [row for row in about if abs(row["rate_command"]) == rate]
                     common = {"run": run, "unit": unit, "signal": signal}
                     yield common | _of_element(own, turned, rate, repeat, chosen or mine, rows)
+
+
+def _by_turns(catalog: Catalog, steps: Sequence[dict[str, Any]]) -> None:
+    """Give steps of whole turns the uncertainty that the scatter of the turns' means has.
+
+    Within a turn the level part of the Earth's rate goes round once; in the scatter of all samples it would count as
+    noise. Angles, and steps whose samples the store no longer has, keep theirs.
+    """
+    windows = [
+        {"run": step["run"], "unit": step["unit"], "signal": step["signal"], "index": step["index"],
+         "t_from_ns": step["t_from_ns"], "t_to_ns": step["t_to_ns"], "turn_ns": round(360e9 / abs(step["rate"]))}
+        for step in steps
+        if step["rate"] and step["deg_per_s"] is not None
+        and step["turned"] != step["own"] and not step["is_integrated"]
+    ]  # fmt: skip
+    if not windows:
+        return
+    catalog.put("attitude_windows", pa.Table.from_pylist(windows))
+    found = {tuple(key): (turns, spread) for *key, turns, spread in catalog.rows(_SPREAD)}
+    for step in steps:
+        turns, spread = found.get((step["run"], step["unit"], step["signal"], step["index"]), (0, None))
+        if turns >= _LEAST_MEANS and spread is not None:
+            step["u"], step["freedom"] = spread * abs(step["deg_per_s"]) / math.sqrt(turns), turns - 1.0
 
 
 def latest_elements(catalog: Catalog) -> Elements:

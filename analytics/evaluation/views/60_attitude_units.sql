@@ -19,6 +19,7 @@ create or replace view internal.attitude_turns as
 select run, unit, signal, "procedure", repeat, "index", named_axis_of(signal) as own,
   coalesce(axis_word_of(axis), axis_in(position)) as turned,
   coalesce(side_in(position), 1) * coalesce(input_rate, rate_command) as rate, rate_command, input_rate_source,
+  t_from_ns, t_to_ns, deg_per_h / 3600 as deg_per_s, is_integrated_output(signal) as is_integrated,
   n, duration_s, sd, mean, mean * deg_per_h / 3600 as output, standard_uncertainty * abs(deg_per_h) / 3600 as u, freedom,
   coalesce(scale_source, 'unknown') as scale_source,
   case when deg_per_h is null then no_scale_factor(unit_of_measure) end as no_scale

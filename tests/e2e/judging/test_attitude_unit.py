@@ -115,3 +115,27 @@ def test_what_is_planted_comes_back_within_the_stated_uncertainty(
             assert row["value"] is not None, row
             assert row["U"] is not None, row
             assert abs(row["value"] - planted(row)) <= row["U"], (row["signal"], row["parameters"], row["value"])
+
+
+@pytest.mark.long
+def test_the_compensated_unit_keeps_its_attitude(laboratory: Path, run_command: Callable[..., Any]) -> None:
+    """By the calibration of the other runs, in positions that it was not made of."""
+    runs = run_command("sql", "--store", "S", "--json", "select run, procedure from runs", cwd=laboratory).json
+    named = {row["procedure"]: row["run"] for row in runs}
+    words = ["attitude", "--unit", "SIM-0001", "--run", named["attitude_unit_bias_many"], "--store", "S", "--json"]
+    for procedure in ("attitude_unit_scale_factor", "attitude_unit_bias", "attitude_unit_misalignment"):
+        words += ["--calibration", named[procedure]]
+    done = run_command(*words, cwd=laboratory)
+    assert done.code == 0, done.err
+    assert len(done.json["steps"]) == 12
+    for step in done.json["steps"]:
+        left, as_given = (
+            max(abs(step[which][name]) for name in ("heading_deg", "pitch_deg", "roll_deg"))
+            for which in ("compensated_error", "raw_error")
+        )
+        # 6 deg/h for 40 s
+        assert as_given > 0.05
+        assert left < 0.03 * as_given
+        # 36 values share their biases: a 99.99 % interval
+        for name, u in step["expanded_deg"].items():
+            assert abs(step["compensated_error"][name]) < 2.0 * u
