@@ -113,7 +113,7 @@ def _of_step(step: AttitudeStep, found: CompensatedStep | str, calibration: Atti
     u = np.hypot(calibration.uncertainty_deg(compensated, lasts_s), np.nan_to_num(scatter))
     reference = reference_of(step, axes, lasts_s)
     whole = StepAccuracy(
-        index=step.index, step=step.step, position=step.position, duration_s=lasts_s,
+        index=step.number, step=step.step, position=step.position, duration_s=lasts_s,
         raw_deg=[None if math.isnan(each) else each for each in raw], compensated_deg=compensated.tolist(),
         compensated_expanded_deg=(K * u).tolist(),
         reference_deg=None if isinstance(reference, str) else reference.turned_deg.tolist(), attitude=None,

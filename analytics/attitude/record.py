@@ -45,7 +45,7 @@ class AxisStep(NamedTuple):
 class AttitudeStep(NamedTuple):
     """A step of a run."""
 
-    index: int
+    number: int
     step: str
     position: str | None
     turned: str | None  # axis about which the table turns the unit
@@ -90,7 +90,7 @@ def _step(index: int, rows: dict[str, dict[str, Any]], axes: tuple[str, str, str
     about = rows[axes[0]]
     rate = about["input_rate"] if about["input_rate"] is not None else about["rate_command"]
     return AttitudeStep(
-        index=index, step=about["step"] or "", position=about["position"], turned=about["turned"], side=about["side"],
+        number=index, step=about["step"] or "", position=about["position"], turned=about["turned"], side=about["side"],
         rate_deg_per_s=float(rate or 0.0), latitude_deg=about["latitude_deg"],
         t_from_ns=max(row["t_from_ns"] for row in rows.values()), t_to_ns=min(row["t_to_ns"] for row in rows.values()),
         duration_s=about["duration_s"],

@@ -52,7 +52,7 @@ def _batches(steps: Sequence[CompensatedStep], schema: pa.Schema) -> Iterator[pa
         angles = np.cumsum(each.compensated_deg_per_s, axis=1) * each.rates.dt_s
         n = len(each.rates.t_ns)
         columns = [
-            np.full(n, each.step.index, np.int64), each.rates.t_ns, *each.rates.deg_per_s,
+            np.full(n, each.step.number, np.int64), each.rates.t_ns, *each.rates.deg_per_s,
             *each.compensated_deg_per_s, *angles,
         ]  # fmt: skip
         yield pa.record_batch([pa.array(column) for column in columns], schema=schema)
