@@ -13,11 +13,13 @@ from analytics.certificate.document.digital import digital_certificate
 from analytics.certificate.document.figures import figures_of
 from analytics.certificate.document.layout import certificate_pdf
 from analytics.certificate.record import FOLDER, Certificates, append_certificate, file_of, read_certificates, sha256_of
-from analytics.certificate.statement.content import Content, Facts, content_of, later
+from analytics.certificate.statement.content import Content, Facts, content_of
+from analytics.certificate.statement.departures import departures
 from analytics.certificate.statement.evidence import read_evidence
 from analytics.certificate.statement.order import Order
 from analytics.certificate.statement.results import result_rows
 from analytics.certificate.statement.standards import Standard
+from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Language, Words
 from analytics.evaluation.inner_page import inner_page
 from storage.sql.catalog import Catalog
@@ -50,6 +52,8 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
     number: str | None
     is_draft: bool
     missing: list[str]
+    deviations: list[str]  # in what the records depart from the clauses
+    compensated: list[str]  # signals of results that an error model has compensated
     sha256: str
     digital: str  # path of the digital certificate
     valid_until: str | None
@@ -149,7 +153,10 @@ def _written(
     _write(wanted.out, pdf)
     return Issued(
         number=None if document is None else document.number, is_draft=document is None,
-        missing=[f"{clause}: {each.en}" for clause, each in content.missing], sha256=sha256_of(pdf),
+        missing=[f"{clause}: {each.en}" if clause else each.en for clause, each in content.missing],
+        sha256=sha256_of(pdf),
+        deviations=[each.en for each in departures(content.facts.rows)],
+        compensated=sorted({each.signal for row in content.facts.rows for each in row.results if each.is_compensated}),
         digital=str(beside), valid_until=None if document is None else document.valid_until,
     )  # fmt: skip
 
