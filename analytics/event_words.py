@@ -11,6 +11,7 @@ _SUMMARY = (
     "action", "number", "procedure", "step", "specification", "name", "revision", "version", "stage", "product", "lot",
     "slot", "limit", "metric", "item", "verdict", "outcome", "what", "alert", "target", "text", "note", "reason",
 )  # fmt: skip
+_ENDED = {"RunEnded", "StepEnded"}
 _FREE = {"text", "reason"}
 _Pairs = Mapping[str, tuple[str, str]]
 
@@ -32,13 +33,17 @@ def kind_name(kind: str, language: str) -> str:
 def summary(document: Mapping[str, Any], language: str = "en") -> str:
     """What a document says in a few words: its texts, outcomes and reasons.
 
-    Names, and what people wrote, stay as they are.
+    Names, and what people wrote, stay as they are. The log leaves out an outcome that is the usual one.
 
     >>> summary({"kind": "RunEnded", "outcome": "completed", "streams": [1]})
     'completed'
+    >>> summary({"kind": "StepEnded"}, "zh")
+    '完成'
     >>> summary({"specification": "FOG", "revision": "A", "action": "added", "reason": "first"}, "zh")
     '新增，FOG，A，first'
     """
+    if document.get("kind") in _ENDED:
+        document = {"outcome": "completed", **document}
     parts = [
         _word(name, document, language)
         for name in _SUMMARY
