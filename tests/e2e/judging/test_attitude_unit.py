@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 
+from analytics.certificate.statement.standards import standards
+from analytics.evaluation.inner_page import inner_page_titles
 from tests.analytics.certificate.conftest import ORDER
+from tests.analytics.certificate.pdf_checks import lacking_items, pages_of, plain
 from tests.e2e.conftest import Bench, finish
 
 # of X, Y, Z: ppm, deg/h; leans of each input axis towards the next two axes, arcsec
@@ -94,7 +97,6 @@ def laboratory(
             assert done.code == 0, done.err
     finally:
         finish(bench)
-    (here / "order.toml").write_text(ORDER, encoding="utf-8")
     return here
 
 
@@ -139,3 +141,23 @@ def test_the_compensated_unit_keeps_its_attitude(laboratory: Path, run_command: 
         # 36 values share their biases: a 99.99 % interval
         for name, u in step["expanded_deg"].items():
             assert abs(step["compensated_error"][name]) < 2.0 * u
+
+
+@pytest.mark.long
+def test_its_certificate_is_whole_in_both_languages(laboratory: Path, run_command: Callable[..., Any]) -> None:
+    stated = 'deviations = { en = "shorter records, as agreed", zh = "按约定缩短记录时间" }'
+    order = "\n".join(stated if line.startswith("deviations") else line for line in ORDER.splitlines())
+    (laboratory / "order.toml").write_text(order, encoding="utf-8")
+    words = ("certificate", "--unit", "SIM-0001", "--standard", "JJF1536", "--order", "order.toml", "--lang", "both")
+    done = run_command(*words, "--out", "unit.pdf", "--store", "S", "--json", cwd=laboratory)
+    assert done.code == 0, done.err
+    assert (done.json["is_draft"], done.json["missing"]) == (False, [])
+    assert any("records of 40 s: the clause has 1200 s" in each for each in done.json["deviations"])
+    text = "".join(pages_of(laboratory / "unit.pdf"))
+    for language in ("zh", "en"):
+        assert lacking_items(text, standards()["JJF1536"], language) == []
+        names = [getattr(title, language) for title in inner_page_titles("JJF1536")]
+        assert [name for name in names if plain(name) not in text] == []
+    assert "未校准" not in text
+    verified = run_command("certificate", "verify", "unit.pdf", "--store", "S", "--json", cwd=laboratory)
+    assert (verified.code, verified.json["valid"], verified.json["changed"]) == (0, True, [])
