@@ -2,6 +2,7 @@
 
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from pypdf import PdfReader
 
@@ -28,7 +29,8 @@ def lacking_items(text: str, standard: Standard, language: str) -> list[str]:
 def fonts_that_are_not_embedded(path: Path) -> list[str]:
     found = []
     for page in PdfReader(BytesIO(path.read_bytes())).pages:
-        for font in page["/Resources"]["/Font"].values():
+        resources: Any = page["/Resources"]
+        for font in resources["/Font"].values():
             for part in font.get_object().get("/DescendantFonts", [font]):
                 descriptor = part.get_object()["/FontDescriptor"].get_object()
                 if not any(name in descriptor for name in _FILES):
@@ -40,7 +42,7 @@ def is_archivable(path: Path) -> bool:
     """Whether the file says of itself that it is PDF/A-3b, with a colour profile and the XML as its data."""
     content = path.read_bytes()
     reader = PdfReader(BytesIO(content))
-    root = reader.trailer["/Root"]
+    root: Any = reader.trailer["/Root"]
     attached = [each.get_object() for each in root.get("/AF", [])]
     marks = (b"<pdfaid:part>3</pdfaid:part>", b"<pdfaid:conformance>B</pdfaid:conformance>")
     is_named = all(mark in content for mark in marks)
