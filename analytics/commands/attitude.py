@@ -35,15 +35,15 @@ def attitude(
     folder: Path, unit: str, run: str, calibrated_in: tuple[str, ...], out: Path | None, language: str, *,
     as_json: bool,
 ) -> None:  # fmt: skip
-    """Compensate the three axes of an attitude unit (JJF 1536): A = inv(L)(N - B T), and the errors of its attitude.
+    """Compensate an attitude unit (JJF 1536), and state the errors of its attitude.
 
-    K, B and L are those that the procedures attitude_unit_* have measured. Of each step: what the axes turned, as given
+    A = inv(L)(N - B T): K, B and L are those that the procedures attitude_unit_* have measured. Of each step: what the axes turned, as given
     and compensated, against the table and the Earth; heading, pitch and roll at its end (annex B), their errors before
     and after compensation, and U of these.
 
     \b
     gyrofleet attitude --unit AHRS-1 --run 2026-11-21-A
-    gyrofleet attitude --unit AHRS-1 --run 2026-11-21-A --out compensated.parquet --json
+    gyrofleet attitude --unit AHRS-1 --run 2026-11-21-A --out rates.parquet
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.attitude.accuracy import CompensatedStep, accuracy_of, compensated_steps
     from analytics.attitude.calibration import attitude_calibration
