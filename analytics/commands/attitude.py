@@ -37,9 +37,9 @@ def attitude(
 ) -> None:  # fmt: skip
     """Compensate an attitude unit (JJF 1536), and state the errors of its attitude.
 
-    A = inv(L)(N - B T): K, B and L are those that the procedures attitude_unit_* have measured. Of each step: what the axes turned, as given
-    and compensated, against the table and the Earth; heading, pitch and roll at its end (annex B), their errors before
-    and after compensation, and U of these.
+    A = inv(L)(N - B T): K, B and L are those that the procedures attitude_unit_* have measured. Of each step: what the
+    axes turned, as given and compensated, against the table and the Earth; heading, pitch and roll at its end (annex
+    B), their errors before and after compensation, and U of these.
 
     \b
     gyrofleet attitude --unit AHRS-1 --run 2026-11-21-A
