@@ -47,7 +47,9 @@ def summary(document: Mapping[str, Any], language: str = "en") -> str:
     parts = [
         _word(name, document, language)
         for name in _SUMMARY
-        if isinstance(document.get(name), str | int | float) and document[name] != ""
+        if isinstance(document.get(name), str | int | float)
+        and document[name] != ""
+        and not (name == "specification" and document.get("kind") == "CertificateIssued")  # a hash
     ]
     # a step's words are a table of their own
     words = document.get("words") or {}

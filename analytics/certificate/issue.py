@@ -22,6 +22,7 @@ from analytics.certificate.statement.standards import Standard
 from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Language, Words
 from analytics.evaluation.inner_page import inner_page
+from storage.specifications.chain import read_chain
 from storage.sql.catalog import Catalog
 from storage.store import only_one
 from stream.atomic_file import write_durably
@@ -84,7 +85,7 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
         pdf, digital = _files(catalog, content, wanted, now)
         if wanted.sign is not None:
             pdf = wanted.sign(pdf)
-        document = _document(content, wanted, pdf, digital)
+        document = _document(content, wanted, pdf, digital, read_chain(store, catalog).head)
         _write(file_of(store, number), pdf)
         _write(file_of(store, number, ".xml"), digital)
         found = _written(wanted, pdf, digital, content, document)
@@ -125,7 +126,9 @@ def _files(catalog: Catalog, content: Content, wanted: Wanted, now: dt.datetime)
     return pdf, digital
 
 
-def _document(content: Content, wanted: Wanted, pdf: bytes, digital: bytes) -> CertificateIssued:
+def _document(
+    content: Content, wanted: Wanted, pdf: bytes, digital: bytes, specification: str
+) -> CertificateIssued:  # fmt: skip
     facts, results = content.facts, results_of(content)
     days = facts.evidence.days
     assert days is not None  # otherwise it is a draft
@@ -136,7 +139,7 @@ def _document(content: Content, wanted: Wanted, pdf: bytes, digital: bytes) -> C
         runs=tuple(run.run for run in facts.evidence.runs),
         valid_until=later(days[1], wanted.order.valid_months).isoformat(),
         by=Words.of(wanted.order.people.issued_by).en, software=f"gyrofleet {version('gyrofleet')}",
-        supersedes=wanted.supersedes, reason=wanted.reason,
+        specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
     )  # fmt: skip
 
 

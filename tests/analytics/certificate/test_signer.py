@@ -1,5 +1,6 @@
 """What a signer and a customer may do with certificates: keys, changed files, other stores, changed records, pages."""
 
+import hashlib
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 import httpx
 import pytest
 
+from storage.specifications.chain import read_chain
+from storage.store import Store
 from tests.analytics.certificate.conftest import UNIT
 from tests.analytics.certificate.test_issue import ORDERED, key
 from tests.analytics.serve.conftest import TOKEN, start
@@ -22,6 +25,11 @@ def signed(
     folder = tmp_path_factory.mktemp("signed") / "copy"
     shutil.copytree(laboratory, folder)
     key(folder)
+    (folder / "gyro.toml").write_text(
+        'revision = "A"\n[[limit]]\nmetric = "bias"\nupper = 5.0\nunit_of_measure = "deg/h"\n'
+    )
+    entered = run_command("limits", "add", "gyro.toml", "--reason", "first", "--by", "Li", "--store", "lab", cwd=folder)
+    assert entered.code == 0, entered.err
     words = (*ORDERED, "--out", "signed.pdf", "--lang", "en", "--key", "key.p12")
     wrong = run_command(*words, "--key-passphrase", "shut", cwd=folder)
     assert wrong.code == 1
@@ -136,6 +144,18 @@ def test_the_page_of_a_unit_lists_them(
     assert f'download="{numbers[1]}.pdf"' in table
     for each in expected:
         assert each in page, each
+
+
+def test_the_log_has_the_hashes_of_data_and_specification(
+    signed: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    folder, answer = signed
+    rows = run_command("audit", "--unit", UNIT, "--store", "lab", "--json", cwd=folder).json
+    issued = next(each for each in rows if each["kind"] == "CertificateIssued" and each["what"] == answer["number"])
+    document = issued["document"]
+    assert document["specification"] == read_chain(Store.open(folder / "lab")).head != ""
+    assert document["data_sha256"] == hashlib.sha256(document["results"].encode()).hexdigest()
+    assert document["sha256"] == hashlib.sha256((folder / "signed.pdf").read_bytes()).hexdigest()
 
 
 def test_the_audit_speaks_chinese(signed: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]) -> None:
