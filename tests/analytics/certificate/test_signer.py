@@ -123,8 +123,9 @@ def test_the_certificates_of_a_unit_are_in_the_api_with_their_files(
     assert answer.headers["content-type"] == "application/pdf"
     assert answer.content == (folder / "signed.pdf").read_bytes()
     assert client.get("/api/certificates/GYL-1999-0001/pdf").status_code == 404
-    kinds = [row["kind"] for row in client.get(f"/api/units/{UNIT}/audit").json()["events"]]
-    assert kinds.count("CertificateIssued") == 2
+    events = client.get(f"/api/units/{UNIT}/audit").json()["events"]
+    issued = [(row["en"], row["zh"]) for row in events if row["kind"] == "CertificateIssued"]
+    assert issued == [("Certificate issued", "签发证书")] * 2
 
 
 @pytest.mark.parametrize(
