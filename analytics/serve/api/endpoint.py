@@ -1,7 +1,7 @@
 """An operation as a route: who may, what is asked, the kept answer or a new one, its form."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 from urllib.parse import urlencode
 
@@ -51,7 +51,7 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
         asked, others = query_of(request, operation.asked, (_FORMAT,))
         named = others.get(_FORMAT)
         form = form_of(request.headers.get("accept", ""), named, forms_of(operation))
-    state = await anyio.to_thread.run_sync(service.lake.state, limiter=service.fast, abandon_on_cancel=True)
+    state = await service.state()
     call = functools.partial(Call, service, person, path=dict(request.path_params), url=url_of(request))
 
     def answer(state: LakeState) -> Answer:
@@ -62,7 +62,11 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
     is_repeated = operation.role is Role.VIEWER  # what changes something is done once
     compute = functools.partial(computed, service, state, answer, limiter, is_repeated=is_repeated)
     if not operation.is_kept:
-        made = await service.result(compute())
+        try:
+            made = await service.result(_shared(request, operation, service, state, form, compute))
+        finally:
+            if not is_repeated:
+                service.has_changed()
         return Response(made.body, operation.status, media_type=made.media_type)
     version = operation.version(service, state, request.path_params)
     tag = f'"{service.nonce}-{version}-{form}"'
@@ -71,6 +75,17 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
         return Response(status_code=304, headers=headers)
     made = await service.result(service.cache.answer((url_of(request), form, version), compute))
     return Response(made.body, operation.status, headers, made.media_type)
+
+
+async def _shared(
+    request: Request, operation: Operation[Any, Any], service: Service, state: LakeState, form: Form,
+    compute: Callable[[], Awaitable[Answer]],
+) -> Answer:  # fmt: skip
+    """An answer, or the one that somebody has got a moment ago."""
+    if not operation.shared_s:
+        return await compute()
+    key = ("shared", url_of(request), form, f"{state.tag}-{state.log_version}", str(service.changed))
+    return await service.cache.answer(key, compute, operation.shared_s)
 
 
 async def computed(
@@ -82,7 +97,7 @@ async def computed(
     try:
         return await run(answer, state)
     except GyrofleetError:
-        fresh = await run(service.lake.state)
+        fresh = await run(service.warming.newest)
         if not is_repeated or fresh.number == state.number:
             raise
         return await run(answer, fresh)

@@ -33,7 +33,7 @@ class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     group: Name = ""
 
 
-@shown("/trends", "trends.html.jinja", is_slow=True)
+@shown("/trends", "trends.html.jinja", is_slow=True, shared_s=1.0)
 def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
     """The trend of a metric."""
     metrics = api.list_metrics(call, Nothing()).metrics
@@ -96,7 +96,7 @@ def _kind(each: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@shown("/verdicts", "verdicts.html.jinja", is_slow=True)
+@shown("/verdicts", "verdicts.html.jinja", is_slow=True, shared_s=1.0)
 def verdicts(call: Call, asked: api.VerdictsAsked) -> dict[str, Any]:
     """Units with their verdicts by the specifications: of a lot, a station, a fixture, a day, or by one metric."""
     found = api.list_verdicts(call, asked)

@@ -19,7 +19,7 @@ _AUDIT = 30
 _ORDER = {"FAIL": 0, "MARGINAL": 1, "NO_DATA": 2}
 
 
-@shown("/units", "units.html.jinja")
+@shown("/units", "units.html.jinja", shared_s=1.0)
 def list_units(call: Call, asked: api.UnitsAsked) -> dict[str, Any]:
     """All units."""
     found = api.list_units(call, asked)
@@ -33,7 +33,7 @@ class UnitPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     metric: Name = ""
 
 
-@shown("/units/{unit}", "unit.html.jinja", is_slow=True)
+@shown("/units/{unit}", "unit.html.jinja", is_slow=True, shared_s=1.0)
 def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
     """One unit."""
     found = api.unit(call, Nothing())
