@@ -74,6 +74,11 @@ class Call:
             raise NotYet
         return self._leases.enter_context(self.service.lake.metrics.lease(state or self.state.lake))
 
+    @property
+    def metrics_tag(self) -> str:
+        """The version that `metrics` are of."""
+        return (self.state.metrics or self.state).tag
+
     def __enter__(self) -> "Call":
         return self
 
