@@ -147,10 +147,19 @@ def unit(call: Call, asked: Nothing) -> UnitDocument:
     """One unit: its runs, characteristics with limits and verdicts, error models."""
     del asked
     name = call.path["unit"]
-    about = unit_row(call, name)
-    runs = dictionaries(call.fresh, _RUNS, {"unit": name})
     # the lake's, so that they are not computed again for every message that the log gets
     found = call.service.memo.result(("unit", name, call.metrics_tag), lambda: _judged(call, name))
+    return _document(call, name, found)
+
+
+def unit_without_metrics(call: Call) -> UnitDocument:
+    """One unit as it is known before its characteristics are computed."""
+    return _document(call, call.path["unit"], {"metrics": [], "verdict": None, "verdicts": [], "warnings": []})
+
+
+def _document(call: Call, name: str, found: dict[str, Any]) -> UnitDocument:
+    about = unit_row(call, name)
+    runs = dictionaries(call.fresh, _RUNS, {"unit": name})
     return UnitDocument(
         unit=name,
         about=about,

@@ -67,7 +67,8 @@ async def _respond(request: Request, *, shown: Page[Any], service: Service, wait
     person = admitted(request.scope, Role.VIEWER)
     asked, _ = query_of(request, shown.asked, (_LANG,))
     limiter = service.slow if shown.is_slow else service.fast
-    is_patient = request.headers.get("sec-fetch-dest") != "document"
+    # a window shows what is ready; its script looks for the rest
+    is_patient = request.headers.get("sec-fetch-dest") != "document" and "x-partial" not in request.headers
 
     def answer(state: LakeState, *, is_patient: bool) -> Answer:
         with Call(service, person, state, dict(request.path_params), url_of(request), is_patient) as call:
