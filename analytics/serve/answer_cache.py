@@ -31,7 +31,7 @@ class AnswerCache:
     async def answer(
         self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]], most_s: float = math.inf
     ) -> Answer:
-        """The answer kept for `most_s` at most, else the one that `make` gives; who asks meanwhile waits for the same."""
+        """The answer kept, for `most_s` at most, else the one that `make` gives; who asks meanwhile waits for it."""
         kept = self._kept.get(key)
         if kept is not None and time.monotonic() - kept[1] <= most_s:
             self._kept.move_to_end(key)

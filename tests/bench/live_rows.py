@@ -193,7 +193,7 @@ def by_page(client: httpx.Client) -> list[dict[str, Any]]:
 
 
 def by_signal(client: httpx.Client) -> list[dict[str, Any]]:
-    """The first unit's record as the page draws it; its samples are 1 to a period, so that their time is their number."""
+    """The first unit's record as the page draws it; the number of a sample is that of its period."""
     answer = client.get("/api/signals/U0/live/rate", params={"points": 1000})
     assert answer.status_code == 200, answer.text
     found = answer.json()
