@@ -33,6 +33,7 @@ from stream.status import role_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
 
+_METRICS_LOOK_S = 0.05
 _COMMANDS_AT_ONCE, _COMMAND_EVERY_S = 6, 5.0
 Result = TypeVar("Result")
 
@@ -102,6 +103,11 @@ class Service:
         if opened is not None:
             return opened
         return await anyio.to_thread.run_sync(self.warming.newest, limiter=self.fast, abandon_on_cancel=True)
+
+    async def metrics(self) -> None:
+        """Wait until metrics are open, in no thread: whoever needs none of them goes on meanwhile."""
+        while not self.warming.has_metrics():
+            await asyncio.sleep(_METRICS_LOOK_S)
 
     async def result(self, work: Awaitable[Result]) -> Result:
         """The result of some work; raises Stopping where the server ends before."""

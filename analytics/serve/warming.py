@@ -43,7 +43,8 @@ class Warming(Closing):
     ) -> None:
         self._lake, self._live, self._fresh, self._is_busy = lake, live, fresh, is_busy
         self._open: tuple[LakeState, float] | None = None  # and when it was seen to be the newest
-        self._may_lag = False
+        self._may_lag = self._is_opening = False
+        self._asked = threading.Event()  # for metrics
         self._changed_s = 0.0
         self.tasks: list[Callable[[], object]] = []  # what else pages need, such as their templates
         self._ends = threading.Event()
@@ -65,6 +66,16 @@ class Warming(Closing):
         state, metrics = opened[0], self._metrics_of(opened[0])
         return state if metrics is state.metrics else replace(state, metrics=metrics)
 
+    def want_metrics(self) -> None:
+        """Open the metrics of the newest version now: somebody waits for them."""
+        self._lake.metrics.uses += 1
+        self._asked.set()
+
+    def has_metrics(self) -> bool:
+        """Whether nothing is gained by waiting longer for metrics: they are open, or cannot be opened."""
+        is_at_work = self._threads[1].is_alive() and (self._asked.is_set() or self._is_opening)
+        return not is_at_work or self.newest().metrics is not None
+
     def changed(self) -> None:
         """Let nobody who asks from now on see what was before a change that has just been made here."""
         self._changed_s = time.monotonic()
@@ -84,6 +95,7 @@ class Warming(Closing):
     def close(self) -> None:
         """End when the catalogue at work is open, or leave it to the end of the process."""
         self._ends.set()
+        self._asked.set()
         for each in self._threads:
             if each.ident is not None:
                 each.join(timeout=0.1)
@@ -130,6 +142,8 @@ class Warming(Closing):
                 state, opened = self._lake.state(), metrics.state
                 # beside a recorder there is always something newer
                 self._may_lag = state.samples >= LARGE_SAMPLES or writer_is_active(self._lake.store.folder)
+                self._is_opening = True
+                self._asked.clear()
                 if (opened is None or not opened.has_all_of(state)) and metrics.uses > uses:
                     with metrics.lease(state):
                         pass
@@ -137,4 +151,6 @@ class Warming(Closing):
                 metrics.sweep()
             except (GyrofleetError, OSError):
                 pass
-            self._ends.wait(max(_METRICS_LOOK_S, _METRICS_PAUSES * (time.monotonic() - began_s)))
+            finally:
+                self._is_opening = False
+            self._asked.wait(max(_METRICS_LOOK_S, _METRICS_PAUSES * (time.monotonic() - began_s)))

@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form, encoded, form_of
-from analytics.serve.api.operation import Call, Operation
+from analytics.serve.api.operation import Call, NotYet, Operation
 from analytics.serve.doors.admission import admitted, check_change
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import TooLarge, TooSlow
@@ -54,8 +54,8 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
     state = await service.state()
     call = functools.partial(Call, service, person, path=dict(request.path_params), url=url_of(request))
 
-    def answer(state: LakeState) -> Answer:
-        with call(state) as leased:
+    def answer(state: LakeState, *, is_patient: bool) -> Answer:
+        with call(state, is_patient=is_patient) as leased:
             return encoded(operation(leased, asked), form, operation.table)
 
     limiter = service.slow if operation.is_slow else service.fast
@@ -89,18 +89,22 @@ async def _shared(
 
 
 async def computed(
-    service: Service, state: LakeState, answer: Callable[[LakeState], Answer], limiter: anyio.CapacityLimiter,
+    service: Service, state: LakeState, answer: Callable[..., Answer], limiter: anyio.CapacityLimiter,
     *, is_repeated: bool = True,
 ) -> Answer:  # fmt: skip
     """Compute an answer in a thread; once more if the lake has changed under it, where it `is_repeated`."""
     run = functools.partial(anyio.to_thread.run_sync, limiter=limiter, abandon_on_cancel=True)
-    try:
-        return await run(answer, state)
-    except GyrofleetError:
-        fresh = await run(service.warming.newest)
-        if not is_repeated or fresh.number == state.number:
-            raise
-        return await run(answer, fresh)
+    if is_repeated:
+        try:
+            return await run(functools.partial(answer, state, is_patient=False))
+        except NotYet:
+            await service.metrics()
+            state = await service.state()
+        except GyrofleetError:
+            state, before = await run(service.warming.newest), state
+            if state.number == before.number:
+                raise
+    return await run(functools.partial(answer, state, is_patient=True))
 
 
 async def limited_body(request: Request) -> bytes:

@@ -40,6 +40,7 @@ class Call:
     path: Parameters in the path, as ``{"unit": "FOG-0231"}``.
     url: Path and parameters as they were asked.
     is_patient: Whether it waits until metrics are computed; else `metrics` raises NotYet.
+    is_partial: Whether it shows what is known meanwhile.
     """
 
     service: Service
@@ -48,6 +49,7 @@ class Call:
     path: Mapping[str, str] = field(default_factory=dict)
     url: str = ""
     is_patient: bool = True
+    is_partial: bool = False
     _leases: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -70,7 +72,7 @@ class Call:
         """All tables, those of metrics and verdicts included: of the lake as it was when `state.metrics` was seen."""
         state = self.state.metrics
         if state is None and not self.is_patient:
-            self.service.lake.metrics.uses += 1  # whoever waits wants them
+            self.service.warming.want_metrics()
             raise NotYet
         return self._leases.enter_context(self.service.lake.metrics.lease(state or self.state.lake))
 

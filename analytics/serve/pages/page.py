@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, TypeVar, get_type_hints
 
-import anyio.to_thread
 import msgspec
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from analytics.serve.answer_cache import Answer
-from analytics.serve.api.endpoint import query_of, url_of
-from analytics.serve.api.operation import Call, NotYet
+from analytics.serve.api.endpoint import computed, query_of, url_of
+from analytics.serve.api.operation import Call
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.language import language_of
@@ -68,37 +67,29 @@ async def _respond(request: Request, *, shown: Page[Any], service: Service, wait
     asked, _ = query_of(request, shown.asked, (_LANG,))
     limiter = service.slow if shown.is_slow else service.fast
     # a window shows what is ready; its script looks for the rest
-    is_patient = request.headers.get("sec-fetch-dest") != "document" and "x-partial" not in request.headers
+    is_partial = request.headers.get("sec-fetch-dest") == "document" or "x-partial" in request.headers
 
     def answer(state: LakeState, *, is_patient: bool) -> Answer:
-        with Call(service, person, state, dict(request.path_params), url_of(request), is_patient) as call:
+        path = dict(request.path_params)
+        with Call(service, person, state, path, url_of(request), is_patient, is_partial) as call:
             found = {"asked": asked, "metrics_of": state.metrics, "is_behind": state.is_behind}
             found |= shown.handler(call, asked)
             if found.get("zone") is None:
                 found["zone"] = common_zone(call)
             return Answer(rendered(request, shown.template, found), HTMLResponse.media_type)
 
-    async def computed(*, is_patient: bool) -> Answer:
-        run = functools.partial(anyio.to_thread.run_sync, limiter=limiter, abandon_on_cancel=True)
+    async def made() -> Answer:
         state = await service.state()
-
-        async def make() -> Answer:
-            made: Answer = await run(functools.partial(answer, state, is_patient=is_patient))
-            return made
-
+        compute = functools.partial(computed, service, state, answer, limiter)
         if not shown.shared_s:
-            return await make()
+            return await compute()
         of_metrics = "" if state.metrics is None else state.metrics.tag
         of_person = (language_of(request), person.role.word, str(person.csrf is None))
         key = ("page", url_of(request), *of_person, f"{state.tag}-{state.log_version}-{of_metrics}")
-        return await service.cache.answer((*key, str(service.changed), str(is_patient)), make, shown.shared_s)
+        return await service.cache.answer((*key, str(service.changed), str(is_partial)), compute, shown.shared_s)
 
     async def make() -> Response:
-        try:
-            made = await computed(is_patient=is_patient)
-        except NotYet:  # and there is nothing else to show
-            made = await computed(is_patient=True)
-        return page_of(request, made.body)
+        return page_of(request, (await made()).body)
 
     found = await waiting.answer(request, service, make)
     found.headers["Cache-Control"] = "private, no-cache"

@@ -41,6 +41,8 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
     try:
         metrics = api.list_metrics(call, Nothing()).metrics
     except NotYet:
+        if not call.is_partial:
+            raise
         data = link("api", "trends", **fields) if asked.metric else "/api/metrics"
         return {
             "found": None, "metrics": api.named_metrics(), "here": fields, "zone": DEFAULT, "data": data,

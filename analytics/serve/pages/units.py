@@ -39,6 +39,8 @@ def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
     try:
         found, is_whole = api.unit(call, Nothing()), True
     except NotYet:
+        if not call.is_partial:
+            raise
         found, is_whole = api.unit_without_metrics(call), False
     limited = dict.fromkeys(row["metric"] for row in found.verdicts if row["value"] is not None)
     asked_for = asked.metric if is_whole else ""
