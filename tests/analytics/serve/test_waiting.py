@@ -11,12 +11,14 @@ from starlette.responses import HTMLResponse, Response
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.doors.roles import Role
 from analytics.serve.live.follower import FloorFollower
+from analytics.serve.pages.problem_page import problem_response
 from analytics.serve.pages.waiting import Waiting
-from analytics.serve.problems import Stopping
+from analytics.serve.problems import Stopping, TooMany
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.store import Store
+from stream.errors import NotFound, StoreError
 
 
 @pytest.fixture
@@ -88,6 +90,17 @@ def test_an_error_is_told_to_who_waits(service: Service) -> None:
             await waiting.answer(window(), service, fail)
 
     asyncio.run(run())
+
+
+def test_a_problem_that_passes_is_a_page_that_asks_again() -> None:
+    scope = window().scope | {"headers": [(b"accept", b"text/html"), (b"host", b"here")]}
+    for problem, status, after in ((TooMany("too many statements", 7.0), 429, "7"), (StoreError("a disk"), 503, "5")):
+        answer = problem_response(Request(scope), problem)
+        assert (answer.status_code, answer.headers["refresh"]) == (status, after)
+        assert str(problem) in bytes(answer.body).decode()
+        sent = problem_response(Request(scope | {"method": "POST"}), problem)  # a form is not sent again
+        assert "refresh" not in sent.headers
+    assert "refresh" not in problem_response(Request(scope), NotFound("no unit U")).headers
 
 
 def test_a_server_that_stops_says_so(service: Service) -> None:
