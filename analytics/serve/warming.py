@@ -5,12 +5,16 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from uuid import UUID
+
+import numpy as np
 
 from analytics.serve.live.follower import FloorFollower
 from analytics.serve.live.fresh_views import FreshViews
 from analytics.serve.metrics_process import LARGE_SAMPLES
 from analytics.serve.shared_lake import LakeState, SharedCatalogue, SharedLake
 from storage.store import writer_is_active
+from stream.batch import SampleBatch
 from stream.closing import Closing
 from stream.errors import GyrofleetError
 from stream.quantities import report_unit
@@ -21,6 +25,7 @@ _METRICS_LOOK_S = 1.0
 _STALE_S = 1.25
 # catalogues are opened for a third of the time at most, metrics for a tenth
 _PAUSES, _METRICS_PAUSES = 2.0, 9.0
+_NEXT_S = 0.7
 _WANTED_S = 10.0
 _FIRST_PAGES_S = 3.0
 # imported by what answers when it is first needed
@@ -123,7 +128,7 @@ class Warming(Closing):
                 self._fresh.sweep()
             except (GyrofleetError, OSError):
                 pass  # who asks is told
-            self._ends.wait(max(_LOOK_S, _PAUSES * took_s))
+            self._ends.wait(max(_LOOK_S if took_s == 0.0 else _NEXT_S - took_s, _PAUSES * took_s))
 
     def _watch_metrics(self) -> None:
         self._live.wait()
@@ -135,7 +140,7 @@ class Warming(Closing):
             importlib.import_module(name)
         for task in self.tasks:
             task()
-        metrics, uses = self._lake.metrics, -1
+        metrics, uses, has_kernels = self._lake.metrics, -1, False
         while not self._ends.is_set():
             began_s = time.monotonic()
             try:
@@ -153,4 +158,23 @@ class Warming(Closing):
                 pass
             finally:
                 self._is_opening = False
+            if not has_kernels:
+                has_kernels = True
+                _load_kernels()
             self._asked.wait(max(_METRICS_LOOK_S, _METRICS_PAUSES * (time.monotonic() - began_s)))
+
+
+def _load_kernels() -> None:
+    """Compile what computes an Allan deviation, or load it: on a new machine the first curve would take seconds."""
+    from stream.estimators.allan_variance import AllanDeviation
+    from stream.estimators.full_overlap.deviation_forms import Deviation
+    from stream.estimators.full_overlap.full_overlap import FullOverlap
+
+    counts = np.arange(1000, dtype=np.int32) % 7
+    batch = SampleBatch("warm", "rate", "warm", UUID(int=1), 0, 0, 10**7, "deg/s", counts=counts)
+    with FullOverlap() as curve:
+        curve.update(batch)
+        curve.evaluate(Deviation.OVERLAPPING_ALLAN, 1, None)
+    strided = AllanDeviation()
+    strided.update(batch)
+    strided.estimate()

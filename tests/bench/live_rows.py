@@ -136,7 +136,7 @@ def latency(folder: Path, seconds: float, units: int, rate_hz: int) -> dict[str,
                         "signal of the page": lambda: by_signal(client),
                     }
                     for how, ask in ways.items():
-                        found[how] = acknowledged.seen_by(ask, seconds, is_exact=how != "signal of the page")
+                        found[how] = acknowledged.seen_by(ask, seconds, is_exact=not how.endswith("of the page"))
                 acknowledged.close()
                 source.stop()
         finally:
@@ -166,7 +166,10 @@ class Acknowledged(Closing):
                 self.moments.append((time.monotonic(), next_seq))
 
     def seen_by(self, ask: Callable[[], list[dict[str, Any]]], seconds: float, *, is_exact: bool) -> dict[str, float]:
-        """Ask for so long; each sample is there once, and if `is_exact` all that were acknowledged before are."""
+        """Ask for so long; each sample is there once, and if `is_exact` all that were acknowledged before are.
+
+        A server may answer from what it had a second before.
+        """
         unit, answers, took = self._source.units[0], [], []
         first_s = time.monotonic()
         while time.monotonic() < first_s + seconds:
