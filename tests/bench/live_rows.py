@@ -125,10 +125,12 @@ def latency(folder: Path, seconds: float, units: int, rate_hz: int) -> dict[str,
         recorder.stdout.readline()
         try:
             with LiveSource(endpoint, units=units, rate_hz=rate_hz) as source, serving(store) as (url, _):
-                acknowledged = Acknowledged(source)
                 time.sleep(3.0)
                 headers = {"Authorization": f"Bearer {TOKEN}"}
-                with httpx.Client(base_url=url, headers=headers, timeout=60.0) as client:
+                with (
+                    httpx.Client(base_url=url, headers=headers, timeout=60.0) as client,
+                    Acknowledged(source) as acknowledged,
+                ):
                     ways: dict[str, Callable[[], list[dict[str, Any]]]] = {
                         "gyrofleet sql": lambda: by_command(store),
                         "a new door": lambda: by_door(store),
@@ -137,7 +139,6 @@ def latency(folder: Path, seconds: float, units: int, rate_hz: int) -> dict[str,
                     }
                     for how, ask in ways.items():
                         found[how] = acknowledged.seen_by(ask, seconds, is_exact=not how.endswith("of the page"))
-                acknowledged.close()
                 source.stop()
         finally:
             recorder.terminate()
