@@ -40,16 +40,18 @@ def test_a_request_of_the_version_before_opens_nothing_again() -> None:
 
 def test_a_catalogue_in_use_stays_open_until_it_is_given_back() -> None:
     with SharedCatalogue(lambda _: Catalogue(), lingers_s=0.0) as shared:
+        seen = []
         with shared.lease(FIRST) as before:
             with shared.lease(SECOND):
                 pass
             shared.sweep()
-            assert before.is_open
-        assert not before.is_open
+            seen.append(before.is_open)
+        seen.append(before.is_open)
         with shared.lease(SECOND) as current:
             shared.close()
-            assert current.is_open
-        assert not current.is_open
+            seen.append(current.is_open)
+        seen.append(current.is_open)
+        assert seen == [True, False, True, False]
 
 
 def test_later_rows_of_the_log_are_another_version() -> None:

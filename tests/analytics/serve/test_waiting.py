@@ -96,7 +96,7 @@ def test_an_error_is_told_to_who_waits(service: Service) -> None:
 
 
 def test_a_problem_that_passes_is_a_page_that_asks_again() -> None:
-    scope = window().scope | {"headers": [(b"accept", b"text/html"), (b"host", b"here")]}
+    scope = dict(window().scope) | {"headers": [(b"accept", b"text/html"), (b"host", b"here")]}
     for problem, status, after in ((TooMany("too many statements", 7.0), 429, "7"), (StoreError("a disk"), 503, "5")):
         answer = problem_response(Request(scope), problem)
         assert (answer.status_code, answer.headers["refresh"]) == (status, after)
