@@ -23,8 +23,6 @@ _LOOK_S = 0.1
 _METRICS_LOOK_S = 1.0
 # a request is answered from what was the newest at most so long ago
 _STALE_S = 1.25
-# and where the machine is so busy that the next version takes long
-_BUSY_STALE_S = 4.0
 # catalogues are opened for a third of the time at most, metrics for a tenth
 _PAUSES, _METRICS_PAUSES = 2.0, 9.0
 _NEXT_S = 0.7
@@ -51,7 +49,7 @@ class Warming(Closing):
     ) -> None:
         self._lake, self._live, self._fresh, self._is_busy = lake, live, fresh, is_busy
         self._open: tuple[LakeState, float] | None = None  # and when it was seen to be the newest
-        self._is_opening = self._is_building = False  # metrics; views
+        self._is_opening = False
         self._asked = threading.Event()  # for metrics
         self._changed_s = 0.0
         self.tasks: list[Callable[[], object]] = []  # what else pages need, such as their templates
@@ -68,10 +66,8 @@ class Warming(Closing):
 
     def opened(self) -> LakeState | None:
         """The version that a request is answered from at once; None if it has to wait for the newest."""
-        opened, now_s = self._open, time.monotonic()
-        # who waited for the one that is being opened would see nothing earlier
-        stale_s = _BUSY_STALE_S if self._is_building else _STALE_S
-        if opened is None or opened[1] < max(now_s - stale_s, self._changed_s):
+        opened = self._open
+        if opened is None or opened[1] < max(time.monotonic() - _STALE_S, self._changed_s):
             return None
         state, metrics = opened[0], self._metrics_of(opened[0])
         return state if metrics is state.metrics else replace(state, metrics=metrics)
@@ -124,7 +120,6 @@ class Warming(Closing):
                 if opened is not None and opened[0].has_all_of(newest):
                     self._open = opened[0], began_s
                 elif opened is None or opened[0].tag != newest.tag or began_s - wanted_s < _WANTED_S:
-                    self._is_building = True
                     with self._lake.views.lease(newest.lake):
                         pass
                     with self._fresh.lease(newest):
@@ -136,8 +131,6 @@ class Warming(Closing):
                 self._fresh.sweep()
             except (GyrofleetError, OSError):
                 pass  # who asks is told
-            finally:
-                self._is_building = False
             self._ends.wait(max(_LOOK_S if took_s == 0.0 else _NEXT_S - took_s, _PAUSES * took_s))
 
     def _watch_metrics(self) -> None:
