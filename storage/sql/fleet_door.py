@@ -5,8 +5,10 @@ program has changed.
 """
 
 import hashlib
+import os
 import re
 import tempfile
+import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from functools import cache
@@ -26,6 +28,7 @@ from stream.atomic_file import replacement
 from stream.errors import GyrofleetError, StoreError
 
 _FOLDER = "catalogue"
+_UNFINISHED_S = 86_400.0
 
 
 class FleetDoor(SqlDoor):
@@ -90,8 +93,9 @@ def _plant_file(replica: Replica, kept: Path, wanted: Sequence[Layer]) -> PlantF
         for old in _others(kept, name, kind):
             with suppress(OSError):
                 old.unlink()
+        own = kept / f".{path.name}.{os.getpid()}.part"  # another process may make the same
         try:
-            with replacement(path) as fresh, Catalog(store, fresh, parts=manifest.parts) as catalog:
+            with replacement(path, own) as fresh, Catalog(store, fresh, parts=manifest.parts) as catalog:
                 catalog.define_views()
                 _put_tables(catalog, _tables(wanted))
         except GyrofleetError as error:
@@ -117,8 +121,10 @@ def _is_named(layer: Layer, statement: str) -> bool:
 
 
 def _others(kept: Path, name: str, kind: str) -> Iterable[Path]:
+    """Files of the plant that are out of date, or were left unfinished a day ago."""
     pattern = re.compile(rf"{re.escape(name)}-{kind}-[0-9a-f]{{16}}\.duckdb")
-    return [path for path in kept.iterdir() if pattern.fullmatch(path.name)]
+    left = (path for path in kept.glob(".*.part*") if time.time() - path.stat().st_mtime > _UNFINISHED_S)
+    return [*(path for path in kept.iterdir() if pattern.fullmatch(path.name)), *left]
 
 
 @cache
