@@ -37,6 +37,7 @@ _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
+    "cryptography": "attest",
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
