@@ -26,6 +26,7 @@ _STALE_S = 1.25
 # catalogues are opened for a third of the time at most, metrics for a tenth
 _PAUSES, _METRICS_PAUSES = 2.0, 9.0
 _NEXT_S = 0.7
+_METRICS_NEXT_S = 20.0  # unless somebody waits for them
 _WANTED_S = 10.0
 _FIRST_PAGES_S = 3.0
 # imported by what answers when it is first needed
@@ -48,7 +49,7 @@ class Warming(Closing):
     ) -> None:
         self._lake, self._live, self._fresh, self._is_busy = lake, live, fresh, is_busy
         self._open: tuple[LakeState, float] | None = None  # and when it was seen to be the newest
-        self._may_lag = self._is_opening = False
+        self._is_opening = False
         self._asked = threading.Event()  # for metrics
         self._changed_s = 0.0
         self.tasks: list[Callable[[], object]] = []  # what else pages need, such as their templates
@@ -95,7 +96,9 @@ class Warming(Closing):
         opened = self._lake.metrics.state
         if opened is None or opened.tag == state.tag:
             return opened
-        return opened if self._may_lag and opened.entered == state.entered else None
+        # beside a recorder there is always something newer
+        may_lag = state.samples >= LARGE_SAMPLES or writer_is_active(self._lake.store.folder)
+        return opened if may_lag and opened.entered == state.entered else None
 
     def close(self) -> None:
         """End when the catalogue at work is open, or leave it to the end of the process."""
@@ -142,17 +145,15 @@ class Warming(Closing):
             task()
         metrics, uses, has_kernels = self._lake.metrics, -1, False
         while not self._ends.is_set():
-            began_s = time.monotonic()
+            began_s, has_opened = time.monotonic(), False
             try:
                 state, opened = self._lake.state(), metrics.state
-                # beside a recorder there is always something newer
-                self._may_lag = state.samples >= LARGE_SAMPLES or writer_is_active(self._lake.store.folder)
                 self._is_opening = True
                 self._asked.clear()
                 if (opened is None or not opened.has_all_of(state)) and metrics.uses > uses:
                     with metrics.lease(state):
                         pass
-                    uses = metrics.uses
+                    uses, has_opened = metrics.uses, True
                 metrics.sweep()
             except (GyrofleetError, OSError):
                 pass
@@ -161,7 +162,8 @@ class Warming(Closing):
             if not has_kernels:
                 has_kernels = True
                 _load_kernels()
-            self._asked.wait(max(_METRICS_LOOK_S, _METRICS_PAUSES * (time.monotonic() - began_s)))
+            pause_s = _METRICS_PAUSES * (time.monotonic() - began_s)
+            self._asked.wait(max(_METRICS_LOOK_S, pause_s, _METRICS_NEXT_S if has_opened else 0.0))
 
 
 def _load_kernels() -> None:

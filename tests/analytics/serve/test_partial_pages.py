@@ -38,13 +38,13 @@ def service(tmp_path: Path, run_command: Callable[..., Any]) -> Iterator[Service
     service.close()
 
 
-async def seen(service: Service, path: str, headers: dict[str, str]) -> str:
+async def seen(service: Service, path: str, headers: dict[str, str], status: int = 200) -> str:
     transport = httpx.ASGITransport(application(service, ("here",)))
     async with httpx.AsyncClient(transport=transport, base_url="http://here", timeout=60.0) as client:
         answer = await client.get(path, headers=headers)
         while answer.status_code == 202:  # a busy machine: the page that asks again
             answer = await client.get(path, headers=headers)
-    assert answer.status_code == 200
+    assert answer.status_code == status
     return answer.text
 
 
@@ -70,11 +70,4 @@ def test_a_window_shows_what_is_known_and_then_the_rest(service: Service) -> Non
 
 
 def test_a_unit_that_is_not_there_is_reported_before_metrics_are(service: Service) -> None:
-    async def run() -> None:
-        transport = httpx.ASGITransport(application(service, ("here",)))
-        async with httpx.AsyncClient(transport=transport, base_url="http://here", timeout=60.0) as client:
-            answer = await client.get("/units/FOG-9", headers=WINDOW)
-        assert answer.status_code == 404
-        assert "FOG-1" in answer.text
-
-    asyncio.run(run())
+    assert "FOG-1" in asyncio.run(seen(service, "/units/FOG-9", WINDOW, status=404))
