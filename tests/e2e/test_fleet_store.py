@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from gyrofleet import main
 from storage.fleet_store import FleetStore
 from storage.sql.catalog import Catalog, known_tables
-from storage.sql.fleet_door import opened_fleet_catalog
+from storage.sql.fleet_door import FleetDoor, opened_fleet_catalog
 
 _LIMIT = """
 revision = "1"
@@ -63,20 +63,20 @@ def ask(fleet: Path) -> Callable[..., Result]:
 
 
 def test_every_row_in_sql_has_its_plant(ask: Callable[..., Result], fleet: Path) -> None:
-    def asked(statement: str) -> list[Any]:
-        return [tuple(row.values()) for row in json.loads(ask("sql", statement, "--json").stdout)]
+    with FleetDoor(FleetStore.open(fleet)) as door:
 
-    counts = asked("select plant, unit, run, count(*) from samples group by all order by all")
-    assert counts == [(plant, "FOG-1", "r1", 4000) for plant in _BIAS_DEG_PER_H]
-    means = asked(
-        "select plant, round(avg(deg_per_h(value, unit_of_measure)), 1) from samples group by all order by all"
-    )
-    assert means == list(_BIAS_DEG_PER_H.items())
-    for table in ("runs", "units", "steps", "estimates", "events", "unit_metrics", "unit_verdicts"):
-        assert {plant for (plant,) in asked(f"select distinct plant from {table}")} == set(_BIAS_DEG_PER_H), table
-    assert {row["plant"] for row in json.loads(ask("sql", "from adev('FOG-1', 'rate')", "--json").stdout)} == set(
-        _BIAS_DEG_PER_H
-    )
+        def asked(statement: str) -> list[Any]:
+            return [tuple(row.values()) for row in door.ask(statement).read_all().to_pylist()]
+
+        counts = asked("select plant, unit, run, count(*) from samples group by all order by all")
+        assert counts == [(plant, "FOG-1", "r1", 4000) for plant in _BIAS_DEG_PER_H]
+        mean = "round(avg(deg_per_h(value, unit_of_measure)), 1)"
+        means = asked(f"select plant, {mean} from samples group by all order by all")
+        assert means == list(_BIAS_DEG_PER_H.items())
+        for table in ("runs", "steps", "estimates", "events", "unit_metrics", "unit_verdicts", "adev('FOG-1', 'rate')"):
+            assert {plant for (plant,) in asked(f"select distinct plant from {table}")} == set(_BIAS_DEG_PER_H), table
+    one = json.loads(ask("sql", "select plant, unit, verdict from unit_verdicts order by all", "--json").stdout)
+    assert [row["plant"] for row in one] == list(_BIAS_DEG_PER_H)
     assert "plant" in ask("sql", "--tables", "samples").stdout
 
 
