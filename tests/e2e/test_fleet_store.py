@@ -111,6 +111,15 @@ def test_metrics_and_verdicts_of_a_plant_are_those_of_its_store_alone(
     ask("metrics", "--annex-a", "FOG-1", code=1)
 
 
+def test_a_copy_agrees_with_what_its_plant_has_attested(fleet: Path, run_command: Callable[..., Any]) -> None:
+    words = ("attest", "--store", "xian", "--out", "xian.json", "--key", "key.pem")
+    assert run_command(*words, cwd=fleet.parent).code == 0
+    copy = fleet / "plants" / "xian"
+    assert (copy / "products" / "f70-1.toml").read_text() == _LIMIT
+    found = run_command("verify", "--store", copy, "--against", "xian.json", "--json", cwd=fleet.parent)
+    assert (found.code, found.json["findings"]) == (0, [])
+
+
 def test_one_serial_with_two_products_is_reported_and_not_merged(ask: Callable[..., Result], fleet: Path) -> None:
     (conflict,) = [
         each for each in json.loads(ask("verify", "--json").stdout)["findings"] if each["kind"] == "identity_conflict"
