@@ -38,6 +38,7 @@ _EXTRAS = {
     "sklearn": "explain",
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
+    **dict.fromkeys(("fsspec", "obstore"), "s3"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }

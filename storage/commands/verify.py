@@ -3,11 +3,17 @@
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
+from storage.commands.lake_address import endpoint_option
 from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.result_table import ResultTable
+
+if TYPE_CHECKING:
+    from storage.findings import Verification
 
 _SHOWN_OF_A_KIND = 8
 _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
@@ -15,21 +21,52 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 
 @click.command("verify")
 @store_option
+@click.option(
+    "--lake", "url", metavar="s3://BUCKET/PREFIX", help="Verify the lake published there; with --store by its log too."
+)
+@endpoint_option
 @reporting
-def verify(folder: Path, *, as_json: bool) -> None:
+def verify(folder: Path, url: str | None, endpoint_url: str | None, *, as_json: bool) -> None:
     """Read everything in the store and report what is wrong, where, and the remedy; nothing is changed.
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
     gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
-    models in use and the copies of the specifications, whose documents in the log form an unbroken chain.
+    models in use and the copies of the specifications, whose documents in the log form an unbroken chain. With --lake
+    every object of a published lake is read and compared with its manifest; with the log of --store if that is given.
     """
+    if url is None:
+        _print(_verified_store(folder, as_json=as_json), "store", as_json=as_json)
+    else:
+        is_given = click.get_current_context().get_parameter_source("folder") is not ParameterSource.DEFAULT
+        _print(
+            _verified_lake(url, endpoint_url, folder if is_given else None, as_json=as_json), "lake", as_json=as_json
+        )
+
+
+def _verified_store(folder: Path, *, as_json: bool) -> "Verification":
     from storage.check.verify import verify as verify_store
     from storage.store import Store
 
     store = Store.open(folder)
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {folder}", total=1.0)
-        found, _ = verify_store(store, lambda done: progress.update(task, completed=done))
+        return verify_store(store, lambda done: progress.update(task, completed=done))[0]
+
+
+def _verified_lake(url: str, endpoint_url: str | None, folder: Path | None, *, as_json: bool) -> "Verification":
+    from storage.check.verify_published import verify_published
+    from storage.object_lake.bucket import Bucket
+    from storage.store import Store
+
+    store = None if folder is None else Store.open(folder)
+    bucket = Bucket(url, endpoint_url)
+    with progress_bar(hidden=as_json) as progress:
+        task = progress.add_task(f"reading {bucket.url}", total=1.0)
+        return verify_published(bucket, store, lambda done: progress.update(task, completed=done))
+
+
+def _print(found: "Verification", what: str, *, as_json: bool) -> None:
+    """Print a verification, and end with its exit code."""
     if as_json:
         print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
         sys.exit(0 if found.is_sound else 1)
@@ -48,7 +85,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
     results().print(
         f"{found.segments:,} segments with {found.samples:,} samples in {found.messages:,} messages, {found.parts:,} "
         f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "
-        + ("the store is sound" if found.is_sound else "the store is NOT sound")
+        + (f"the {what} is sound" if found.is_sound else f"the {what} is NOT sound")
     )
     sys.exit(0 if found.is_sound else 1)
 
