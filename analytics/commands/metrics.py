@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from analytics.commands.limits import warn_of_copies
+from storage.commands.lake_address import lake_options, store_at
 from storage.commands.stored_names import RUN, UNIT
 from stream.completion import ListedName
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
@@ -17,6 +18,7 @@ from stream.result_table import ResultTable
 if TYPE_CHECKING:
     from analytics.evaluation.inner_page import InnerRow
     from storage.sql.catalog import Catalog
+    from storage.store import Store
 
 _SHOWN_ROWS = 500
 _SHOWN_REASONS = 5
@@ -41,6 +43,7 @@ METRIC = ListedName(_metric_names)
 @click.option(
     "--unit", "units", type=UNIT, multiple=True, help="Only this unit; may be given several times, as all of these."
 )
+@lake_options
 @click.option("--lot", "lots", multiple=True, help="Only units of this lot, in runs in which they were of it.")
 @click.option("--run", "runs", type=RUN, multiple=True, help="Only what rests on this run.")
 @click.option("--metric", "ids", type=METRIC, multiple=True, help="Only this metric, as bias_stability.")
@@ -54,11 +57,13 @@ METRIC = ListedName(_metric_names)
 def metrics(
     folder: Path, units: tuple[str, ...], lots: tuple[str, ...], runs: tuple[str, ...], ids: tuple[str, ...],
     standards: tuple[str, ...], since: str | None, annex_unit: str | None, csv_path: Path | None,
-    xlsx_path: Path | None, language: str, *, as_json: bool,
+    xlsx_path: Path | None, url: str | None, endpoint_url: str | None, cache_size: str | None, language: str, *,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
 
     Changed runs are reduced first; other values are read from the store. With --metric only these metrics are computed.
+    With --lake they are those of a published lake.
 
     \b
     gyrofleet metrics --unit FOG-0231
@@ -72,7 +77,7 @@ def metrics(
     if annex_unit is not None and (units or lots or runs or ids or standards or since or csv_path or xlsx_path):
         raise BadInput("--annex-a stands alone, with --lang and --json: it is the unit's last values of JJF 2014-2022")
     asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
-    with opened_catalog(folder, quiet=as_json) as catalog:
+    with opened_catalog(store_at(folder, url, endpoint_url, cache_size), quiet=as_json) as catalog:
         if annex_unit is not None:
             _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
             return
@@ -97,11 +102,11 @@ def metrics(
 
 
 @contextmanager
-def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
+def opened_catalog(at: "Path | Store", *, quiet: bool) -> "Iterator[Catalog]":
     """A store's catalogue that shows the progress of the reduction of changed runs on standard error."""
     from storage.specifications.chain import read_chain
     from storage.sql.catalog import Catalog
-    from storage.store import Store
+    from storage.sql.opened import opened_at
 
     with progress_bar(hidden=quiet) as progress:
         task = progress.add_task("reducing changed runs", total=None, visible=False)
@@ -109,8 +114,10 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
         def update(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total, visible=done < total)
 
-        with Catalog(Store.open(folder), progress=update) as catalog:
-            warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
+        store = opened_at(at)
+        with Catalog(store, progress=update) as catalog:
+            if store.has_copies:
+                warn_of_copies(store, read_chain(store, catalog))
             yield catalog
 
 

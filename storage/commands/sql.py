@@ -5,12 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from storage.commands.lake_address import lake_options, store_at
 from storage.commands.query_output import cell, print_csv, print_json_rows, print_table, write_parquet
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from storage.sql.catalog import Catalog
+    from storage.sql.door import QueryLimits
+    from storage.store import Store
 
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 
@@ -32,16 +34,19 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
     "--max-memory", "memory_gib", type=_POSITIVE, metavar="GIB",
     help="Memory that STATEMENT may take.  [default: 4, or half of the machine's]",
 )  # fmt: skip
+@lake_options
 @click.option("--max-rows", type=click.IntRange(min=1), help="Rows that the result may have.  [default: 100,000,000]")
 @reporting
 def sql(
     statement: str | None, folder: Path, parquet_path: Path | None, catalogue_path: Path | None, time_s: float | None,
-    memory_gib: float | None, max_rows: int | None, *, tables: bool, as_csv: bool, as_json: bool,
+    memory_gib: float | None, max_rows: int | None, url: str | None, endpoint_url: str | None, cache_size: str | None,
+    *, tables: bool, as_csv: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
     STATEMENT runs in a process that can only read the store. One that would do more, fails, or exceeds --max-time,
-    --max-memory or --max-rows, ends with exit code 2.
+    --max-memory or --max-rows, ends with exit code 2. With --lake it asks a lake that `gyrofleet lake --lake`
+    published: parts of files are fetched as statements need them, and kept in a cache; credentials come from AWS_*.
 
     \b
     gyrofleet sql --tables
@@ -49,38 +54,39 @@ def sql(
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, run, avg(value) from samples group by all"
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from storage.store import Store, check_outside
+    from storage.store import check_outside
     from stream.errors import BadInput
 
     if as_csv + as_json + (parquet_path is not None) > 1:
         raise BadInput("give one of --json, --csv and --parquet FILE")
     if tables + (catalogue_path is not None) + (statement is not None and not tables) != 1:
         raise BadInput("give one of STATEMENT, --tables [NAME] and --catalogue FILE")
-    store = Store.open(folder)
+    if url is not None and catalogue_path is not None:
+        raise BadInput("--catalogue writes views over the files of a store; --parquet FILE keeps a result of a --lake")
+    store = store_at(folder, url, endpoint_url, cache_size)
     for path in (catalogue_path, parquet_path):
         if path is not None:
             check_outside(store, path)
     if catalogue_path is not None:
-        from storage.sql.tables import export_catalogue
-
-        export_catalogue(store, catalogue_path)
-        notes().print(
-            f"written to {catalogue_path}: DuckDB 1.3 or later opens it, its view samples needs DuckDB 2.0",
-            soft_wrap=True,
-        )
+        _write_catalogue(store, catalogue_path)
         return
     if tables:
-        from storage.sql.catalog import Catalog
-
-        with Catalog(store) as catalog:
-            _print_tables(catalog, statement, as_json=as_json)
+        _print_tables(store, statement, as_json=as_json)
         return
     assert statement is not None
-    from storage.sql.door import QueryLimits, SqlDoor
+    from storage.sql.door import QueryLimits
 
     memory_bytes = None if memory_gib is None else int(memory_gib * 2**30)
     given: dict[str, Any] = {"time_s": time_s, "memory_bytes": memory_bytes, "rows": max_rows}
     limits = QueryLimits()._replace(**{name: value for name, value in given.items() if value is not None})
+    _ask(store, statement, limits, parquet_path, as_csv=as_csv, as_json=as_json)
+
+
+def _ask(
+    store: "Store", statement: str, limits: "QueryLimits", parquet_path: Path | None, *, as_csv: bool, as_json: bool
+) -> None:
+    from storage.sql.door import SqlDoor
+
     with SqlDoor(store, limits) as door:
         result = door.ask(statement)
         if not door.is_enforced:
@@ -99,11 +105,20 @@ def sql(
             print_table(result)
 
 
-def _print_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> None:
+def _write_catalogue(store: "Store", path: Path) -> None:
+    from storage.sql.tables import export_catalogue
+
+    export_catalogue(store, path)
+    notes().print(f"written to {path}: DuckDB 1.3 or later opens it, its view samples needs DuckDB 2.0", soft_wrap=True)
+
+
+def _print_tables(store: "Store", name: str | None, *, as_json: bool) -> None:
+    from storage.sql.catalog import Catalog
     from storage.sql.tables import columns_of, described_tables, examples
 
     console = results()
-    rows = described_tables(catalog) if name is None else columns_of(catalog, name)
+    with Catalog(store) as catalog:
+        rows = described_tables(catalog) if name is None else columns_of(catalog, name)
     if as_json:
         print_json(rows)
         return

@@ -99,7 +99,7 @@ class Bucket:
         try:
             content = self._read(key, lambda: bytes(obstore.get_range(self._store, key, start=start, length=length)))
         except FileNotFoundError:
-            raise StoreError(f"{self.url}/{key} is missing") from None
+            raise StoreError(f"{self.url}/{key} is missing; if the lake has changed since, run it again") from None
         if len(content) != length:
             raise Unanswered(f"{self.url}/{key}: {len(content)} bytes came, {length} were asked for")
         return content

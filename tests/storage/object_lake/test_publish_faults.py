@@ -62,14 +62,13 @@ def test_one_fault_costs_nothing(
     assert not any(method == "PUT" and "/probes/" not in path for method, path in proxy.seen[again:])
 
 
-def test_an_upload_that_arrives_changed_is_noticed_and_not_put_in_force(
+def test_an_upload_that_arrives_changed_is_noticed_and_sent_again(
     small: Store, faulty: Bucket, proxy: FaultyProxy, bucket: Bucket
 ) -> None:
     proxy.faults.append(Fault("flipped", "PUT", "00000002.*events.parquet"))
-    with pytest.raises(StoreError, match="is not what was sent"):
-        publish(small, faulty)
-    assert segments(read_published(bucket)) == ["00000001", "00000003"]
     publish(small, faulty)
+    sent = [path for method, path in proxy.seen if method == "PUT" and path.endswith("/events.parquet")]
+    assert sorted(path.split("/")[-2][:8] for path in sent) == ["00000001", "00000002", "00000002", "00000003"]
     assert problems(bucket, small) == []
 
 
@@ -172,9 +171,8 @@ def test_a_put_that_arrives_after_the_next_one_has_no_effect(
     filler.release()
     proxy.late_s = 1.5
     proxy.faults.append(Fault("late", "PUT", f"/{HEAD}"))
-    with pytest.raises(StoreError, match="no answer in time"):
-        publish(filler.store, Bucket(bucket.url, proxy.url, timeout_s=0.5, retries=0))
-    lake = publish(filler.store, bucket)
+    lake = publish(filler.store, Bucket(bucket.url, proxy.url, timeout_s=0.5, retries=0))
+    assert proxy.faults[0].times == 0
     time.sleep(2.0)
     assert read_published(bucket).head == lake.head
     assert segments(read_published(bucket)) == ["00000001", "00000002"]
