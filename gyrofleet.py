@@ -111,6 +111,7 @@ def _add_commands() -> None:
     from storage.commands.estimate import estimate
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
+    from storage.commands.replicate import replicate
     from storage.commands.sql import sql
     from storage.commands.status import status
     from storage.commands.verify import recover, verify
@@ -122,7 +123,7 @@ def _add_commands() -> None:
     main.add_section("Certify", budget, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
-    main.add_section("Look after the store", lake, rebuild, retain, verify, recover)
+    main.add_section("Look after the store", lake, rebuild, retain, verify, recover, replicate)
     main.add_section("Shell", completion)
 
 
