@@ -37,6 +37,7 @@ _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
+    "cryptography": "attest",
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("fsspec", "obstore"), "s3"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
