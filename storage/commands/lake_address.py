@@ -27,15 +27,14 @@ def lake_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def store_at(folder: Path, url: str | None, endpoint_url: str | None, cache_size: str | None) -> "Store":
-    """The store in a folder, or that of the lake at an address; StoreError if there is none."""
-    from storage.store import Store
+def asked_at(folder: Path, url: str | None, endpoint_url: str | None, cache_size: str | None) -> "Path | Store":
+    """The folder of a store, or the store of the lake at an address; StoreError if there is none."""
     from stream.errors import BadInput
 
     if url is None:
         if endpoint_url is not None or cache_size is not None:
             raise BadInput("--endpoint-url and --cache-size are of a published lake: give --lake s3://BUCKET/PREFIX")
-        return Store.open(folder)
+        return folder
     from storage.object_lake.published_store import PublishedStore
     from storage.upkeep.retention import parse_size
 

@@ -136,6 +136,10 @@ class Catalog(Closing):
             with reading_lake(self.store):
                 define_views(self._connection)
 
+    def define_views(self) -> None:
+        """Define the views now, as a file that others open needs."""
+        self._define_views()
+
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
         try:

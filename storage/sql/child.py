@@ -145,6 +145,13 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     from storage.sql.lake_source import RangeLake
     from storage.store import Store
 
+    if "plants" in setup:
+        from storage.sql.fleet_catalog import FleetCatalog, PlantFile
+
+        return FleetCatalog(
+            Path(setup["folder"]), msgspec.convert(setup["plants"], type=list[PlantFile]), setup["tables"],
+            memory_bytes=setup["memory_bytes"],
+        )  # fmt: skip
     parts = msgspec.json.decode(setup["parts"], type=tuple[Part, ...])
     source = RangeLake(parts, RangeClient(setup["ranges"]).read) if setup["ranges"] else None
     return Catalog(

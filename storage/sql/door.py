@@ -69,13 +69,14 @@ class SqlDoor(Closing):
     ...     table = door.ask("select unit, signal, samples from signals").read_all()
     """
 
+    _ranges: RangeService | None = None  # serves a published lake to the process
+
     def __init__(self, store: Store, limits: QueryLimits | None = None, *, landlock: bool = True) -> None:
         self.store = store
         self.limits = limits or QueryLimits()
         self.is_enforced: bool | None = None
         self._landlock = landlock
         self._source = source_of(store)
-        self._ranges: RangeService | None = None
         self._kept = store.folder
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self._process: _Process | None = None
@@ -141,16 +142,22 @@ class SqlDoor(Closing):
             raise kinds[0](failure["message"])
         return kind, content
 
+    def _setup(self) -> dict[str, object]:
+        """What the process opens, and what it may read."""
+        return {
+            "folder": str(self.store.folder.resolve()), "identity": self.store.identity,
+            "parts": msgspec.json.encode(self._source.parts).decode(), "kept": str(self._kept.resolve()),
+            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())],
+        }  # fmt: skip
+
     def _started(self) -> "_Process":
         ranges = self._serving()
         self._process = process = _Process([] if ranges is None else [each.fileno() for each in ranges.far_ends])
         if ranges is not None:
             ranges.handed_over()
         setup = {
-            "folder": str(self.store.folder.resolve()), "identity": self.store.identity,
-            "parts": msgspec.json.encode(self._source.parts).decode(), "kept": str(self._kept.resolve()),
-            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())], "time_s": self.limits.time_s,
-            "memory_bytes": self.limits.memory_bytes, "landlock": self._landlock, "ranges": process.inherited,
+            **self._setup(), "time_s": self.limits.time_s, "memory_bytes": self.limits.memory_bytes,
+            "landlock": self._landlock, "ranges": process.inherited,
         }  # fmt: skip
         process.send(FrameKind.REQUEST, json.dumps(setup).encode())
         try:
