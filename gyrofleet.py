@@ -109,6 +109,7 @@ def _add_commands() -> None:
     from ingest.commands.run import run, run_simulated
     from ingest.commands.simulate import simulate
     from storage.commands.estimate import estimate
+    from storage.commands.export_iceberg import export_iceberg
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.sql import sql
@@ -122,7 +123,7 @@ def _add_commands() -> None:
     main.add_section("Certify", budget, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
-    main.add_section("Look after the store", lake, rebuild, retain, verify, recover)
+    main.add_section("Look after the store", lake, rebuild, retain, verify, recover, export_iceberg)
     main.add_section("Shell", completion)
 
 

@@ -37,6 +37,8 @@ _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
+    **dict.fromkeys(("py4j", "pyspark"), "spark"),
+    **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),

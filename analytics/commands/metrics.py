@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.limits import warn_of_copies
 from storage.commands.stored_names import RUN, UNIT
 from stream.completion import ListedName
@@ -49,12 +50,13 @@ METRIC = ListedName(_metric_names)
 @click.option("--annex-a", "annex_unit", metavar="UNIT", help="The 24 rows of JJF 2014-2022 annex A for this unit.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write to this CSV file.")
 @click.option("--xlsx", "xlsx_path", type=click.Path(path_type=Path), help="Write to this workbook.")
+@engine_option
 @language_option
 @reporting
 def metrics(
     folder: Path, units: tuple[str, ...], lots: tuple[str, ...], runs: tuple[str, ...], ids: tuple[str, ...],
     standards: tuple[str, ...], since: str | None, annex_unit: str | None, csv_path: Path | None,
-    xlsx_path: Path | None, language: str, *, as_json: bool,
+    xlsx_path: Path | None, engine: str | None, language: str, *, as_json: bool,
 ) -> None:  # fmt: skip
     """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
 
@@ -73,6 +75,8 @@ def metrics(
         raise BadInput("--annex-a stands alone, with --lang and --json: it is the unit's last values of JJF 2014-2022")
     asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
     with opened_catalog(folder, quiet=as_json) as catalog:
+        if engine is not None:
+            compute_by_engine(catalog, engine, ids)
         if annex_unit is not None:
             _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
             return

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.text import Text
 
+from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.metrics import language_option, opened_catalog
 from storage.commands.stored_names import UNIT
 from stream.console import counted, notes, print_json, reporting, results, store_option, styled
@@ -42,11 +43,12 @@ _ZH = {
 @click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
+@engine_option
 @language_option
 @reporting
 def verdicts(
-    folder: Path, units: tuple[str, ...], by: Any, language: str, *, risks: bool, fail_on_fail: bool,
-    as_json: bool,
+    folder: Path, units: tuple[str, ...], by: Any, engine: str | None, language: str, *, risks: bool,
+    fail_on_fail: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
 
@@ -62,6 +64,8 @@ def verdicts(
     if risks and (units or by):
         raise BadInput("--risks stands alone: it is of all units, by lot")
     with opened_catalog(folder, quiet=as_json) as catalog:
+        if engine is not None:
+            compute_by_engine(catalog, engine)
         found = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
         shares = yield_by(catalog, by) if by else []
         of_lots = lot_risks(catalog) if risks else []

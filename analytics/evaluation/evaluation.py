@@ -8,7 +8,7 @@ from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -67,15 +67,30 @@ _PACKAGES = (
 )  # fmt: skip
 
 
-def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = ()) -> pa.Table:
+class Computation(Protocol):
+    """Computes what is not kept, otherwise than in this process; the results are the same to the last bit."""
+
+    def records(
+        self, catalog: Catalog, runs: list[str], prints: Mapping[str, str], progress: Progress | None
+    ) -> pa.Table:
+        """Step records of runs, see `records_of`."""
+
+    def values(self, catalog: Catalog, steps: pa.Table, units: list[str], names: Collection[str]) -> pa.Table:
+        """These metrics of units, from all step records; `COLUMNS`."""
+
+
+def unit_metrics(
+    catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = (),
+    computation: Computation | None = None,
+) -> pa.Table:  # fmt: skip
     """Metrics of all units of a store; puts the tables ``step_means``, ``unit_metrics`` and the views of this package.
 
     `progress` is called with how many of how many changed runs have been reduced. Of units that changed only the
     `wanted` metrics are computed, all if empty. The columns are `COLUMNS`. Values of units whose records and products
     have not changed are read from the kept file; recomputed they are the same to the last bit. Metrics that are not
-    wanted may be missing.
+    wanted may be missing. What is not kept is computed here, or by a `computation`.
     """
-    steps = step_means(catalog, progress)
+    steps = step_means(catalog, progress, None if computation is None else computation.records)
     define_views(catalog, steps)
     of_documents = (dict(catalog.rows(sql)) for sql in (_ENTERED, _PRODUCTS))
     prints = _unit_fingerprints(steps, *of_documents, _averaging_times(catalog, steps))
@@ -88,13 +103,16 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
     if catalog.frozen and (stale or not is_same):
         raise NotKept
     if not is_same:
-        table = _of_units(table, [unit for unit, names in known.items() if names])
+        table = of_units(table, [unit for unit, names in known.items() if names])
     is_partial = len(stale) < len(prints)
     if stale:
-        if is_partial:
-            catalog.put("step_means", _of_units(steps, stale))
-        # a metric may also look at documents, which are those of all units
-        found = _of_units(evaluate(catalog, [metrics()[name] for name in sorted(needed)]), stale)
+        if computation is not None:
+            found = computation.values(catalog, steps, stale, needed)
+        else:
+            if is_partial:
+                catalog.put("step_means", of_units(steps, stale))
+            # a metric may also look at documents, which are those of all units
+            found = of_units(evaluate(catalog, [metrics()[name] for name in sorted(needed)]), stale)
         replaced = pc.and_(_is_in(table["unit"], stale), _is_in(table["metric"], needed))
         catalog.put("unit_metrics", pa.concat_tables([table.filter(pc.invert(replaced)), found]))
         table = catalog.table(_SORTED).cast(COLUMNS)
@@ -109,16 +127,19 @@ def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Col
         }
         if not catalog.frozen:
             write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(marks)}))
-    if is_partial and needed == every:  # else the evaluation has put those of all units
+    if computation is not None or (is_partial and needed == every):  # else the evaluation has put those of all units
         keep_scale_factors(catalog)
     catalog.put("unit_metrics", table)
     return table
 
 
-def define_views(catalog: Catalog, steps: pa.Table) -> None:
-    """Define the tables and views that metrics use."""
+def define_views(catalog: Catalog, steps: pa.Table, specifications: Mapping[str, pa.Table] | None = None) -> None:
+    """Define the tables and views that metrics use; with `specifications` these tables, instead of the store's own."""
     catalog.put("step_means", steps)
-    put_specifications(catalog)
+    if specifications is None:
+        put_specifications(catalog)
+    for name, table in (specifications or {}).items():
+        catalog.put(name, table)
     catalog.put("rate_units", _rate_units(steps))
     define_scripts(catalog, "views")
 
@@ -222,7 +243,8 @@ def _is_in(column: pa.ChunkedArray, names: Collection[str]) -> pa.ChunkedArray:
     return pc.is_in(column, pa.array(sorted(names), pa.string()))
 
 
-def _of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
+def of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
+    """Rows of some units."""
     return table.filter(_is_in(table["unit"], units))
 
 

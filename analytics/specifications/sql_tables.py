@@ -31,14 +31,17 @@ _HISTORY = pa.schema({
     "t_ns": _WHOLE, "action": _TEXT, "specification": _TEXT, "revision": _TEXT, "entered_by": _TEXT, "reason": _TEXT,
     "rejudges": pa.bool_(), "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
 })  # fmt: skip
+SPECIFICATION_TABLES = (
+    "limit_editions", "specification_parameters", "product_editions", "specification_history", "specification_problems",
+    "specification_limits",
+)  # fmt: skip
 _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause", "parameters", "needs", "equation")
 
 
 def put_specifications(catalog: Catalog) -> None:
     """Put the tables of the store's specifications: limits and products with the times in which they hold.
 
-    ``limit_editions``, ``product_editions``, ``specification_limits``, ``specification_parameters``,
-    ``specification_history`` and ``specification_problems``. A broken chain of documents gives no limits.
+    They are those of `SPECIFICATION_TABLES`. A broken chain of documents gives no limits.
     """
     chain = read_chain(catalog.store, catalog)
     editions = editions_of(chain.links)
@@ -64,6 +67,11 @@ def put_specifications(catalog: Catalog) -> None:
         catalog.put(name, pa.Table.from_pylist(rows, schema=schema))
     limits_now = pa.Table.from_pylist(now, schema=_LIMITS)
     catalog.put("specification_limits", limits_now.drop_columns(["known_from_ns", "known_until_ns"]))
+
+
+def specification_tables(catalog: Catalog) -> dict[str, pa.Table]:
+    """The tables that `put_specifications` has put into a catalogue, by name."""
+    return {name: catalog.stored(name) for name in SPECIFICATION_TABLES}
 
 
 def put_names(catalog: Catalog) -> None:

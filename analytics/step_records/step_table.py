@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
@@ -25,14 +25,18 @@ _INPUTS = files("analytics.step_records").joinpath("run_inputs.sql").read_text()
 _MARK = b"gyrofleet.written"
 
 Progress = Callable[[int, int], None]
+# records of some runs, see `records_of`
+Reduce = Callable[[Catalog, list[str], Mapping[str, str], Progress | None], pa.Table]
 
 
-def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
+def step_means(catalog: Catalog, progress: Progress | None = None, reduce: Reduce | None = None) -> pa.Table:
     """Records of all completed steps of a store; those of unchanged runs are read from the kept file.
 
-    `progress` is called with how many of how many runs have been reduced. The columns are those of ``step_means.sql``
-    and `fingerprint`, the hash of what a run's records were made from.
+    `progress` is called with how many of how many runs have been reduced; `reduce` makes their records, by default
+    `records_of`. The columns are those of ``step_means.sql`` and `fingerprint`, the hash of what a run's records were
+    made from.
     """
+    reduce = reduce or records_of
     prints = run_fingerprints(catalog)
     kept = kept_steps(catalog.kept)
     known = {} if kept is None else kept_prints(kept)
@@ -47,8 +51,8 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
         of_fresh = pa.compute.is_in(kept["run"], value_set=pa.array(sorted(fresh), pa.string()))
         tables.append(kept.filter(of_fresh))
     if stale:
-        tables.append(_reduced(catalog, stale, prints, progress))
-    table = pa.concat_tables(tables, promote_options="default") if tables else _reduced(catalog, [], {}, None)
+        tables.append(reduce(catalog, stale, prints, progress))
+    table = pa.concat_tables(tables, promote_options="default") if tables else records_of(catalog, [], {}, None)
     table = table.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
     if not catalog.frozen:
         write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
@@ -68,7 +72,8 @@ def kept_prints(table: pa.Table) -> dict[str, str]:
     return dict(distinct_pairs(table, "run", _PRINT))
 
 
-def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress: Progress | None) -> pa.Table:
+def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None) -> pa.Table:
+    """Records of runs, whose fingerprints are given."""
     reduced = [COLUMNS.empty_table()]
     for done, run in enumerate(runs):
         reduced.append(reduce_run(catalog, run))

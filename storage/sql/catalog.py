@@ -76,18 +76,23 @@ class Catalog(Closing):
     store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes` is the limit of DuckDB, which
     then uses no disk either; by default most of the machine's memory. With `live` users' statements also see the rows
     that only the log has, as it is when one first names a table that has some; layers and the project's own statements
-    never do.
+    never do. With `units` channels, documents and estimates of other units are left out, and so their samples; those of
+    no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
     """
 
     def __init__(
         self, store: Store, file: Path | None = None, *, progress: Progress | None = None,
         parts: Iterable[Part] | None = None, kept: Path | None = None, frozen: bool = False,
-        memory_bytes: int | None = None, live: bool = False,
+        memory_bytes: int | None = None, live: bool = False, units: Collection[str] | None = None,
+        threads: int | None = None,
     ) -> None:  # fmt: skip
         self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
+        if threads is not None:
+            config["threads"] = threads
+        self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
         self._connection.execute("set timezone = 'UTC'; create schema internal")
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
@@ -119,9 +124,12 @@ class Catalog(Closing):
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
             self._connection.execute(f"create table {source} ({columns}, filename varchar)")
             return
-        listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+        of_units = ""
+        if self._units is not None and "unit" in (column.name for column in TABLES[table]):
+            of_units = f" where unit is null or unit in ({_quoted(['', *self._units])})"
+        sql = f"create view {source} as select *, filename from read_parquet([{_quoted(paths)}]){of_units}"  # noqa: S608
         with reading_lake(self.store):
-            self._connection.execute(f"create view {source} as select *, filename from read_parquet([{listed}])")  # noqa: S608
+            self._connection.execute(sql)
 
     def _define_views(self) -> None:
         """Define the views on the lake, once; most statements that see live rows need no others."""
@@ -139,12 +147,16 @@ class Catalog(Closing):
 
     def put(self, name: str, table: pa.Table) -> None:
         """Create or replace a table; one that no layer lists goes to the schema `internal`."""
-        schema = "main" if name in known_tables() else "internal"
+        schema = _schema_of(name)
         self._connection.register("put_rows", table)
         try:
             self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
         finally:
             self._connection.unregister("put_rows")
+
+    def stored(self, name: str) -> pa.Table:
+        """A table that was put."""
+        return self._connection.table(f"{_schema_of(name)}.{name}").to_arrow_table()
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
@@ -249,6 +261,14 @@ class Catalog(Closing):
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
+
+
+def _schema_of(table: str) -> str:
+    return "main" if table in known_tables() else "internal"
+
+
+def _quoted(texts: Iterable[str]) -> str:
+    return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
 
 
 def _failed(error: duckdb.Error) -> QueryError:
