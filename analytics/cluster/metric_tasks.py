@@ -9,9 +9,8 @@ import pyarrow as pa
 from analytics.cluster.arrow_bytes import from_bytes, to_bytes
 from analytics.cluster.engine import Done, Engine
 from analytics.cluster.store_slice import StoreSlice, sliced
-from analytics.evaluation.evaluation import COLUMNS, define_views, evaluate, of_units
+from analytics.evaluation.evaluation import COLUMNS, define_views, evaluate, of_units, tables_of_store
 from analytics.metric_registry.registry import metrics
-from analytics.specifications.sql_tables import specification_tables
 from analytics.step_records.step_table import Progress, records_of
 from storage.sql.catalog import Catalog
 
@@ -29,12 +28,12 @@ class RecordsTask:
 
 @dataclass(frozen=True)
 class ValuesTask:
-    """Metrics of a slice from its step records and the tables of the store's specifications."""
+    """Metrics of a slice from its step records, and what these ask of the whole store (see `tables_of_store`)."""
 
     of: StoreSlice
     names: tuple[str, ...]
     steps: bytes
-    specifications: Mapping[str, bytes]
+    of_store: Mapping[str, bytes]
 
 
 def compute_records(task: RecordsTask) -> bytes:
@@ -46,7 +45,7 @@ def compute_records(task: RecordsTask) -> bytes:
 def compute_values(task: ValuesTask) -> bytes:
     """Metrics of a slice's units."""
     with task.of.open() as catalog, catalog.suspended_layers():
-        define_views(catalog, from_bytes(task.steps), {n: from_bytes(each) for n, each in task.specifications.items()})
+        define_views(catalog, from_bytes(task.steps), {n: from_bytes(each) for n, each in task.of_store.items()})
         return to_bytes(of_units(evaluate(catalog, [metrics()[name] for name in task.names]), task.of.units))
 
 
@@ -84,9 +83,9 @@ class ClusterComputation:
 
     def values(self, catalog: Catalog, steps: pa.Table, units: list[str], names: Collection[str]) -> pa.Table:
         """These metrics of units; a task has at most 1000."""
-        specifications = {name: to_bytes(table) for name, table in specification_tables(catalog).items()}
+        of_store = {name: to_bytes(table) for name, table in tables_of_store(catalog).items()}
         tasks = [
-            ValuesTask(each, tuple(sorted(names)), to_bytes(of_units(steps, each.units)), specifications)
+            ValuesTask(each, tuple(sorted(names)), to_bytes(of_units(steps, each.units)), of_store)
             for each in sliced(catalog, units, self._engine.slots, most=_UNITS_OF_VALUES, rounds=1)
         ]
         return pa.concat_tables([COLUMNS.empty_table(), *self._map(compute_values, tasks)])

@@ -184,12 +184,17 @@ class _Attempted:
             attempt = TaskContext.get()
             if attempt is not None and attempt.attemptNumber() < _ATTEMPTS - 1:
                 raise
-            is_known = isinstance(error, GyrofleetError)
-            what = str(error) if is_known else "".join(traceback.format_exception(error)[-2:]).strip()
-            self._failures.add((_Failure(socket.gethostname(), what),))
+            self._failures.add((_Failure(socket.gethostname(), _what(error)),))
             return None
         self._counted.add(size)
         return found
+
+
+def _what(error: Exception) -> str:
+    if isinstance(error, GyrofleetError):
+        return str(error)
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({at.filename}:{at.lineno})"
 
 
 def _versions(_: None) -> dict[str, str]:

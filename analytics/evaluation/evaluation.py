@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from analytics.evaluation.type_b import COVERAGE, UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
-from analytics.specifications.sql_tables import put_specifications
+from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
 from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, read_kept, step_means, write_kept
 from storage.sql.catalog import Catalog, NotKept
@@ -51,6 +51,10 @@ _SHARED = """
 create or replace table internal.scale_fits as from scale_lines('internal.scale_sides');
 create or replace table internal.scale_factors as from measured_scale_factors('internal.scale_fits');
 create or replace table internal.still_steps as from internal.standing_steps;
+"""
+# What metrics ask of all units, also where they are computed for a part of them.
+_OF_RECORDS = """
+create or replace table internal.units_of_runs as select distinct run, unit, "procedure" from step_means
 """
 # A total order, so that kept and recomputed rows make the same table.
 _SORTED = """
@@ -133,15 +137,24 @@ def unit_metrics(
     return table
 
 
-def define_views(catalog: Catalog, steps: pa.Table, specifications: Mapping[str, pa.Table] | None = None) -> None:
-    """Define the tables and views that metrics use; with `specifications` these tables, instead of the store's own."""
+def define_views(catalog: Catalog, steps: pa.Table, of_store: Mapping[str, pa.Table] | None = None) -> None:
+    """Define the tables and views that metrics use.
+
+    Where `steps` are those of some units, `of_store` has the tables of the whole store, see `tables_of_store`.
+    """
     catalog.put("step_means", steps)
-    if specifications is None:
+    catalog.define(_OF_RECORDS)
+    if of_store is None:
         put_specifications(catalog)
-    for name, table in (specifications or {}).items():
+    for name, table in (of_store or {}).items():
         catalog.put(name, table)
     catalog.put("rate_units", _rate_units(steps))
     define_scripts(catalog, "views")
+
+
+def tables_of_store(catalog: Catalog) -> dict[str, pa.Table]:
+    """Tables of a catalogue that metrics of a unit need, and that are of all units; by name."""
+    return {name: catalog.stored(name) for name in (*SPECIFICATION_TABLES, "units_of_runs")}
 
 
 def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -> None:

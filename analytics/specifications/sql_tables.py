@@ -69,11 +69,6 @@ def put_specifications(catalog: Catalog) -> None:
     catalog.put("specification_limits", limits_now.drop_columns(["known_from_ns", "known_until_ns"]))
 
 
-def specification_tables(catalog: Catalog) -> dict[str, pa.Table]:
-    """The tables that `put_specifications` has put into a catalogue, by name."""
-    return {name: catalog.stored(name) for name in SPECIFICATION_TABLES}
-
-
 def put_names(catalog: Catalog) -> None:
     """Put the tables ``result_factors``, of the units of limits and values, and ``metric_names``."""
     catalog.put("result_factors", _factors(catalog))
