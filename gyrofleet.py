@@ -112,6 +112,7 @@ def _add_commands() -> None:
     from storage.commands.export_iceberg import export_iceberg
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
+    from storage.commands.replicate import replicate
     from storage.commands.sql import sql
     from storage.commands.status import status
     from storage.commands.verify import recover, verify
@@ -123,7 +124,7 @@ def _add_commands() -> None:
     main.add_section("Certify", budget, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
-    main.add_section("Look after the store", lake, rebuild, retain, verify, recover, export_iceberg)
+    main.add_section("Look after the store", lake, rebuild, retain, replicate, verify, recover, export_iceberg)
     main.add_section("Shell", completion)
 
 

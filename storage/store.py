@@ -11,11 +11,13 @@ from typing import Self
 from uuid import uuid4
 
 from storage.store_marker import (
+    FLEET_MARKER,
     MARKER,
     alone_in,
     identity_of_copy,
     identity_of_segments,
     is_repairable,
+    is_replica,
     is_unfinished,
     read_marker,
     write_markers,
@@ -25,6 +27,8 @@ from stream.errors import BadInput, StoreError
 
 _LOCK = "writer.lock"
 _LOCK_ATTEMPTS = 5
+REPLICATION = "gyrofleet replicate"
+"""Role of the only writer of the copies in a fleet store."""
 _OUTPUT_FOLDERS = {"plots", "reports"}  # within a store, for files that commands write for people
 
 
@@ -59,6 +63,10 @@ class Store:
                 ) from error
             if not is_missing:
                 raise StoreError(f"{marker} cannot be read ({error}); is {folder} a gyrofleet store?") from error
+            if (folder / FLEET_MARKER).exists():
+                raise StoreError(
+                    f"{folder} is a fleet store of many plants; this command asks one: --store {folder}/plants/NAME"
+                ) from None
             what = "there is no such folder" if not folder.exists() else f"it holds no {MARKER}"
             raise StoreError(
                 f"{folder} is not a gyrofleet store ({what}); import or record something first, or give --store DIR"
@@ -141,6 +149,11 @@ class WriterLock(Closing):
     """
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
+        if is_replica(store.folder) and role != REPLICATION:
+            raise StoreError(
+                f"{store.folder} is a fleet store's copy of a plant, which `gyrofleet replicate` alone writes: record, "
+                "enter and repair at the plant; what the copy has lost comes back by `gyrofleet replicate --recall`"
+            )
         path = store.folder / _LOCK
         store.log.mkdir(exist_ok=True)
         path.touch()

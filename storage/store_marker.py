@@ -17,6 +17,9 @@ from stream.errors import StoreError
 
 STORE_FORMAT = 1
 MARKER = "store.json"
+FLEET_MARKER = "fleet.json"
+REPLICA = "replica"
+"""Folder in the copy of a plant's store that a fleet store holds; such a store is written by replication alone."""
 _SEGMENT = re.compile(r"\d{8}\.mcap(\..*)?")
 _IDENTITY = re.compile(r"[0-9a-f]{32}")
 _CHECKSUM = "sha256"
@@ -54,6 +57,11 @@ def write_markers(folder: Path, identity: str) -> None:
     copy, content_now = folder / "log" / MARKER, marker.read_bytes()
     if (not copy.exists() or copy.read_bytes() != content_now) and os.access(copy.parent, os.W_OK):
         write_durably(copy, content_now, fresh=folder / "tmp" / MARKER)
+
+
+def is_replica(folder: Path) -> bool:
+    """Whether a store is a fleet store's copy of a plant."""
+    return (folder / REPLICA).is_dir()
 
 
 def identity_of_copy(folder: Path) -> str | None:

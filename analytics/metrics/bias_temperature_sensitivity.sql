@@ -22,7 +22,8 @@ select unit, signal, run, all_n as n, all_steps as steps, lack as reason, slope 
   {run: run, unit: unit, signal: signal, "procedure": "procedure", position: position, again: again} as test,
   {
     room_temperature_deg_c: round(room_temperature, 2), temperature_source: temperature_source, points: points,
-    position: position, repeat: again, scale_factor: scale_source
+    position: position, repeat: again, scale_factor: scale_source,
+    temperature_deg_c_of_largest: round(temperature, 2)
   } as parameters
 from internal.bias_temperature_points
 order by test, "index"

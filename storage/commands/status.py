@@ -1,6 +1,8 @@
 """The command `gyrofleet status`."""
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.recording.store_status import RoleReport, StoreStatus
+    from storage.replication.fleet_status import FleetStatus
     from stream.status.role_status import RunProgress
 
 _EVERY_S = 2.0
@@ -27,24 +30,49 @@ def status(folder: Path, *, is_watch: bool, as_json: bool) -> None:
 
     The exit code is 0 where all that is at work is well, 1 where a role has failed, was killed, is silent or paused,
     lags, or has trouble; the troubles are listed. Each role reports once a second, also over the bus from another
-    computer. --status-listen of a role serves the same to Prometheus.
+    computer. --status-listen of a role serves the same to Prometheus. Of a
+    fleet store: how far each plant's copy is behind, and what was refused.
     """
-    from storage.recording.store_status import store_status
+    from storage.fleet_store import FleetStore, is_fleet
+    from storage.recording.store_status import StoreStatus, store_status
+    from storage.replication.fleet_status import FleetStatus, fleet_status
     from storage.store import Store
 
-    store = Store.open(folder)
+    look: Callable[[], StoreStatus | FleetStatus]
+    if is_fleet(folder):
+        fleet = FleetStore.open(folder)
+        look = partial(fleet_status, fleet)
+    else:
+        look = partial(store_status, Store.open(folder))
     with until_stopped() as stopped:
         while True:
-            found = store_status(store)
+            found = look()
             if as_json:
                 print_json(found)
             else:
                 if is_watch and results().is_terminal:
                     results().clear()
-                _show(found)
+                if isinstance(found, FleetStatus):
+                    _show_fleet(found)
+                else:
+                    _show(found)
             if not is_watch or stopped.wait(_EVERY_S):
                 break
     sys.exit(1 if found.troubles else 0)
+
+
+def _show_fleet(found: "FleetStatus") -> None:
+    from storage.recording.disk_watch import format_bytes
+
+    table = ResultTable("plant", "segments", "bytes", "behind", "last answered")
+    for each in found.plants:
+        lag = f"{each.lag.segments:,} segments, {each.lag.seconds:,.0f} s" if each.lag.segments else "-"
+        age = "never" if each.contact_age_s is None else f"{_duration(each.contact_age_s)} ago"
+        table.add_row(each.plant, f"{each.segments:,}", format_bytes(each.bytes), lag, age)
+    results().print(table)
+    results().print(f"{format_bytes(found.free_bytes)} free of {format_bytes(found.disk_bytes)}")
+    for trouble in found.troubles:
+        notes().print(f"trouble: {trouble}", soft_wrap=True, markup=False)
 
 
 def _show(found: "StoreStatus") -> None:

@@ -2,12 +2,18 @@
 
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 import click
+import msgspec
 
-from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.result_table import ResultTable
+
+if TYPE_CHECKING:
+    from storage.findings import Finding, Verification
 
 _SHOWN_OF_A_KIND = 8
 _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
@@ -21,11 +27,15 @@ def verify(folder: Path, *, as_json: bool) -> None:
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
     gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
-    models in use and the copies of the specifications, whose documents in the log form an unbroken chain.
+    models in use and the copies of the specifications, whose documents in the log form an unbroken chain. Of a fleet
+    store every plant is verified.
     """
     from storage.check.verify import verify as verify_store
+    from storage.fleet_store import is_fleet
     from storage.store import Store
 
+    if is_fleet(folder):
+        _verify_fleet(folder, as_json=as_json)
     store = Store.open(folder)
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {folder}", total=1.0)
@@ -33,23 +43,54 @@ def verify(folder: Path, *, as_json: bool) -> None:
     if as_json:
         print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
         sys.exit(0 if found.is_sound else 1)
-    if found.findings:
-        table = ResultTable("", "where", "what", "what `gyrofleet recover` does")
-        shown: Counter[str] = Counter()
-        for finding in found.findings:
-            shown[finding.kind] += 1
-            if shown[finding.kind] <= _SHOWN_OF_A_KIND:
-                severity = styled(finding.severity, _COLOURS[finding.severity])
-                table.add_row(severity, finding.where, finding.what, finding.remedy)
-        results().print(table)
-        for kind, count in shown.items():
-            if count > _SHOWN_OF_A_KIND:
-                results().print(f"{count - _SHOWN_OF_A_KIND:,} more of {kind}; --json lists all")
+    _print_findings(found.findings)
+    _print_counts(found)
+    sys.exit(0 if found.is_sound else 1)
+
+
+def _print_findings(findings: "Sequence[Finding]") -> None:
+    if not findings:
+        return
+    table = ResultTable("", "where", "what", "what `gyrofleet recover` does")
+    shown: Counter[str] = Counter()
+    for finding in findings:
+        shown[finding.kind] += 1
+        if shown[finding.kind] <= _SHOWN_OF_A_KIND:
+            severity = styled(finding.severity, _COLOURS[finding.severity])
+            table.add_row(severity, finding.where, finding.what, finding.remedy)
+    results().print(table)
+    for kind, count in shown.items():
+        if count > _SHOWN_OF_A_KIND:
+            results().print(f"{count - _SHOWN_OF_A_KIND:,} more of {kind}; --json lists all")
+
+
+def _print_counts(found: "Verification", plant: str = "") -> None:
+    what = f"plant {plant}" if plant else "the store"
     results().print(
         f"{found.segments:,} segments with {found.samples:,} samples in {found.messages:,} messages, {found.parts:,} "
         f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "
-        + ("the store is sound" if found.is_sound else "the store is NOT sound")
+        + (f"{what} is sound" if found.is_sound else f"{what} is NOT sound")
     )
+
+
+def _verify_fleet(folder: Path, *, as_json: bool) -> NoReturn:
+    from storage.check.verify_fleet import verify_fleet
+    from storage.fleet_store import FleetStore
+
+    fleet = FleetStore.open(folder)
+    with progress_bar(hidden=as_json) as progress:
+        task = progress.add_task(f"reading {folder}", total=1.0)
+        found = verify_fleet(fleet, lambda done: progress.update(task, completed=done))
+    if as_json:
+        plants = {name: {"sound": each.is_sound, **msgspec.to_builtins(each)} for name, each in found.plants.items()}
+        print_json({"sound": found.is_sound, "store": found.store, "plants": plants, "findings": found.findings})
+    else:
+        for name, each in found.plants.items():
+            _print_findings(each.findings)
+            _print_counts(each, name)
+        _print_findings(found.findings)
+        sound = "the fleet store is sound" if found.is_sound else "the fleet store is NOT sound"
+        results().print(f"{counted(len(found.plants), 'plant')}: {sound}")
     sys.exit(0 if found.is_sound else 1)
 
 

@@ -17,6 +17,7 @@ from storage.log.event_log import EventLog
 from storage.log.sequence import LogPlace
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
+from storage.store_marker import is_replica
 from stream.errors import StoreError
 from stream.events import AnyDocument, CertificateIssued, SpecificationEntered, StoreNoted, encode_event
 from stream.identity import Place
@@ -74,7 +75,12 @@ def sealed(store: Store, document: Sealed) -> Sealed:
 
 
 def is_sealed(store: Store, document: SpecificationEntered | CertificateIssued) -> bool:
-    """Whether a document has the signature of a store."""
+    """Whether a document has the signature of a store.
+
+    The secret stays at the plant: a fleet store's copy relies on the plant's recorder, which accepts no other.
+    """
+    if is_replica(store.folder):
+        return document.store == store.identity
     return hmac.compare_digest(document.seal.encode(), sealed(store, document).seal.encode())
 
 

@@ -7,14 +7,15 @@ A session that listens is a router, so that its clients see each other's message
 import json
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import zenoh
 
 from stream.bounds import MAX_MESSAGE_BYTES
 from stream.closing import Closing
-from stream.errors import BusError
+from stream.errors import BusError, GyrofleetError
 from stream.transport.bus import Handler, call_handlers
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -26,6 +27,8 @@ _ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
 # other side has given up too: waiting longer only delays its reconnection. A router does not wait for a slow consumer,
 # which blocks all others meanwhile.
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+Answerer = Callable[[str, bytes], bytes]
+
 _QUEUED_MESSAGES = 256
 _MESSAGE_ROOM_BYTES = 4 << 20  # so that a message slightly too large arrives, and is counted and reported
 _PATIENCE_S = 5.0
@@ -128,11 +131,75 @@ class ZenohBus(Closing):
         if found is not None:
             _end(*found)
 
+    def answer(self, key: str, answerer: Answerer) -> None:
+        """Answer every request that matches a key by ``answerer(key, payload)``; its error is sent to who asks."""
+        queryable = self._session.declare_queryable(key, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
+        channel = queryable.handler
+
+        def take() -> None:
+            for query in channel:
+                with query:
+                    payload = b"" if query.payload is None else query.payload.to_bytes()
+                    try:
+                        content = answerer(key, payload)
+                    except GyrofleetError as error:
+                        query.reply_err(str(error))
+                    except Exception as error:  # noqa: BLE001  a mistake of this answerer alone
+                        query.reply_err(f"{type(error).__name__}: {error}")
+                    else:
+                        with suppress(zenoh.ZError):  # who asked has gone
+                            query.reply(key, content)
+
+        thread = threading.Thread(target=take, name=f"gyrofleet-answers {key}", daemon=True)
+        thread.start()
+        self._subscribers[f"answers {key}"] = queryable, thread
+
+    def ask(
+        self, key_expression: str, payload: bytes = b"", timeout_s: float = 10.0, *, asks_all: bool = False
+    ) -> "Answers":
+        """Send a request, to the nearest that answers or to all; its answers can be waited for later.
+
+        A BusError if the session is closed.
+        """
+        try:
+            replies = self._session.get(
+                key_expression, payload=payload, timeout=timeout_s, congestion_control=zenoh.CongestionControl.BLOCK,
+                target=zenoh.QueryTarget.ALL if asks_all else zenoh.QueryTarget.BEST_MATCHING,
+            )  # fmt: skip
+            return Answers(replies)
+        except zenoh.ZError as error:
+            raise BusError(f"cannot ask {key_expression}: {_message_of(error)}") from error
+
     def close(self) -> None:
         """Leave the bus."""
         for found in list(self._subscribers.values()):
             _end(*found)
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+class Answers:
+    """The answers to a request, waited for when they are first read."""
+
+    def __init__(self, replies: Any) -> None:
+        self._replies = replies
+
+    def all(self) -> list[tuple[str, bytes]]:
+        """Key and content of each answer; none if nobody has answered in time. A Refused if only errors came."""
+        found, errors = [], []
+        for reply in self._replies:
+            if reply.ok is not None:
+                found.append((str(reply.ok.key_expr), reply.ok.payload.to_bytes()))
+            elif reply.err is not None:
+                errors.append(reply.err.payload.to_string())
+        if not found and errors:
+            if errors[0] == "Timeout":
+                return []
+            raise Refused(errors[0])
+        return found
+
+
+class Refused(BusError):
+    """The other side answers a request with an error."""
 
 
 def _end(subscriber: Any, thread: threading.Thread) -> None:

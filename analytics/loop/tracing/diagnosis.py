@@ -170,7 +170,7 @@ def _leaves_structure(case: Case, candidates: Candidates, found: Search) -> bool
 
     The latter is a jump, or a function of temperature that does not replicate.
     """
-    if noise_excess(case.training, found.joint).is_excess or (found.unreplicated and not found.selected):
+    if noise_excess(case.training, found.joint).is_slow_excess or (found.unreplicated and not found.selected):
         return True
     if any(each.fitted.effect.kind is EffectKind.EVENT for each in found.selected):
         return True

@@ -66,6 +66,7 @@ def test_room_temperature_is_the_step_that_says_so_else_the_one_nearest_to_20_de
     # too near to the room to divide by
     near = recorded(curve({20.0: 2.0, 20.5: 9.0, 40.0: 3.0}), metric)
     assert (one(near)["value"], one(near)["points"]) == (exact(1 / 20), 1)
+    assert one(near)["temperature_deg_c_of_largest"] == 40.25  # a budget asks how far the room is
     again = curve({20.0: 2.0, 40.0: 3.0}, repeat=1) + curve({20.0: 2.0, 40.0: 4.0}, repeat=2)
     assert [row["value"] for row in recorded(again, metric)] == [exact(1 / 20), exact(2 / 20)]
 

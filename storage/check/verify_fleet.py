@@ -1,0 +1,94 @@
+"""Verification of a fleet store: the copy of every plant, its list, and what plants state differently."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import msgspec
+
+from storage.check.verify import verify
+from storage.findings import Finding, Severity, Verification
+from storage.fleet_store import FleetStore, Replica
+from storage.log.files import sealed_segments
+from storage.manifests.log import read_log_manifest
+from storage.replication.plant_list import PlantList
+from storage.replication.progress import read_progress
+from storage.replication.receiver import LIST
+from storage.replication.service import fleet_conflicts
+from stream.errors import GyrofleetError, StoreError
+
+_RECALL = "`gyrofleet replicate --recall` fetches it from the plant"
+_OF_SEGMENTS = {"segment_damaged", "segment_missing", "manifest_missing", "manifest_damaged", "log_missing"}
+
+
+class FleetVerification(msgspec.Struct, frozen=True):
+    """Result for every plant by name, and findings on the fleet store as a whole."""
+
+    store: str
+    plants: dict[str, Verification]
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing needs to be repaired, fetched, or decided."""
+        alone = all(finding.severity is Severity.NOTE for finding in self.findings)
+        return alone and all(each.is_sound for each in self.plants.values())
+
+
+def verify_fleet(fleet: FleetStore, progress: Callable[[float], None] = lambda _done: None) -> FleetVerification:
+    """Verify the copies of all plants, one after the other, without changes."""
+    replicas = fleet.replicas()
+    plants, findings = {}, []
+    for number, replica in enumerate(replicas):
+        found, _ = verify(replica.store, partial(_report, progress, number, len(replicas)))
+        own = [*(_with_recall(finding) for finding in found.findings), *_of_replica(replica)]
+        plants[replica.plant.name] = msgspec.structs.replace(found, findings=tuple(own))
+    for plant, what in fleet.refusals():
+        remedy = "if it is no other plant, look who took its place; delete refused.json to forget this"
+        findings.append(Finding("plant_refused", Severity.NOTE, plant.name, what, remedy))
+    try:
+        findings += [
+            Finding("identity_conflict", Severity.NOTE, each.unit, str(each)) for each in fleet_conflicts(fleet)
+        ]
+    except GyrofleetError as error:  # a damaged lake is reported above
+        findings.append(
+            Finding("check_failed", Severity.DAMAGE, str(fleet.folder), str(error), "repair the others first")
+        )
+    return FleetVerification(str(fleet.folder), plants, tuple(findings))
+
+
+def _report(progress: Callable[[float], None], before: int, of: int, done: float) -> None:
+    progress((before + done) / of)
+
+
+def _with_recall(finding: Finding) -> Finding:
+    return msgspec.structs.replace(finding, remedy=_RECALL) if finding.kind in _OF_SEGMENTS else finding
+
+
+def _of_replica(replica: Replica) -> Iterator[Finding]:
+    where = replica.folder / LIST
+    for refusal in read_progress(replica).refused:
+        segment = replica.store.log / refusal.segment if refusal.segment else replica.store.log
+        remedy = "repair it at the plant; what was received before stays"
+        yield Finding(
+            "replication_refused", Severity.UNFINISHED, str(segment), f"{refusal.kind}: {refusal.what}", remedy
+        )
+    try:
+        listed = PlantList(where)
+    except StoreError as error:
+        yield Finding("list_damaged", Severity.DAMAGE, str(where), str(error), "delete it, the next pass receives it")
+        return
+    held = read_log_manifest(replica.store).entries
+    known = {(entry.segment, entry.sha256) for entry in (*listed.entries.values(), *listed.salvaged.values())}
+    for name, entry in held.items():
+        if (name, entry.sha256) not in known:
+            what = f"segment {name} is in the copy, and the plant never listed it with this SHA-256"
+            yield Finding(
+                "segment_not_listed", Severity.DAMAGE, str(replica.store.log / name), what, "find out who put it there"
+            )
+    here = {path.name for path in sealed_segments(replica.store)}
+    missing = sorted(listed.entries.keys() - here - held.keys() - listed.lost.keys())
+    if missing:
+        what = f"{len(missing)} segments of the plant's list have not arrived: {', '.join(missing[:5])}"
+        yield Finding(
+            "segments_not_arrived", Severity.UNFINISHED, str(replica.store.log), what, "`gyrofleet replicate`"
+        )

@@ -1,0 +1,203 @@
+"""The command `gyrofleet replicate`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import msgspec
+
+from stream.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
+from stream.errors import BadInput
+from stream.result_table import ResultTable
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+    from rich.progress import TaskID
+
+    from storage.replication.progress import Progress
+    from storage.replication.service import Pass
+
+_EVERY_S = 2.0
+_ENDPOINT = "tcp/127.0.0.1:7448"
+
+
+@click.command("replicate")
+@click.option(
+    "--from", "sources", multiple=True, metavar="PLANT",
+    help="A plant: its store's folder, or the endpoint that serves it; may be repeated. A fleet store: its plants.",
+)  # fmt: skip
+@click.option("--to", "target", type=click.Path(path_type=Path), metavar="FLEET", help="Folder of the fleet store.")
+@click.option("--plant", metavar="NAME", help="Name of the plant at its first use, else its folder's; then which one.")
+@click.option("--watch", "is_watch", is_flag=True, help="Keep following, until stopped.")
+@click.option(
+    "--bandwidth", type=click.FloatRange(min=1), metavar="BYTES_PER_S", help="Limit of all plants together; as 2e6."
+)
+@click.option(
+    "--serve", "serves", is_flag=True, help="Serve a plant's segments to fleet stores instead, until stopped."
+)
+@click.option("--store", "folder", type=click.Path(path_type=Path), help="With --serve: the store, or a fleet store.")
+@click.option("--listen", metavar="ENDPOINT", help="With --serve: address.  [default: tcp/127.0.0.1:7448]")
+@click.option("--connect", metavar="ENDPOINT", help="With --serve: a `gyrofleet router` instead of --listen.")
+@click.option("--recall", "recalls", is_flag=True, help="Read all of --to; fetch what is lost or damaged.")
+@click.option("--no-lake", is_flag=True, help="Leave the lakes to `gyrofleet rebuild`, or to a later pass.")
+@reporting
+def replicate(
+    sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None,
+    folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool, serves: bool, recalls: bool,
+    no_lake: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Copy the sealed segments of plants into a fleet store, each once, verified at arrival.
+
+    What a plant sends can only continue its own history: a changed segment, a fork of its list, or a wrong hash is
+    refused and reported, and the exit code is 1. A pass that is cut off resumes where it was.
+
+    With --recall a segment that was lost on one side comes from the other: --to is the fleet store, or the store of a
+    plant whose copy --from has; an empty folder becomes the plant's store again.
+
+    \b
+    gyrofleet replicate --from night --to fleet --plant hangzhou
+    gyrofleet replicate --serve --store night --listen tcp/0.0.0.0:7448
+    gyrofleet replicate --from tcp/10.0.0.7:7448 --to fleet --watch
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from storage.fleet_store import FleetStore, is_fleet
+    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.opened import opened_sources
+    from storage.replication.service import Replication
+
+    if serves:
+        if folder is None or sources or target is not None:
+            raise BadInput("--serve takes --store, and --listen or --connect; --from and --to are of the other side")
+        _serve(folder, listen, connect, plant, as_json=as_json)
+        return
+    if folder is not None or listen or connect:
+        raise BadInput("--store, --listen and --connect go with --serve; else give --from PLANT and --to FLEET")
+    if not sources or target is None:
+        raise BadInput("give --from PLANT and --to FLEET")
+    if recalls and not (is_fleet(target) or is_watch):
+        _recall(sources, target, plant, bandwidth, as_json=as_json)
+        return
+    with until_stopped() as stopped, progress_bar(hidden=as_json) as bar, opened_sources(sources, plant) as opened:
+        replication = Replication(
+            FleetStore.create(target), bandwidth=Bandwidth(bandwidth, sleep=stopped.wait), builds_lakes=not no_lake,
+            rereads=recalls,
+            report=_Shown(bar), stopped=lambda: stopped.asked_at is not None,
+        )  # fmt: skip
+        shown: object = None
+        while True:
+            found = replication.run(opened)
+            state = (found.conflicts, found.lakes, [(each.refused, each.trouble, each.lag) for each in found.plants])
+            if not is_watch or found.added or found.added_files or state != shown:
+                shown = state
+                if as_json:
+                    print_json(
+                        {"is_well": found.is_well, **{name: getattr(found, name) for name in found.__struct_fields__}}
+                    )
+                else:
+                    _print(found)
+            if not is_watch or stopped.wait(_EVERY_S):
+                break
+    sys.exit(0 if found.is_well or is_watch else 1)
+
+
+def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | None, *, as_json: bool) -> None:
+    from contextlib import ExitStack
+
+    from storage.fleet_store import FleetStore, is_fleet
+    from storage.replication.bus_server import PlantServer
+    from storage.replication.folder_source import FolderSource
+    from stream.transport.zenoh_bus import ZenohBus
+
+    if listen and connect:
+        raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
+    folders = [folder]
+    if is_fleet(folder):
+        fleet = FleetStore.open(folder)
+        folders = [each.store.folder for each in (fleet.replicas() if plant is None else [fleet.replica(plant)])]
+    endpoint = connect or listen or _ENDPOINT
+    with until_stopped() as stopped, ExitStack() as stack:
+        bus = stack.enter_context(ZenohBus(listen=[] if connect else [endpoint], connect=[connect] if connect else []))
+        names = [
+            PlantServer(bus, stack.enter_context(FolderSource(each, None if is_fleet(folder) else plant))).plant.name
+            for each in folders
+        ]
+        if as_json:
+            print_json({"event": "serving", "plants": names, "listen": endpoint})
+        else:
+            notes().print(f"serving {', '.join(names)} at {endpoint}; Ctrl-C ends")
+        while not stopped.wait(1.0):
+            pass
+
+
+def _recall(
+    sources: tuple[str, ...], target: Path, plant: str | None, bandwidth: float | None, *, as_json: bool
+) -> None:
+    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.opened import recalled_from
+    from storage.replication.recall import recall
+
+    if len(sources) != 1:
+        raise BadInput("--recall brings one store back: give one --from")
+    with until_stopped() as stopped, recalled_from(sources[0], target, plant) as source:
+        limit = Bandwidth(bandwidth, sleep=stopped.wait)
+        found = recall(target, source, bandwidth=limit, stopped=lambda: stopped.asked_at is not None)
+    if as_json:
+        print_json({"is_well": found.is_well, **msgspec.to_builtins(found)})
+    else:
+        results().print(
+            f"{counted(len(found.segments), 'segment')} of {found.plant} came back, {found.bytes:,} bytes, and "
+            f"{counted(found.files, 'file')}; {found.intact:,} segments were intact"
+        )
+        for path in found.aside:
+            notes().print(f"quarantined: {path}", soft_wrap=True, markup=False)
+        for refusal in found.refused:
+            notes().print(f"refused: {refusal.segment}: {refusal.what}", soft_wrap=True, markup=False)
+        if found.trouble:
+            notes().print(f"trouble: {found.trouble}", soft_wrap=True, markup=False)
+    sys.exit(0 if found.is_well else 1)
+
+
+class _Shown:
+    """Shows the bytes that arrive in a bar for each plant."""
+
+    def __init__(self, bar: "Bar") -> None:
+        self._bar = bar
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, progress: "Progress") -> None:
+        task = self._tasks.get(progress.plant)
+        if task is None:
+            task = self._tasks[progress.plant] = self._bar.add_task(progress.plant, total=None)
+        total = progress.transferred_bytes + progress.lag.bytes
+        self._bar.update(task, completed=progress.transferred_bytes, total=max(total, 1))
+
+
+def _print(found: "Pass") -> None:
+    table = ResultTable("plant", "added", "bytes", "files", "segments", "behind")
+    for each in found.plants:
+        lag = (
+            f"{each.lag.segments:,} segments, {each.lag.bytes:,} B, {each.lag.seconds:,.0f} s"
+            if each.lag.segments
+            else "-"
+        )
+        table.add_row(
+            each.plant or "?",
+            f"{each.added:,}",
+            f"{each.added_bytes:,}",
+            f"{each.added_files:,}",
+            f"{each.segments:,}",
+            lag,
+        )
+    results().print(table)
+    for each in found.plants:
+        for note in each.notes:
+            notes().print(f"note: {each.plant}: {note}", soft_wrap=True, markup=False)
+        for refusal in each.refused:
+            where = f" {refusal.segment}" if refusal.segment else ""
+            notes().print(f"refused: {each.plant}{where}: {refusal.what}", soft_wrap=True, markup=False)
+        if each.trouble:
+            notes().print(f"trouble: {each.plant}: {each.trouble}", soft_wrap=True, markup=False)
+    for plant, why in found.lakes.items():
+        notes().print(f"trouble: the lake of {plant}: {why}", soft_wrap=True, markup=False)
+    for conflict in found.conflicts:
+        notes().print(f"conflict: {conflict}", soft_wrap=True, markup=False)

@@ -1,0 +1,1 @@
+"""Replication: sealed segments of plants, verified at arrival, in a fleet store."""

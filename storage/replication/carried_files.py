@@ -1,0 +1,56 @@
+"""Issued certificates and error models, which travel beside the segments; one that has arrived is never replaced."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
+from storage.replication.folder_source import kept_sha256
+from storage.replication.source import MAX_FILE_BYTES, MAX_FILES, CarriedFile, SegmentMissing, SegmentSource, is_carried
+
+Refuse = Callable[[str, str, str], None]
+
+
+class Stopped(Exception):
+    """The pass is to end now; the next one resumes."""
+
+
+class CarriedFiles:
+    """Fetches them in one pass; `added` have arrived."""
+
+    def __init__(self) -> None:
+        self.added = 0
+
+    def fetch(
+        self, source: SegmentSource, folder: Path, arrivals: Arrivals, refuse: Refuse, stopped: Callable[[], bool]
+    ) -> None:
+        """Bring those that a store's folder lacks; `refuse` gets kind, name and reason of what is not taken."""
+        for number, file in enumerate(source.files()):
+            if stopped():
+                raise Stopped
+            if number >= MAX_FILES:
+                refuse("endless_list", file.name, f"more than {MAX_FILES:,} files are listed")
+                return
+            if not is_carried(file.name) or not 0 <= file.size <= MAX_FILE_BYTES:
+                refuse("file_invalid", file.name[:200], f"{file.name[:80]!r} is no file that travels, or too long")
+            elif not (folder / file.name).exists():
+                self._bring(source, file, folder / file.name, arrivals, refuse)
+            elif _differs(folder / file.name, file):
+                refuse("changed_file", file.name, f"{file.name} is another file than the one here, which is kept")
+
+    def _bring(
+        self, source: SegmentSource, file: CarriedFile, target: Path, arrivals: Arrivals, refuse: Refuse
+    ) -> None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            arrivals.fetch(source, Wanted(file.name, file.size, file.sha256), target, lambda _part: None)
+        except (ArrivalRefused, SegmentMissing) as error:
+            refuse(error.kind if isinstance(error, ArrivalRefused) else "file_missing", file.name, str(error))
+        else:
+            self.added += 1
+
+
+def _differs(path: Path, file: CarriedFile) -> bool:
+    status = path.stat()
+    if status.st_size != file.size:
+        return True
+    return kept_sha256(str(path), status.st_ino, status.st_size, status.st_mtime_ns) != file.sha256
