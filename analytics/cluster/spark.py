@@ -13,18 +13,17 @@ from concurrent.futures import Future
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 from warnings import catch_warnings, filterwarnings
-
-from py4j.java_gateway import JavaGateway
-from py4j.protocol import Py4JError
-from pyspark import AccumulatorParam, SparkConf, SparkContext, TaskContext
-from pyspark.errors import PySparkException
-from pyspark.java_gateway import launch_gateway
 
 from analytics.cluster.engine import Done, check_engine
 from stream.closing import Closing
 from stream.errors import GyrofleetError
+
+# PySpark is imported where it is used: this module is read where it is not installed as well
+if TYPE_CHECKING:
+    from py4j.java_gateway import JavaGateway
+    from pyspark import AccumulatorParam, SparkConf, SparkContext
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -67,7 +66,9 @@ class _Failure(NamedTuple):
     what: str
 
 
-class _Failures(AccumulatorParam["tuple[_Failure, ...]"]):
+class _Failures:
+    """Adds up failures on their way to the driver, as Spark's `AccumulatorParam`."""
+
     def zero(self, _value: tuple[_Failure, ...]) -> tuple[_Failure, ...]:
         return ()
 
@@ -86,6 +87,8 @@ class SparkEngine(Closing):
 
     def __init__(self, name: str) -> None:
         master = check_engine(name)
+        from pyspark import SparkConf
+
         self._name = name
         if found := re.fullmatch(r"local\[(\d+)\]", master):  # which else tries a task once
             master = f"local[{found[1]},{_ATTEMPTS}]"
@@ -125,9 +128,12 @@ class SparkEngine(Closing):
     def _run(
         self, work: Callable[[T], R], tasks: Sequence[T], sizes: Sequence[int], on_done: Done, patience_s: float | None
     ) -> list[R]:
+        from py4j.protocol import Py4JError
+        from pyspark.errors import PySparkException
+
         context = self._context
         counted = context.accumulator(0)
-        failures = context.accumulator((), _Failures())
+        failures = context.accumulator((), cast("AccumulatorParam[tuple[_Failure, ...]]", _Failures()))
         attempted = _Attempted(work, counted, failures)
         pairs = list(zip(tasks, sizes, strict=True))
         # one partition a task; `repartition` would put all on one executor
@@ -177,6 +183,8 @@ class _Attempted:
         self._work, self._counted, self._failures = work, counted, failures
 
     def __call__(self, pair: tuple[Any, int]) -> Any:
+        from pyspark import TaskContext
+
         task, size = pair
         try:
             found = self._work(task)
@@ -203,8 +211,12 @@ def _versions(_: None) -> dict[str, str]:
     return found | {"Python": ".".join(platform.python_version_tuple()[:2]), _HOST: socket.gethostname()}
 
 
-def _started(name: str, conf: SparkConf) -> SparkContext:
+def _started(name: str, conf: "SparkConf") -> "SparkContext":
     """A session; what Java writes goes to a file, whose end is in the message if it does not start."""
+    from py4j.protocol import Py4JError
+    from pyspark import SparkContext
+    from pyspark.errors import PySparkException
+
     log = _log()
     try:
         with catch_warnings():  # of what is not used here
@@ -224,8 +236,11 @@ def _log() -> Path:
 
 
 @cache
-def _gateway() -> JavaGateway:
+def _gateway() -> "JavaGateway":
     """The Java process, one for all sessions of this one."""
+    from pyspark import SparkConf
+    from pyspark.java_gateway import launch_gateway
+
     options = SparkConf(loadDefaults=False).setAll(list(_JAVA.items()))
     with _log().open("wb") as file:
         found: JavaGateway = launch_gateway(options, {"stdout": file, "stderr": file})
