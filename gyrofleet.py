@@ -108,6 +108,8 @@ def _add_commands() -> None:
     from ingest.commands.replay import replay
     from ingest.commands.run import run, run_simulated
     from ingest.commands.simulate import simulate
+    from storage.commands.attest import attest
+    from storage.commands.backup import backup, restore
     from storage.commands.estimate import estimate
     from storage.commands.export_iceberg import export_iceberg
     from storage.commands.lake import lake, rebuild, retain
@@ -124,7 +126,8 @@ def _add_commands() -> None:
     main.add_section("Certify", budget, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
-    main.add_section("Look after the store", lake, rebuild, retain, replicate, verify, recover, export_iceberg)
+    main.add_section("Look after the store", lake, rebuild, retain, verify, recover, attest, backup, restore, replicate)
+    main.add_section("Give to other programs", export_iceberg)
     main.add_section("Shell", completion)
 
 

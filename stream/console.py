@@ -39,6 +39,7 @@ _EXTRAS = {
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
     **dict.fromkeys(("py4j", "pyspark"), "spark"),
     **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
+    "cryptography": "attest",
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),

@@ -52,6 +52,11 @@ def compute_values(task: ValuesTask) -> bytes:
 T = TypeVar("T", RecordsTask, ValuesTask)
 
 
+def _steps_of(catalog: Catalog, units: Sequence[str]) -> bytes:
+    catalog.put("units_of_task", pa.table({"unit": pa.array(units, pa.string())}))
+    return to_bytes(catalog.table("from internal.step_records where unit in (from internal.units_of_task)"))
+
+
 class ClusterComputation:
     """Step records and metrics by the tasks of an engine; see `Computation`.
 
@@ -81,11 +86,11 @@ class ClusterComputation:
         nothing = records_of(catalog, [], {}, None)
         return pa.concat_tables([nothing, *self._map(compute_records, tasks)])
 
-    def values(self, catalog: Catalog, steps: pa.Table, units: list[str], names: Collection[str]) -> pa.Table:
+    def values(self, catalog: Catalog, units: list[str], names: Collection[str]) -> pa.Table:
         """These metrics of units; a task has at most 1000."""
         of_store = {name: to_bytes(table) for name, table in tables_of_store(catalog).items()}
         tasks = [
-            ValuesTask(each, tuple(sorted(names)), to_bytes(of_units(steps, each.units)), of_store)
+            ValuesTask(each, tuple(sorted(names)), _steps_of(catalog, each.units), of_store)
             for each in sliced(catalog, units, self._engine.slots, most=_UNITS_OF_VALUES, rounds=1)
         ]
         return pa.concat_tables([COLUMNS.empty_table(), *self._map(compute_values, tasks)])

@@ -39,7 +39,7 @@ def opened_engine(name: str, report: Callable[[str], None]) -> "Iterator[Engine]
 def compute_by_engine(catalog: "Catalog", name: str, wanted: Collection[str] = ()) -> None:
     """Compute the metrics of units that changed by an engine, and keep them in the store, where commands find them."""
     from analytics.cluster.metric_tasks import ClusterComputation
-    from analytics.evaluation.evaluation import unit_metrics
+    from analytics.evaluation.kept_metrics import unit_metrics
     from analytics.metric_registry.registry import check_metrics
 
     check_metrics(wanted)

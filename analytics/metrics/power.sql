@@ -11,6 +11,7 @@
 -- equation:  P = mean(U*I) for each supply
 -- influence: supply_power: per_ppm(value)
 -- python:    analytics.metrics.power:compute
+-- of:        internal.power_procedures
 -- The steps, with the supplies that fed them: the unit's own signals, else the instruments of the run.
 with step as (
   select run, unit, "index", any_value(step) as step, min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns

@@ -6,6 +6,7 @@ from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from storage.attestation.comparison import own_findings
 from storage.check.verify_lake import lasting_problems
 from storage.check.verify_log import LogState, verify_log
 from storage.findings import Finding, Severity, Verification
@@ -33,6 +34,7 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
         *_run_check(lambda: checkpoint_findings(store, state), store.folder / CHECKPOINT),
         *_run_check(lambda: _spools(store), store.folder / "spool"),
         *_run_check(lambda: specification_findings(store), store.folder),
+        *_run_check(lambda: own_findings(store), store.folder),
     ]
     for check in checks():
         findings += _run_check(partial(check, store), store.folder)

@@ -10,6 +10,7 @@ import click
 import msgspec
 
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.errors import BadInput
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
@@ -21,25 +22,39 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 
 @click.command("verify")
 @store_option
+@click.option(
+    "--against", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="Also compare with this attestation: nothing before it may have changed.",
+)  # fmt: skip
+@click.option("--signed-by", default="", metavar="FINGERPRINT", help="Only of this key the attestation counts.")
 @reporting
-def verify(folder: Path, *, as_json: bool) -> None:
+def verify(folder: Path, against: Path | None, signed_by: str, *, as_json: bool) -> None:
     """Read everything in the store and report what is wrong, where, and the remedy; nothing is changed.
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
     gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
-    models in use and the copies of the specifications, whose documents in the log form an unbroken chain. Of a fleet
-    store every plant is verified.
+    models in use and the copies of the specifications, whose documents in the log form an unbroken chain, and the
+    store's own attestations (`gyrofleet attest`). Of a fleet store every plant is verified.
     """
+    from storage.attestation.attestation import read_attestation
+    from storage.attestation.comparison import against as compared
     from storage.check.verify import verify as verify_store
     from storage.fleet_store import is_fleet
     from storage.store import Store
 
+    if signed_by and against is None:
+        raise BadInput("--signed-by names the key of an attestation; give it by --against FILE")
     if is_fleet(folder):
+        if against is not None:
+            raise BadInput(f"an attestation is of one plant: give --store {folder}/plants/NAME")
         _verify_fleet(folder, as_json=as_json)
     store = Store.open(folder)
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {folder}", total=1.0)
         found, _ = verify_store(store, lambda done: progress.update(task, completed=done))
+    if against is not None:
+        more = compared(store, read_attestation(against), str(against), signed_by)
+        found = msgspec.structs.replace(found, findings=(*found.findings, *more))
     if as_json:
         print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
         sys.exit(0 if found.is_sound else 1)

@@ -110,6 +110,8 @@ def _export_table(store: Store, manifest: Manifest, catalog: Catalog, namespace:
     there = {_path_of(each.file_path): each for each in _data_files(table)}
     gone = [each for path, each in there.items() if path not in wanted]
     fresh = [path for path in wanted if path not in there]
+    if lost := next((path for path in fresh if not path.exists()), None):
+        raise StoreError(f"{lost} is missing in the lake; `gyrofleet verify` lists its damage")
     if gone or fresh:
         _commit(table, gone, fresh, {_LAKE: str(manifest.number)})
     held = list(_data_files(table))

@@ -1,6 +1,5 @@
 """SQL over a store: read-only DuckDB views on the lake."""
 
-import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -14,6 +13,7 @@ import pyarrow as pa
 from storage.findings import Finding
 from storage.lake.tables import TABLES
 from storage.manifests.lake import Part, read_manifest
+from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
@@ -24,6 +24,7 @@ from stream.errors import QueryError
 
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
+_COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -94,7 +95,11 @@ class Catalog(Closing):
             config["threads"] = threads
         self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
+        self._is_in_memory = file is None
+        if self._is_in_memory:
+            self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
+        self._deferred = DeferredDefinitions(self._execute)
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
@@ -140,23 +145,53 @@ class Catalog(Closing):
 
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
+        self._deferred.define(words_of(sql))
+        self._execute(sql)
+
+    def defer(self, script: str) -> None:
+        """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
+        self._deferred.add(script)
+
+    def _execute(self, sql: str) -> None:
         try:
             self._connection.execute(sql)
         except duckdb.Error as error:
             raise QueryError(plain_message(error)) from error
 
-    def put(self, name: str, table: pa.Table) -> None:
-        """Create or replace a table; one that no layer lists goes to the schema `internal`."""
-        schema = _schema_of(name)
+    def put(self, name: str, table: pa.Table | pa.RecordBatchReader, *, is_large: bool = False) -> None:
+        """Create or replace a table; one that no layer lists goes to the schema `internal`.
+
+        One that a layer lists is a view on a table that takes little memory, as is a large one.
+        """
+        self._deferred.discard(name)
+        place, view = self._place_of(name, is_large=is_large)
+        self._write(f"create or replace table {place} as from put_rows", table)
+        if view is not None:
+            self._execute(f"create or replace view {view} as from {place}")
+
+    def append(self, name: str, table: pa.Table, *, is_large: bool = False) -> None:
+        """Append rows to a table that was put."""
+        self._write(f"insert into {self._place_of(name, is_large=is_large)[0]} from put_rows", table)
+
+    def _place_of(self, name: str, *, is_large: bool) -> tuple[str, str | None]:
+        """Where a table is, and the view on it if there is one."""
+        is_listed = name in known_tables()
+        view = f'{"main" if is_listed else "internal"}."{name}"'
+        if not (is_listed or is_large):
+            return view, None
+        return (f'{_COMPACT}.main."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
+
+    def _write(self, sql: str, table: pa.Table | pa.RecordBatchReader) -> None:
         self._connection.register("put_rows", table)
         try:
-            self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+            self._execute(sql)
         finally:
             self._connection.unregister("put_rows")
 
     def stored(self, name: str) -> pa.Table:
-        """A table that was put."""
-        return self._connection.table(f"{_schema_of(name)}.{name}").to_arrow_table()
+        """The rows of a table that was put."""
+        schema = "main" if name in known_tables() else "internal"
+        return self._connection.sql(f'from {schema}."{name}"').to_arrow_table()
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
@@ -166,9 +201,11 @@ class Catalog(Closing):
         with reading_lake(self.store):
             return Overlay(self._connection, name, channels, events, kept, kinds)
 
-    def fill(self) -> None:
-        """Compute the tables of all layers now."""
-        self._fill(" ".join(table for layer in layers() for table in layer.tables))
+    def fill(self, tables: Collection[str] = ()) -> None:
+        """Compute the tables of all layers now, and define all views; only these tables if some are given."""
+        self._fill(" ".join(tables or (table for layer in layers() for table in layer.tables)))
+        if not tables:
+            self._deferred.define_all()
 
     @contextmanager
     def suspended_layers(self) -> Iterator[tuple[Layer, ...]]:
@@ -180,9 +217,7 @@ class Catalog(Closing):
             self._unfilled = waiting
 
     def _fill(self, sql: str) -> None:
-        if not self._unfilled:
-            return
-        words = set(re.findall(r"\w+", sql.lower()))
+        words = words_of(sql)
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
             self._define_views()
             self._unfilled.remove(layer)  # first, since the layer queries this catalogue
@@ -191,6 +226,7 @@ class Catalog(Closing):
             except BaseException:
                 self._unfilled.append(layer)
                 raise
+        self._deferred.define(words)
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
@@ -244,11 +280,16 @@ class Catalog(Closing):
         """The batches of a statement's result."""
         yield from self.guarded(self.reader(sql, parameters, rows))
 
-    def table(self, sql: str) -> pa.Table:
-        """The whole result of a statement of many views and macros: it is planned once, a reader's twice."""
+    def table(self, sql: str, given: pa.Table | None = None) -> pa.Table:
+        """The whole result of a statement of many views and macros: it is planned once, a reader's twice.
+
+        The rows `given` are its table ``given_rows``.
+        """
         self._fill(sql)
         try:
             with self._connection.cursor() as cursor:
+                if given is not None:
+                    cursor.register("given_rows", given)
                 cursor.execute(f"create temporary table whole as {sql}")
                 return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
@@ -261,10 +302,6 @@ class Catalog(Closing):
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
-
-
-def _schema_of(table: str) -> str:
-    return "main" if table in known_tables() else "internal"
 
 
 def _quoted(texts: Iterable[str]) -> str:

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from analytics.cluster.engine import Engine
 from analytics.cluster.metric_tasks import ClusterComputation
-from analytics.evaluation.evaluation import unit_metrics
+from analytics.evaluation.kept_metrics import unit_metrics
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.events import CheckEntered, Verdict
@@ -62,5 +62,5 @@ def computed(
     """Step records and metrics, with what is kept in a folder."""
     computation = None if engine is None else ClusterComputation(engine, nobody)
     with Catalog(store, kept=kept) as catalog, catalog.suspended_layers():
-        found = unit_metrics(catalog, None, wanted, computation)
-        return catalog.stored("step_means"), found
+        unit_metrics(catalog, None, wanted, computation)
+        return catalog.stored("step_means"), catalog.stored("unit_metrics")

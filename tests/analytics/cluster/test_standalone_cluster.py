@@ -10,7 +10,7 @@ import pytest
 
 from analytics.cluster.diagnosis_tasks import ClusterTracing
 from analytics.cluster.metric_tasks import ClusterComputation
-from analytics.evaluation.evaluation import unit_metrics
+from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.loop.unit_diagnosis import trace_units
 from analytics.loop.unit_reduction import Question, reduce_units
 from storage.sql.catalog import Catalog
@@ -58,8 +58,9 @@ def test_a_worker_that_is_killed_changes_no_result(tested: Any, cluster: Standal
     with SparkEngine(cluster.engine) as engine:
         assert engine.slots == 2
         with Catalog(tested.store, kept=there) as catalog, catalog.suspended_layers():
-            found = unit_metrics(catalog, computation=ClusterComputation(engine, kill_in_the_middle))
+            unit_metrics(catalog, computation=ClusterComputation(engine, kill_in_the_middle))
             assert steps.equals(catalog.stored("step_means"))
+            found = catalog.stored("unit_metrics")
         assert killed
         assert metrics.equals(found)
         tracing = ClusterTracing(engine, lambda _done, _total: None, lambda _done, _total: None)

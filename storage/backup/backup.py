@@ -1,0 +1,192 @@
+"""Backup of a store: a folder with its log and what cannot be computed from it; the next one adds what is new.
+
+``backup.json`` says what is in force and is written last, so that an interrupted backup leaves the one before.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from storage.backup.content import DATABASE, other_files, unlisted_segments
+from storage.backup.copied_file import CopiedFile, copy_database, copy_file
+from storage.manifests.log import LogManifest, SegmentEntry, manifest_path, read_log_manifest
+from storage.store import Store, only_one
+from stream.atomic_file import write_durably
+from stream.errors import StoreError
+
+BACKUP = "backup.json"
+LOG, OPEN, FILES = "log", "open", "files"
+_FORMAT = 1
+_ATTEMPTS = 20
+
+
+class Backup(msgspec.Struct, frozen=True, kw_only=True):
+    """What a backup holds. `lost` are segments that the store had and has no more; they stay in the backup."""
+
+    format: int = _FORMAT
+    store: str
+    at_ns: int
+    segments: tuple[SegmentEntry, ...]
+    manifest: CopiedFile | None
+    open: tuple[CopiedFile, ...] = ()
+    files: tuple[CopiedFile, ...] = ()
+    lost: tuple[SegmentEntry, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Samples of the sealed segments."""
+        return sum(entry.samples for entry in self.segments)
+
+
+class Written(NamedTuple):
+    """A backup, and what this command added to it."""
+
+    backup: Backup
+    added_segments: int
+    added_bytes: int
+    rewritten: tuple[str, ...]  # segments that were damaged in the backup
+
+
+def read_backup(folder: Path) -> Backup:
+    """Read what a folder holds; StoreError if it is no backup."""
+    try:
+        found = msgspec.json.decode((folder / BACKUP).read_bytes(), type=Backup)
+    except FileNotFoundError:
+        raise StoreError(f"{folder} is no backup: it holds no {BACKUP}; `gyrofleet backup` writes one") from None
+    except (OSError, msgspec.MsgspecError) as error:
+        raise StoreError(
+            f"{folder / BACKUP} cannot be read: {error}; write the backup again into a new folder"
+        ) from error
+    if found.format > _FORMAT:
+        raise StoreError(f"{folder} has a newer format than this gyrofleet reads: upgrade gyrofleet")
+    return found
+
+
+def back_up(
+    store: Store, folder: Path, *, is_checked: bool = False, progress: Callable[[float], object] = lambda _share: None
+) -> Written:
+    """Bring a backup up to date while the store may be written; StoreError if the folder is of another store.
+
+    With `is_checked` every segment that is in the backup already is read, and copied again if it is damaged. What was
+    acknowledged before the call is in the backup.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with only_one(folder / "backup.lock", "gyrofleet backup"):
+            return _Writer(store, folder, is_checked=is_checked, progress=progress).written()
+    except OSError as error:
+        raise StoreError(f"cannot write the backup {folder}: {error}; the one before is as it was") from error
+
+
+class _Writer:
+    def __init__(self, store: Store, folder: Path, *, is_checked: bool, progress: Callable[[float], object]) -> None:
+        self._store, self._folder, self._is_checked, self._progress = store, folder, is_checked, progress
+        self._before = self._known()
+        self._added = self._added_bytes = 0
+        self._rewritten: list[str] = []
+
+    def _known(self) -> Backup | None:
+        if not (self._folder / BACKUP).exists():
+            # an interrupted first backup has left only these
+            others = {path.name for path in self._folder.iterdir()} - {LOG, OPEN, FILES, "backup.lock"}
+            if others:
+                raise StoreError(f"{self._folder} holds other files and is no backup; give an empty or a new folder")
+            return None
+        before = read_backup(self._folder)
+        if before.store != self._store.identity:
+            raise StoreError(
+                f"{self._folder} is a backup of the store {before.store}, not of {self._store.identity}; give another "
+                "folder"
+            )
+        return before
+
+    def written(self) -> Written:
+        for _ in range(_ATTEMPTS):
+            found = read_log_manifest(self._store)
+            if found.damage:
+                raise StoreError(
+                    f"{manifest_path(self._store)} is damaged in line {found.damage[0].line}: `gyrofleet recover` "
+                    "first; the backup is as it was"
+                )
+            try:
+                backup = self._copied(found)
+            except FileNotFoundError:  # the open segment was sealed meanwhile
+                continue
+            write_durably(self._folder / BACKUP, msgspec.json.encode(backup))
+            self._remove_old(backup)
+            return Written(backup, self._added, self._added_bytes, tuple(self._rewritten))
+        raise StoreError(f"segments of {self._store.log} are sealed faster than they are copied; try again")
+
+    def _copied(self, found: LogManifest) -> Backup:
+        entries = sorted(found.entries.values(), key=lambda entry: entry.segment)
+        total, done = max(1, sum(entry.size for entry in entries)), 0
+        for entry in entries:
+            self._bring(entry)
+            done += entry.size
+            self._progress(done / total)
+        listing = manifest_path(self._store)
+        manifest = None
+        if entries or found.lost:
+            # of the lines that were read: one that came meanwhile belongs to a segment that is copied as unlisted
+            manifest = copy_file(listing, self._folder, f"{LOG}/{listing.name}", self._bytes_of(found))
+        at = f"{time.time_ns()}"
+        opened = tuple(
+            copy_file(path, self._folder, f"{OPEN}/{at}/{path.name}", path.stat().st_size)
+            for path in unlisted_segments(self._store, set(found.entries))
+        )
+        here = {entry.segment for entry in entries}
+        before = () if self._before is None else (*self._before.segments, *self._before.lost)
+        return Backup(
+            store=self._store.identity, at_ns=time.time_ns(), segments=tuple(entries), manifest=manifest, open=opened,
+            files=tuple(self._files()), lost=tuple(entry for entry in before if entry.segment not in here),
+        )  # fmt: skip
+
+    def _bytes_of(self, found: LogManifest) -> int:
+        """Length of the manifest up to the line that was read last."""
+        content = manifest_path(self._store).read_bytes()
+        end = content.find(found.last.encode() + b"\n")
+        return end + len(found.last) + 1
+
+    def _bring(self, entry: SegmentEntry) -> None:
+        path = f"{LOG}/{entry.segment}"
+        copy = CopiedFile(path, entry.size, entry.sha256)
+        target = self._folder / path
+        if target.exists():
+            known = {each.segment: each.sha256 for each in self._before.segments} if self._before else {}
+            is_listed = known.get(entry.segment) == entry.sha256 and target.stat().st_size == entry.size
+            if is_listed if not self._is_checked else copy.is_intact(self._folder):
+                return
+            if not copy.is_intact(self._folder):
+                self._rewritten.append(entry.segment)
+            else:
+                return
+        fresh = copy_file(self._store.log / entry.segment, self._folder, path)
+        if fresh != copy:
+            target.unlink()
+            raise StoreError(
+                f"{self._store.log / entry.segment} is not as it was sealed (SHA-256 {fresh.sha256[:12]}, listed "
+                f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; the backup is as it was"
+            )
+        self._added += 1
+        self._added_bytes += entry.size
+
+    def _files(self) -> list[CopiedFile]:
+        found = []
+        for source in other_files(self._store):
+            path = f"{FILES}/{source.relative_to(self._store.folder).as_posix()}"
+            copied = copy_database if source.suffix == DATABASE else copy_file
+            found.append(copied(source, self._folder, path))
+        return found
+
+    def _remove_old(self, backup: Backup) -> None:
+        """Remove earlier copies of open segments."""
+        kept = {self._folder / each.path for each in backup.open}
+        for path in (self._folder / OPEN).glob("*/*"):
+            if path not in kept:
+                path.unlink()
+        for path in (self._folder / OPEN).glob("*"):
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()

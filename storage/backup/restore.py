@@ -1,0 +1,81 @@
+"""Restoration of a backup into a new folder: verified, repaired as after a kill, its lake built from the log."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from storage.backup.backup import BACKUP, FILES, Backup, read_backup
+from storage.backup.copied_file import CopiedFile, copy_file
+from storage.check.recover import Action, recover
+from storage.store import Store
+from storage.store_marker import write_markers
+from stream.atomic_file import write_durably
+from stream.errors import StoreError
+
+_RESTORING, _MARK = "restoring", "of.txt"
+
+
+def restore(
+    source: Path, folder: Path, progress: Callable[[float], object] = lambda _share: None
+) -> tuple[Backup, list[Action]]:
+    """Restore a backup into an empty or missing folder; the store has the identity of the one that was backed up.
+
+    StoreError if a file of the backup is damaged; the folder is a store only once everything is verified. The same
+    call repeats a restoration that was interrupted.
+    """
+    backup = read_backup(source)
+    copies = [*_of_log(backup), *backup.open, *backup.files]
+    total = max(1, sum(each.size for each in copies))
+    fresh = folder / _RESTORING  # not yet where a store's log is: what is incomplete is no store
+    try:
+        _check_empty(folder, backup)
+        done = 0
+        for each in copies:
+            target = _place(each.path)
+            if copy_file(source / each.path, fresh, target) != CopiedFile(target, each.size, each.sha256):
+                raise StoreError(
+                    f"{source / each.path} is damaged: its SHA-256 is not the one in {source / BACKUP}; restore from "
+                    "another backup, or write this one again with `gyrofleet backup --check` while the store is there"
+                )
+            done += each.size
+            progress(done / total)
+        for name in ("lake", "tmp", "log"):
+            (fresh / name).mkdir(exist_ok=True)
+        for path in sorted(fresh.iterdir(), key=lambda path: path.name == "log"):
+            if path.name != _MARK:
+                path.rename(folder / path.name)
+        write_markers(folder, backup.store)
+        shutil.rmtree(fresh)
+    except FileNotFoundError as error:
+        raise StoreError(f"the backup {source} is incomplete: {error}; restore from another one") from error
+    except OSError as error:
+        raise StoreError(f"cannot restore into {folder}: {error}; the same command goes on") from error
+    return backup, list(recover(Store.open(folder)))
+
+
+def _of_log(backup: Backup) -> Iterator[CopiedFile]:
+    yield from (CopiedFile(f"log/{entry.segment}", entry.size, entry.sha256) for entry in backup.segments)
+    if backup.manifest is not None:
+        yield backup.manifest
+
+
+def _place(path: str) -> str:
+    """Path in the store of a file of a backup; what is no path within is refused."""
+    top, _, rest = path.partition("/")
+    place = rest.partition("/")[2] if top == "open" else rest
+    parts = Path(place).parts
+    if not parts or ".." in parts or Path(place).is_absolute():
+        raise StoreError(f"{path!r} is no path of a backup; its {BACKUP} is not to be trusted")
+    return place if top == FILES else f"log/{place}"
+
+
+def _check_empty(folder: Path, backup: Backup) -> None:
+    """Take an empty folder, or one in which a restoration of the same store was interrupted."""
+    mark = folder / _RESTORING / _MARK
+    if folder.exists() and any(folder.iterdir()):
+        if not mark.exists() or mark.read_text() != backup.store:
+            raise StoreError(f"{folder} is not empty; give a new folder to restore into")
+        for path in folder.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    mark.parent.mkdir(parents=True, exist_ok=True)
+    write_durably(mark, backup.store.encode())

@@ -1,0 +1,191 @@
+"""Backups of a store: what is in them, what is added, what is damaged, and what is refused."""
+
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage.backup.backup import back_up, read_backup
+from storage.backup.restore import restore
+from storage.check.verify import verify
+from storage.lake.builder import build_missing
+from storage.log.event_log import EventLog
+from storage.recording.recorder import Recorder
+from storage.sql.door import SqlDoor
+from storage.store import Store
+from stream.delivery.publisher import DurablePublisher
+from stream.errors import StoreError
+from stream.transport.bus import LocalBus
+from tests.storage.verified_store import KEY, batch, fill
+
+COUNTS = "select unit, count(*) as n, sum(counts) as total from samples group by unit order by unit"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """A store of three segments that are in the lake, with files that no segment has."""
+    store = Store.create(tmp_path / "S")
+    for number in range(3):
+        fill(store, range(2 * number, 2 * number + 2))
+    list(build_missing(store))
+    (store.folder / "certificates").mkdir()
+    (store.folder / "certificates" / "C-1.pdf").write_bytes(b"%PDF")
+    (store.folder / "seal.key").write_bytes(os.urandom(32))
+    (store.folder / "seal.key").chmod(0o600)
+    (store.folder / "alerts").mkdir()
+    with closing(sqlite3.connect(store.folder / "alerts" / "alerts.db")) as database:
+        database.execute("create table alert (text)")
+        database.execute("insert into alert values ('chamber off its set-point')")
+        database.commit()
+    return store
+
+
+def counts(store: Store) -> list[dict[str, Any]]:
+    with SqlDoor(store) as door:
+        rows: list[dict[str, Any]] = door.ask(COUNTS).read_all().to_pylist()
+        return rows
+
+
+def test_a_restored_store_is_the_same(store: Store, tmp_path: Path) -> None:
+    done = back_up(store, tmp_path / "B")
+    assert (done.added_segments, len(done.backup.segments)) == (3, 3)
+    restore(tmp_path / "B", tmp_path / "R")
+    new = Store.open(tmp_path / "R")
+    assert new.identity == store.identity
+    assert verify(new)[0].is_sound
+    assert counts(new) == counts(store)
+    for path in [*sorted(store.log.glob("*.mcap")), store.log / "manifest.jsonl"]:
+        assert (new.log / path.name).read_bytes() == path.read_bytes()
+    for name in ("seal.key", "certificates/C-1.pdf"):
+        assert (new.folder / name).read_bytes() == (store.folder / name).read_bytes()
+    assert (new.folder / "seal.key").stat().st_mode & 0o777 == 0o600
+    with closing(sqlite3.connect(new.folder / "alerts" / "alerts.db")) as database:
+        assert database.execute("select * from alert").fetchall() == [("chamber off its set-point",)]
+    fill(new, range(6, 8))  # it can be written on
+    assert verify(new)[0].is_sound
+
+
+def test_the_next_backup_adds_what_is_new(store: Store, tmp_path: Path) -> None:
+    back_up(store, tmp_path / "B")
+    again = back_up(store, tmp_path / "B")
+    assert (again.added_segments, again.added_bytes) == (0, 0)
+    fill(store, range(6, 8))
+    (store.folder / "certificates" / "C-1.pdf").write_bytes(b"%PDF 2")
+    third = back_up(store, tmp_path / "B")
+    assert (third.added_segments, len(third.backup.segments)) == (1, 4)
+    restore(tmp_path / "B", tmp_path / "R")
+    assert (tmp_path / "R" / "certificates" / "C-1.pdf").read_bytes() == b"%PDF 2"
+    assert counts(Store.open(tmp_path / "R")) == counts_after_build(store)
+
+
+def counts_after_build(store: Store) -> list[dict[str, Any]]:
+    list(build_missing(store))
+    return counts(store)
+
+
+def test_the_open_segment_is_in_it_once(store: Store, tmp_path: Path) -> None:
+    bus = LocalBus()
+    with Recorder(store, bus, EventLog(store), sync_interval_s=0.001), DurablePublisher(bus) as publisher:
+        for number in (6, 7):
+            publisher.send_batch(KEY, batch(number))
+            publisher.drain()
+            done = back_up(store, tmp_path / "B")
+    assert [Path(each.path).name for each in done.backup.open] == ["00000004.mcap.open"]
+    assert len(list((tmp_path / "B" / "open").glob("*/*"))) == 1
+    restore(tmp_path / "B", tmp_path / "R")
+    assert counts(Store.open(tmp_path / "R")) == counts_after_build(store)
+
+
+def test_damage_in_the_backup_is_found_and_copied_again(store: Store, tmp_path: Path) -> None:
+    back_up(store, tmp_path / "B")
+    damaged = tmp_path / "B" / "log" / "00000002.mcap"
+    content = bytearray(damaged.read_bytes())
+    content[len(content) // 2] ^= 1
+    damaged.write_bytes(content)
+    with pytest.raises(StoreError, match=r"00000002\.mcap is damaged"):
+        restore(tmp_path / "B", tmp_path / "R")
+    with pytest.raises(StoreError, match="is not a gyrofleet store"):
+        Store.open(tmp_path / "R")
+    assert back_up(store, tmp_path / "B", is_checked=True).rewritten == ("00000002.mcap",)
+    restore(tmp_path / "B", tmp_path / "R")
+    assert counts(Store.open(tmp_path / "R")) == counts(store)
+
+
+def test_a_damaged_store_leaves_the_backup_as_it_was(store: Store, tmp_path: Path) -> None:
+    before = back_up(store, tmp_path / "B").backup
+    fill(store, range(6, 8))
+    sealed = store.log / "00000004.mcap"
+    content = bytearray(sealed.read_bytes())
+    content[len(content) // 2] ^= 1
+    sealed.write_bytes(content)
+    with pytest.raises(StoreError, match="is not as it was sealed"):
+        back_up(store, tmp_path / "B")
+    assert read_backup(tmp_path / "B") == before
+    restore(tmp_path / "B", tmp_path / "R")
+    assert verify(Store.open(tmp_path / "R"))[0].is_sound
+
+
+def test_what_the_store_has_lost_stays_in_the_backup(
+    store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    back_up(store, tmp_path / "B")
+    (store.log / "00000002.mcap").unlink()
+    assert gyrofleet("recover", "--store", "S", "--json").code == 0
+    done = back_up(store, tmp_path / "B")
+    assert [entry.segment for entry in done.backup.lost] == ["00000002.mcap"]
+    assert (tmp_path / "B" / "log" / "00000002.mcap").exists()
+
+
+@pytest.mark.parametrize("path", ["log/../../x", "files/../../x", "files//etc/x", "files/.."])
+def test_paths_out_of_the_folder_are_refused(store: Store, tmp_path: Path, path: str) -> None:
+    back_up(store, tmp_path / "B")
+    marker = tmp_path / "B" / "backup.json"
+    content = json.loads(marker.read_text())
+    content["files"][0]["path"] = path
+    marker.write_text(json.dumps(content))
+    with pytest.raises(StoreError, match="no path of a backup"):
+        restore(tmp_path / "B", tmp_path / "R")
+    assert not (tmp_path / "x").exists()
+
+
+def test_folders_of_others_are_refused(store: Store, tmp_path: Path) -> None:
+    back_up(store, tmp_path / "B")
+    other = Store.create(tmp_path / "O")
+    with pytest.raises(StoreError, match="is a backup of the store"):
+        back_up(other, tmp_path / "B")
+    with pytest.raises(StoreError, match="holds other files and is no backup"):
+        back_up(other, tmp_path / "S")
+    with pytest.raises(StoreError, match="is not empty"):
+        restore(tmp_path / "B", tmp_path / "S")
+    with pytest.raises(StoreError, match="is no backup"):
+        restore(tmp_path / "S", tmp_path / "R")
+    shutil.rmtree(tmp_path / "B" / "log")
+    with pytest.raises(StoreError, match="is incomplete"):
+        restore(tmp_path / "B", tmp_path / "R")
+
+
+def test_an_interrupted_restoration_is_repeated(store: Store, tmp_path: Path) -> None:
+    back_up(store, tmp_path / "B")
+
+    def interrupt(share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        restore(tmp_path / "B", tmp_path / "R", interrupt)
+    assert not (tmp_path / "R" / "store.json").exists()
+    restore(tmp_path / "B", tmp_path / "R")
+    assert counts(Store.open(tmp_path / "R")) == counts(store)
+
+
+def test_an_empty_store_has_a_backup(tmp_path: Path) -> None:
+    Store.create(tmp_path / "S")
+    back_up(Store.open(tmp_path / "S"), tmp_path / "B")
+    restore(tmp_path / "B", tmp_path / "R")
+    assert verify(Store.open(tmp_path / "R"))[0].samples == 0
