@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Protocol
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from analytics.evaluation import evaluation
@@ -78,8 +77,8 @@ def unit_metrics(
 
     `progress` is called with how many of how many changed runs have been reduced. Of units that changed only the
     `wanted` metrics are computed, all if empty. Values of units whose records and products have not changed are read
-    from the kept file; recomputed they are the same to the last bit. Metrics that are not wanted may be missing. What is
-    not kept is computed here, or by a `computation`.
+    from the kept file; recomputed they are the same to the last bit. Metrics that are not wanted may be missing.
+    What is not kept is computed here, or by a `computation`.
     """
     define_views(catalog, step_records(catalog, progress, None if computation is None else computation.records))
     prints = _unit_fingerprints(catalog)

@@ -82,9 +82,7 @@ def kept_prints(table: pa.Table) -> dict[str, str]:
     return dict(distinct_pairs(table, "run", _PRINT))
 
 
-def records_of(
-    catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None
-) -> pa.Table:
+def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None) -> pa.Table:
     """Records of runs, whose fingerprints are given."""
     reduced = [COLUMNS.empty_table()]
     for done, run in enumerate(runs):
