@@ -13,8 +13,8 @@ from storage.store import Store
 from stream.errors import StoreError
 
 UNITS_A_TASK = 100
-# so many tasks for each that runs at the same time: the last ones then end together
-_ROUNDS = 4
+# so many tasks for each that runs at the same time: more end together, but each opens its parts anew
+_ROUNDS = 2
 
 # Which part has something of which unit in which run; '' stands for what is of no unit, or of no run.
 _PLACES = """

@@ -3,9 +3,9 @@
 `scaling` writes a lake of units that stand still for an hour a day at 10 Hz, and times their step records (from the
 lake's means of seconds) in one process with one thread, and on one and two workers of one core with 100 units a task:
 strong scaling on all units, weak scaling on half of them on one worker, and the overhead of the tasks. `fleet` takes
-2,000 units over 30 days from their kept step records to metrics and verdicts. `diagnose` traces a fleet, each unit alone
-and all pooled. All compare the results with those of one process, to the last bit; with `--kill` a worker is killed in
-the middle.
+2,000 units over 30 days from their kept step records to metrics and verdicts. `diagnose` traces a fleet, each unit
+alone and all pooled. All compare the results with those of one process, to the last bit; with `--kill` a worker is
+killed in the middle.
 """
 
 import argparse
