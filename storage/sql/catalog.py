@@ -229,13 +229,17 @@ class Catalog(Closing):
         self._deferred.define(words)
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
-        """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
+        """Result of one of the project's own reading statements; users' statements go through `user_reader`.
+
+        Several threads may ask at once: each has a cursor of its own, since a connection at work refuses other calls.
+        """
         self._fill(sql)
         try:
-            kind = one_statement(self._connection, sql).type
+            cursor = self._connection.cursor()
+            kind = one_statement(cursor, sql).type
             if kind not in _READING:
                 raise refused(kind.name)
-            return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
+            return cursor.sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise _failed(error) from error
 

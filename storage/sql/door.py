@@ -78,6 +78,11 @@ class SqlDoor(Closing):
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self._process: _Process | None = None
 
+    def start(self) -> None:
+        """Start the process, so that the first statement does not wait for it; StoreError if it cannot start."""
+        if self._process is None:
+            self._started()
+
     def ask(self, statement: str, parameters: object = None) -> Result:
         """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
         for attempt in range(_ATTEMPTS):

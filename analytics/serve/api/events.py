@@ -103,11 +103,11 @@ class UnitAudit(msgspec.Struct, frozen=True, kw_only=True):
     next: str | None
 
 
-@get("/api/units/{unit}/audit", table="events")
+@get("/api/units/{unit}/audit", table="events", sees_log=True)
 def unit_audit(call: Call, asked: Paged) -> UnitAudit:
     """What happened to a unit: who did what when, its runs, mountings, verdicts, models; the latest first."""
     unit = call.path["unit"]
-    unit_row(call.fresh, unit)
+    unit_row(call, unit)
     at, uid = _cursor(asked.after)
     given = {"unit": unit, "at": at, "uid": uid, "rows": asked.limit + 1}
     rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _AUDIT, given)], asked.limit)

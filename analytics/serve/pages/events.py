@@ -13,7 +13,7 @@ from analytics.serve.pages.zones import common_zone, zoned
 _SHOWN_CHARACTERS = 400
 
 
-@shown("/events", "events.html.jinja")
+@shown("/events", "events.html.jinja", shared_s=1.0)
 def events(call: Call, asked: api.EventsAsked) -> dict[str, Any]:
     """The documents."""
     zone = common_zone(call)
