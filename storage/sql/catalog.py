@@ -25,6 +25,7 @@ from stream.errors import QueryError
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
 _COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
+_PART_ROWS = 122_880  # that DuckDB compresses together
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -165,7 +166,10 @@ class Catalog(Closing):
         """
         self._deferred.discard(name)
         place, view = self._place_of(name, is_large=is_large)
-        self._write(f"create or replace table {place} as from put_rows", table)
+        parts = _parts(table) if isinstance(table, pa.RecordBatchReader) else iter([table])
+        self._write(f"create or replace table {place} as from put_rows", next(parts))
+        for part in parts:
+            self._write(f"insert into {place} from put_rows", part)
         if view is not None:
             self._execute(f"create or replace view {view} as from {place}")
 
@@ -181,12 +185,14 @@ class Catalog(Closing):
             return view, None
         return (f'{_COMPACT}.main."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
 
-    def _write(self, sql: str, table: pa.Table | pa.RecordBatchReader) -> None:
+    def _write(self, sql: str, table: pa.Table) -> None:
         self._connection.register("put_rows", table)
         try:
             self._execute(sql)
         finally:
             self._connection.unregister("put_rows")
+        if f" {_COMPACT}." in sql:
+            self._execute(f"checkpoint {_COMPACT}")  # compresses what was written
 
     def stored(self, name: str) -> pa.Table:
         """The rows of a table that was put."""
@@ -310,6 +316,17 @@ class Catalog(Closing):
 
 def _quoted(texts: Iterable[str]) -> str:
     return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
+
+
+def _parts(reader: pa.RecordBatchReader) -> Iterator[pa.Table]:
+    """The rows that a reader gives, in tables that fit into memory; one without rows at least."""
+    batches: list[pa.RecordBatch] = []
+    for batch in reader:
+        batches.append(batch)
+        if sum(each.num_rows for each in batches) >= _PART_ROWS:
+            yield pa.Table.from_batches(batches)
+            batches = []
+    yield pa.Table.from_batches(batches, reader.schema)
 
 
 def _failed(error: duckdb.Error) -> QueryError:
