@@ -9,6 +9,7 @@ import click
 
 from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.limits import warn_of_copies
+from analytics.commands.plants import check_one_store, of_plants, with_plant
 from storage.commands.stored_names import RUN, UNIT
 from stream.completion import ListedName
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
@@ -17,6 +18,7 @@ from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.evaluation.inner_page import InnerRow
+    from analytics.evaluation.selection import Row
     from storage.sql.catalog import Catalog
 
 _SHOWN_ROWS = 500
@@ -74,16 +76,26 @@ def metrics(
     if annex_unit is not None and (units or lots or runs or ids or standards or since or csv_path or xlsx_path):
         raise BadInput("--annex-a stands alone, with --lang and --json: it is the unit's last values of JJF 2014-2022")
     asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
-    with opened_catalog(folder, quiet=as_json) as catalog:
+    if annex_unit is not None:
+        check_one_store(folder, "--annex-a")
+        with opened_catalog(folder, quiet=as_json) as catalog:
+            if engine is not None:
+                compute_by_engine(catalog, engine)
+            _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
+        return
+
+    def ask(catalog: "Catalog") -> "tuple[list[Row], int, list[tuple[str, int, str]]]":
         if engine is not None:
             compute_by_engine(catalog, engine, ids)
-        if annex_unit is not None:
-            _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
-            return
-        rows = selected(catalog, asked)
         undated = undated_runs(catalog, asked) if since else 0
-        if not ids:  # a step is unused where no metric at all uses it
-            _print_unused(unused_steps(catalog, asked))
+        # a step is unused where no metric at all uses it
+        return selected(catalog, asked), undated, [] if ids else unused_steps(catalog, asked)
+
+    answers = of_plants(folder, ask, quiet=as_json)
+    rows = [row for plant, (found, _, _) in answers for row in with_plant(plant, found)]
+    undated = sum(count for _, (_, count, _) in answers)
+    for _, (_, _, unused) in answers:
+        _print_unused(unused)
     if undated:
         notes().print(f"--since leaves out {undated} runs whose date is not known; import them with --start")
     if csv_path is not None:

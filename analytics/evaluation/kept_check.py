@@ -32,7 +32,8 @@ def kept_findings(store: Store) -> list[Finding]:
         Catalog(store, kept=Path(scratch)) as catalog,
     ):
         kept_metrics.unit_metrics(catalog)
-        metrics_now = pl.DataFrame(catalog.table("from unit_metrics"))
+        with catalog.suspended_layers():
+            metrics_now = pl.DataFrame(catalog.table("from unit_metrics"))
         steps_now = step_table.kept_steps(Path(scratch))
         _, prints_now = kept_metrics.kept_metrics(Path(scratch))
     if steps is not None and steps_now is not None:

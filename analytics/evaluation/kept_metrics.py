@@ -80,11 +80,18 @@ def unit_metrics(
     from the kept file; recomputed they are the same to the last bit. Metrics that are not wanted may be missing.
     What is not kept is computed here, or by a `computation`.
     """
+    with catalog.suspended_layers():
+        _update(catalog, progress, frozenset(wanted), computation)
+
+
+def _update(
+    catalog: Catalog, progress: Progress | None, wanted: frozenset[str], computation: Computation | None
+) -> None:
     define_views(catalog, step_records(catalog, progress, None if computation is None else computation.records))
     prints = _unit_fingerprints(catalog)
     file, marks = kept_metrics(catalog.kept)
     every = frozenset(metrics())
-    needed = frozenset(wanted) or every
+    needed = wanted or every
     known = {unit: _computed(mark, prints.get(unit), every) for unit, mark in marks.items()}
     stale = frozenset(unit for unit in prints if not needed <= known.get(unit, frozenset()))
     if not stale and all(known.values()):

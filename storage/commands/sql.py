@@ -11,6 +11,7 @@ from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
+    from storage.sql.door import QueryLimits, SqlDoor
 
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 
@@ -41,7 +42,7 @@ def sql(
     """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
     STATEMENT runs in a process that can only read the store. One that would do more, fails, or exceeds --max-time,
-    --max-memory or --max-rows, ends with exit code 2.
+    --max-memory or --max-rows, ends with exit code 2. Of a fleet store all tables have the column plant.
 
     \b
     gyrofleet sql --tables
@@ -49,39 +50,31 @@ def sql(
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, run, avg(value) from samples group by all"
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from storage.store import Store, check_outside
+    from storage.store import check_outside
     from stream.errors import BadInput
 
     if as_csv + as_json + (parquet_path is not None) > 1:
         raise BadInput("give one of --json, --csv and --parquet FILE")
     if tables + (catalogue_path is not None) + (statement is not None and not tables) != 1:
         raise BadInput("give one of STATEMENT, --tables [NAME] and --catalogue FILE")
-    store = Store.open(folder)
+    asked = _Asked(folder)
     for path in (catalogue_path, parquet_path):
         if path is not None:
-            check_outside(store, path)
+            check_outside(asked.store, path)
     if catalogue_path is not None:
-        from storage.sql.tables import export_catalogue
-
-        export_catalogue(store, catalogue_path)
-        notes().print(
-            f"written to {catalogue_path}: DuckDB 1.3 or later opens it, its view samples needs DuckDB 2.0",
-            soft_wrap=True,
-        )
+        asked.export(catalogue_path)
         return
     if tables:
-        from storage.sql.catalog import Catalog
-
-        with Catalog(store) as catalog:
+        with asked.catalog() as catalog:
             _print_tables(catalog, statement, as_json=as_json)
         return
     assert statement is not None
-    from storage.sql.door import QueryLimits, SqlDoor
+    from storage.sql.door import QueryLimits
 
     memory_bytes = None if memory_gib is None else int(memory_gib * 2**30)
     given: dict[str, Any] = {"time_s": time_s, "memory_bytes": memory_bytes, "rows": max_rows}
     limits = QueryLimits()._replace(**{name: value for name, value in given.items() if value is not None})
-    with SqlDoor(store, limits) as door:
+    with asked.door(limits) as door:
         result = door.ask(statement)
         if not door.is_enforced:
             notes().print(
@@ -97,6 +90,43 @@ def sql(
             print_json_rows(result)
         else:
             print_table(result)
+
+
+class _Asked:
+    """The store that is asked, or a fleet store."""
+
+    def __init__(self, folder: Path) -> None:
+        from storage.fleet_store import FleetStore, is_fleet
+        from storage.store import Store
+
+        self._fleet = FleetStore.open(folder) if is_fleet(folder) else None
+        self.store = Store.open(folder) if self._fleet is None else Store(folder, "")
+
+    def catalog(self) -> "Catalog":
+        """A catalogue of all tables."""
+        from storage.sql.catalog import Catalog
+        from storage.sql.fleet_door import opened_fleet_catalog
+
+        return Catalog(self.store) if self._fleet is None else opened_fleet_catalog(self._fleet)
+
+    def door(self, limits: "QueryLimits") -> "SqlDoor":
+        """The process that answers statements."""
+        from storage.sql.door import SqlDoor
+        from storage.sql.fleet_door import FleetDoor
+
+        return SqlDoor(self.store, limits) if self._fleet is None else FleetDoor(self._fleet, limits)
+
+    def export(self, path: Path) -> None:
+        """Write a DuckDB database of one store."""
+        from storage.sql.tables import export_catalogue
+        from stream.errors import BadInput
+
+        if self._fleet is not None:
+            raise BadInput(f"a catalogue is of one store: --store {self._fleet.folder}/plants/NAME")
+        export_catalogue(self.store, path)
+        notes().print(
+            f"written to {path}: DuckDB 1.3 or later opens it, its view samples needs DuckDB 2.0", soft_wrap=True
+        )
 
 
 def _print_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> None:

@@ -99,6 +99,7 @@ class Catalog(Closing):
         self._is_in_memory = file is None
         if self._is_in_memory:
             self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
+            self._connection.execute(f"create schema {_COMPACT}.internal")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
         self._deferred = DeferredDefinitions(self._execute)
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
@@ -144,6 +145,10 @@ class Catalog(Closing):
             with reading_lake(self.store):
                 define_views(self._connection)
 
+    def define_views(self) -> None:
+        """Define the views now, as a file that others open needs."""
+        self._define_views()
+
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
         self._deferred.define(words_of(sql))
@@ -183,7 +188,7 @@ class Catalog(Closing):
         view = f'{"main" if is_listed else "internal"}."{name}"'
         if not (is_listed or is_large):
             return view, None
-        return (f'{_COMPACT}.main."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
+        return (f'{_COMPACT}.internal."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
 
     def _write(self, sql: str, table: pa.Table) -> None:
         self._connection.register("put_rows", table)

@@ -143,6 +143,13 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     from storage.sql.catalog import Catalog
     from storage.store import Store
 
+    if "plants" in setup:
+        from storage.sql.fleet_catalog import FleetCatalog, PlantFile
+
+        return FleetCatalog(
+            Path(setup["folder"]), msgspec.convert(setup["plants"], type=list[PlantFile]), setup["tables"],
+            memory_bytes=setup["memory_bytes"],
+        )  # fmt: skip
     return Catalog(
         Store(Path(setup["folder"]), setup["identity"]),
         parts=msgspec.json.decode(setup["parts"], type=tuple[Part, ...]), kept=Path(setup["kept"]), frozen=True,

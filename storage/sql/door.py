@@ -139,13 +139,19 @@ class SqlDoor(Closing):
             raise kinds[0](failure["message"])
         return kind, content
 
+    def _setup(self) -> dict[str, object]:
+        """What the process opens, and what it may read."""
+        return {
+            "folder": str(self.store.folder.resolve()), "identity": self.store.identity,
+            "parts": msgspec.json.encode(self._parts).decode(), "kept": str(self._kept.resolve()),
+            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())],
+        }  # fmt: skip
+
     def _started(self) -> "_Process":
         self._process = process = _Process()
         setup = {
-            "folder": str(self.store.folder.resolve()), "identity": self.store.identity,
-            "parts": msgspec.json.encode(self._parts).decode(), "kept": str(self._kept.resolve()),
-            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())], "time_s": self.limits.time_s,
-            "memory_bytes": self.limits.memory_bytes, "landlock": self._landlock,
+            **self._setup(), "time_s": self.limits.time_s, "memory_bytes": self.limits.memory_bytes,
+            "landlock": self._landlock,
         }  # fmt: skip
         process.send(FrameKind.REQUEST, json.dumps(setup).encode())
         try:

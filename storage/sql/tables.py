@@ -65,7 +65,7 @@ def read_texts(file: Traversable) -> ColumnTexts:
 
 def column_texts(table: str) -> dict[str, str]:
     """Meaning of the columns of a table."""
-    found: dict[str, str] = {}
+    found: dict[str, str] = {"plant": "plant that recorded it, in a fleet store"}
     own = read_texts(files("storage.sql").joinpath("schema", "columns.toml"))
     for texts in (own, *(layer.columns for layer in layers() if table in layer.tables)):
         found |= texts.get(_EVERY, {})

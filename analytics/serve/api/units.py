@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 
 from analytics.metric_registry.registry import alike
+from analytics.serve.api.certificates import CertificateRow, certificates_of
 from analytics.serve.api.models import ModelRow, models_of
 from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
@@ -116,7 +117,7 @@ class UnitRun(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything of a unit: its runs, characteristics, verdicts by the specifications, error models."""
+    """Everything of a unit: runs, characteristics, verdicts by the specifications, error models, certificates."""
 
     unit: str
     about: UnitRow
@@ -125,6 +126,7 @@ class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
     metrics: list[dict[str, Any]]
     verdicts: list[dict[str, Any]]
     models: list[ModelRow]
+    certificates: list[CertificateRow]
     warnings: list[dict[str, Any]]
 
 
@@ -144,7 +146,7 @@ def list_units(call: Call, asked: UnitsAsked) -> Units:
 
 @get("/api/units/{unit}", table="metrics", is_slow=True, sees_log=True)
 def unit(call: Call, asked: Nothing) -> UnitDocument:
-    """One unit: its runs, characteristics with limits and verdicts, error models."""
+    """One unit: its runs, characteristics with limits and verdicts, error models, certificates."""
     del asked
     name = call.path["unit"]
     # the lake's, so that they are not computed again for every message that the log gets
@@ -165,6 +167,7 @@ def _document(call: Call, name: str, found: dict[str, Any]) -> UnitDocument:
         about=about,
         runs=[UnitRun(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"])) for row in runs],
         models=models_of(call.store, name),
+        certificates=certificates_of(call, name),
         **found,
     )
 

@@ -1,17 +1,20 @@
 """The pages of units: all of them, and one."""
 
+import datetime as dt
 from typing import Any
 
 import msgspec
 
-from analytics.audit import summary
+from analytics.event_words import summary
 from analytics.plots.picture import Picture
 from analytics.serve.api import events
 from analytics.serve.api import unit_pictures as pictures
 from analytics.serve.api import units as api
+from analytics.serve.api.certificates import CertificateRow
 from analytics.serve.api.operation import Call, Nothing, NotYet, link
 from analytics.serve.api.rows import Name, Paged
 from analytics.serve.pages.events import shortened
+from analytics.serve.pages.language import LANGUAGES
 from analytics.serve.pages.page import shown
 
 _MOST_HISTORIES = 6
@@ -64,11 +67,20 @@ def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
         "is_whole": is_whole,
         "metrics": sorted({(row["metric"], row["en"], row["zh"]) for row in found.metrics if row["value"] is not None}),
         "signals": sorted({name for run in found.runs for name in run.signals}),
+        "certificates": [(row, _state(row)) for row in found.certificates],
         "audit": [
-            (row, shortened(summary(row.document))) for row in events.unit_audit(call, Paged(limit=_AUDIT)).events
+            (row, {language: shortened(summary(row.document, language)) for language in LANGUAGES})
+            for row in events.unit_audit(call, Paged(limit=_AUDIT)).events
         ],
         "data": link("api", "units", found.unit),
     }
+
+
+def _state(row: CertificateRow) -> str:
+    """Whether a certificate is ``valid``, ``superseded`` or ``expired`` today."""
+    if row.superseded_by is not None:
+        return "superseded"
+    return "valid" if dt.datetime.now(dt.UTC).date().isoformat() <= row.valid_until else "expired"
 
 
 def _by_need(row: dict[str, Any]) -> tuple[int, int]:
