@@ -36,8 +36,13 @@ def opened_engine(name: str, report: Callable[[str], None]) -> "Iterator[Engine]
         yield engine
 
 
-def compute_by_engine(catalog: "Catalog", name: str, wanted: Collection[str] = ()) -> None:
-    """Compute the metrics of units that changed by an engine, and keep them in the store, where commands find them."""
+def compute_by_engine(catalog: "Catalog", name: str | None, wanted: Collection[str] = ()) -> None:
+    """Compute the metrics of units that changed by an engine, and keep them in the store, where commands find them.
+
+    Nothing without an engine.
+    """
+    if name is None:
+        return
     from analytics.cluster.metric_tasks import ClusterComputation
     from analytics.evaluation.kept_metrics import unit_metrics
     from analytics.metric_registry.registry import check_metrics

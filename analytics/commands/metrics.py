@@ -79,14 +79,12 @@ def metrics(
     if annex_unit is not None:
         check_one_store(folder, "--annex-a")
         with opened_catalog(folder, quiet=as_json) as catalog:
-            if engine is not None:
-                compute_by_engine(catalog, engine)
+            compute_by_engine(catalog, engine)
             _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
         return
 
     def ask(catalog: "Catalog") -> "tuple[list[Row], int, list[tuple[str, int, str]]]":
-        if engine is not None:
-            compute_by_engine(catalog, engine, ids)
+        compute_by_engine(catalog, engine, ids)
         undated = undated_runs(catalog, asked) if since else 0
         # a step is unused where no metric at all uses it
         return selected(catalog, asked), undated, [] if ids else unused_steps(catalog, asked)

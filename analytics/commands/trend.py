@@ -90,8 +90,7 @@ def trend(
         since_ns=None if since is None else dated(since),
     )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
-        if engine is not None:
-            compute_by_engine(catalog, engine, [metric])
+        compute_by_engine(catalog, engine, [metric])
         series = read_series(catalog, metric, choice)
         specification = specified_limits(catalog.store, series)
     found = trend_of(series, by=by, baseline=baseline, spread=Spread(spread), specification=specification)

@@ -67,8 +67,7 @@ def verdicts(
         raise BadInput("--risks stands alone: it is of all units, by lot")
 
     def ask(catalog: "Catalog") -> "tuple[Verdicts, list[dict[str, Any]], list[dict[str, Any]]]":
-        if engine is not None:
-            compute_by_engine(catalog, engine)
+        compute_by_engine(catalog, engine)
         of_units = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
         return of_units, yield_by(catalog, by) if by else [], lot_risks(catalog) if risks else []
 
