@@ -42,7 +42,7 @@ class Store:
     def __init__(self, folder: Path, identity: str) -> None:
         self.folder, self.identity = folder, identity
         self.label = str(folder)  # what messages call it
-        self.has_copies = True  # of the specifications in its log, as files
+        self.is_local = True  # its log and files are at hand
         self.log = folder / "log"
         self.aside = folder / "log" / "aside"
         self.lake = folder / "lake"

@@ -37,6 +37,8 @@ _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
+    **dict.fromkeys(("py4j", "pyspark"), "spark"),
+    **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
     "cryptography": "attest",
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("fsspec", "obstore"), "s3"),

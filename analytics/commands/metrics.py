@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.limits import warn_of_copies
 from analytics.commands.plants import check_one_store, of_plants, with_plant
 from storage.commands.lake_address import asked_at, lake_options
@@ -54,13 +55,14 @@ METRIC = ListedName(_metric_names)
 @click.option("--annex-a", "annex_unit", metavar="UNIT", help="The 24 rows of JJF 2014-2022 annex A for this unit.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write to this CSV file.")
 @click.option("--xlsx", "xlsx_path", type=click.Path(path_type=Path), help="Write to this workbook.")
+@engine_option
 @language_option
 @reporting
 def metrics(
     folder: Path, units: tuple[str, ...], lots: tuple[str, ...], runs: tuple[str, ...], ids: tuple[str, ...],
     standards: tuple[str, ...], since: str | None, annex_unit: str | None, csv_path: Path | None,
-    xlsx_path: Path | None, url: str | None, endpoint_url: str | None, cache_size: str | None, language: str, *,
-    as_json: bool,
+    xlsx_path: Path | None, engine: str | None, url: str | None, endpoint_url: str | None, cache_size: str | None,
+    language: str, *, as_json: bool,
 ) -> None:  # fmt: skip
     """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
 
@@ -83,10 +85,12 @@ def metrics(
     if annex_unit is not None:
         check_one_store(at, "--annex-a")
         with opened_catalog(at, quiet=as_json) as catalog:
+            compute_by_engine(catalog, engine)
             _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
         return
 
     def ask(catalog: "Catalog") -> "tuple[list[Row], int, list[tuple[str, int, str]]]":
+        compute_by_engine(catalog, engine, ids)
         undated = undated_runs(catalog, asked) if since else 0
         # a step is unused where no metric at all uses it
         return selected(catalog, asked), undated, [] if ids else unused_steps(catalog, asked)
@@ -127,7 +131,7 @@ def opened_catalog(at: "Path | Store", *, quiet: bool) -> "Iterator[Catalog]":
 
         store = opened_at(at)
         with Catalog(store, progress=update) as catalog:
-            if store.has_copies:
+            if store.is_local:
                 warn_of_copies(store, read_chain(store, catalog))
             yield catalog
 

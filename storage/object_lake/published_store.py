@@ -22,7 +22,7 @@ class PublishedStore(Store):
     def __init__(self, bucket: Bucket, lake: Published, cache: BlockCache, folder: Path) -> None:
         super().__init__(folder, lake.head.store)
         self.label = bucket.url
-        self.has_copies = False
+        self.is_local = False
         self.parts: tuple[Part, ...] = lake.parts
         self.cache = cache
         self._bucket = bucket

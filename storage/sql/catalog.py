@@ -80,18 +80,23 @@ class Catalog(Closing):
     folder `kept`, by default the store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes`
     is the limit of DuckDB, which then uses no disk either; by default most of the machine's memory. With `live` users'
     statements also see the rows that only the log has, as it is when one first names a table that has some; layers and
-    the project's own statements never do.
+    the project's own statements never do. With `units` channels, documents and estimates of other units are left out,
+    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
     """
 
     def __init__(
         self, store: Store, file: Path | None = None, *, progress: Progress | None = None,
         parts: Iterable[Part] | None = None, source: LakeSource | None = None, kept: Path | None = None,
         frozen: bool = False, memory_bytes: int | None = None, live: bool = False,
+        units: Collection[str] | None = None, threads: int | None = None,
     ) -> None:  # fmt: skip
         self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
+        if threads is not None:
+            config["threads"] = threads
+        self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
         self._is_in_memory = file is None
         if self._is_in_memory:
@@ -131,9 +136,12 @@ class Catalog(Closing):
             return
         if table in _ALWAYS_READ:
             self.source.bring(paths)
-        listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+        of_units = ""
+        if self._units is not None and "unit" in (column.name for column in TABLES[table]):
+            of_units = f" where unit is null or unit in ({_quoted(['', *self._units])})"
+        sql = f"create view {source} as select *, filename from read_parquet([{_quoted(paths)}]){of_units}"  # noqa: S608
         with reading_lake(self.store):
-            self._connection.execute(f"create view {source} as select *, filename from read_parquet([{listed}])")  # noqa: S608
+            self._connection.execute(sql)
 
     def _define_views(self) -> None:
         """Define the views on the lake, once; most statements that see live rows need no others."""
@@ -195,6 +203,11 @@ class Catalog(Closing):
             self._connection.unregister("put_rows")
         if f" {_COMPACT}." in sql:
             self._execute(f"checkpoint {_COMPACT}")  # compresses what was written
+
+    def stored(self, name: str) -> pa.Table:
+        """The rows of a table that was put."""
+        schema = "main" if name in known_tables() else "internal"
+        return self._connection.sql(f'from {schema}."{name}"').to_arrow_table()
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
@@ -309,6 +322,10 @@ class Catalog(Closing):
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
+
+
+def _quoted(texts: Iterable[str]) -> str:
+    return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
 
 
 def _parts(reader: pa.RecordBatchReader) -> Iterator[pa.Table]:
