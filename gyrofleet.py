@@ -112,6 +112,7 @@ def _add_commands() -> None:
     from storage.commands.attest import attest
     from storage.commands.backup import backup, restore
     from storage.commands.estimate import estimate
+    from storage.commands.export_iceberg import export_iceberg
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.replicate import replicate
@@ -127,6 +128,7 @@ def _add_commands() -> None:
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover, attest, backup, restore, replicate)
+    main.add_section("Give to other programs", export_iceberg)
     main.add_section("Shell", completion)
 
 

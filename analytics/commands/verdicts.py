@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.text import Text
 
+from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.metrics import language_option
 from analytics.commands.plants import named, of_plants, with_plant
 from storage.commands.stored_names import UNIT
@@ -44,11 +45,12 @@ _ZH = {
 @click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
+@engine_option
 @language_option
 @reporting
 def verdicts(
-    folder: Path, units: tuple[str, ...], by: Any, language: str, *, risks: bool, fail_on_fail: bool,
-    as_json: bool,
+    folder: Path, units: tuple[str, ...], by: Any, engine: str | None, language: str, *, risks: bool,
+    fail_on_fail: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
 
@@ -65,6 +67,7 @@ def verdicts(
         raise BadInput("--risks stands alone: it is of all units, by lot")
 
     def ask(catalog: "Catalog") -> "tuple[Verdicts, list[dict[str, Any]], list[dict[str, Any]]]":
+        compute_by_engine(catalog, engine)
         of_units = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
         return of_units, yield_by(catalog, by) if by else [], lot_risks(catalog) if risks else []
 

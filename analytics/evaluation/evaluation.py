@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from analytics.evaluation.type_b import COVERAGE, UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, parameters_text
-from analytics.specifications.sql_tables import put_specifications
+from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
 from storage.sql.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
@@ -40,14 +40,27 @@ create or replace table internal.procedures_of_steps as select distinct "procedu
 """
 
 
-def define_views(catalog: Catalog, steps: pa.Table | pa.RecordBatchReader) -> None:
-    """Put the records of steps, and define the tables and views that metrics use."""
+def define_views(
+    catalog: Catalog, steps: pa.Table | pa.RecordBatchReader, of_store: Mapping[str, pa.Table] | None = None
+) -> None:
+    """Put the records of steps, and define the tables and views that metrics use.
+
+    Where `steps` are those of some units, `of_store` has the tables of the whole store, see `tables_of_store`.
+    """
     catalog.put("step_records", steps, is_large=True)
     choose_steps(catalog)
     catalog.define(_OF_RECORDS)
-    put_specifications(catalog)
+    if of_store is None:
+        put_specifications(catalog)
+    for name, table in (of_store or {}).items():
+        catalog.put(name, table)
     catalog.put("rate_units", _rate_units(catalog))
     define_scripts(catalog, "views")
+
+
+def tables_of_store(catalog: Catalog) -> dict[str, pa.Table]:
+    """Tables that metrics of some units need, and that are of all units; by name."""
+    return {name: catalog.stored(name) for name in (*SPECIFICATION_TABLES, "units_of_runs", "procedures_of_steps")}
 
 
 def choose_steps(catalog: Catalog, units: Collection[str] = ()) -> None:
@@ -154,6 +167,11 @@ def _add_bounds(columns: dict[str, pa.Array], source: BoundsSource) -> None:
     for name, array in (("value", value), ("lo", lo), ("hi", hi), ("standard_uncertainty", u)):
         columns[name] = pa.array(array, pa.float64(), mask=missing | ~np.isfinite(array))
     columns["freedom"] = pa.array(freedom, pa.float64(), mask=~np.isfinite(freedom))
+
+
+def of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
+    """Rows of some units."""
+    return table.filter(pc.is_in(table["unit"], pa.array(sorted(units), pa.string())))
 
 
 def _rate_units(catalog: Catalog) -> pa.Table:

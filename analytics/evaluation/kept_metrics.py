@@ -7,17 +7,17 @@ and the rows come in their order.
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
+from typing import Protocol
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from analytics.evaluation import evaluation
-from analytics.evaluation.evaluation import COLUMNS, choose_steps, define_scripts, define_views
+from analytics.evaluation.evaluation import COLUMNS, choose_steps, define_scripts, define_views, of_units
 from analytics.metric_registry.registry import metrics
 from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, open_kept, step_records, write_kept_content
@@ -55,19 +55,39 @@ _PACKAGES = (
 )  # fmt: skip
 
 
-def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = ()) -> None:
+class Computation(Protocol):
+    """Computes what is not kept, otherwise than in this process; the results are the same to the last bit."""
+
+    def records(
+        self, catalog: Catalog, runs: list[str], prints: Mapping[str, str], progress: Progress | None
+    ) -> pa.Table:
+        """Step records of runs, see `records_of`."""
+
+    def values(self, catalog: Catalog, units: list[str], names: Collection[str]) -> pa.Table:
+        """These metrics of units from the step records that are in the catalogue; `COLUMNS`."""
+
+
+def unit_metrics(
+    catalog: Catalog,
+    progress: Progress | None = None,
+    wanted: Collection[str] = (),
+    computation: Computation | None = None,
+) -> None:
     """Put the tables ``step_means`` and ``unit_metrics`` of all units of a store, and the views of this package.
 
     `progress` is called with how many of how many changed runs have been reduced. Of units that changed only the
     `wanted` metrics are computed, all if empty. Values of units whose records and products have not changed are read
     from the kept file; recomputed they are the same to the last bit. Metrics that are not wanted may be missing.
+    What is not kept is computed here, or by a `computation`.
     """
     with catalog.suspended_layers():
-        _update(catalog, progress, frozenset(wanted))
+        _update(catalog, progress, frozenset(wanted), computation)
 
 
-def _update(catalog: Catalog, progress: Progress | None, wanted: frozenset[str]) -> None:
-    define_views(catalog, step_records(catalog, progress))
+def _update(
+    catalog: Catalog, progress: Progress | None, wanted: frozenset[str], computation: Computation | None
+) -> None:
+    define_views(catalog, step_records(catalog, progress, None if computation is None else computation.records))
     prints = _unit_fingerprints(catalog)
     file, marks = kept_metrics(catalog.kept)
     every = frozenset(metrics())
@@ -90,7 +110,8 @@ def _update(catalog: Catalog, progress: Progress | None, wanted: frozenset[str])
     catalog.put("unit_metrics", COLUMNS.empty_table())
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, COLUMNS.with_metadata({_PRINTS: json.dumps(marks)}), compression="zstd") as writer:
-        for rows in _updated(catalog, list(_ranges(catalog, prints)), stale, needed, outdated):
+        found = computation.values(catalog, sorted(stale), needed) if computation is not None and stale else None
+        for rows in _updated(catalog, list(_ranges(catalog, prints)), stale, needed, outdated, found):
             catalog.append("unit_metrics", rows)
             writer.write_table(rows)
     catalog.put("kept_metrics", COLUMNS.empty_table(), is_large=True)
@@ -103,8 +124,9 @@ def _updated(
     stale: Collection[str],
     needed: Collection[str],
     outdated: Collection[str],
+    computed: pa.Table | None,
 ) -> Iterator[pa.Table]:
-    """Rows of each range of units: kept ones, and the needed metrics of stale units."""
+    """Rows of each range of units: kept ones, and the needed metrics of stale units, computed here if they are not."""
     chosen = [metrics()[name] for name in sorted(needed)]
     is_whole = True
     for units in ranges:
@@ -116,12 +138,12 @@ def _updated(
             .cast(COLUMNS)
         )
         if of_range:
-            if len(of_range) < len(units) or len(ranges) > 1:
+            if computed is None and (len(of_range) < len(units) or len(ranges) > 1):
                 choose_steps(catalog, of_range)
                 is_whole = False
             # a metric may also look at documents, which are those of all units
-            found = evaluation.evaluate(catalog, chosen)
-            rows = pa.concat_tables([rows, found.filter(pc.is_in(found["unit"], pa.array(of_range, pa.string())))])
+            found = evaluation.evaluate(catalog, chosen) if computed is None else computed
+            rows = pa.concat_tables([rows, of_units(found, of_range)])
             del found
             rows = catalog.table(_SORTED, rows).cast(COLUMNS)
         yield rows

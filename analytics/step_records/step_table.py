@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
@@ -26,6 +26,8 @@ _MARK = b"gyrofleet.written"
 _BATCH_ROWS = 50_000
 
 Progress = Callable[[int, int], None]
+# records of some runs, see `records_of`
+Reduce = Callable[[Catalog, list[str], Mapping[str, str], Progress | None], pa.Table]
 
 
 def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
@@ -37,8 +39,14 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
     return step_records(catalog, progress).read_all()
 
 
-def step_records(catalog: Catalog, progress: Progress | None = None) -> pa.RecordBatchReader:
-    """The same batch by batch: all records of a fleet take much more memory than their file."""
+def step_records(
+    catalog: Catalog, progress: Progress | None = None, reduce: Reduce | None = None
+) -> pa.RecordBatchReader:
+    """The same batch by batch: all records of a fleet take much more memory than their file.
+
+    Those of changed runs are made by `reduce`, by default `records_of`.
+    """
+    reduce = reduce or records_of
     prints = run_fingerprints(catalog)
     kept = _kept_file(catalog.kept)
     known = {} if kept is None else kept_prints(kept.read(columns=["run", _PRINT]))
@@ -53,8 +61,8 @@ def step_records(catalog: Catalog, progress: Progress | None = None) -> pa.Recor
         table = kept.read().replace_schema_metadata(None)
         tables.append(table.filter(pa.compute.is_in(table["run"], value_set=pa.array(sorted(fresh), pa.string()))))
     if stale:
-        tables.append(_reduced(catalog, stale, prints, progress))
-    table = pa.concat_tables(tables, promote_options="default") if tables else _reduced(catalog, [], {}, None)
+        tables.append(reduce(catalog, stale, prints, progress))
+    table = pa.concat_tables(tables, promote_options="default") if tables else records_of(catalog, [], {}, None)
     table = table.sort_by([(name, "ascending") for name in ("unit", "run", "signal", "index")]).combine_chunks()
     if not catalog.frozen:
         write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
@@ -74,7 +82,8 @@ def kept_prints(table: pa.Table) -> dict[str, str]:
     return dict(distinct_pairs(table, "run", _PRINT))
 
 
-def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress: Progress | None) -> pa.Table:
+def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None) -> pa.Table:
+    """Records of runs, whose fingerprints are given."""
     reduced = [COLUMNS.empty_table()]
     for done, run in enumerate(runs):
         reduced.append(reduce_run(catalog, run))
