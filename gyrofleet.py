@@ -86,6 +86,7 @@ def _add_commands() -> None:
     """Add the commands of all packages, in the order of use."""
     from analytics.commands.alert import alert
     from analytics.commands.allan import allan
+    from analytics.commands.attitude import attitude
     from analytics.commands.audit import audit
     from analytics.commands.budget import budget
     from analytics.commands.certificate import certificate
@@ -111,6 +112,7 @@ def _add_commands() -> None:
     from storage.commands.attest import attest
     from storage.commands.backup import backup, restore
     from storage.commands.estimate import estimate
+    from storage.commands.export_iceberg import export_iceberg
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.replicate import replicate
@@ -123,11 +125,12 @@ def _add_commands() -> None:
     main.add_section("Bring data in", demo, import_files, can, procedure, run, control, simulate, run_simulated, check)
     main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
-    main.add_section("Certify", budget, certificate, audit)
+    main.add_section("Certify", budget, attitude, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
     main.add_section("Secure the bus", site)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover, attest, backup, restore, replicate)
+    main.add_section("Give to other programs", export_iceberg)
     main.add_section("Shell", completion)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from analytics.event_words import kind_name, summary
 from storage.sql.catalog import Catalog
 from stream.atomic_file import replacement
 from stream.console import csv_text
@@ -25,11 +26,7 @@ select kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, t_
 from internal.lake_documents where {AUDITED} order by arrival_ns, t_ns, uid
 """  # noqa: S608  our own statement
 _BY = ("by", "author", "operator")
-_SUMMARY = (
-    "action", "number", "procedure", "step", "specification", "name", "revision", "version", "stage", "product", "lot",
-    "slot", "limit", "metric", "item", "verdict", "outcome", "what", "alert", "target", "text", "note", "reason",
-)  # fmt: skip
-_COLUMNS = ("at", "kind", "run", "station", "by", "what", "limits", "software", "segments", "uid")
+_COLUMNS = ("at", "kind", "event", "run", "station", "by", "what", "limits", "software", "segments", "uid")
 
 
 class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,30 +68,27 @@ def _rows(catalog: Catalog, unit: str, sources: dict[str, dict[str, str]]) -> It
         )  # fmt: skip
 
 
-def summary(document: dict[str, Any]) -> str:
-    """What a document says in a few words: its texts, outcomes and reasons.
+def write_audit(rows: Iterable[AuditRow], path: Path, language: str = "en") -> None:
+    """Write the audit as CSV, in UTF-8 with the byte-order mark that spreadsheets need.
 
-    >>> summary({"kind": "RunEnded", "outcome": "completed", "streams": [1]})
-    'completed'
-    >>> summary({"specification": "FOG", "revision": "A", "action": "add", "reason": "first"})
-    'add, FOG, A, first'
+    Columns and kinds keep their names; `event`, the kind for people, and what a document says are in the language.
     """
-    parts = [str(document[name]) for name in _SUMMARY if isinstance(document.get(name), str | int | float)]
-    return ", ".join(each for each in parts if each)
-
-
-def write_audit(rows: Iterable[AuditRow], path: Path) -> None:
-    """Write the audit as CSV, in UTF-8 with the byte-order mark that spreadsheets need."""
     try:
         with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(_COLUMNS)
             for row in rows:
                 segments = " ".join(f"{name}:{sha256}" for name, sha256 in row.segments.items())
-                cells = [segments if name == "segments" else getattr(row, name) or "" for name in _COLUMNS]
+                own = {"segments": segments, "event": kind_name(row.kind, language), "what": spoken(row, language)}
+                cells = [own[name] if name in own else getattr(row, name) or "" for name in _COLUMNS]
                 writer.writerow([csv_text(each) for each in cells])
     except OSError as error:
         raise BadInput(f"cannot write {path}: {error.strerror or error}; give --csv another file") from error
+
+
+def spoken(row: AuditRow, language: str) -> str:
+    """What a row says in a language."""
+    return summary(row.document, language)
 
 
 def _moment(t_ns: int) -> str:

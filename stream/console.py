@@ -37,8 +37,11 @@ _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
+    **dict.fromkeys(("py4j", "pyspark"), "spark"),
+    **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
     "cryptography": "attest",
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
+    **dict.fromkeys(("fsspec", "obstore"), "s3"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }

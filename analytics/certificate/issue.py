@@ -12,14 +12,17 @@ import msgspec
 from analytics.certificate.document.digital import digital_certificate
 from analytics.certificate.document.figures import figures_of
 from analytics.certificate.document.layout import certificate_pdf
-from analytics.certificate.record import FOLDER, Certificates, append_certificate, read_certificates, sha256_of
-from analytics.certificate.statement.content import Content, Facts, content_of, later
+from analytics.certificate.record import FOLDER, Certificates, append_certificate, file_of, read_certificates, sha256_of
+from analytics.certificate.statement.content import Content, Facts, content_of
+from analytics.certificate.statement.departures import departures
 from analytics.certificate.statement.evidence import read_evidence
 from analytics.certificate.statement.order import Order
 from analytics.certificate.statement.results import result_rows
 from analytics.certificate.statement.standards import Standard
+from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Language, Words
 from analytics.evaluation.inner_page import inner_page
+from storage.specifications.chain import read_chain
 from storage.sql.catalog import Catalog
 from storage.store import only_one
 from stream.atomic_file import write_durably
@@ -50,6 +53,8 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
     number: str | None
     is_draft: bool
     missing: list[str]
+    deviations: list[str]  # in what the records depart from the clauses
+    compensated: list[str]  # signals of results that an error model has compensated
     sha256: str
     digital: str  # path of the digital certificate
     valid_until: str | None
@@ -80,9 +85,9 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
         pdf, digital = _files(catalog, content, wanted, now)
         if wanted.sign is not None:
             pdf = wanted.sign(pdf)
-        document = _document(content, wanted, pdf, digital)
-        _write(store.folder / FOLDER / f"{_file_name(number)}.pdf", pdf)
-        _write(store.folder / FOLDER / f"{_file_name(number)}.xml", digital)
+        document = _document(content, wanted, pdf, digital, read_chain(store, catalog).head)
+        _write(file_of(store, number), pdf)
+        _write(file_of(store, number, ".xml"), digital)
         found = _written(wanted, pdf, digital, content, document)
         append_certificate(store, document)
     return found
@@ -121,7 +126,9 @@ def _files(catalog: Catalog, content: Content, wanted: Wanted, now: dt.datetime)
     return pdf, digital
 
 
-def _document(content: Content, wanted: Wanted, pdf: bytes, digital: bytes) -> CertificateIssued:
+def _document(
+    content: Content, wanted: Wanted, pdf: bytes, digital: bytes, specification: str
+) -> CertificateIssued:  # fmt: skip
     facts, results = content.facts, results_of(content)
     days = facts.evidence.days
     assert days is not None  # otherwise it is a draft
@@ -132,7 +139,7 @@ def _document(content: Content, wanted: Wanted, pdf: bytes, digital: bytes) -> C
         runs=tuple(run.run for run in facts.evidence.runs),
         valid_until=later(days[1], wanted.order.valid_months).isoformat(),
         by=Words.of(wanted.order.people.issued_by).en, software=f"gyrofleet {version('gyrofleet')}",
-        supersedes=wanted.supersedes, reason=wanted.reason,
+        specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
     )  # fmt: skip
 
 
@@ -149,7 +156,10 @@ def _written(
     _write(wanted.out, pdf)
     return Issued(
         number=None if document is None else document.number, is_draft=document is None,
-        missing=[f"{clause}: {each.en}" for clause, each in content.missing], sha256=sha256_of(pdf),
+        missing=[f"{clause}: {each.en}" if clause else each.en for clause, each in content.missing],
+        sha256=sha256_of(pdf),
+        deviations=[each.en for each in departures(content.facts.rows)],
+        compensated=sorted({each.signal for row in content.facts.rows for each in row.results if each.is_compensated}),
         digital=str(beside), valid_until=None if document is None else document.valid_until,
     )  # fmt: skip
 
@@ -159,12 +169,3 @@ def _write(path: Path, content: bytes) -> None:
         write_durably(path, content)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-def _file_name(number: str) -> str:
-    """A file's name of a number, which may have slashes.
-
-    >>> _file_name("GYL/2026 0001")
-    'GYL_2026_0001'
-    """
-    return "".join(each if each.isalnum() or each in "-." else "_" for each in number)

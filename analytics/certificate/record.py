@@ -1,7 +1,9 @@
 """Certificates in the log of a store: issued ones, each sealed, and which of them supersedes which."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
 
 import msgspec
 
@@ -54,18 +56,48 @@ class Certificates:
         return f"{stem}{max((int(each) for each in used if each.isdecimal()), default=0) + 1:04d}"
 
 
+class _Views(Protocol):
+    """Views that answer a statement."""
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
+        """All rows."""
+
+
+def logged_certificates(store: Store, views: _Views) -> Certificates:
+    """The certificates whose documents some views of a store have."""
+    return _sealed(store, _documents(views).values())
+
+
 def read_certificates(store: Store, catalog: Catalog) -> Certificates:
     """The certificates of a store, also those not yet in the lake."""
-    found = {
-        document.uid: (arrival_ns, document)
-        for text, arrival_ns in catalog.rows(_SQL, {"kind": CertificateIssued.__name__})
-        for document in [msgspec.json.decode(text, type=CertificateIssued)]
-    }
+    found = _documents(catalog)
     for document, arrival_ns in documents_beyond(store, {each for part in catalog.parts for each in part.segments}):
         if isinstance(document, CertificateIssued):
             found.setdefault(document.uid, (arrival_ns, document))
-    ordered = sorted(found.values(), key=lambda each: (each[0], each[1].t_ns))
+    return _sealed(store, found.values())
+
+
+def _documents(views: _Views) -> dict[str, tuple[int, CertificateIssued]]:
+    return {
+        document.uid: (arrival_ns, document)
+        for text, arrival_ns in views.rows(_SQL, {"kind": CertificateIssued.__name__})
+        for document in [msgspec.json.decode(text, type=CertificateIssued)]
+    }
+
+
+def _sealed(store: Store, found: Iterable[tuple[int, CertificateIssued]]) -> Certificates:
+    ordered = sorted(found, key=lambda each: (each[0], each[1].t_ns))
     return Certificates([document for _, document in ordered if is_sealed(store, document)])
+
+
+def file_of(store: Store, number: str, suffix: str = ".pdf") -> Path:
+    """Where a store keeps a file of a certificate; a number may have slashes.
+
+    >>> file_of(Store(Path("lab"), "1f"), "GYL/2026 0001").as_posix()
+    'lab/certificates/GYL_2026_0001.pdf'
+    """
+    name = "".join(each if each.isalnum() or each in "-." else "_" for each in number)
+    return store.folder / FOLDER / f"{name}{suffix}"
 
 
 def append_certificate(store: Store, document: CertificateIssued) -> None:

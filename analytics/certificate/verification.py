@@ -13,10 +13,15 @@ _LARGEST_BYTES = 100_000_000
 
 
 class Verified(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of a file; `why` has the reasons where it is not genuine or not valid."""
+    """What is known of a file; `why` has the reasons where it is not genuine or not valid.
+
+    `changed` lists results that the store gives differently today, empty where it gives them all; None where they were
+    not computed, as of a file that is not genuine.
+    """
 
     genuine: bool
     valid: bool
+    changed: list[str] | None = None
     number: str | None = None
     unit: str | None = None
     standard: str | None = None

@@ -25,19 +25,21 @@ def audit(folder: Path, unit: str, csv_path: Path | None, language: str, *, as_j
     gyrofleet audit --unit FOG-0231
     gyrofleet audit --unit FOG-0231 --csv audit.csv
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from analytics.audit import audit_of, write_audit
+    from analytics.audit import audit_of, spoken, write_audit
+    from analytics.event_words import kind_name
     from storage.sql.catalog import Catalog
     from storage.store import Store
 
     with Catalog(Store.open(folder)) as catalog:
         rows = audit_of(catalog, unit)
     if csv_path is not None:
-        write_audit(rows, csv_path)
+        write_audit(rows, csv_path, language)
         notes().print(f"{counted(len(rows), 'row')} written to {csv_path}")
     if as_json:
         print_json(rows)
     elif csv_path is None:
         table = ResultTable(*_TITLES[language], title=unit)
         for row in rows:
-            table.add_row(row.at, row.kind, row.run or "", row.by, ", ".join(filter(None, (row.what, row.limits))))
+            what = ", ".join(filter(None, (spoken(row, language), row.limits)))
+            table.add_row(row.at, kind_name(row.kind, language), row.run or "", row.by, what)
         results().print(table)

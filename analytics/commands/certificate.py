@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from analytics.commands.metrics import opened_catalog
 from storage.commands.stored_names import UNIT
@@ -98,20 +99,26 @@ def _print_issued(issued: "Issued", out: Path) -> None:
 )
 @reporting
 def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> None:
-    """Say whether a PDF is a certificate of this store, unchanged, and still valid; exit code 1 if not."""
-    from analytics.certificate.record import read_certificates
-    from analytics.certificate.verification import verify_certificate
-    from storage.sql.catalog import Catalog
-    from storage.store import Store
+    """Say whether a PDF is a certificate of this store, unchanged, and still valid; exit code 1 if not.
 
-    with Catalog(Store.open(folder)) as catalog:
+    The results of a genuine one are computed anew from the store: those that have changed since are listed, and the
+    exit code is 1.
+    """
+    from analytics.certificate.record import read_certificates
+    from analytics.certificate.reproduction import changed_results
+    from analytics.certificate.verification import verify_certificate
+
+    with opened_catalog(folder, quiet=as_json) as catalog:
         known = read_certificates(catalog.store, catalog)
-    found = verify_certificate(file, known, trust=trust, today=dt.datetime.now(dt.UTC).date())
+        found = verify_certificate(file, known, trust=trust, today=dt.datetime.now(dt.UTC).date())
+        document = known.by_number(found.number) if found.number else None
+        if document is not None:
+            found = msgspec.structs.replace(found, changed=changed_results(catalog, document))
     if as_json:
         print_json(found)
     else:
         _print_verified(found, file)
-    if not (found.genuine and found.valid):
+    if not (found.genuine and found.valid) or found.changed:
         sys.exit(1)
 
 
@@ -119,7 +126,7 @@ def _print_verified(found: "Verified", file: Path) -> None:
     state = "genuine and valid" if found.valid else "genuine, not valid" if found.genuine else "not genuine"
     of = f": certificate {found.number} of {found.unit}, issued {found.issued}" if found.genuine else ""
     results().print(f"{file}: {state}{of}", soft_wrap=True)
-    for each in found.why:
+    for each in (*found.why, *(found.changed or [])):
         results().print(f"  {each}", soft_wrap=True)
     if found.signature is not None:
         whole = "unchanged since" if found.signature.intact else "CHANGED after"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from analytics.commands.engine_option import engine_option, opened_tracing
 from analytics.commands.metrics import language_option, opened_catalog
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.atomic_file import write_durably
@@ -92,14 +93,15 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     "--embed-report", "embeds", is_flag=True,
     help="With --json: the texts of the report in English and Chinese and the curves of its pictures as well.",
 )  # fmt: skip
+@engine_option
 @language_option
 @reporting
 def diagnose(
     folder: Path, units: tuple[str, ...], signal: str | None, model: str, block: str | None, noise: str | None,
     holdout: str, runs: tuple[str, ...], since: str | None, report_path: Path | None, plot_folder: Path | None,
-    bounds: str | None, station_path: Path | None, procedure_path: Path | None, language: "Language", *,
-    fleet: bool, save: bool, tries: int | None, asks_next_test: bool, asks_explainable: bool | None, embeds: bool,
-    as_json: bool,
+    bounds: str | None, station_path: Path | None, procedure_path: Path | None, engine: str | None,
+    language: "Language", *, fleet: bool, save: bool, tries: int | None, asks_next_test: bool,
+    asks_explainable: bool | None, embeds: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Find effects that a declared error model lacks, or report that none is missing or that the data cannot tell.
 
@@ -127,12 +129,17 @@ def diagnose(
         since_ns=None if since is None else _since_ns(since),
     )  # fmt: skip
     with status_line() as report:
-        with opened_catalog(folder, quiet=as_json) as catalog:
-            chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
-            read = reduce_units(catalog, chosen, question, on_progress=report)
-        _refuse_wrong_bounds(read, allowed, limits)
-        # the catalogue is closed to free its memory for the trace
-        found = trace_units(read, question, is_pooled=fleet, processes=processors(), on_progress=report)
+        with opened_tracing(engine, report) as tracing:
+            with opened_catalog(folder, quiet=as_json) as catalog:
+                chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
+                by = None if tracing is None else tracing.read
+                read = reduce_units(catalog, chosen, question, read=by, on_progress=report)
+            _refuse_wrong_bounds(read, allowed, limits)
+            # the catalogue is closed to free its memory for the trace
+            spread = None if tracing is None else tracing.spread
+            found = trace_units(
+                read, question, is_pooled=fleet, processes=processors(), spread=spread, on_progress=report
+            )
         if asks_explainable is not False:
             found = with_explainable(found, report, is_asked=asks_explainable is not None)
         if tries is not None:

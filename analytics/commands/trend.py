@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.metrics import METRIC, language_option, opened_catalog
 from storage.commands.stored_names import SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
@@ -50,13 +51,14 @@ _STATES = {
     help="How the limits are computed; outliers change the median least.",
 )  # fmt: skip
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the charts: FILE.png or FILE.svg.")
+@engine_option
 @language_option
 @reporting
 def trend(
     metric: str | None, named: str | None, by: str | None, folder: Path, units: tuple[str, ...], signal: str | None,
     lot: str | None, station: str | None, fixture: str | None, product: str | None, standard: str | None,
     parameters: tuple[str, ...], since: str | None, baseline: int | None, spread: str, plot_path: Path | None,
-    language: str, *, as_json: bool,
+    engine: str | None, language: str, *, as_json: bool,
 ) -> None:  # fmt: skip
     """A metric over time: control charts, changes, drift, differences between stations, capability.
 
@@ -88,6 +90,7 @@ def trend(
         since_ns=None if since is None else dated(since),
     )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
+        compute_by_engine(catalog, engine, [metric])
         series = read_series(catalog, metric, choice)
         specification = specified_limits(catalog.store, series)
     found = trend_of(series, by=by, baseline=baseline, spread=Spread(spread), specification=specification)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.text import Text
 
-from analytics.commands.metrics import language_option, opened_catalog
+from analytics.commands.engine_option import compute_by_engine, engine_option
+from analytics.commands.metrics import language_option
+from analytics.commands.plants import named, of_plants, with_plant
 from storage.commands.stored_names import UNIT
 from stream.console import counted, notes, print_json, reporting, results, store_option, styled
 from stream.errors import BadInput
@@ -18,6 +20,7 @@ from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.specifications.verdicts import Verdicts
+    from storage.sql.catalog import Catalog
 
 _FAILED = 3
 _SHOWN = 200
@@ -42,11 +45,12 @@ _ZH = {
 @click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
+@engine_option
 @language_option
 @reporting
 def verdicts(
-    folder: Path, units: tuple[str, ...], by: Any, language: str, *, risks: bool, fail_on_fail: bool,
-    as_json: bool,
+    folder: Path, units: tuple[str, ...], by: Any, engine: str | None, language: str, *, risks: bool,
+    fail_on_fail: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
 
@@ -61,10 +65,16 @@ def verdicts(
         raise BadInput("give --unit or --by, not both: the yield is that of all units")
     if risks and (units or by):
         raise BadInput("--risks stands alone: it is of all units, by lot")
-    with opened_catalog(folder, quiet=as_json) as catalog:
-        found = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
-        shares = yield_by(catalog, by) if by else []
-        of_lots = lot_risks(catalog) if risks else []
+
+    def ask(catalog: "Catalog") -> "tuple[Verdicts, list[dict[str, Any]], list[dict[str, Any]]]":
+        compute_by_engine(catalog, engine)
+        of_units = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
+        return of_units, yield_by(catalog, by) if by else [], lot_risks(catalog) if risks else []
+
+    answers = of_plants(folder, ask, quiet=as_json)
+    found = _joined([(plant, of_units) for plant, (of_units, _, _) in answers])
+    shares = [row for plant, (_, rows, _) in answers for row in with_plant(plant, rows)]
+    of_lots = [row for plant, (_, _, rows) in answers for row in with_plant(plant, rows)]
     if risks:
         _print_risks(of_lots, language, as_json=as_json)
         return
@@ -81,6 +91,16 @@ def verdicts(
         sys.exit(_FAILED)
 
 
+def _joined(of_plants: "Iterable[tuple[str, Verdicts]]") -> "Verdicts":
+    from analytics.specifications.verdicts import Verdicts
+
+    joined = Verdicts([], [], [], [])
+    for plant, found in of_plants:
+        for rows, own in zip(joined, found, strict=True):
+            rows += with_plant(plant, own)
+    return joined
+
+
 def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) -> None:
     if as_json:
         print_json({"risks": rows})
@@ -91,7 +111,7 @@ def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) ->
         of = row["subject"].removeprefix(row["metric"])
         process = (row["process_consumer_risk"], row["process_producer_risk"])
         table.add_row(
-            row["lot"], _name(row["metric"], language) + of, row["decision_rule"], str(row["accepted"]),
+            named(row, "lot"), _name(row["metric"], language) + of, row["decision_rule"], str(row["accepted"]),
             str(row["rejected"]), _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
             _risk(row["specific_producer_risk"], row["global_producer_risk"]),
             "" if None in process else f"{process[0]:.2%} / {process[1]:.2%}",
@@ -129,7 +149,7 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         console.print(_pareto_table(found.pareto, language))
     for row in found.warnings:
         reason = row["reason_zh"] if language == "zh" else row["reason"]
-        notes().print(f"warning: unit {row['unit']}: {reason}", soft_wrap=True)
+        notes().print(f"warning: unit {named(row, 'unit')}: {reason}", soft_wrap=True)
 
 
 def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
@@ -141,7 +161,7 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
         why = _reasons_text(row, language) or (reason_of(row, language) if row["reason"] else "")
         table.add_row(
-            row["unit"], row["product"], row["lot"], _coloured(row["verdict"], language),
+            named(row, "unit"), row["product"], row["lot"], _coloured(row["verdict"], language),
             _coloured(row["latest_verdict"], language), *counts, why,
         )  # fmt: skip
     return table
@@ -175,9 +195,10 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         value = "" if row["value"] is None else f"{format_number(row['value'], half)} {unit}".strip()
         interval = "" if row["lo"] is None else f"{format_number(row['lo'], half)} .. {format_number(row['hi'], half)}"
         parameters = format_parameters(json.loads(row["parameters"] or "{}"))
+        of_plant = f"{row['plant']}: " if "plant" in row else ""
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(
-            _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
+            of_plant + _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
             f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language),
             "" if row["conformity"] is None else f"{row['conformity']:.1%}", row["standard"], label,
@@ -193,7 +214,7 @@ def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Resu
         share = ("", "") if row["yield"] is None else (
             f"{row['yield']:.1%}", f"{row['yield_lo']:.1%} .. {row['yield_hi']:.1%}"
         )  # fmt: skip
-        table.add_row("?" if row["name"] is None else row["name"], *counts, *share)
+        table.add_row("?" if row["name"] is None else named(row, "name"), *counts, *share)
     return table
 
 
@@ -201,7 +222,7 @@ def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
     table = _table(("fails by", "failed", "marginal", "judged", "share", "cumulative"), language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
-        name = row[language] + ("" if row["subject"] == "entered" else of)
+        name = named(row, language) + ("" if row["subject"] == "entered" else of)
         counts = (str(row[name]) for name in ("failed", "marginal", "judged"))
         table.add_row(name, *counts, f"{row['share']:.0%}", f"{row['cumulative_share']:.0%}")
     return table

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from analytics.evaluation.evaluation import COLUMNS, columns_of, keep_scale_factors, unit_metrics
+from analytics.evaluation.evaluation import COLUMNS, choose_steps, columns_of, define_scripts, keep_scale_factors
+from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.evaluation.type_b import COVERAGE, NO_SENSITIVITY, NO_TYPE_A, TypeB
 from analytics.metric_registry.registry import MetricHeader, metrics
 from analytics.uncertainty.budget import Budget, Expanded, Unknown
@@ -48,14 +48,13 @@ def value_budgets(catalog: Catalog, unit: str, metric: str, run: str | None = No
     """
     header = metrics()[metric].header
     unit_metrics(catalog, catalog.progress, [metric])
-    steps = catalog.table("from step_means")
-    own = steps.filter(pc.equal(steps["unit"], unit))
-    catalog.put("step_means", own)
+    choose_steps(catalog, [unit])
     keep_scale_factors(catalog)
     found, columns = columns_of(catalog, metrics()[metric])
     type_b = TypeB(catalog)
     sensitivities = type_b.sensitivities(header, found, columns) if found.num_rows else []
-    catalog.put("step_means", steps)
+    choose_steps(catalog)
+    define_scripts(catalog, "views")
     rows = [
         (
             row,

@@ -1,12 +1,9 @@
-"""Metrics of all units: computed from the step records, kept in the store, updated for units that changed."""
+"""Values of metrics, computed from the step records that are in the catalogue."""
 
-import hashlib
 import json
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
@@ -16,16 +13,12 @@ import pyarrow.compute as pc
 
 from analytics.evaluation.type_b import COVERAGE, UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
-from analytics.metric_registry.registry import BoundsSource, Metric, metrics, parameters_text
-from analytics.specifications.sql_tables import put_specifications
-from analytics.step_records import FOLDER
-from analytics.step_records.step_table import Progress, read_kept, step_means, write_kept
-from storage.sql.catalog import Catalog, NotKept
-from storage.sql.columns import distinct_pairs
+from analytics.metric_registry.registry import BoundsSource, Metric, parameters_text
+from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
+from storage.sql.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
-FILE = "unit_metrics.parquet"
 _TOO_LITTLE = "the steps hold too little to compute it"
 _WITH_TEXT = "select * replace (to_json(parameters)::varchar as parameters) from ({})"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
@@ -38,97 +31,54 @@ COLUMNS = pa.schema({
     "n": pa.int64(), "parameters": _TEXT, "runs": pa.list_(_TEXT), "steps": pa.list_(pa.int64()),
     "standard": _TEXT, "clause": _TEXT, "reason": _TEXT,
 })  # fmt: skip
-# Hash of each unit's checks that were entered by hand, which may belong to no run; and of its products' numbers.
-_ENTERED = """
-select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents
-where kind = 'CheckEntered' group by unit
+# Scripts of tables that many metrics use.
+_SHARED = ("13_scale_fits.sql", "14_measured_scale_factors.sql", "30_static_steps.sql")
+# What metrics ask of all units, also where they are computed for a part of them.
+_OF_RECORDS = """
+create or replace table internal.units_of_runs as select distinct run, unit, "procedure" from internal.step_records;
+create or replace table internal.procedures_of_steps as select distinct "procedure" from internal.units_of_runs;
 """
-_PRODUCTS = """
-select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit
-"""
-# The lines of the scale factors, the scale factors that metrics may use, and with these the steps in deg/h.
-_SHARED = """
-create or replace table internal.scale_fits as from scale_lines('internal.scale_sides');
-create or replace table internal.scale_factors as from measured_scale_factors('internal.scale_fits');
-create or replace table internal.still_steps as from internal.standing_steps;
-"""
-# A total order, so that kept and recomputed rows make the same table.
-_SORTED = """
-select * from unit_metrics
-order by metric, unit, signal nulls first, run nulls first, parameters nulls first, standard, clause, steps, runs,
-  reason
-"""
-# In the metadata of the kept file: the fingerprint of each unit; for a unit with some metrics only, with their ids.
-_PRINTS = b"gyrofleet.units"
-# Packages whose text the values depend on, besides the numbers.
-_PACKAGES = (
-    "analytics.metrics", "analytics.methods", "analytics.system_level", "analytics.metric_registry",
-    "analytics.evaluation.views", "analytics.uncertainty",
-)  # fmt: skip
 
 
-def unit_metrics(catalog: Catalog, progress: Progress | None = None, wanted: Collection[str] = ()) -> pa.Table:
-    """Metrics of all units of a store; puts the tables ``step_means``, ``unit_metrics`` and the views of this package.
+def define_views(
+    catalog: Catalog, steps: pa.Table | pa.RecordBatchReader, of_store: Mapping[str, pa.Table] | None = None
+) -> None:
+    """Put the records of steps, and define the tables and views that metrics use.
 
-    `progress` is called with how many of how many changed runs have been reduced. Of units that changed only the
-    `wanted` metrics are computed, all if empty. The columns are `COLUMNS`. Values of units whose records and products
-    have not changed are read from the kept file; recomputed they are the same to the last bit. Metrics that are not
-    wanted may be missing.
+    Where `steps` are those of some units, `of_store` has the tables of the whole store, see `tables_of_store`.
     """
-    steps = step_means(catalog, progress)
-    define_views(catalog, steps)
-    of_documents = (dict(catalog.rows(sql)) for sql in (_ENTERED, _PRODUCTS))
-    prints = _unit_fingerprints(steps, *of_documents, _averaging_times(catalog, steps))
-    table, marks = kept_metrics(catalog.kept)
-    every = frozenset(metrics())
-    needed = frozenset(wanted) or every
-    known = {unit: _computed(mark, prints.get(unit), every) for unit, mark in marks.items()}
-    stale = sorted(unit for unit in prints if not needed <= known.get(unit, frozenset()))
-    is_same = all(known.values())
-    if catalog.frozen and (stale or not is_same):
-        raise NotKept
-    if not is_same:
-        table = _of_units(table, [unit for unit, names in known.items() if names])
-    is_partial = len(stale) < len(prints)
-    if stale:
-        if is_partial:
-            catalog.put("step_means", _of_units(steps, stale))
-        # a metric may also look at documents, which are those of all units
-        found = _of_units(evaluate(catalog, [metrics()[name] for name in sorted(needed)]), stale)
-        replaced = pc.and_(_is_in(table["unit"], stale), _is_in(table["metric"], needed))
-        catalog.put("unit_metrics", pa.concat_tables([table.filter(pc.invert(replaced)), found]))
-        table = catalog.table(_SORTED).cast(COLUMNS)
-        if is_partial:
-            catalog.put("step_means", steps)
-    if stale or not is_same:
-        for unit in stale:
-            known[unit] = known.get(unit, frozenset()) | needed
-        marks = {
-            unit: mark if known[unit] >= every else f"{mark}:{','.join(sorted(known[unit]))}"
-            for unit, mark in prints.items()
-        }
-        if not catalog.frozen:
-            write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(marks)}))
-    if is_partial and needed == every:  # else the evaluation has put those of all units
-        keep_scale_factors(catalog)
-    catalog.put("unit_metrics", table)
-    return table
-
-
-def define_views(catalog: Catalog, steps: pa.Table) -> None:
-    """Define the tables and views that metrics use."""
-    catalog.put("step_means", steps)
-    put_specifications(catalog)
-    catalog.put("rate_units", _rate_units(steps))
+    catalog.put("step_records", steps, is_large=True)
+    choose_steps(catalog)
+    catalog.define(_OF_RECORDS)
+    if of_store is None:
+        put_specifications(catalog)
+    for name, table in (of_store or {}).items():
+        catalog.put(name, table)
+    catalog.put("rate_units", _rate_units(catalog))
     define_scripts(catalog, "views")
 
 
+def tables_of_store(catalog: Catalog) -> dict[str, pa.Table]:
+    """Tables that metrics of some units need, and that are of all units; by name."""
+    return {name: catalog.stored(name) for name in (*SPECIFICATION_TABLES, "units_of_runs", "procedures_of_steps")}
+
+
+def choose_steps(catalog: Catalog, units: Collection[str] = ()) -> None:
+    """Let ``step_means`` have the records of these units, of all if none is given."""
+    catalog.put("chosen_units", pa.table({"unit": pa.array(sorted(units), pa.string())}))
+    where = ""
+    if units:  # the range, by which most of the others are not even read
+        lower, upper = (each.replace("'", "''") for each in (min(units), max(units)))
+        where = f" where unit between '{lower}' and '{upper}' and unit in (from internal.chosen_units)"
+    catalog.define(f"create or replace view step_means as from internal.step_records{where}")
+
+
 def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -> None:
-    """Run the SQL scripts of a folder of this package in the order of their names, or some of them."""
+    """Define what the SQL scripts of a folder of this package define, or some of them, in the order of their names."""
     scripts = files("analytics.evaluation").joinpath(folder).iterdir()
     for script in sorted(scripts, key=lambda each: each.name):
         if script.name.endswith(".sql") and (not names or script.name in names):
-            catalog.define(script.read_text(encoding="utf-8"))
+            catalog.defer(script.read_text(encoding="utf-8"))
 
 
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
@@ -148,8 +98,9 @@ def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
 
 
 def keep_scale_factors(catalog: Catalog) -> None:
-    """Put the tables that many metrics use: ``scale_fits``, ``scale_factors`` and ``still_steps``."""
-    catalog.define(_SHARED)
+    """Make the tables that many metrics use of the chosen steps: ``scale_fits``, ``scale_factors``, ``still_steps``."""
+    define_scripts(catalog, "views", _SHARED)
+    catalog.fill(("scale_fits", "scale_factors", "still_steps"))
 
 
 def _values(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:
@@ -218,64 +169,19 @@ def _add_bounds(columns: dict[str, pa.Array], source: BoundsSource) -> None:
     columns["freedom"] = pa.array(freedom, pa.float64(), mask=~np.isfinite(freedom))
 
 
-def _is_in(column: pa.ChunkedArray, names: Collection[str]) -> pa.ChunkedArray:
-    return pc.is_in(column, pa.array(sorted(names), pa.string()))
+def of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
+    """Rows of some units."""
+    return table.filter(pc.is_in(table["unit"], pa.array(sorted(units), pa.string())))
 
 
-def _of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
-    return table.filter(_is_in(table["unit"], units))
-
-
-def _rate_units(steps: pa.Table) -> pa.Table:
+def _rate_units(catalog: Catalog) -> pa.Table:
     found = {}
-    for unit in steps["unit_of_measure"].unique().to_pylist():
+    for (unit,) in catalog.rows("select distinct unit_of_measure from internal.step_records order by all"):
         with suppress(UnknownUnit):
             if is_angular_rate(unit):
                 found[unit] = conversion(unit, "deg/h")[0]
     units, factors = pa.array(found.keys(), pa.string()), pa.array(found.values(), pa.float64())
     return pa.table({"unit_of_measure": units, "deg_per_h": factors})
-
-
-def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:
-    """The averaging times of the Allan deviation that limits name, which are those of every unit's values."""
-    sql = "select string_agg(distinct key, ';' order by key) from internal.specification_parameters "
-    ((keys,),) = catalog.rows(f"{sql} where metric = 'allan_deviation'")
-    return {} if keys is None else dict.fromkeys(steps["unit"].unique().to_pylist(), str(keys))
-
-
-def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, str]:
-    """Hash of all that a unit's metrics depend on: its records, `parts` of other things, the text of the metrics."""
-    marks: defaultdict[str, set[str]] = defaultdict(set)
-    of_runs = distinct_pairs(steps, "unit", "fingerprint")
-    for unit, mark in (*of_runs, *(pair for part in parts for pair in part.items())):
-        marks[unit].add(mark)
-    text = hashlib.sha256()
-    for package in _PACKAGES:
-        for each in sorted(files(package).iterdir(), key=lambda e: e.name):
-            if each.is_file():
-                text.update(each.read_bytes())
-    return {
-        unit: hashlib.sha256("/".join([text.hexdigest(), *sorted(own)]).encode()).hexdigest()[:32]
-        for unit, own in marks.items()
-    }
-
-
-def _computed(mark: str, fingerprint: str | None, every: frozenset[str]) -> frozenset[str]:
-    """Metrics of a unit that are kept and up to date."""
-    kept, colon, names = mark.partition(":")
-    if kept != fingerprint:
-        return frozenset()
-    return frozenset(names.split(",")) if colon else every
-
-
-def kept_metrics(folder: Path) -> tuple[pa.Table, dict[str, str]]:
-    """Metrics kept below a folder, and the mark of each unit: its fingerprint, with ``:ids`` where some are missing."""
-    table = read_kept(folder / FOLDER / FILE)
-    if table is not None:
-        with suppress(pa.ArrowException, ValueError, KeyError, TypeError):  # of another version
-            known = dict(json.loads(table.schema.metadata[_PRINTS]))
-            return table.replace_schema_metadata(None).cast(COLUMNS), known
-    return COLUMNS.empty_table(), {}
 
 
 def row_of(row: Mapping[str, Any]) -> dict[str, Any]:

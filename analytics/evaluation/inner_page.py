@@ -12,6 +12,13 @@ from analytics.metric_registry.registry import metrics
 from storage.sql.catalog import Catalog
 
 
+class Words(NamedTuple):
+    """A text in both languages."""
+
+    en: str
+    zh: str
+
+
 class InnerRow(NamedTuple):
     """One characteristic of a unit: the values of the last run with any, or the reason why there is none."""
 
@@ -33,6 +40,11 @@ class InnerRow(NamedTuple):
 @lru_cache(maxsize=1)
 def _pages() -> dict[str, list[dict[str, Any]]]:
     return tomllib.loads(files("analytics.evaluation").joinpath("inner_pages.toml").read_text(encoding="utf-8"))
+
+
+def inner_page_titles(standard: str) -> list[Words]:
+    """The names of a standard's rows, as they are printed, in both languages."""
+    return [Words(entry["en"], entry["zh"]) for entry in _pages()[standard]]
 
 
 def inner_page(catalog: Catalog, unit: str, standard: str) -> list[InnerRow]:

@@ -8,9 +8,9 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
-from analytics.evaluation import evaluation
+from analytics.evaluation import kept_metrics
 from analytics.step_records import FOLDER, step_table
-from analytics.step_records.step_table import hash_path, read_kept
+from analytics.step_records.step_table import hash_path, open_kept
 from storage.findings import KEPT_DAMAGED, Finding, Severity
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -21,19 +21,21 @@ _REMEDY = "move it to lake-aside; it is recomputed when it is next needed"
 
 def kept_findings(store: Store) -> list[Finding]:
     """Damage of the kept files, and values that do not follow from the lake; outdated ones are no finding."""
-    paths = [store.folder / FOLDER / name for name in (step_table.FILE, evaluation.FILE)]
+    paths = [store.folder / FOLDER / name for name in (step_table.FILE, kept_metrics.FILE)]
     damaged = "its content does not agree with its hash"
     found = [_finding(path, damaged) for path in paths if _is_damaged(path)]
-    steps, (metrics, prints) = step_table.kept_steps(store.folder), evaluation.kept_metrics(store.folder)
+    steps, (metrics, prints) = step_table.kept_steps(store.folder), kept_metrics.kept_metrics(store.folder)
     if steps is None and not prints:
         return found
     with (
         tempfile.TemporaryDirectory(prefix="gyrofleet-verify-") as scratch,
         Catalog(store, kept=Path(scratch)) as catalog,
     ):
-        metrics_now = pl.DataFrame(evaluation.unit_metrics(catalog))
+        kept_metrics.unit_metrics(catalog)
+        with catalog.suspended_layers():
+            metrics_now = pl.DataFrame(catalog.table("from unit_metrics"))
         steps_now = step_table.kept_steps(Path(scratch))
-        _, prints_now = evaluation.kept_metrics(Path(scratch))
+        _, prints_now = kept_metrics.kept_metrics(Path(scratch))
     if steps is not None and steps_now is not None:
         marks, marks_now = step_table.kept_prints(steps), step_table.kept_prints(steps_now)
         same = {run for run, mark in marks.items() if marks_now.get(run) == mark}
@@ -43,14 +45,15 @@ def kept_findings(store: Store) -> list[Finding]:
     for unit, (_, colon, names) in parts.items():
         if colon:  # some metrics only
             metrics_now = metrics_now.filter((pl.col("unit") != unit) | pl.col("metric").is_in(names.split(",")))
-    found += _changed(paths[1], "unit", metrics, metrics_now, same)
+    if metrics is not None:
+        found += _changed(paths[1], "unit", metrics.read(), metrics_now, same)
     return found
 
 
 def _is_damaged(path: Path) -> bool:
     """Whether a file disagrees with its hash; one that is being written has its hash a moment later."""
     for _ in range(_ATTEMPTS):
-        if not path.exists() or not hash_path(path).exists() or read_kept(path) is not None:
+        if not path.exists() or not hash_path(path).exists() or open_kept(path) is not None:
             return False
         time.sleep(0.1)
     return True

@@ -40,7 +40,7 @@ class MetricsLayer:
 
     def fill(self, catalog: "Catalog") -> None:
         """Bring the metrics up to date, and define the tables."""
-        from analytics.evaluation.evaluation import unit_metrics
+        from analytics.evaluation.kept_metrics import unit_metrics
 
         unit_metrics(catalog, catalog.progress)
         define_metric_tables(catalog)

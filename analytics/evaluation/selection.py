@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from analytics.evaluation.evaluation import define_scripts, row_of, unit_metrics
+from analytics.evaluation.evaluation import define_scripts, row_of
+from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.metric_registry.registry import alike, check_metrics, metrics
 from analytics.specifications.verdicts import rows_of
 from ingest.moment import moment_ns
@@ -20,6 +21,7 @@ _FEW_UNITS = 5
 _YEAR = re.compile(r"[-—]\d{4}$")
 # of a catalogue whose tables of metrics are partial: which metrics they have
 _PARTIAL = "partial_metrics"
+_NUMBERED = '(select row_number() over () as "row", * from unit_metrics)'
 _HAS_PARTIAL = "select 1 from information_schema.tables where table_name = 'partial_metrics'"
 
 
@@ -67,11 +69,11 @@ def selected(catalog: Catalog, asked: Selection) -> list[Row]:
             of_runs, more = _in_lists({"u.lot": asked.lots, "u.run": asked.runs}, asked.since_ns, "u.")
             given |= more
             conditions += (
-                " and m.rowid in (select r.row from "  # noqa: S608
-                "(select rowid as row, unit, unnest(runs) as run from unit_metrics) r "
+                ' and m."row" in (select r."row" from '  # noqa: S608
+                f'(select "row", unit, unnest(runs) as run from {_NUMBERED}) r '
                 f"join unit_runs u on u.run = r.run and u.unit = r.unit where {of_runs})"
             )
-        sql = f"select m.* from unit_metrics m where {conditions} "  # noqa: S608
+        sql = f'select m.* exclude ("row") from {_NUMBERED} m where {conditions} '  # noqa: S608
         ordered = f"{sql} order by m.unit, m.metric, m.signal, m.run, m.standard, m.parameters"
         rows = [row_of(row) for row in rows_of(catalog, ordered, given or None)]
     return [narrow for row in rows if (narrow := narrowed(row, standards)) is not None]

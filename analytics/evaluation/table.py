@@ -96,13 +96,13 @@ def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
     shown = ("name", "signal", "value", "interval", "n", "parameters", "clause")
     table = ResultTable(*_titles(shown, language))
 
-    def of_section(row: Row) -> tuple[str, str]:
-        return row["unit"], row["run"] or ""
+    def of_section(row: Row) -> tuple[str, str, str]:
+        return row.get("plant", ""), row["unit"], row["run"] or ""
 
-    for (unit, run), section in groupby(sorted(rows, key=of_section), key=of_section):
+    for (plant, unit, run), section in groupby(sorted(rows, key=of_section), key=of_section):
         runs = run or ("几次试验合计" if language == "zh" else "over several runs")
         table.add_section()
-        table.add_row(styled(unit, "bold").append(f"  {shown_text(runs)}", "default"))
+        table.add_row(styled(f"{plant}/{unit}" if plant else unit, "bold").append(f"  {shown_text(runs)}", "default"))
         for row in section:
             table.add_row(
                 name_of(row["metric"], language),
@@ -126,19 +126,21 @@ def format_value(row: Row) -> str:
     return f"{format_number(row['value'], row['standard_uncertainty'])} {format_unit(row['unit_of_measure'])}".strip()
 
 
-def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
+def write_csv(rows: Sequence[Row], path: Path, language: str) -> None:
     """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need."""
     try:
         with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow(["name", *COLUMNS])
+            columns = _columns_of(rows)
+            writer.writerow(["name", *columns])
             for row in rows:
-                writer.writerow(csv_text(each) if isinstance(each, str) else each for each in _plain(row, language))
+                cells = _plain(row, columns, language)
+                writer.writerow(csv_text(each) if isinstance(each, str) else each for each in cells)
     except OSError as error:
         raise _unwritable(path, "--csv", error) from error
 
 
-def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
+def write_xlsx(rows: Sequence[Row], path: Path, language: str) -> None:
     """Write rows as a workbook with one sheet: numbers as numbers, titles in the language, column filters."""
     import xlsxwriter
     from xlsxwriter.exceptions import XlsxWriterException
@@ -150,11 +152,12 @@ def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
         with replacement(path) as fresh, xlsxwriter.Workbook(str(fresh), options) as book:
             sheet = book.add_worksheet("指标" if language == "zh" else "metrics")
             bold = book.add_format({"bold": True})
-            titles = _titles(("name", *COLUMNS), language)
+            columns = _columns_of(rows)
+            titles = _titles(("name", *columns), language)
             sheet.write_row(0, 0, titles, bold)
             at = 0
             for at, row in enumerate(rows, 1):
-                sheet.write_row(at, 0, _plain(row, language))
+                sheet.write_row(at, 0, _plain(row, columns, language))
             sheet.autofilter(0, 0, at, len(titles) - 1)
             sheet.freeze_panes(1, 1)
             sheet.autofit()
@@ -162,9 +165,13 @@ def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
         raise _unwritable(path, "--xlsx", error) from error
 
 
-def _plain(row: Row, language: str) -> list[object]:
+def _columns_of(rows: Sequence[Row]) -> tuple[str, ...]:
+    return ("plant", *COLUMNS) if rows and "plant" in rows[0] else COLUMNS
+
+
+def _plain(row: Row, columns: Iterable[str], language: str) -> list[object]:
     cells: list[object] = [name_of(row["metric"], language)]
-    for column in COLUMNS:
+    for column in columns:
         value = row[column]
         if column == "parameters":
             value = json.dumps(value, ensure_ascii=False)

@@ -18,6 +18,7 @@ from analytics.metric_registry.registry import MetricHeader
 from analytics.uncertainty.station_standards import StatedQuantity, StationStandards, worst
 from ingest.measurement_standards import QUANTITIES
 from storage.sql.catalog import Catalog
+from storage.sql.deferred import words_of
 from stream.batch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -36,8 +37,9 @@ select run as of_run, unit as of_unit, signal as of_signal, any_value(latitude_d
 from step_means group by run, unit, signal
 """
 _OF_FACTS = ("latitude_deg", "output_unit", "volt")
+_KEYS = ("run", "runs", "unit", "signal")
 _SENSITIVITIES = """
-select {expressions} from internal.metric_rows m
+select {expressions} from given_rows m
 left join internal.influence_facts f
   on f.of_run = coalesce(m.run, m.runs[1]) and f.of_unit = m.unit and f.of_signal is not distinct from m.signal
 order by m.row_at
@@ -63,10 +65,11 @@ class TypeB:
     def sensitivities(self, header: MetricHeader, found: pa.Table, columns: Mapping[str, pa.Array]) -> list[FloatArray]:
         """Of each influence the sensitivity of each row; NaN where it cannot be known."""
         own = {name: found[name] for name in found.column_names if name not in {*columns, *_OF_FACTS}}
-        rows = pa.table({**columns, **own, "row_at": pa.array(np.arange(found.num_rows))})
-        self._catalog.put("metric_rows", rows)
         listed = ", ".join(f'({each.sensitivity})::double as "{each.quantity}"' for each in header.influences)
-        table = self._catalog.table(_SENSITIVITIES.format(expressions=listed))
+        named = words_of(listed).union(_KEYS)
+        rows = {name: column for name, column in {**columns, **own}.items() if name in named}
+        rows["row_at"] = pa.array(np.arange(found.num_rows))
+        table = self._catalog.table(_SENSITIVITIES.format(expressions=listed), pa.table(rows))
         return [table[each.quantity].to_numpy() for each in header.influences]
 
     def columns(self, header: MetricHeader, found: pa.Table, columns: Mapping[str, pa.Array]) -> dict[str, pa.Array]:
@@ -112,8 +115,10 @@ class TypeB:
         is_open = np.zeros(len(missing), np.int64)
         for place, sensitivity in enumerate(sensitivities):
             is_open |= np.isnan(sensitivity).astype(np.int64) << place
-        keys = np.stack([of_row, missing, is_open, lacks_a.astype(np.int64)], axis=1)
-        distinct, which = np.unique(keys, axis=0, return_inverse=True)
+        keys = (of_row, missing, is_open, lacks_a.astype(np.int64))
+        shape = tuple(int(key.max()) + 1 for key in keys)
+        encoded = pa.array(np.ravel_multi_index(keys, shape)).dictionary_encode()
+        distinct = np.stack(np.unravel_index(encoded.dictionary.to_numpy(), shape), axis=1)
         texts = []
         for run_set, absent, open_ones, lacks in distinct.tolist():
             by_reason: dict[str, list[str]] = {}
@@ -124,13 +129,15 @@ class TypeB:
                     by_reason.setdefault(reason, []).append(QUANTITIES[influence.quantity].en)
             parts = [f"type B unknown: {', '.join(names)}: {reason}" for reason, names in by_reason.items()]
             texts.append("; ".join([*([NO_TYPE_A] if lacks else []), *parts]) or None)
-        return pa.array(texts, pa.string()).take(pa.array(which.reshape(-1)))
+        return pa.array(texts, pa.string()).take(encoded.indices)
 
 
 def _run_sets(columns: Mapping[str, pa.Array]) -> tuple[list[list[str]], IntArray]:
     """The distinct sets of runs that rows rest on, and which of them each row has."""
-    joined = pc.binary_join(columns["runs"], "\n")
-    encoded = pc.coalesce(columns["run"], joined, pa.scalar("")).dictionary_encode()
+    runs = columns["run"]
+    if runs.null_count:
+        runs = pc.coalesce(runs, pc.binary_join(columns["runs"], "\n"), pa.scalar(""))
+    encoded = runs.dictionary_encode()
     return [text.split("\n") for text in encoded.dictionary.to_pylist()], encoded.indices.to_numpy().astype(np.int64)
 
 

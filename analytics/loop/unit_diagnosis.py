@@ -21,7 +21,7 @@ from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor
 from analytics.loop.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import Asked, diagnosed, diagnosed_or_why_not
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
-from analytics.loop.tracing.processors import by_processes, single_blas
+from analytics.loop.tracing.processors import Spread, by_processes, single_blas
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.unit_reduction import Progress, Question, ReducedUnit, ReducedUnits, model_on, reduce_units, silent
 from storage.sql.catalog import Catalog
@@ -204,11 +204,12 @@ def trace_units(
     *,
     is_pooled: bool = False,
     processes: int = 1,
+    spread: Spread | None = None,
     on_progress: Progress = silent,
 ) -> UnitsDiagnosis:
     """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises.
 
-    Many units are traced by several `processes`, with the same results.
+    Many units are traced by several `processes`, or by what `spread` runs, with the same results.
     """
     failed = dict(read.failed)
     is_one = len(read.units) + len(failed) == 1
@@ -217,7 +218,7 @@ def trace_units(
     units = {unit: data for unit, data in read.units.items() if unit not in all_held or is_one}
     if is_pooled and units:
         with single_blas():
-            return _pooled(units, question, failed, held_out, processes, on_progress)
+            return _pooled(units, question, failed, held_out, processes, spread, on_progress)
     asked = [
         Asked(
             data.runs, read.models[unit], declared_noise=data.noise, holdout=held_out.get(unit),
@@ -226,7 +227,8 @@ def trace_units(
         for unit, data in units.items()
     ]  # fmt: skip
     done: dict[str, UnitDiagnosis] = {}
-    answers = by_processes(diagnosed if is_one else diagnosed_or_why_not, asked, processes)
+    work = diagnosed if is_one else diagnosed_or_why_not
+    answers = by_processes(work, asked, processes) if spread is None else spread(work, asked)
     for number, ((unit, data), question_of) in enumerate(zip(units.items(), asked, strict=True), start=1):
         on_progress(f"tracing {unit} ({number} of {len(units)})")
         answer = next(answers)
@@ -282,6 +284,7 @@ def _pooled(
     failed: Mapping[str, str],
     held_out: Mapping[str, Sequence[str]],
     processes: int,
+    spread: Spread | None,
     on_progress: Progress,
 ) -> UnitsDiagnosis:
     runs = {unit: data.runs for unit, data in units.items()}
@@ -292,6 +295,7 @@ def _pooled(
         holdout=held_out,
         left_out={unit: data.left_out for unit, data in units.items()},
         processes=processes,
+        spread=spread,
         on_progress=on_progress,
     )
     done = {}

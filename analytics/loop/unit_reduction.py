@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,21 +84,49 @@ def silent(_: str) -> None:
     """Progress that nobody reads."""
 
 
+class ReadUnits(NamedTuple):
+    """Units that were read, the declared model on the channels of each, and the errors of others."""
+
+    units: Mapping[str, ReducedUnit]
+    models: Mapping[str, ErrorModel]
+    errors: Mapping[str, GyrofleetError]
+
+
+# as `read_units`, wherever it runs
+Read = Callable[[Catalog, Sequence[str], Question, Mapping[str, float], Progress], ReadUnits]
+
+
 def reduce_units(
-    catalog: Catalog, units: Sequence[str], question: Question, *, on_progress: Progress = silent
-) -> ReducedUnits:
-    """Read units of a store as blocks; a single unit that cannot be read raises."""
+    catalog: Catalog, units: Sequence[str], question: Question, *, read: Read | None = None,
+    on_progress: Progress = silent,
+) -> ReducedUnits:  # fmt: skip
+    """Read units of a store as blocks, by default here; a single unit that cannot be read raises."""
     signal, block_s = question.signal_name, question.block_s
-    if block_s is None:
+    if block_s is None:  # the same for all units
         block_s = usual_block_s(catalog, units, signal, question.runs, BLOCK_S)
+    asked = replace(question, block_s=block_s)
+    found = (read or read_units)(catalog, units, asked, position_numbers(catalog), on_progress)
+    if len(units) == 1:
+        for error in found.errors.values():
+            raise error
+    failed = {unit: str(error) for unit, error in found.errors.items()}
+    if not found.units:
+        raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
+    return ReducedUnits(found.units, found.models, failed)
+
+
+def read_units(
+    catalog: Catalog, units: Sequence[str], question: Question, positions: Mapping[str, float], on_progress: Progress
+) -> ReadUnits:
+    """Read units as blocks of the question's length; `positions` are those of the whole store."""
     channels = re.findall(r"\bchannel:(\w+)", question.model)
     reducer = BlockReducer(
-        catalog, signal, block_s=block_s, runs=question.runs, since_ns=question.since_ns, channels=channels
-    )
-    positions = position_numbers(catalog)
+        catalog, question.signal_name, block_s=BLOCK_S if question.block_s is None else question.block_s,
+        runs=question.runs, since_ns=question.since_ns, channels=channels, positions=positions,
+    )  # fmt: skip
     reduced: dict[str, ReducedUnit] = {}
     models: dict[str, ErrorModel] = {}
-    failed: dict[str, str] = {}
+    errors: dict[str, GyrofleetError] = {}
     for number, unit in enumerate(units, start=1):
         on_progress(f"reading {unit} ({number} of {len(units)})")
         try:
@@ -110,12 +139,8 @@ def reduce_units(
             noise, source, is_declared = _noise(catalog, runs, models[unit], question)
             reduced[unit] = ReducedUnit(runs, notes, noise, source, found.left_out, is_declared, positions)
         except GyrofleetError as error:
-            if len(units) == 1:
-                raise
-            failed[unit] = str(error)
-    if not reduced:
-        raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
-    return ReducedUnits(reduced, models, failed)
+            errors[unit] = error
+    return ReadUnits(reduced, models, errors)
 
 
 def _check_values(runs: Sequence[RunBlocks]) -> None:

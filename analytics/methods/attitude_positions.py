@@ -25,10 +25,11 @@ _PAIR = re.compile(
     re.IGNORECASE,
 )
 _ANGLE = re.compile(r"\s*([+-]?[0-9]+(?:\.[0-9]+)?)\s*(?:deg|°|度)?\s*", re.IGNORECASE)
+_MOUNTED_AND_ANGLE = re.compile(r"(.*[^0-9.+-])[\s_,，]([+-]?[0-9]+(?:\.[0-9]+)?)\s*(?:deg|°|度)\s*", re.IGNORECASE)
 
 
 class Placed(NamedTuple):
-    """Where a unit stood in a step: the directions of its axes, or the angle of a table that turns it."""
+    """Where a unit stood in a step: the directions of its axes, and the angle of a table that turns it from there."""
 
     axes: Orientation
     angle_deg: float | None = None
@@ -60,14 +61,21 @@ def position_name(orientation: Orientation, first: str, second: str) -> str:
 def placed(position: str | None) -> Placed | None:
     """Where a position word says that the unit stands; None where it does not say.
 
-    Two axes give the third, right-handed. Raises BadInput where they cannot be at once.
+    Two axes give the third, right-handed. An angle after them is that of the table that turns the unit from there.
+    Raises BadInput where they cannot be at once.
 
     >>> placed("X_east_Y_south").axes["Z"], placed("X朝东 Y朝北").axes["Z"], placed("30 deg").angle_deg
     ((0, 0, -1), (0, 0, 1), 30.0)
+    >>> turned = placed("X_east_Y_north 30 deg")
+    >>> turned.axes["Z"], turned.angle_deg
+    ((0, 0, 1), 30.0)
     """
     text = position or ""
     if (match := _ANGLE.fullmatch(text)) is not None:
         return Placed({}, float(match[1]) % 360.0)
+    angle_deg = None
+    if (match := _MOUNTED_AND_ANGLE.fullmatch(text)) is not None and _PAIR.search(match[1]) is not None:
+        text, angle_deg = match[1], float(match[2]) % 360.0
     found: dict[str, Direction] = {}
     for name, word in _PAIR.findall(text):
         axis = _OTHER_NAMES.get(name.upper(), name.upper())
@@ -83,7 +91,7 @@ def placed(position: str | None) -> Placed | None:
         found[missing] = _cross(found[triad[(at + 1) % 3]], found[triad[(at + 2) % 3]])
     if len(found) == 3 and (_cross(found[triad[0]], found[triad[1]]) != found[triad[2]] or (0, 0, 0) in found.values()):
         raise BadInput(f"position {text} cannot be: its axes are not perpendicular and right-handed")
-    return Placed(found)
+    return Placed(found, angle_deg)
 
 
 def _cross(a: Direction, b: Direction) -> Direction:

@@ -23,7 +23,7 @@ def largest_magnitudes(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     no value. The struct `of_largest` goes into the parameters of a test of several differences; where `is_signed`, a
     single one keeps its sign.
     """
-    for _, group in groupby(catalog.reader(sql).read_all().to_pylist(), itemgetter("test")):
+    for _, group in groupby(catalog.table(sql).to_pylist(), itemgetter("test")):
         members = list(group)
         row = members[0] | {"freedom": None}
         row["reason"] = next((each["reason"] for each in members if each["reason"] is not None), None)

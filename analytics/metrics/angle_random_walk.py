@@ -16,11 +16,12 @@ from stream.estimators.base import NoEstimate
 from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
 
 _SHORT = "from internal.random_walk_steps order by unit, signal, run, steps"
+_IS_SHORT = "from internal.random_walk_procedures limit 1"
 
 
 def compute(catalog: Catalog, sql: str) -> pa.Table:
     """Rows of the metric; the normalised method reads the samples of its steps, which are short."""
-    table = catalog.reader(sql).read_all()
+    table = catalog.table(sql)
     value, freedom = table["value"].to_numpy(), np.nan_to_num(table["freedom"].to_numpy(), nan=1.0)
     lo, hi = chi_square_bounds(value, freedom)
     u = deviation_uncertainty(value, freedom)
@@ -28,6 +29,8 @@ def compute(catalog: Catalog, sql: str) -> pa.Table:
         of_step = pa.array(numbers, pa.float64(), mask=np.isnan(numbers))
         column = pc.if_else(pc.is_null(table["freedom"]), table[name], of_step)
         table = table.set_column(table.schema.get_field_index(name), name, column)
+    if not catalog.rows(_IS_SHORT):
+        return table
     short = [
         row | _normalised(catalog, row) | {"parameters": parameters_text(row["parameters"])}
         for row in catalog.reader(_SHORT).read_all().to_pylist()

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from analytics.methods.attitude_cross_axes import EARTH_DEG_PER_H, Elements, seen_across, vertical_part
 from analytics.methods.attitude_positions import (
     EAST,
     NORTH,
@@ -19,11 +20,11 @@ from analytics.methods.attitude_positions import (
     triad_of,
 )
 from analytics.methods.weighted_fit import WeightedFit, weighted_fit
+from analytics.metrics.attitude_unit_misalignment import latest_elements
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
-EARTH_DEG_PER_H = 15.041067
 _WEST: Direction = (-1, 0, 0)
 _SOUTH: Direction = (0, -1, 0)
 _PLACES = ((EAST, NORTH), (EAST, _SOUTH), (_WEST, _SOUTH), (_WEST, NORTH))
@@ -54,6 +55,7 @@ class Reading(NamedTuple):
 def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric: a bias of each axis, run, repeat and method, or what its set of positions lacks."""
     steps = catalog.reader(sql).read_all().to_pylist()
+    elements = latest_elements(catalog) if steps else {}
     for key, group in groupby(steps, itemgetter("run", "unit", "signal", "repeat")):
         common = dict(zip(("run", "unit", "signal"), key, strict=False))
         rows = list(group)
@@ -68,16 +70,22 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
             row = common | _row([step for each in chosen.values() for step in each] or rows, method, words)
             try:
                 _refuse(rows, chosen, method, own)
-                found = _zero(chosen, method)
+                found = _zero(chosen, method, elements)
             except BadInput as error:
                 yield row | {"reason": str(error)}
                 continue
             words["level_rate_deg_per_h"] = float(f"{found.level_rate:.4g}")
             words["heading_error_deg"] = _heading_error(found.level_rate, rows[0]["latitude_deg"], method)
-            yield row | {
-                "value": float(found.fit.values[0]), "standard_uncertainty": float(found.fit.errors[0]),
-                "freedom": float(found.fit.freedoms[0]),
-            }  # fmt: skip
+            value, u = float(found.fit.values[0]), float(found.fit.errors[0])
+            if method == "equal angles":
+                positions = {step["position"] for steps in chosen.values() for step in steps}
+                part = vertical_part(own, positions, rows[0]["unit"], rows[0]["latitude_deg"], elements)
+                if isinstance(part, str):
+                    words["remark"] = "; ".join(filter(None, (words["remark"], part)))
+                else:
+                    words["vertical_rate_deg_per_h"] = float(f"{part.value:.4g}")
+                    value, u = value - part.value, math.hypot(u, part.u)
+            yield row | {"value": value, "standard_uncertainty": u, "freedom": float(found.fit.freedoms[0])}
 
 
 def _row(steps: Sequence[Step], method: str, words: dict[str, Any]) -> dict[str, Any]:
@@ -85,7 +93,8 @@ def _row(steps: Sequence[Step], method: str, words: dict[str, Any]) -> dict[str,
     words |= {
         "axis": own, "zero_of": _ZERO_OF[own], "method": method, "positions": len({step["position"] for step in steps}),
         "repeat": steps[0]["repeat"], "record_s": round(min(records), 1), "scale_factor": steps[0]["scale_source"],
-        "level_rate_deg_per_h": None, "heading_error_deg": None, "remark": _remark(steps, method),
+        "level_rate_deg_per_h": None, "heading_error_deg": None, "vertical_rate_deg_per_h": None,
+        "remark": _remark(steps, method),
     }  # fmt: skip
     clause = f"5.{3 + 'XYZ'.find(own)}, " if own in "XYZ" else "5.3-5.5, "
     return {
@@ -193,9 +202,13 @@ def _reading(steps: Sequence[Step]) -> Reading:
     return Reading(value, math.sqrt(squares) / len(steps), squares**2 / fourth if fourth > 0 else 1e9)
 
 
-def _zero(chosen: Mapping[Any, Sequence[Step]], method: str) -> Zero:
+def _zero(chosen: Mapping[Any, Sequence[Step]], method: str, elements: Elements) -> Zero:
     places = [key for key, steps in chosen.items() if steps]
     readings = np.array([_reading(chosen[key]) for key in places], dtype=np.float64)
+    if method == "four positions":  # it cancels in their mean, and is no scatter
+        across = [_across(chosen[key][0], elements) for key in places]
+        if None not in across:
+            readings[:, 0] -= np.array(across, np.float64)
     design: FloatArray
     if method == "equal angles":
         angle = np.radians(np.array(places, dtype=np.float64))
@@ -206,6 +219,13 @@ def _zero(chosen: Mapping[Any, Sequence[Step]], method: str) -> Zero:
     fit = weighted_fit(design, *readings.T)
     level = float(fit.values[1]) if method == "four positions" else float(np.hypot(*fit.values[1:]))
     return Zero(fit, level)
+
+
+def _across(step: Step, elements: Elements) -> float | None:
+    where = placed(step["position"])
+    return None if where is None else seen_across(
+        step["own"], where.axes, step["unit"], step["latitude_deg"], elements
+    )  # fmt: skip
 
 
 def _heading_error(level_rate: float, latitude_deg: float | None, method: str) -> float | None:

@@ -5,16 +5,18 @@
 -- better:    neither
 -- grain:     unit, signal, run, repeat, method
 -- parameters: axis, zero_of, method, positions, repeat, record_s, level_rate_deg_per_h, heading_error_deg, scale_factor
--- parameters: remark
+-- parameters: vertical_rate_deg_per_h, remark
 -- source:    JJF 1536-2015 5.3-5.5 (4)-(6), 7.2 (16)
 -- needs:     procedure attitude_unit_bias: the axis level to the east and west, each turned over; or _bias_many: equal angles
 -- limits:    t
 -- equation:  B = (N1 + N2 + N3 + N4)/(4 T); of n equally spaced positions their mean
 -- influence: rate: per_ppm(value)
 -- influence: clock: per_ppm(value)
--- influence: levelling: earth_rate_per_arcsec() * abs(sin(radians(latitude_deg)))
+-- influence: levelling: earth_rate_per_arcsec() * abs(sin(radians(latitude_deg))) * level_rate_is_known(parameters)
 -- python:    analytics.metrics.attitude_unit_bias:compute
 -- of:        internal.attitude_bias_steps
+-- In equal angles one side is up in all of them, and the axis sees L Omega_e sin(latitude) of the vertical: it is
+-- subtracted, as (4) to (6) have it, where the mount is named and L measured; else U is unknown.
 -- In a whole set what the axis sees of the Earth's rate cancels, with any error of the heading; in a part of one it does
 -- not. N/T of each position counts alike, also where the records differ in length.
 from internal.attitude_bias_steps order by run, unit, signal, repeat nulls first, "index"

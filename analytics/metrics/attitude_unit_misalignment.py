@@ -7,7 +7,9 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
+from analytics.methods.attitude_cross_axes import Element, Elements, element_name
 from analytics.methods.attitude_positions import triad_of
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput
@@ -15,6 +17,22 @@ from stream.errors import BadInput
 ARCMIN_PER_RAD = 10800 / math.pi
 # Of a turn: what is left of it sees the level part of the Earth's rate, 0.0004 deg of it at 100 deg/s.
 _WHOLE = 0.02
+_TURNS = 'from internal.attitude_turns order by run, unit, repeat nulls first, "index", signal'
+# standard deviation of the means of whole turns
+_SPREAD = """
+with turns as (
+  select w.run, w.unit, w.signal, w."index", (s.t_ns - w.t_from_ns) // w.turn_ns as turn, avg(s.value) as mean
+  from internal.attitude_windows w
+  join samples s on s.run = w.run and s.unit = w.unit and s.signal = w.signal
+    and s.t_ns >= w.t_from_ns and s.t_ns < w.t_from_ns + (w.t_to_ns + 1 - w.t_from_ns) // w.turn_ns * w.turn_ns
+  where s.run in (select run from internal.attitude_windows) and s.unit in (select unit from internal.attitude_windows)
+  group by all
+)
+select run, unit, signal, "index", count(*), stddev_samp(mean) from turns group by all
+"""
+_LEAST_MEANS = 3
+_LEAST_TURNS = 10
+_LEAST_HZ = 10.0
 
 Step = Mapping[str, Any]
 
@@ -27,17 +45,10 @@ class Turning(NamedTuple):
     turns_by: str  # ``table``, ``command`` or ``own axis``
 
 
-class Element(NamedTuple):
-    """An off-diagonal element of the matrix L, rad."""
-
-    value: float
-    u: float
-    freedom: float
-
-
 def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric: each of the six elements for every rate and repeat, or why there is none."""
     steps = catalog.reader(sql).read_all().to_pylist()
+    _by_turns(catalog, steps)
     for (run, unit, repeat), group in groupby(steps, itemgetter("run", "unit", "repeat")):
         rows = list(group)
         signals = {row["own"]: row["signal"] for row in rows}
@@ -51,12 +62,49 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
                     yield common | _of_element(own, turned, rate, repeat, chosen or mine, rows)
 
 
+def _by_turns(catalog: Catalog, steps: Sequence[dict[str, Any]]) -> None:
+    """Give steps of whole turns the uncertainty that the scatter of the turns' means has.
+
+    Within a turn the level part of the Earth's rate goes round once; in the scatter of all samples it would count as
+    noise. Angles, and steps whose samples the store no longer has, keep theirs.
+    """
+    windows = [
+        {"run": step["run"], "unit": step["unit"], "signal": step["signal"], "index": step["index"],
+         "t_from_ns": step["t_from_ns"], "t_to_ns": step["t_to_ns"], "turn_ns": round(360e9 / abs(step["rate"]))}
+        for step in steps
+        if step["rate"] and step["deg_per_s"] is not None
+        and step["turned"] != step["own"] and not step["is_integrated"]
+    ]  # fmt: skip
+    if not windows:
+        return
+    catalog.put("attitude_windows", pa.Table.from_pylist(windows))
+    found = {tuple(key): (turns, spread) for *key, turns, spread in catalog.rows(_SPREAD)}
+    for step in steps:
+        turns, spread = found.get((step["run"], step["unit"], step["signal"], step["index"]), (0, None))
+        if turns >= _LEAST_MEANS and spread is not None:
+            step["u"], step["freedom"] = spread * abs(step["deg_per_s"]) / math.sqrt(turns), turns - 1.0
+
+
+def latest_elements(catalog: Catalog) -> Elements:
+    """The elements of each unit, by unit and name, from the last run that has one; at several rates the fastest."""
+    began = dict(catalog.rows("select run, max(t_to_ns) from step_means group by run"))
+    rows = [row for row in compute(catalog, _TURNS) if "value" in row]
+    rows.sort(key=lambda row: (began.get(row["run"], 0), row["parameters"]["rate_deg_per_s"]))
+    return {
+        (row["unit"], row["parameters"]["element"]): Element(
+            row["value"] / ARCMIN_PER_RAD, row["standard_uncertainty"] / ARCMIN_PER_RAD, row["freedom"]
+        )
+        for row in rows
+    }
+
+
 def _of_element(
     own: str, turned: str, rate: float | None, repeat: int | None, chosen: Sequence[Step], rows: Sequence[Step]
 ) -> dict[str, Any]:
     words: dict[str, Any] = {
         "element": element_name(own, turned), "turned_axis": turned, "output_axis": own, "rate_deg_per_s": rate,
         "turns": None, "turns_by": None, "radians": None, "repeat": repeat, "scale_factor": chosen[0]["scale_source"],
+        "remark": None,
     }  # fmt: skip
     clause = f"5.{6 + 'XYZ'.find(turned)} ({7 + 'XYZ'.find(turned)})" if turned in "XYZ" else "5.6-5.8 (7)-(9)"
     row = {
@@ -77,7 +125,7 @@ def _of_element(
         return row | {"reason": str(error)}
     words |= {
         "turns": round(min(way.turns for way in ways), 3), "turns_by": ways[0].turns_by,
-        "radians": float(f"{found.value:.7g}"),
+        "radians": float(f"{found.value:.7g}"), "remark": _remark(chosen, min(way.turns for way in ways)),
     }  # fmt: skip
     return row | {
         "value": found.value * ARCMIN_PER_RAD, "standard_uncertainty": found.u * ARCMIN_PER_RAD,
@@ -85,14 +133,13 @@ def _of_element(
     }  # fmt: skip
 
 
-def element_name(own: str, turned: str) -> str:
-    """The element by what gives the output, and what is turned, as in 5.6.
-
-    >>> element_name("Y", "X"), element_name("PITCH", "ROLL")
-    ('L_yx', 'L_pitch_roll')
-    """
-    apart = "" if len(own) == 1 else "_"
-    return f"L_{own.lower()}{apart}{turned.lower()}"
+def _remark(steps: Sequence[Step], turns: float) -> str | None:
+    """What departs from 7.3.1 b without being refused: its note leaves the number of turns to an agreement."""
+    found = [] if turns >= _LEAST_TURNS else [f"{turns:g} turns: the clause has {_LEAST_TURNS}"]
+    slowest = min((step["n"] - 1) / step["duration_s"] if step["duration_s"] else 0.0 for step in steps)
+    if slowest < _LEAST_HZ * 0.99:
+        found.append(f"{slowest:.3g} samples/s: 7.3.1 asks for at least {_LEAST_HZ:.0f}")
+    return "; ".join(found) or None
 
 
 def _not_turned(own: str, turned: str, rows: Sequence[Step]) -> str:

@@ -5,6 +5,7 @@
 -- better:    neither
 -- grain:     unit, signal, run, turned axis, rate, repeat
 -- parameters: element, turned_axis, output_axis, rate_deg_per_s, turns, turns_by, radians, repeat, scale_factor
+-- parameters: remark
 -- source:    JJF 1536-2015 5.6-5.8 (7)-(9), 7.3 (17)
 -- needs:     procedure attitude_unit_misalignment: each axis up, whole turns at a high rate in both directions
 -- limits:    t

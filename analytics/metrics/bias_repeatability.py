@@ -26,7 +26,7 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     share its effect, and among several days they are not independent. A day is one of the station's time zone. GJB
     2426A asks for 6 power-ons (days), JJF 2014 names no number.
     """
-    for row in catalog.reader(sql).read_all().to_pylist():
+    for row in catalog.table(sql).to_pylist():
         if row["lack"] is not None:
             for kind in KINDS:
                 yield from _standards(row, kind, len(row["biases"]), {"reason": row["lack"]})

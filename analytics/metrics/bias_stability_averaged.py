@@ -43,7 +43,7 @@ _SOURCES = {10 * 10**9: "rollup_10s", 10**9: "rollup_1s", 1: _SAMPLES}
 def compute(catalog: Catalog, sql: str) -> pa.Table:
     """Rows of the metric; correlation of neighbouring averages lowers the degrees of freedom below N/P - 1."""
     catalog.put("product_averages", _products_averages(catalog))
-    return catalog.reader(sql).read_all()
+    return catalog.table(sql)
 
 
 def _products_averages(catalog: Catalog) -> pa.Table:
@@ -57,7 +57,7 @@ def _products_averages(catalog: Catalog) -> pa.Table:
         catalog.put("averages_wanted", pa.Table.from_pylist(steps))
     for base_ns in sorted({step["base_ns"] for step in steps}):
         sql = _MEANS.format(source=_SOURCES[base_ns], base_ns=base_ns, share=LEAST_SHARE)
-        for row in catalog.reader(sql).read_all().to_pylist():
+        for row in catalog.table(sql).to_pylist():
             found = scatter_of_averages(np.array(row["numbers"], np.int64), np.array(row["means"], np.float64))
             steps[row["which"]] |= found._asdict() if found.n > 1 else {"n": found.n}
     return pa.Table.from_pylist(steps, schema=_AVERAGES)

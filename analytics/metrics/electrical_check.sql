@@ -10,6 +10,7 @@
 -- limits:    given
 -- equation:  the value that was entered, in its unit; without one 1 for PASS and 0 for FAIL
 -- influence: none: the instrument of an entered check is not one of the station
+-- of:        internal.entered_checks
 select unit, signal, run, coalesce(number, passed) as value,
   case when number is not null then unit_of_measure end as unit_of_measure,
   null::double as standard_uncertainty, null::double as freedom, null::double as lo, null::double as hi,

@@ -10,6 +10,7 @@
 -- limits:    given
 -- equation:  sign(F(+Omega) - F(-Omega)), right-hand rule
 -- influence: none: a sign is right or wrong
+-- of:        internal.polarity_procedures
 -- A sign is right or wrong: it is given where the difference is beyond its 99.9 % limits, with no interval around it.
 with turned as (
   select run, unit, signal, repeat, position,

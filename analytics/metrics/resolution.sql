@@ -11,6 +11,7 @@
 -- equation:  the smallest dOmega with |(dFhat - dF)/dFhat| <= 50 % at it and at all larger ones; the larger of + and -
 -- influence: rate: per_ppm(value)
 -- python:    analytics.metrics.resolution:compute
+-- of:        internal.resolution_procedures
 -- The base rate of a direction is its smallest one; measured before and after the increments, it is the mean of both.
 with turning as (
   select *, rate_command > 0 as is_forward, mean * deg_per_h as output, standard_uncertainty * abs(deg_per_h) as u,

@@ -19,7 +19,7 @@
 -- Where a measurement satisfies none of them, a row of the standard `informative` has the value of the line, and its
 -- `remark` says why.
 with formed as (
-  select * exclude (words), words, null::varchar as remark,
+  select * exclude (words), words, case standard when 'JJF1536' then jjf1536_remark end as remark,
     case standard when 'GJB2426A' then '5.8.1 (1)-(6)' when 'JJF2014' then '7.2.1 (2)-(5)' else '7.1 (10)-(15)' end
       as clause
   from scale_results('internal.scale_fits')
@@ -27,9 +27,9 @@ with formed as (
   select run, unit, signal, steps, string_agg(standard || ': ' || lack, '; ' order by standard) as remark
   from formed group by all having bool_and(lack is not null)
 ), every as (
-  select * from formed
+  select * exclude (jjf1536_remark) from formed
   union all by name
-  select f.*, 'informative' as standard, 'least-squares line' as clause, l.remark
+  select f.* exclude (jjf1536_remark), 'informative' as standard, 'least-squares line' as clause, l.remark
   from internal.scale_fits f join lacking l using (run, unit, signal, steps)
   where isfinite(f.k)
 )

@@ -11,4 +11,5 @@
 -- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
 -- influence: clock: per_ppm(value)
 -- python:    analytics.methods.settling_time:settling_times
+-- of:        internal.startup_procedures
 from settling_tests('^startup_time|^start_up|启动时间') order by run, unit, signal, "index"

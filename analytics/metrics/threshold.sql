@@ -11,6 +11,7 @@
 -- equation:  the smallest Omega with |(K Omega - F)/(K Omega)| <= 50 % at it and all larger ones; the larger of + and -
 -- influence: rate: per_ppm(value)
 -- python:    analytics.metrics.threshold:compute
+-- of:        internal.threshold_procedures
 -- F is the output less that at rest (JJF 2014 7.2.9.2). On the indexing head no position is without input: there the
 -- mean of directions that are opposite to each other is the zero.
 with small as (

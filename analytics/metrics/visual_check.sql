@@ -10,6 +10,7 @@
 -- limits:    given
 -- equation:  1 where the verdict that was entered is PASS, 0 where it is FAIL
 -- influence: none: a verdict has no uncertainty
+-- of:        internal.entered_checks
 select unit, signal, run, passed as value,
   null::double as standard_uncertainty, null::double as freedom, null::double as lo, null::double as hi,
   1 as n,

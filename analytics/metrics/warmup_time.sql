@@ -11,4 +11,5 @@
 -- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
 -- influence: clock: per_ppm(value)
 -- python:    analytics.methods.settling_time:settling_times
+-- of:        internal.warmup_procedures
 from settling_tests('^warm_?up_time|预热时间') order by run, unit, signal, "index"

@@ -1,6 +1,8 @@
 """Answers kept for the next who asks the same of the same version of the store; each is computed once."""
 
 import asyncio
+import math
+import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -22,16 +24,19 @@ class AnswerCache:
 
     def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
         self._most_bytes = most_bytes
-        self._kept: OrderedDict[tuple[str, ...], Answer] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, ...], tuple[Answer, float]] = OrderedDict()  # and when it was begun
         self._making: dict[tuple[str, ...], asyncio.Task[Answer]] = {}
         self.bytes = self.hits = self.misses = 0
 
-    async def answer(self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]]) -> Answer:
-        """The kept answer, else the one that `make` gives; who asks meanwhile waits for the same."""
-        if (kept := self._kept.get(key)) is not None:
+    async def answer(
+        self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]], most_s: float = math.inf
+    ) -> Answer:
+        """The answer kept, for `most_s` at most, else the one that `make` gives; who asks meanwhile waits for it."""
+        kept = self._kept.get(key)
+        if kept is not None and time.monotonic() - kept[1] <= most_s:
             self._kept.move_to_end(key)
             self.hits += 1
-            return kept
+            return kept[0]
         task = self._making.get(key)
         if task is None:
             self.misses += 1
@@ -40,14 +45,17 @@ class AnswerCache:
         return await asyncio.shield(task)
 
     async def _made(self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]]) -> Answer:
+        began_s = time.monotonic()
         try:
             answer = await make()
         finally:
             del self._making[key]
         if len(answer.body) <= self._most_bytes // _LARGEST_SHARE:
-            self._kept[key] = answer
+            if (before := self._kept.pop(key, None)) is not None:
+                self.bytes -= len(before[0].body)
+            self._kept[key] = answer, began_s
             self.bytes += len(answer.body)
             while self.bytes > self._most_bytes:
-                _, oldest = self._kept.popitem(last=False)
+                _, (oldest, _) = self._kept.popitem(last=False)
                 self.bytes -= len(oldest.body)
         return answer

@@ -27,6 +27,7 @@ from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.store import Store
 from stream.errors import BadInput
+from stream.no_pandas import hide_pandas
 
 if TYPE_CHECKING:
     from analytics.serve.doors.oidc_login import OidcLogin
@@ -90,6 +91,7 @@ def serve(store: Store, settings: Settings, on_ready: Callable[[str], None]) -> 
         ssl_certfile=settings.certificate, ssl_keyfile=settings.key,
         http=line_class(doorkeeper.watch),
     )  # fmt: skip
+    hide_pandas()
     with suppress(OSError):
         os.nice(_NICER)
     sys.setswitchinterval(_SWITCH_S)

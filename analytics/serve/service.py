@@ -23,7 +23,7 @@ from analytics.serve.live.fresh_views import FreshViews
 from analytics.serve.live.packed import packed
 from analytics.serve.memo import Memo
 from analytics.serve.problems import Stopping
-from analytics.serve.shared_lake import SharedCatalogue, SharedLake
+from analytics.serve.shared_lake import LakeState, SharedCatalogue, SharedLake
 from analytics.serve.sql_pool import SqlPool
 from analytics.serve.warming import Warming
 from storage.recording.status_board import StatusBoard
@@ -33,6 +33,7 @@ from stream.status import role_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
 
+_METRICS_LOOK_S = 0.05
 _COMMANDS_AT_ONCE, _COMMAND_EVERY_S = 6, 5.0
 Result = TypeVar("Result")
 
@@ -53,6 +54,7 @@ class Service:
     logins: Threads for passwords and providers, so that a crowd of logins holds up no page.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
+    changed: How many changes people have made here; what is shared is not older than the last one.
     listening: Pages of each person that listen to the floor.
     """
 
@@ -72,6 +74,7 @@ class Service:
     nonce: str = field(default_factory=lambda: secrets.token_hex(4))
     began_ns: int = field(default_factory=time.time_ns)
     requests: int = 0
+    changed: int = 0
     listening: Counter[str] = field(default_factory=Counter)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     changes: Broadcast = field(init=False)
@@ -80,14 +83,31 @@ class Service:
 
     def __post_init__(self) -> None:
         """Connect the parts with each other."""
-        self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state))
+        self.fresh = SharedCatalogue(lambda state: FreshViews(self.lake, self.live, state), lingers_s=1.5)
         self.changes = Broadcast(self.stopping)
-        self.warming = Warming(self.lake, self.live)
+        self.warming = Warming(self.lake, self.live, self.fresh, lambda: self.busy_threads > 0)
 
     @property
     def busy_threads(self) -> int:
         """Requests that threads are answering."""
         return self.fast.borrowed_tokens + self.slow.borrowed_tokens
+
+    def has_changed(self) -> None:
+        """Let nobody who asks from now on see what was before a change that has just been made here."""
+        self.changed += 1
+        self.warming.changed()
+
+    async def state(self) -> LakeState:
+        """The version of lake and log that a request is answered from."""
+        opened = self.warming.opened()
+        if opened is not None:
+            return opened
+        return await anyio.to_thread.run_sync(self.warming.newest, limiter=self.fast, abandon_on_cancel=True)
+
+    async def metrics(self) -> None:
+        """Wait until metrics are open, in no thread: whoever needs none of them goes on meanwhile."""
+        while not self.warming.has_metrics():
+            await asyncio.sleep(_METRICS_LOOK_S)
 
     async def result(self, work: Awaitable[Result]) -> Result:
         """The result of some work; raises Stopping where the server ends before."""

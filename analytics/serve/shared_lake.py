@@ -2,9 +2,10 @@
 
 import hashlib
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Generic, TypeVar
 
@@ -46,13 +47,32 @@ Shared = TypeVar("Shared", bound=Closing)
 class LakeState:
     """A version of the lake; `tag` names it, also with the documents that specifications and models are read from.
 
-    `log_version` is that of the rows beside it that only the log has.
+    `log_version` is that of the rows beside it that only the log has, `entered` counts those documents, `seen_ns` is
+    when it was first seen. `metrics` is the version whose metrics are shown with it, None if none are open.
     """
 
     tag: str
     number: int
     parts: tuple[Part, ...]
     log_version: int = 0
+    entered: str = ""
+    seen_ns: int = 0
+    metrics: "LakeState | None" = None
+
+    @property
+    def lake(self) -> "LakeState":
+        """The version of the lake by itself."""
+        return replace(self, log_version=0, metrics=None) if self.log_version or self.metrics else self
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether its metrics are of a version before, or not there yet."""
+        return self.metrics is None or self.metrics.tag != self.tag
+
+    @property
+    def samples(self) -> int:
+        """Samples in it."""
+        return sum(part.samples for part in self.parts)
 
     @cached_property
     def segments(self) -> frozenset[str]:
@@ -74,17 +94,28 @@ class _Opened(Generic[Shared]):
     catalog: Shared
     users: int = 0
     is_current: bool = True
+    until_s: float = 0.0
 
 
 class SharedCatalogue(Closing, Generic[Shared]):
-    """The catalogue of the newest version that was asked for; those before it are closed when nobody uses them."""
+    """The catalogue of the newest version that was asked for.
 
-    def __init__(self, open_catalogue: Callable[[LakeState], Shared]) -> None:
-        self._open_catalogue = open_catalogue
+    The one before it stays open `lingers_s` longer, for requests that have begun, and as long as one of them uses it.
+    """
+
+    def __init__(self, open_catalogue: Callable[[LakeState], Shared], lingers_s: float = 3.0) -> None:
+        self._open_catalogue, self._lingers_s = open_catalogue, lingers_s
         self.uses = 0  # leases so far
         self._current: _Opened[Shared] | None = None
+        self._before: list[_Opened[Shared]] = []
         self._lock = threading.Lock()
         self._opening = threading.Lock()
+
+    @property
+    def state(self) -> LakeState | None:
+        """The version of the newest one that is open."""
+        opened = self._current
+        return None if opened is None else opened.state
 
     @contextmanager
     def lease(self, state: LakeState) -> Iterator[Shared]:
@@ -101,11 +132,11 @@ class SharedCatalogue(Closing, Generic[Shared]):
 
     def _taken(self, state: LakeState) -> _Opened[Shared] | None:
         with self._lock:
-            opened = self._current
-            if opened is None or not opened.state.has_all_of(state):
-                return None
-            opened.users += 1
-            return opened
+            for opened in (self._current, *self._before):
+                if opened is not None and opened.state.has_all_of(state):
+                    opened.users += 1
+                    return opened
+            return None
 
     def _put(self, state: LakeState, catalog: Shared) -> _Opened[Shared]:
         opened = _Opened(state, catalog, users=1)
@@ -116,30 +147,38 @@ class SharedCatalogue(Closing, Generic[Shared]):
                 return opened
             self._current = opened
             if before is not None:
-                before.is_current = False
-        if before is not None:
-            self._close_unused(before)
+                before.is_current, before.until_s = False, time.monotonic() + self._lingers_s
+                self._before.append(before)
+        self.sweep()
         return opened
 
     def _release(self, opened: _Opened[Shared]) -> None:
         with self._lock:
             opened.users -= 1
-        self._close_unused(opened)
-
-    def _close_unused(self, opened: _Opened[Shared]) -> None:
-        with self._lock:
-            is_over = not opened.is_current and opened.users == 0
+            is_over = not opened.is_current and opened.users == 0 and opened not in self._before
         if is_over:
             opened.catalog.close()
+        self.sweep()
+
+    def sweep(self) -> None:
+        """Close what was replaced a while ago, and is used no more."""
+        now_s = time.monotonic()
+        with self._lock:
+            over = [each for each in self._before if each.users == 0 and each.until_s <= now_s]
+            self._before = [each for each in self._before if each not in over]
+        for each in over:
+            each.catalog.close()
 
     def close(self) -> None:
         """Close it, at once or when the last request has ended."""
         with self._lock:
-            opened, self._current = self._current, None
-            if opened is not None:
-                opened.is_current = False
-        if opened is not None:
-            self._close_unused(opened)
+            opened = [each for each in (self._current, *self._before) if each is not None]
+            self._current, self._before = None, []
+            for each in opened:
+                each.is_current = False
+            over = [each for each in opened if each.users == 0]
+        for each in over:
+            each.catalog.close()
 
 
 class SharedLake(Closing):
@@ -151,15 +190,16 @@ class SharedLake(Closing):
     """
 
     def __init__(self, store: Store, entered: Callable[[], str]) -> None:
-        self._store, self._entered = store, entered
+        self.store, self._entered = store, entered
         self._seen: tuple[tuple[int, int, int], LakeState] | None = None
+        self._known: LakeState | None = None
         self._process = MetricsProcess(store)
         self.views = SharedCatalogue(self._viewed)
         self.metrics = SharedCatalogue(self._filled)
 
     def state(self) -> LakeState:
         """The version in force now; StoreError if its manifest is damaged."""
-        path = self._store.lake / MANIFEST
+        path = self.store.lake / MANIFEST
         try:
             status = path.stat()
             stamp = (status.st_mtime_ns, status.st_size, status.st_ino)
@@ -167,14 +207,20 @@ class SharedLake(Closing):
             stamp = (0, 0, 0)
         seen = self._seen
         if seen is None or seen[0] != stamp:
-            manifest = read_manifest(self._store)
+            manifest = read_manifest(self.store)
             digest = hashlib.sha256(msgspec.json.encode(manifest)).hexdigest()[:12]
             seen = stamp, LakeState(f"{manifest.number}-{digest}", manifest.number, manifest.parts)
             self._seen = seen
-        return LakeState(f"{seen[1].tag}-{self._entered()}", seen[1].number, seen[1].parts)
+        entered, known = self._entered(), self._known
+        if known is None or known.parts is not seen[1].parts or known.entered != entered:
+            known = LakeState(
+                f"{seen[1].tag}-{entered}", seen[1].number, seen[1].parts, entered=entered, seen_ns=time.time_ns()
+            )
+            self._known = known  # one for each version: what it knows of its parts is found once
+        return known
 
     def _viewed(self, state: LakeState) -> Catalog:
-        catalog = Catalog(self._store, parts=state.parts, frozen=True)
+        catalog = Catalog(self.store, parts=state.parts, frozen=True)
         try:
             for name, statement in SERVED.items():
                 catalog.define(f"create table internal.{name} as {statement}")
@@ -185,14 +231,14 @@ class SharedLake(Closing):
         return catalog
 
     def _filled(self, state: LakeState) -> Catalog:
-        if sum(part.samples for part in state.parts) >= LARGE_SAMPLES:
+        if state.samples >= LARGE_SAMPLES:
             with suppress(NotKept):
                 return self._opened_filled(state, frozen=True)
             self._process.run()
         return self._opened_filled(state, frozen=False)
 
     def _opened_filled(self, state: LakeState, *, frozen: bool) -> Catalog:
-        catalog = Catalog(self._store, parts=state.parts, frozen=frozen)
+        catalog = Catalog(self.store, parts=state.parts, frozen=frozen)
         try:
             catalog.fill()
         except BaseException:

@@ -1,10 +1,14 @@
-"""Processes that answer SQL statements: a few at a time, kept while the lake stays as it is."""
+"""Processes that answer SQL statements: a few at a time, kept while the lake stays as it is.
+
+A door sees the log as it was at its first statement. So that nobody waits for the start of a process, one that has not
+been asked anything stands by once somebody has asked.
+"""
 
 import os
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 from analytics.serve.doors.rate_limit import RateLimit
@@ -14,6 +18,7 @@ from analytics.serve.shared_lake import LakeState
 from storage.sql.door import QueryLimits, SqlDoor
 from storage.store import Store, writer_is_active
 from stream.closing import Closing
+from stream.errors import GyrofleetError
 
 MOST_ROWS = 1_000_000
 LIMITS = QueryLimits()._replace(
@@ -27,10 +32,10 @@ _FRESH_S = 1.0
 
 
 class _Idle(NamedTuple):
-    """A door, the version of the lake that it is of, and when it was opened."""
+    """A door, the version of the lake that it is of, and when it was first asked; None if it has not been."""
 
     tag: str
-    began_s: float
+    began_s: float | None
     door: SqlDoor
 
 
@@ -44,7 +49,7 @@ class SqlPool(Closing):
         self._lock = threading.Lock()
         self._idle: list[_Idle] = []
         self._busy: dict[SqlDoor, _Idle] = {}
-        self._is_closed = False
+        self._is_closed = self._starts = False
 
     @contextmanager
     def door(self, state: LakeState, person: Person) -> Iterator[SqlDoor]:
@@ -59,6 +64,7 @@ class SqlPool(Closing):
                 yield door
             finally:
                 self._put_back(door)  # after an error as well: a door starts a new process if it needs one
+                self._stand_by(state.tag)
         finally:
             self._free.release()
 
@@ -66,7 +72,9 @@ class SqlPool(Closing):
         with self._lock:
             fresh = [each for each in self._idle if each.tag == tag and not self._is_old(each)]
             stale = [each for each in self._idle if each not in fresh]
-            taken = fresh.pop() if fresh else _Idle(tag, time.monotonic(), SqlDoor(self._store, self._limits))
+            fresh.sort(key=lambda each: each.began_s is not None)  # the one that stands by is taken last
+            found = fresh.pop() if fresh else _Idle(tag, None, SqlDoor(self._store, self._limits))
+            taken = found if found.began_s is not None else found._replace(began_s=time.monotonic())
             self._idle = fresh
             self._busy[taken.door] = taken
         for each in stale:
@@ -75,7 +83,35 @@ class SqlPool(Closing):
 
     def _is_old(self, idle: _Idle) -> bool:
         """Whether a recorder may have written what the door does not see."""
+        if idle.began_s is None:
+            return False
         return time.monotonic() - idle.began_s > _FRESH_S and writer_is_active(self._store.folder)
+
+    def _stand_by(self, tag: str) -> None:
+        """Start a process for the next statement, beside the answer of this one."""
+        with self._lock:
+            is_needed = not self._is_closed and not self._starts and all(each.began_s for each in self._idle)
+            self._starts |= is_needed
+        if is_needed and writer_is_active(self._store.folder):
+            threading.Thread(target=self._start_one, args=(tag,), daemon=True, name="sql").start()
+        elif is_needed:
+            self._starts = False
+
+    def _start_one(self, tag: str) -> None:
+        try:
+            door = SqlDoor(self._store, self._limits)
+            with suppress(GyrofleetError):  # who asks next is told
+                door.start()
+            with self._lock:
+                is_wanted = not self._is_closed
+                if is_wanted:
+                    self._idle.append(_Idle(tag, None, door))
+            if not is_wanted:
+                door.close()
+        except GyrofleetError:
+            pass  # the manifest is damaged: as above
+        finally:
+            self._starts = False
 
     def _put_back(self, door: SqlDoor) -> None:
         with self._lock:

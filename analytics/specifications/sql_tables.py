@@ -31,14 +31,17 @@ _HISTORY = pa.schema({
     "t_ns": _WHOLE, "action": _TEXT, "specification": _TEXT, "revision": _TEXT, "entered_by": _TEXT, "reason": _TEXT,
     "rejudges": pa.bool_(), "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
 })  # fmt: skip
+SPECIFICATION_TABLES = (
+    "limit_editions", "specification_parameters", "product_editions", "specification_history", "specification_problems",
+    "specification_limits",
+)  # fmt: skip
 _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause", "parameters", "needs", "equation")
 
 
 def put_specifications(catalog: Catalog) -> None:
     """Put the tables of the store's specifications: limits and products with the times in which they hold.
 
-    ``limit_editions``, ``product_editions``, ``specification_limits``, ``specification_parameters``,
-    ``specification_history`` and ``specification_problems``. A broken chain of documents gives no limits.
+    They are those of `SPECIFICATION_TABLES`. A broken chain of documents gives no limits.
     """
     chain = read_chain(catalog.store, catalog)
     editions = editions_of(chain.links)

@@ -36,14 +36,19 @@ def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: boo
         if unit not in names:
             raise NotFound(f"nothing was measured of unit {unit!r}; {alike(unit, names, 'units are')}")
     asked = set(units) if units else set(names)
+    values = values_of(catalog, sorted(asked)) if with_values else []
+    warnings = [row for row in rows_of(catalog, "select * from unit_warnings") if not units or row["unit"] in asked]
+    pareto = rows_of(catalog, "select * from failure_pareto")
+    return Verdicts([row for row in known if row["unit"] in asked], values, pareto, warnings)
+
+
+def values_of(catalog: Catalog, units: Sequence[str]) -> list[Row]:
+    """Each value of these units with its verdict."""
     sql = (
         "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
         "order by unit, metric, signal, t_ns, run, subject, standard, parameters"
     )
-    values = rows_of(catalog, sql, {"units": sorted(asked)}) if with_values else []
-    warnings = [row for row in rows_of(catalog, "select * from unit_warnings") if not units or row["unit"] in asked]
-    pareto = rows_of(catalog, "select * from failure_pareto")
-    return Verdicts([row for row in known if row["unit"] in asked], values, pareto, warnings)
+    return rows_of(catalog, sql, {"units": list(units)})
 
 
 def yield_by(catalog: Catalog, group: Group) -> list[Row]:

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
@@ -23,8 +23,11 @@ _PRINT = "fingerprint"
 _SQL = files("analytics.step_records").joinpath("step_means.sql").read_text()
 _INPUTS = files("analytics.step_records").joinpath("run_inputs.sql").read_text()
 _MARK = b"gyrofleet.written"
+_BATCH_ROWS = 50_000
 
 Progress = Callable[[int, int], None]
+# records of some runs, see `records_of`
+Reduce = Callable[[Catalog, list[str], Mapping[str, str], Progress | None], pa.Table]
 
 
 def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
@@ -33,26 +36,37 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
     `progress` is called with how many of how many runs have been reduced. The columns are those of ``step_means.sql``
     and `fingerprint`, the hash of what a run's records were made from.
     """
+    return step_records(catalog, progress).read_all()
+
+
+def step_records(
+    catalog: Catalog, progress: Progress | None = None, reduce: Reduce | None = None
+) -> pa.RecordBatchReader:
+    """The same batch by batch: all records of a fleet take much more memory than their file.
+
+    Those of changed runs are made by `reduce`, by default `records_of`.
+    """
+    reduce = reduce or records_of
     prints = run_fingerprints(catalog)
-    kept = kept_steps(catalog.kept)
-    known = {} if kept is None else kept_prints(kept)
+    kept = _kept_file(catalog.kept)
+    known = {} if kept is None else kept_prints(kept.read(columns=["run", _PRINT]))
     fresh = {run for run, mark in known.items() if prints.get(run) == mark}
     stale = [run for run in prints if run not in fresh]
     if kept is not None and not stale and len(fresh) == len(known):
-        return kept
+        return pa.RecordBatchReader.from_batches(_schema_of(kept), kept.iter_batches(_BATCH_ROWS))
     if catalog.frozen and (prints or kept is not None):
         raise NotKept
     tables = []
     if kept is not None and fresh:
-        of_fresh = pa.compute.is_in(kept["run"], value_set=pa.array(sorted(fresh), pa.string()))
-        tables.append(kept.filter(of_fresh))
+        table = kept.read().replace_schema_metadata(None)
+        tables.append(table.filter(pa.compute.is_in(table["run"], value_set=pa.array(sorted(fresh), pa.string()))))
     if stale:
-        tables.append(_reduced(catalog, stale, prints, progress))
-    table = pa.concat_tables(tables, promote_options="default") if tables else _reduced(catalog, [], {}, None)
-    table = table.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
+        tables.append(reduce(catalog, stale, prints, progress))
+    table = pa.concat_tables(tables, promote_options="default") if tables else records_of(catalog, [], {}, None)
+    table = table.sort_by([(name, "ascending") for name in ("unit", "run", "signal", "index")]).combine_chunks()
     if not catalog.frozen:
         write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
-    return table
+    return table.to_reader(_BATCH_ROWS)
 
 
 def run_fingerprints(catalog: Catalog) -> dict[str, str]:
@@ -68,7 +82,8 @@ def kept_prints(table: pa.Table) -> dict[str, str]:
     return dict(distinct_pairs(table, "run", _PRINT))
 
 
-def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress: Progress | None) -> pa.Table:
+def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None) -> pa.Table:
+    """Records of runs, whose fingerprints are given."""
     reduced = [COLUMNS.empty_table()]
     for done, run in enumerate(runs):
         reduced.append(reduce_run(catalog, run))
@@ -83,10 +98,20 @@ def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress
 
 def kept_steps(folder: Path) -> pa.Table | None:
     """Records kept below a folder; None where there are none of this version."""
-    table = read_kept(folder / FOLDER / FILE)
-    if table is not None and (table.schema.metadata or {}).get(_MARK) == _mark(table.schema):
-        return table.replace_schema_metadata(None)
+    file = _kept_file(folder)
+    return None if file is None else file.read().replace_schema_metadata(None)
+
+
+def _kept_file(folder: Path) -> pq.ParquetFile | None:
+    file = open_kept(folder / FOLDER / FILE)
+    with suppress(pa.ArrowException):
+        if file is not None and (file.schema_arrow.metadata or {}).get(_MARK) == _mark(_schema_of(file)):
+            return file
     return None
+
+
+def _schema_of(file: pq.ParquetFile) -> pa.Schema:
+    return file.schema_arrow.remove_metadata()
 
 
 def _mark(schema: pa.Schema) -> bytes:
@@ -100,27 +125,37 @@ def hash_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.sha256")
 
 
-def read_kept(path: Path) -> pa.Table | None:
-    """A derived table kept in the store, with its metadata; None where there is none, or it disagrees with its hash."""
+def open_kept(path: Path) -> pq.ParquetFile | None:
+    """A derived table kept in the store; None where there is none, or it disagrees with its hash."""
     with suppress(OSError, pa.ArrowException):
         content = path.read_bytes()
         if hash_path(path).read_text() == hashlib.sha256(content).hexdigest():
-            return pq.ParquetFile(pa.BufferReader(content)).read()  # read_table imports pandas
+            return pq.ParquetFile(pa.BufferReader(content))  # read_table imports pandas
     return None
+
+
+def read_kept(path: Path) -> pa.Table | None:
+    """The same as a table, with its metadata."""
+    file = open_kept(path)
+    return None if file is None else file.read()
 
 
 def write_kept(path: Path, table: pa.Table) -> None:
     """Keep a table; if that fails it is recomputed the next time."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    write_kept_content(path, sink.getvalue())
+
+
+def write_kept_content(path: Path, content: pa.Buffer) -> None:
+    """Keep a table of which this is the file."""
     with suppress(OSError):
         path.parent.mkdir(exist_ok=True)
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="zstd")
-        content = sink.getvalue().to_pybytes()
         # a reader in between finds the hash of another file, and recomputes
         _write(path, content)
         _write(hash_path(path), hashlib.sha256(content).hexdigest().encode())
 
 
-def _write(path: Path, content: bytes) -> None:
+def _write(path: Path, content: bytes | pa.Buffer) -> None:
     with replacement(path, path.with_name(f"{path.name}.{os.getpid()}.part")) as fresh:
         fresh.write_bytes(content)

@@ -113,14 +113,14 @@ def imu_series(
             rate = f"{1e9 / dt_ns:.4g} Hz", f"{1e9 / np.median(np.diff(theirs)):.4g} Hz"
             raise BadInput(f"{name}: {channels.gyros[0].signal} comes at {rate[0]}, {channel.signal} at {rate[1]}")
         n = min(n, round((theirs[-1] - theirs[0]) / dt_ns) + 1)
-    grids = [_on_grid(*series[channel.signal], dt_ns, n) for channel in channels.all]
+    grids = [on_grid(*series[channel.signal], dt_ns, n) for channel in channels.all]
     lost: BoolArray = np.logical_not(np.isfinite(np.stack(grids)).all(axis=0))
-    filled = np.stack([_filled(grid) for grid in grids])
+    filled = np.stack([without_gaps(grid) for grid in grids])
     _check_lost(lost, filled[:3], name)
     return ImuSeries(dt_ns * 1e-9, filled[:3], filled[3:])
 
 
-def _on_grid(t_ns: IntArray, values: FloatArray, dt_ns: int, n: int) -> FloatArray:
+def on_grid(t_ns: IntArray, values: FloatArray, dt_ns: int, n: int) -> FloatArray:
     """Values on a grid that begins with a signal's first sample; NaN where a sample is missing."""
     places = np.rint((t_ns - t_ns[0]) / dt_ns).astype(np.int64)
     near = (np.abs(t_ns - t_ns[0] - places * dt_ns) <= _OFF_GRID * dt_ns) & (places < n)
@@ -129,7 +129,8 @@ def _on_grid(t_ns: IntArray, values: FloatArray, dt_ns: int, n: int) -> FloatArr
     return grid
 
 
-def _filled(grid: FloatArray) -> FloatArray:
+def without_gaps(grid: FloatArray) -> FloatArray:
+    """The values of a grid, with the line between neighbours where one is missing."""
     known = np.isfinite(grid)
     at = np.arange(len(grid))
     return np.asarray(np.interp(at, at[known], grid[known]), np.float64)

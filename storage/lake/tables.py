@@ -85,6 +85,16 @@ _SPLIT_TABLES = {"samples", "rollup_1s", "rollup_10s", "clocks"}
 _STATISTICS = ["channel", "seq", "t_ns", "bucket"]
 
 
+def statistics_columns(table: str) -> list[str]:
+    """Columns of one of `TABLES` whose least and greatest values its files have.
+
+    >>> statistics_columns("rollup_1s")
+    ['channel', 'bucket']
+    """
+    names = TABLES[table].names
+    return [name for name in names if name in _STATISTICS] if table in _SPLIT_TABLES else names
+
+
 class _HashingFile:
     """A file for pyarrow that hashes what is written."""
 
@@ -135,7 +145,7 @@ class TableWriter:
                 **{name: "BYTE_STREAM_SPLIT" for name in (*_FLOATS, "above") if name in schema.names},
             }
             more["use_dictionary"] = [name for name in schema.names if name not in more["column_encoding"]]
-            more["write_statistics"] = [name for name in schema.names if name in _STATISTICS]
+            more["write_statistics"] = statistics_columns(table)
         self.schema = schema
         self.rows = 0
         self._small: list[pa.Table] = []

@@ -7,6 +7,8 @@ from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.folder_source import kept_sha256
 from storage.replication.source import MAX_FILE_BYTES, MAX_FILES, CarriedFile, SegmentMissing, SegmentSource, is_carried
 
+_MAX_REFUSED = 1_000
+
 Refuse = Callable[[str, str, str], None]
 
 
@@ -21,14 +23,21 @@ class CarriedFiles:
         self.added = 0
 
     def fetch(
-        self, source: SegmentSource, folder: Path, arrivals: Arrivals, refuse: Refuse, stopped: Callable[[], bool]
+        self, source: SegmentSource, folder: Path, arrivals: Arrivals, report: Refuse, stopped: Callable[[], bool]
     ) -> None:
-        """Bring those that a store's folder lacks; `refuse` gets kind, name and reason of what is not taken."""
+        """Bring those that a store's folder lacks; `report` gets kind, name and reason of what is not taken."""
+        refused = 0
+
+        def refuse(kind: str, name: str, what: str) -> None:
+            nonlocal refused
+            refused += 1
+            report(kind, name, what)
+
         for number, file in enumerate(source.files()):
             if stopped():
                 raise Stopped
-            if number >= MAX_FILES:
-                refuse("endless_list", file.name, f"more than {MAX_FILES:,} files are listed")
+            if number >= MAX_FILES or refused >= _MAX_REFUSED:
+                refuse("endless_list", file.name, f"more than {number:,} files are listed, {refused:,} were refused")
                 return
             if not is_carried(file.name) or not 0 <= file.size <= MAX_FILE_BYTES:
                 refuse("file_invalid", file.name[:200], f"{file.name[:80]!r} is no file that travels, or too long")

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator
-from itertools import islice
 from pathlib import Path
 
 import msgspec
@@ -26,6 +25,7 @@ LIST = "segments.jsonl"
 ARRIVING = "arriving"
 _MAX_LINES = 2_000_000  # a segment of 300 s each: 19 years
 _REPORT_EVERY_S = 0.2
+_MAX_LIST_BYTES = 2 << 30
 _MAX_UNDELIVERED = 1_000  # in one pass; a list without segments has no end
 
 Report = Callable[[Progress], object]
@@ -58,6 +58,7 @@ class Receiver:
         self._rereads = rereads
         self._source, self._fleet, self._disk = source, fleet, disk
         self._bandwidth, self._report, self._stopped = bandwidth or Bandwidth(), report, stopped
+        self._name = ""  # of the plant, once it is known
         self._seen: tuple[object, ...] = ()
         self._begin()
 
@@ -75,7 +76,7 @@ class Receiver:
             stated = self._source.plant()
             plant = None if stated is None else checked(stated)
         except (SourceGone, BadInput, StoreError) as error:
-            return Progress(plant="", trouble=f"{self._source.where}: {error}", at_ns=time.time_ns())
+            return Progress(plant=self._name, trouble=f"{self._source.where}: {error}", at_ns=time.time_ns())
         if plant is None:
             note = f"{self._source.where} has no sealed segment yet"
             return Progress(plant="", notes=(note,), at_ns=time.time_ns())
@@ -85,6 +86,7 @@ class Receiver:
             refusal = Refusal(plant.name, "plant_identity", plant.first_segment, str(error))
             self._fleet.add_refusal(plant, str(error))
             return Progress(plant=plant.name, store=plant.store, refused=(refusal,), at_ns=time.time_ns())
+        self._name = plant.name
         try:
             with WriterLock(replica.store, REPLICATION):
                 return self._pass(replica)
@@ -155,9 +157,12 @@ class Receiver:
 
     def _compare_lists(self) -> None:
         """The plant's list is not a continuation: it is shorter, rewritten with the same content, or another one."""
-        content = list(islice(self._lines(0), _MAX_LINES + 1))
-        if len(content) > _MAX_LINES:
-            raise ListRefused("endless_list", "", f"the list has more than {_MAX_LINES:,} lines")
+        content, size = [], 0
+        for raw in self._lines(0):
+            content.append(raw)
+            size += len(raw)
+            if len(content) > _MAX_LINES or size > _MAX_LIST_BYTES:
+                raise ListRefused("endless_list", "", f"the list has more than {len(content) - 1:,} lines")
         received = self._list.path.read_bytes().split(b"\n")[:-1]
         if len(content) < len(received) and content == received[: len(content)]:
             first = segment_named(received[len(content)])

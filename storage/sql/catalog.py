@@ -1,6 +1,5 @@
 """SQL over a store: read-only DuckDB views on the lake."""
 
-import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -13,8 +12,10 @@ import pyarrow as pa
 
 from storage.findings import Finding
 from storage.lake.tables import TABLES
-from storage.manifests.lake import Part, read_manifest
+from storage.manifests.lake import Part
+from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
+from storage.sql.lake_source import LakeSource, source_of
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
 from storage.sql.views import VIEWS, define_views, reading_lake
@@ -24,6 +25,9 @@ from stream.errors import QueryError
 
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
+_ALWAYS_READ = {"channels"}
+_COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
+_PART_ROWS = 122_880  # that DuckDB compresses together
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -72,25 +76,37 @@ class Catalog(Closing):
 
     What they are made of is in the schema `internal`. A `file` is a DuckDB database to create with the same views; by
     default they are in memory. `progress` is called by a layer with the numbers of steps done and in total. `parts` of
-    the lake are by default those in force now; layers keep what they compute in the folder `kept`, by default the
-    store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes` is the limit of DuckDB, which
-    then uses no disk either; by default most of the machine's memory. With `live` users' statements also see the rows
-    that only the log has, as it is when one first names a table that has some; layers and the project's own statements
-    never do.
+    the lake are by default those in force now, and a `source` reads their files; layers keep what they compute in the
+    folder `kept`, by default the store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes`
+    is the limit of DuckDB, which then uses no disk either; by default most of the machine's memory. With `live` users'
+    statements also see the rows that only the log has, as it is when one first names a table that has some; layers and
+    the project's own statements never do. With `units` channels, documents and estimates of other units are left out,
+    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
     """
 
     def __init__(
         self, store: Store, file: Path | None = None, *, progress: Progress | None = None,
-        parts: Iterable[Part] | None = None, kept: Path | None = None, frozen: bool = False,
-        memory_bytes: int | None = None, live: bool = False,
+        parts: Iterable[Part] | None = None, source: LakeSource | None = None, kept: Path | None = None,
+        frozen: bool = False, memory_bytes: int | None = None, live: bool = False,
+        units: Collection[str] | None = None, threads: int | None = None,
     ) -> None:  # fmt: skip
         self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
+        if threads is not None:
+            config["threads"] = threads
+        self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
+        self._is_in_memory = file is None
+        if self._is_in_memory:
+            self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
+            self._connection.execute(f"create schema {_COMPACT}.internal")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
-        self.parts = read_manifest(store).parts if parts is None else tuple(parts)
+        self._deferred = DeferredDefinitions(self._execute)
+        self.source = source_of(store, parts) if source is None else source
+        self.parts = self.source.parts
+        self.source.attach(self._connection)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
             self._attach(f"internal.lake_{table}", table, self.parts)
@@ -101,8 +117,8 @@ class Catalog(Closing):
         self._has_views = False
         if self._live is None:
             self._define_views()
-        folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
-        allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
+        folders = [self.source.root, *(str((self.kept / layer.folder).resolve()) for layer in layers())]
+        allowed = ", ".join("'" + each.replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
         if memory_bytes is not None:
             self._connection.execute(f"set memory_limit = '{memory_bytes}B'; set temp_directory = ''")
@@ -113,15 +129,19 @@ class Catalog(Closing):
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
         """A view of a table over the parts that have it; DuckDB opens the first file now, the others on demand."""
         file = f"{table}.parquet"
-        lake = self.store.lake.resolve()
-        paths = [str(lake / part.name / file) for part in parts if file in part.files and part.files[file].rows]
+        paths = [self.source.path(part.name, file) for part in parts if file in part.files and part.files[file].rows]
         if not paths:
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
             self._connection.execute(f"create table {source} ({columns}, filename varchar)")
             return
-        listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+        if table in _ALWAYS_READ:
+            self.source.bring(paths)
+        of_units = ""
+        if self._units is not None and "unit" in (column.name for column in TABLES[table]):
+            of_units = f" where unit is null or unit in ({_quoted(['', *self._units])})"
+        sql = f"create view {source} as select *, filename from read_parquet([{_quoted(paths)}]){of_units}"  # noqa: S608
         with reading_lake(self.store):
-            self._connection.execute(f"create view {source} as select *, filename from read_parquet([{listed}])")  # noqa: S608
+            self._connection.execute(sql)
 
     def _define_views(self) -> None:
         """Define the views on the lake, once; most statements that see live rows need no others."""
@@ -130,21 +150,64 @@ class Catalog(Closing):
             with reading_lake(self.store):
                 define_views(self._connection)
 
+    def define_views(self) -> None:
+        """Define the views now, as a file that others open needs."""
+        self._define_views()
+
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
+        self._deferred.define(words_of(sql))
+        self._execute(sql)
+
+    def defer(self, script: str) -> None:
+        """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
+        self._deferred.add(script)
+
+    def _execute(self, sql: str) -> None:
         try:
             self._connection.execute(sql)
         except duckdb.Error as error:
             raise QueryError(plain_message(error)) from error
 
-    def put(self, name: str, table: pa.Table) -> None:
-        """Create or replace a table; one that no layer lists goes to the schema `internal`."""
-        schema = "main" if name in known_tables() else "internal"
+    def put(self, name: str, table: pa.Table | pa.RecordBatchReader, *, is_large: bool = False) -> None:
+        """Create or replace a table; one that no layer lists goes to the schema `internal`.
+
+        One that a layer lists is a view on a table that takes little memory, as is a large one.
+        """
+        self._deferred.discard(name)
+        place, view = self._place_of(name, is_large=is_large)
+        parts = _parts(table) if isinstance(table, pa.RecordBatchReader) else iter([table])
+        self._write(f"create or replace table {place} as from put_rows", next(parts))
+        for part in parts:
+            self._write(f"insert into {place} from put_rows", part)
+        if view is not None:
+            self._execute(f"create or replace view {view} as from {place}")
+
+    def append(self, name: str, table: pa.Table, *, is_large: bool = False) -> None:
+        """Append rows to a table that was put."""
+        self._write(f"insert into {self._place_of(name, is_large=is_large)[0]} from put_rows", table)
+
+    def _place_of(self, name: str, *, is_large: bool) -> tuple[str, str | None]:
+        """Where a table is, and the view on it if there is one."""
+        is_listed = name in known_tables()
+        view = f'{"main" if is_listed else "internal"}."{name}"'
+        if not (is_listed or is_large):
+            return view, None
+        return (f'{_COMPACT}.internal."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
+
+    def _write(self, sql: str, table: pa.Table) -> None:
         self._connection.register("put_rows", table)
         try:
-            self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+            self._execute(sql)
         finally:
             self._connection.unregister("put_rows")
+        if f" {_COMPACT}." in sql:
+            self._execute(f"checkpoint {_COMPACT}")  # compresses what was written
+
+    def stored(self, name: str) -> pa.Table:
+        """The rows of a table that was put."""
+        schema = "main" if name in known_tables() else "internal"
+        return self._connection.sql(f'from {schema}."{name}"').to_arrow_table()
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
@@ -154,9 +217,11 @@ class Catalog(Closing):
         with reading_lake(self.store):
             return Overlay(self._connection, name, channels, events, kept, kinds)
 
-    def fill(self) -> None:
-        """Compute the tables of all layers now."""
-        self._fill(" ".join(table for layer in layers() for table in layer.tables))
+    def fill(self, tables: Collection[str] = ()) -> None:
+        """Compute the tables of all layers now, and define all views; only these tables if some are given."""
+        self._fill(" ".join(tables or (table for layer in layers() for table in layer.tables)))
+        if not tables:
+            self._deferred.define_all()
 
     @contextmanager
     def suspended_layers(self) -> Iterator[tuple[Layer, ...]]:
@@ -168,9 +233,7 @@ class Catalog(Closing):
             self._unfilled = waiting
 
     def _fill(self, sql: str) -> None:
-        if not self._unfilled:
-            return
-        words = set(re.findall(r"\w+", sql.lower()))
+        words = words_of(sql)
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
             self._define_views()
             self._unfilled.remove(layer)  # first, since the layer queries this catalogue
@@ -179,15 +242,20 @@ class Catalog(Closing):
             except BaseException:
                 self._unfilled.append(layer)
                 raise
+        self._deferred.define(words)
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
-        """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
+        """Result of one of the project's own reading statements; users' statements go through `user_reader`.
+
+        Several threads may ask at once: each has a cursor of its own, since a connection at work refuses other calls.
+        """
         self._fill(sql)
         try:
-            kind = one_statement(self._connection, sql).type
+            cursor = self._connection.cursor()
+            kind = one_statement(cursor, sql).type
             if kind not in _READING:
                 raise refused(kind.name)
-            return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
+            return cursor.sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise _failed(error) from error
 
@@ -232,11 +300,16 @@ class Catalog(Closing):
         """The batches of a statement's result."""
         yield from self.guarded(self.reader(sql, parameters, rows))
 
-    def table(self, sql: str) -> pa.Table:
-        """The whole result of a statement of many views and macros: it is planned once, a reader's twice."""
+    def table(self, sql: str, given: pa.Table | None = None) -> pa.Table:
+        """The whole result of a statement of many views and macros: it is planned once, a reader's twice.
+
+        The rows `given` are its table ``given_rows``.
+        """
         self._fill(sql)
         try:
             with self._connection.cursor() as cursor:
+                if given is not None:
+                    cursor.register("given_rows", given)
                 cursor.execute(f"create temporary table whole as {sql}")
                 return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
@@ -249,6 +322,21 @@ class Catalog(Closing):
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
+
+
+def _quoted(texts: Iterable[str]) -> str:
+    return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
+
+
+def _parts(reader: pa.RecordBatchReader) -> Iterator[pa.Table]:
+    """The rows that a reader gives, in tables that fit into memory; one without rows at least."""
+    batches: list[pa.RecordBatch] = []
+    for batch in reader:
+        batches.append(batch)
+        if sum(each.num_rows for each in batches) >= _PART_ROWS:
+            yield pa.Table.from_batches(batches)
+            batches = []
+    yield pa.Table.from_batches(batches, reader.schema)
 
 
 def _failed(error: duckdb.Error) -> QueryError:

@@ -13,12 +13,12 @@ import struct
 import sys
 import threading
 from enum import Enum
-from importlib.abc import MetaPathFinder
 from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
 
 from storage.sql.landlock import allow_reading_only
+from stream.no_pandas import hide_pandas
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -81,14 +81,6 @@ def _pause() -> float:
     return signal.setitimer(signal.ITIMER_REAL, 0.0)[0]
 
 
-class _NoPandas(MetaPathFinder):
-    """Hides pandas, which pyarrow would import if it is installed: that takes as long as everything else."""
-
-    def find_spec(self, fullname: str, *_: object) -> None:
-        if fullname == "pandas":
-            raise ModuleNotFoundError(name=fullname)
-
-
 def main() -> None:
     """Answer requests until the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
@@ -96,7 +88,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what libraries print is not an answer
-    sys.meta_path.insert(0, _NoPandas())
+    hide_pandas()
     setup: dict[str, Any] = json.loads(read_frame(requests)[1])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
@@ -148,13 +140,23 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     import msgspec
 
     from storage.manifests.lake import Part
+    from storage.object_lake.range_service import RangeClient
     from storage.sql.catalog import Catalog
+    from storage.sql.lake_source import RangeLake
     from storage.store import Store
 
+    if "plants" in setup:
+        from storage.sql.fleet_catalog import FleetCatalog, PlantFile
+
+        return FleetCatalog(
+            Path(setup["folder"]), msgspec.convert(setup["plants"], type=list[PlantFile]), setup["tables"],
+            memory_bytes=setup["memory_bytes"],
+        )  # fmt: skip
+    parts = msgspec.json.decode(setup["parts"], type=tuple[Part, ...])
+    source = RangeLake(parts, RangeClient(setup["ranges"]).read) if setup["ranges"] else None
     return Catalog(
-        Store(Path(setup["folder"]), setup["identity"]),
-        parts=msgspec.json.decode(setup["parts"], type=tuple[Part, ...]), kept=Path(setup["kept"]), frozen=True,
-        memory_bytes=setup["memory_bytes"], live=True,
+        Store(Path(setup["folder"]), setup["identity"]), parts=parts, source=source, kept=Path(setup["kept"]),
+        frozen=True, memory_bytes=setup["memory_bytes"], live=True,
     )  # fmt: skip
 
 

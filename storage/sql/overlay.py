@@ -61,10 +61,10 @@ class Overlay(Closing):
         kept: Mapping[str, str], kinds: Collection[str],
     ) -> None:  # fmt: skip
         self._connection, self._name = connection, name
-        ((database,),) = connection.execute("select current_database()").fetchall()
-        lake = f"{database}.internal"
-        with connection.cursor() as cursor:
+        with connection.cursor() as cursor:  # requests ask through other ones meanwhile
+            ((database,),) = cursor.execute("select current_database()").fetchall()
             cursor.execute(f"attach ':memory:' as {name}")
+        lake = f"{database}.internal"
         try:
             with self._cursor() as cursor:
                 cursor.register("live_channels_rows", channels)

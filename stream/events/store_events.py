@@ -46,8 +46,9 @@ class CertificateIssued(Document, frozen=True, kw_only=True, tag=True):
     """A calibration certificate of a unit is issued; `run` is empty.
 
     `sha256` is that of the PDF, `digital_sha256` that of the XML in it, `data_sha256` that of the results, which are in
-    `results` as JSON. `valid_until` is the last day of its validity (ISO). A new certificate names the one that it
-    `supersedes`, and the `reason`. `store` is the identity of its store, `seal` the seal.
+    `results` as JSON; `specification` that of the last specification of the store then. `valid_until` is the last day
+    of its validity (ISO). A new certificate names the one that it `supersedes`, and the `reason`. `store` is the
+    identity of its store, `seal` the seal.
     """
 
     number: str

@@ -3,8 +3,9 @@
 `segment` writes an open segment of 1e8 samples (1000 signals, 1000 samples a message, noise of 50 counts) and starts
 `gyrofleet sql` as a process for statements that need its channels, its samples or its rollups: time, CPU time and peak
 memory of each, beside the same statements when the segment is in the lake. `latency` lets a source send 100 signals to
-a `gyrofleet record` that seals every few seconds, and asks at once, again and again: what was acknowledged before a
-statement must be in its result, and the time of the statement bounds how late that is.
+a `gyrofleet record` that seals every 10 s, and asks again and again, in SQL and through a server's API: every sample
+is in each answer once, what was acknowledged before a statement is in its result, and for each acknowledgement it is
+measured how long it took until an answer had its samples.
 """
 
 import argparse
@@ -14,11 +15,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from uuid import UUID
 
+import httpx
 import numpy as np
 
 from storage.lake.builder import build_missing, builder_lock
@@ -28,8 +32,10 @@ from storage.segments.records import SAMPLES, LogRecord
 from storage.sql.door import SqlDoor
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
+from stream.closing import Closing
 from stream.identity import Place, sample_key
 from stream.wire.batches import encode_batch
+from tests.bench.serve_record import TOKEN, serving
 from tests.free_ports import free_endpoint
 from tests.live_source import LiveSource
 
@@ -110,28 +116,93 @@ def segment(folder: Path, samples: int, signals: int) -> dict[str, Any]:
 
 
 def latency(folder: Path, seconds: float, units: int, rate_hz: int) -> dict[str, Any]:
+    """Seconds from an acknowledgement until an answer has the samples, over `seconds` for each way of asking."""
     endpoint = free_endpoint()
     store, command = folder / "store", program("record", "--listen", endpoint, "--rotate-s", 10, "--json", "--store")
+    found: dict[str, Any] = {"samples_per_s": units * rate_hz}
     with subprocess.Popen([*command, str(store)], stdout=subprocess.PIPE, text=True) as recorder:
         assert recorder.stdout is not None
         recorder.stdout.readline()
-        took: dict[str, list[float]] = {"gyrofleet sql": [], "a new door": []}
         try:
-            with LiveSource(endpoint, units=units, rate_hz=rate_hz) as source:
-                time.sleep(2.0)
-                until = time.monotonic() + seconds
-                while time.monotonic() < until:
-                    for how, times in took.items():
-                        acknowledged, _ = source.acknowledged()
-                        begin = time.monotonic()
-                        rows = by_command(store) if how == "gyrofleet sql" else by_door(store)
-                        times.append(time.monotonic() - begin)
-                        check(rows, acknowledged)
+            with LiveSource(endpoint, units=units, rate_hz=rate_hz) as source, serving(store) as (url, _):
+                time.sleep(3.0)
+                headers = {"Authorization": f"Bearer {TOKEN}"}
+                with (
+                    httpx.Client(base_url=url, headers=headers, timeout=60.0) as client,
+                    Acknowledged(source) as acknowledged,
+                ):
+                    ways: dict[str, Callable[[], list[dict[str, Any]]]] = {
+                        "gyrofleet sql": lambda: by_command(store),
+                        "a new door": lambda: by_door(store),
+                        "SQL of the page": lambda: by_page(client),
+                        "signal of the page": lambda: by_signal(client),
+                    }
+                    for how, ask in ways.items():
+                        found[how] = acknowledged.seen_by(ask, seconds, is_exact=not how.endswith("of the page"))
                 source.stop()
         finally:
             recorder.terminate()
-    figures = {how: {"median_s": float(np.median(times)), "most_s": max(times)} for how, times in took.items()}
-    return {"statements": sum(map(len, took.values())), "samples_per_s": units * rate_hz, **figures}
+    return found
+
+
+class Acknowledged(Closing):
+    """When the samples of the first unit were acknowledged: moments and the number after the last one."""
+
+    def __init__(self, source: LiveSource) -> None:
+        self._source, self._ends = source, threading.Event()
+        self.moments: list[tuple[float, int]] = []
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Watch no more."""
+        self._ends.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        unit = self._source.units[0]
+        while not self._ends.wait(0.005):
+            next_seq = self._source.acknowledged()[0][unit]
+            if not self.moments or next_seq > self.moments[-1][1]:
+                self.moments.append((time.monotonic(), next_seq))
+
+    def seen_by(self, ask: Callable[[], list[dict[str, Any]]], seconds: float, *, is_exact: bool) -> dict[str, float]:
+        """Ask for so long; each sample is there once, and if `is_exact` all that were acknowledged before are.
+
+        A server may answer from what it had a second before.
+        """
+        unit, answers, took = self._source.units[0], [], []
+        first_s = time.monotonic()
+        while time.monotonic() < first_s + seconds:
+            before, began_s = self._source.acknowledged()[0], time.monotonic()
+            rows = ask()
+            answers.append((time.monotonic(), next(row["last"] + 1 for row in rows if row["unit"] == unit)))
+            took.append(answers[-1][0] - began_s)
+            check(rows, before if is_exact else {})
+        late = [
+            next(at_s for at_s, shown in answers if shown >= next_seq) - acknowledged_s
+            for acknowledged_s, next_seq in self.moments
+            if first_s <= acknowledged_s and next_seq <= answers[-1][1]
+        ]
+        return {
+            "answers": len(answers), "answer_median_s": float(np.median(took)), "median_s": float(np.median(late)),
+            "p95_s": float(np.quantile(late, 0.95)), "most_s": max(late),
+        }  # fmt: skip
+
+
+def by_page(client: httpx.Client) -> list[dict[str, Any]]:
+    answer = client.post("/api/sql", json={"sql": SEEN})
+    assert answer.status_code == 200, answer.text
+    return list(answer.json()["rows"])
+
+
+def by_signal(client: httpx.Client) -> list[dict[str, Any]]:
+    """The first unit's record as the page draws it; the number of a sample is that of its period."""
+    answer = client.get("/api/signals/U0/live/rate", params={"points": 1000})
+    assert answer.status_code == 200, answer.text
+    found = answer.json()
+    numbers = round((found["last_ns"] - found["first_ns"]) / 1e9 / found["sample_interval_s"]) + 1
+    return [{"unit": "U0", "n": found["samples"], "numbers": numbers, "last": numbers - 1}]
 
 
 def by_command(store: Path) -> list[dict[str, Any]]:
@@ -145,8 +216,9 @@ def by_door(store: Path) -> list[dict[str, Any]]:
 
 
 def check(rows: list[dict[str, Any]], acknowledged: dict[str, int]) -> None:
-    """Everything acknowledged before is there, once."""
+    """Every sample is there once, and everything acknowledged before."""
     of_unit = {row["unit"]: row for row in rows}
+    assert all(row["n"] == row["numbers"] == row["last"] + 1 for row in rows), rows
     for unit, next_seq in acknowledged.items():
         row = of_unit.get(unit, {"n": 0, "numbers": 0, "last": -1})
         assert row["n"] == row["numbers"] == row["last"] + 1 >= next_seq
@@ -157,7 +229,7 @@ def main() -> None:
     parser.add_argument("mode", nargs="?", choices=("segment", "latency"), default="segment")
     parser.add_argument("--samples", type=int, default=100_000_000)
     parser.add_argument("--signals", type=int, default=1000)
-    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each way of asking")
     parser.add_argument("--units", type=int, default=100)
     parser.add_argument("--rate-hz", type=int, default=1000)
     parser.add_argument("--json", action="store_true")

@@ -9,6 +9,7 @@ changes, one a second, as fast as it can.
 
 import argparse
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -192,6 +193,12 @@ def cpu_s(process: subprocess.Popen[str]) -> float:
     return (int(fields[11]) + int(fields[12])) / 100
 
 
+def rss_mb(process: subprocess.Popen[str]) -> float:
+    """Resident memory of a process."""
+    pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
 def measure(folder: Path, units: int, changes_per_s: float, seconds: float, days: float) -> dict[str, Any]:
     with roles(folder) as (endpoint, url, server):
         source = Source(endpoint, units, changes_per_s)
@@ -210,13 +217,17 @@ def measure(folder: Path, units: int, changes_per_s: float, seconds: float, days
                 time.sleep(5.0)
                 browser.ask("window.told.length = 0")
                 before, cpu_before, sent_before = figures(browser), cpu_s(server), source.sent
-                time.sleep(seconds)
+                resident_mb = []
+                for _ in range(6):
+                    time.sleep(seconds / 6)
+                    resident_mb.append(rss_mb(server))
                 after, cpu_after, sent_after = figures(browser), cpu_s(server), source.sent
                 told = browser.ask("window.told")
                 probed = list(source.probed)
                 found = _summary(told, probed, before, after) | {
                     "changes_per_s": (sent_after - sent_before) / seconds,
                     "server_cores": (cpu_after - cpu_before) / seconds,
+                    **{f"server_mb_at_{sixth}_of_6": each for sixth, each in enumerate(resident_mb, 1)},
                 }
                 if days:
                     source.close()
@@ -287,21 +298,24 @@ REPLAY = """(async () => {
 
 
 def _replayed(browser: Browser, units: int, changes_per_s: float, days: float) -> dict[str, float]:
-    """Memory before and after the changes of some days, in ten pieces."""
+    """Memory of the page before, and at each sixth of the changes of some days."""
     rows = browser.ask("fetch('/api/floor').then(answer => answer.json())")["units"]
-    updates = round(days * 86_400 / 10)
-    content = {"numbers": [row[0] for row in rows], "updates": updates // 10, "changes": round(changes_per_s)}
+    pieces = 6 * 40  # each shorter than the browser's patience
+    updates = round(days * 86_400 / pieces)
+    content = {"numbers": [row[0] for row in rows], "updates": updates, "changes": round(changes_per_s)}
+    began_s = time.monotonic()
     heaps = [figures(browser)]
-    for _ in range(10):
-        for _ in range(10):
-            browser.ask(REPLAY % json.dumps(content))
-        heaps.append(figures(browser))
-    megabytes = [each["JSHeapUsedSize"] / 2**20 for each in heaps]
+    for piece in range(pieces):
+        browser.ask(REPLAY % json.dumps(content))
+        if (piece + 1) % 40 == 0:
+            heaps.append(figures(browser))
+            print(f"{piece + 1} of {pieces} pieces", file=sys.stderr, flush=True)
     return {
-        "replayed_updates": updates // 10 * 100,
-        "replay_heap_mb_after_a_tenth": megabytes[1],
-        "replay_heap_mb_at_the_end": megabytes[-1],
+        "replayed_updates": updates * pieces,
+        "replay_s": time.monotonic() - began_s,
         "replay_node_growth": heaps[-1]["Nodes"] - heaps[1]["Nodes"],
+        "replay_listener_growth": heaps[-1]["JSEventListeners"] - heaps[1]["JSEventListeners"],
+        **{f"replay_heap_mb_at_{sixth}_of_6": each["JSHeapUsedSize"] / 2**20 for sixth, each in enumerate(heaps)},
     }
 
 

@@ -111,7 +111,8 @@ def fleet(folder: Path, units: int, hours: int) -> dict[str, Any]:
     found: dict[str, Any] = {"samples": units * hours * 360_000, "units": units}
     pages = {
         "floor": "/", "units": "/units", "unit": "/units/FOG-00500", "run": "/runs/raw",
-        "signal": "/signals/FOG-00500/raw/rate", "trends": "/trends", "store": "/store",
+        "signal": "/signals/FOG-00500/raw/rate", "trends": "/trends", "diagnosis": "/diagnosis", "sql": "/sql",
+        "events": "/events", "store": "/store",
     }  # fmt: skip
     with Browser() as browser:
         browser.before_pages(HOOK)

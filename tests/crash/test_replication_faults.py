@@ -17,4 +17,4 @@ def test_under_faults_each_segment_arrives_once_and_verified(
     assert (found["lost"], found["doubled"], found["unverified"]) == (0, 0, 0)
     assert found["samples"] == 40_000 * found["segments"] >= 40_000 * faults
     assert {fault: found["counts"][fault] for fault in FAULTS} == dict.fromkeys(FAULTS, faults // 5)
-    assert found["counts"]["struck"] >= faults - 1
+    assert found["counts"]["struck"] >= 4 * faults // 5

@@ -1,7 +1,6 @@
 """`gyrofleet site` and the refusal of an unprotected network, from the command line."""
 
 import json
-import os
 import stat
 from pathlib import Path
 from typing import Any
@@ -48,7 +47,7 @@ def test_a_site_is_made_listed_renewed_and_revoked(tmp_path: Path) -> None:
     assert invoke("site", "init", site)[0] == 0
     assert invoke("site", "add-station", site, "chamber-2", "--days", 2)[0] == 0
     for path in (site / "ca.key", site / "station/chamber-2/key.pem", site / "recorder/recorder/key.pem"):
-        assert stat.S_IMODE(os.stat(path).st_mode) == 0o600
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
     key = (site / "station/chamber-2/key.pem").read_bytes()
     code, text = invoke("site", "add-station", site, "chamber-2")
     assert code == 1

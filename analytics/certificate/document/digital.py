@@ -60,10 +60,10 @@ def _administrative(parent: Element, content: Content, release: str, supersedes:
     _people(_add(parent, "respPersons"), order)
     _contact(_add(parent, "customer"), Words.of(order.customer.name), Words.of(order.customer.address))
     statements = _add(parent, "statements")
-    for name in ("sampling", "deviations", "only_this_item", "no_partial_copy"):
+    for name in ("sampling", "deviations", "departures", "only_this_item", "no_partial_copy"):
         if (section := content.section(name)) is not None:
             for line in section.lines:
-                _statement(statements, line.text, section.item.clause, facts.standard.code)
+                _statement(statements, line.text, section.item.clause or "-", facts.standard.code)
 
 
 def _software(parent: Element, release: str) -> None:

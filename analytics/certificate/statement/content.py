@@ -6,12 +6,15 @@ from typing import NamedTuple
 
 import msgspec
 
+from analytics.certificate.statement.departures import compensation_of, departures, not_stated
 from analytics.certificate.statement.evidence import Evidence, Span
 from analytics.certificate.statement.order import Order, Text
 from analytics.certificate.statement.references import Reference
 from analytics.certificate.statement.results import ResultRow
 from analytics.certificate.statement.standards import Item, Standard
+from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Words
+from analytics.evaluation.reasons import in_chinese
 
 _SAME = "/"
 
@@ -215,12 +218,12 @@ def _results(facts: Facts) -> _Filled:
     ordered = set(facts.order.items)
     for row in facts.rows:
         if row.metric in ordered and not row.results:
-            missing.append(Words(f"{row.name.en}: {row.reason}", f"{row.name.zh}：{row.reason}"))
+            missing.append(Words(f"{row.name.en}: {row.reason}", f"{row.name.zh}：{in_chinese(row.reason or '')}"))
         if ordered and row.metric not in ordered:
             continue
         reasons = dict.fromkeys(each.why_no_u for each in row.results if each.expanded is None)
         en, zh = f"{row.name.en}: no expanded uncertainty", f"{row.name.zh}：无扩展不确定度"
-        missing += [Words(f"{en}: {why}", f"{zh}：{why}") for why in reasons]
+        missing += [Words(f"{en}: {why}", f"{zh}：{in_chinese(why)}") for why in reasons]
     if not any(row.results for row in facts.rows):
         missing.append(Words("there is no result", "没有校准结果"))
     simulated = [each.run for each in facts.evidence.runs if each.simulated]
@@ -229,11 +232,21 @@ def _results(facts: Facts) -> _Filled:
         "U is the expanded uncertainty with coverage factor k, evaluated by JJF 1059.1 (JCGM 100).",
         "U 为扩展不确定度，k 为包含因子，按 JJF 1059.1 评定。",
     )
-    return [Line(Words("", ""), text)], missing
+    return [Line(Words("", ""), text), Line(Words("", ""), compensation_of(facts.rows))], missing
 
 
 def _deviations(facts: Facts) -> _Filled:
-    return _required(("Deviations", "偏离", facts.order.deviations))
+    lines, missing = _required(("Deviations", "偏离", facts.order.deviations))
+    more, not_given = _departures(facts)
+    return [*lines, *more[len(lines) :]], [*missing, *(not_given if lines else [])]
+
+
+def _departures(facts: Facts) -> _Filled:
+    """Deviations where the standard does not ask for them: those that are stated, and those that were found."""
+    found, stated = departures(facts.rows), Words.of(facts.order.deviations)
+    lines = [Line(Words("Deviations", "偏离"), stated or Words("none", "无"))]
+    lines += [Line(Words("Found in the records", "记录中的偏离"), each) for each in found]
+    return lines, not_stated(facts.order.deviations, found)
 
 
 def _issuer(facts: Facts) -> _Filled:
@@ -270,24 +283,12 @@ def _dated(en: str, zh: str, day: dt.date) -> Line:
     return Line(Words(en, zh), Words.of(day.isoformat()))
 
 
-def later(day: dt.date, months: int) -> dt.date:
-    """The day before the same day so many months later, on which a validity ends.
-
-    >>> later(dt.date(2026, 3, 2), 12), later(dt.date(2026, 1, 31), 1)
-    (datetime.date(2027, 3, 1), datetime.date(2026, 2, 27))
-    """
-    years, month = divmod(day.month - 1 + months, 12)
-    first = dt.date(day.year + years, month + 1, 1)
-    following = dt.date(first.year + first.month // 12, first.month % 12 + 1, 1)
-    return min(first + dt.timedelta(days=day.day - 1), following - dt.timedelta(days=1)) - dt.timedelta(days=1)
-
-
 # by the name in `standards.toml`
 FILLED_BY: dict[str, Callable[[Facts], _Filled]] = {
     "title": _title, "laboratory": _laboratory, "place": _place, "number": _number, "seal": _seal,
     "customer": _customer, "device": _device, "maker_and_model": _maker_and_model, "dates": _dates,
     "received_and_dates": _received_and_dates, "sampling": _sampling, "specification": _specification,
     "references": _references, "environment": _environment, "results": _results, "deviations": _deviations,
-    "issuer": _issuer, "operators": _operators, "only_this_item": _only_this_item,
+    "departures": _departures, "issuer": _issuer, "operators": _operators, "only_this_item": _only_this_item,
     "no_partial_copy": _no_partial_copy,
 }  # fmt: skip

@@ -22,6 +22,9 @@ group by run order by run
 """  # noqa: S608  our own statement
 
 
+_SHAPES = {"uniform": "均匀分布", "triangular": "三角分布", "u_shaped": "反正弦分布"}
+
+
 class Reference(msgspec.Struct, frozen=True, kw_only=True):
     """A measurement standard with what its own certificate states; what is not stated is empty or None."""
 
@@ -99,10 +102,12 @@ def _uncertainty(quantities: Iterable[dict[str, Any]]) -> Words:
     for each in quantities:
         names = QUANTITIES[each["quantity"]]
         number = f"{each['stated']:.4g} {each['unit']}"
-        if each["distribution"] == "normal":
+        shape = each["distribution"]
+        if shape == "normal":
             text = f"U = {number} (k = {each['divisor']:.3g})"
+            en.append(f"{names.en} {text}")
+            zh.append(f"{names.zh} {text}")
         else:
-            text = f"± {number} ({each['distribution']})"
-        en.append(f"{names.en} {text}")
-        zh.append(f"{names.zh} {text}")
+            en.append(f"{names.en} ± {number} ({shape.replace('_', '-')})")
+            zh.append(f"{names.zh} ± {number}（{_SHAPES.get(shape, shape)}）")
     return Words("; ".join(en), "；".join(zh))

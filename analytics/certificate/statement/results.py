@@ -11,6 +11,7 @@ import msgspec
 
 from analytics.certificate.statement.words import Words
 from analytics.evaluation.inner_page import InnerRow
+from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.selection import Row
 from analytics.evaluation.type_b import COVERAGE
 from analytics.uncertainty.rounding import round_up
@@ -37,6 +38,12 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     conditions: Words
     runs: tuple[str, ...]
     why_no_u: str = ""
+    departs: Words = Words("", "")  # in what the record departs from the clause
+
+    @property
+    def is_compensated(self) -> bool:
+        """Whether it is of an output that an error model has compensated."""
+        return self.signal.endswith("_compensated")
 
     @property
     def unit(self) -> str:
@@ -70,7 +77,7 @@ def result_rows(page: Sequence[InnerRow]) -> tuple[ResultRow, ...]:
     return tuple(
         ResultRow(
             number=row.number, name=Words(row.en, row.zh), metric=row.metric, clause=row.clause,
-            results=tuple(_result(each) for each in row.results), reason=row.reason,
+            results=tuple(result_of(each) for each in row.results), reason=row.reason,
         )
         for row in page
     )  # fmt: skip
@@ -89,13 +96,15 @@ def rounded_to(value: float, resolution: float | None) -> str:
     return f"{rounded:f}"
 
 
-def _result(row: Row) -> Result:
+def result_of(row: Row) -> Result:
+    """A value as a certificate states it."""
     expanded = None if row["U"] is None else round_up(row["U"])
+    remark = row["parameters"].get("remark") or ""
     return Result(
         signal=row["signal"] or "", value=row["value"], unit_of_measure=row["unit_of_measure"], expanded=expanded,
         k=row["k"], p=None if expanded is None else COVERAGE, conditions=conditions_of(row["parameters"]),
         runs=tuple(row["runs"] or [row["run"]]),
-        why_no_u=row["uncertainty_reason"] or "",
+        why_no_u=row["uncertainty_reason"] or "", departs=Words(remark, in_chinese(remark)),
     )  # fmt: skip
 
 
@@ -113,9 +122,10 @@ def conditions_of(parameters: Mapping[str, Any]) -> Words:
         if isinstance(words["en"], dict):  # of a parameter with few values
             key = str(value).lower()
             if key not in words["en"]:
-                continue
-            en.append(words["en"][key])
-            zh.append(words["zh"][key])
+                key = "other"
+            if key in words["en"]:
+                en.append(words["en"][key].format(value))
+                zh.append(words["zh"][key].format(value))
         else:
             en.append(words["en"].format(format_parameter(value)))
             zh.append(words["zh"].format(format_parameter(value)))

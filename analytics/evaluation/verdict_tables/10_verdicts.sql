@@ -59,7 +59,7 @@ from moment m left join applied a using (unit, run);
 -- last run where it rests on none.
 create or replace table internal.metric_runs as
 with limited as (
-  select rowid as row, * from unit_metrics where metric in (select metric from internal.limit_editions)
+  select row_number() over () as row, * from unit_metrics where metric in (select metric from internal.limit_editions)
 ), over_several as (
   select r.row, arg_max(u.run, (u.date_known, u.t_start_ns, u.run)) as run
   from (select row, unit, unnest(runs) as run from limited where run is null) r

@@ -1,8 +1,8 @@
 -- Steps in which a unit stands still and records: the ground of the bias family, in deg/h. Where no rate was commanded
 -- the table decides: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
--- them, so the evaluation keeps them as the table still_steps once the scale factors are known.
-create or replace view internal.standing_steps as
+-- them: a table.
+create or replace table internal.still_steps as
 with moving as (
   select *,
     frequency is not null or case when rate_command is null then abs(coalesce(input_rate, 0)) > 0.01
@@ -20,8 +20,6 @@ select * exclude (moves),
   case when date_known then cast(timezone(time_zone, make_timestamptz(t_from_ns // 1000)) as date) end as day
 from turning
 where not moves;
-
-create or replace table internal.still_steps as from internal.standing_steps limit 0;
 
 create or replace view static_steps as
 select * exclude (turns) from internal.still_steps where n > 0;

@@ -1,3 +1,7 @@
+-- The last fit of each finished run.
+create or replace table internal.fitted_noise as
+select run, unit, signal, arg_max(document, t_ns) as document from events where kind = 'NoiseFitted' group by all;
+
 -- Noise coefficients of IEEE 952 that were fitted to the Allan curve of a finished run: a row for each of a unit that
 -- did nothing in that run but stand still in one step. One that the record does not show has no value; `reason` says
 -- by how much it is bounded. A step of the procedure for it without a fit has rows too.
@@ -6,15 +10,13 @@ with still as (
   select *, count(*) over (partition by run, unit, signal) as still_steps from internal.bias_steps where n > 0
 ), counted as (
   select run, unit, signal, count(*) as all_steps from step_means group by all
-), fitted as (
-  select run, unit, signal, arg_max(document, t_ns) as document from events where kind = 'NoiseFitted' group by all
 ), expected as (
   select s.*, f.document,
     unnest(['quantization_noise', 'angle_random_walk', 'bias_instability', 'rate_random_walk', 'rate_ramp'])
       as coefficient
   from still s
   join counted c on c.run = s.run and c.unit = s.unit and c.signal = s.signal and c.all_steps = 1
-  left join fitted f on f.run = s.run and f.unit = s.unit and f.signal = s.signal
+  left join internal.fitted_noise f on f.run = s.run and f.unit = s.unit and f.signal = s.signal
   where f.document is not null or regexp_matches(s."procedure", '^allan|Allan')
 ), parsed as (
   -- the fit is of the output in deg/h by its unit, the coefficients are of the input

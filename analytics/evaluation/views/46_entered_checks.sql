@@ -1,5 +1,5 @@
 -- Checks that were entered by hand: one row for each entered record.
-create or replace view internal.entered_checks as
+create or replace table internal.entered_checks as
 with entered as (
   select *, document->>'$.item' as item, document->>'$.verdict' as verdict, nullif(run, '') as in_run
   from events where kind = 'CheckEntered'

@@ -19,6 +19,7 @@ create or replace view internal.attitude_turns as
 select run, unit, signal, "procedure", repeat, "index", named_axis_of(signal) as own,
   coalesce(axis_word_of(axis), axis_in(position)) as turned,
   coalesce(side_in(position), 1) * coalesce(input_rate, rate_command) as rate, rate_command, input_rate_source,
+  t_from_ns, t_to_ns, deg_per_h / 3600 as deg_per_s, is_integrated_output(signal) as is_integrated,
   n, duration_s, sd, mean, mean * deg_per_h / 3600 as output, standard_uncertainty * abs(deg_per_h) / 3600 as u, freedom,
   coalesce(scale_source, 'unknown') as scale_source,
   case when deg_per_h is null then no_scale_factor(unit_of_measure) end as no_scale
@@ -26,3 +27,8 @@ from rate_steps
 where n > 0 and rate_command <> 0 and frequency is null and named_axis_of(signal) is not null
   and regexp_matches("procedure", '^(attitude_unit_)?misalignment|失准角')
   and not regexp_matches(coalesce(position, ''), '^[Oo][XxYy]_');
+
+-- 1, and null where a bias by equal angles may hold what its axis sees of the Earth's vertical rate.
+create or replace macro level_rate_is_known(parameters) as
+  case when parameters->>'$.method' = 'equal angles' and parameters->>'$.vertical_rate_deg_per_h' is null
+    then null else 1 end;

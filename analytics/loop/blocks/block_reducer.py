@@ -63,6 +63,7 @@ class BlockReducer:
     until_ns: int | None = None
     tolerance_s: float | None = None  # of a channel's readings; by default a block, or their interval if longer
     channels: Collection[str] = ()  # other outputs of the units that are to be channels
+    positions: Mapping[str, float] | None = None  # see `position_numbers`, by default those of the catalogue
 
     def __post_init__(self) -> None:
         if not 0 < self.block_s <= _LONGEST_S:
@@ -189,7 +190,7 @@ class BlockReducer:
     def _derive(self, runs: Sequence[UnitRun]) -> list[Note]:
         """Add the channels that follow from the record, mark the blocks that they do not resolve, and note both."""
         recorded = [run.blocks for run in runs]
-        numbers = position_numbers(self.catalog)
+        numbers = position_numbers(self.catalog) if self.positions is None else dict(self.positions)
         turns, notes = derived.assumed_axis({run.name: run.steps for run in runs}, recorded)
         references = [(source, run.blocks.t0_ns) for run in runs if (source := run.reference) is not None]
         self._joiner.expect_changes(references)

@@ -15,7 +15,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, Asked, diagnosed
 from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
-from analytics.loop.tracing.processors import by_processes
+from analytics.loop.tracing.processors import Spread, by_processes
 from analytics.loop.tracing.random_effect import RandomEffect, presence, random_effect
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import Holdout
@@ -82,13 +82,14 @@ def diagnose_fleet(
     left_out: Mapping[str, Sequence[LeftOut]] | None = None,
     seed: int = 0,
     processes: int = 1,
+    spread: Spread | None = None,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> FleetDiagnosis:
     """Find effects that a declared error model lacks in all units together, and in each.
 
     Each unit has its own coefficients of the declared model; the effects to test are by default all whose channels are
-    recorded in all units. The units alone are traced by several `processes`. For `declared_noise`, `holdout` and
-    `left_out`, by unit, see `diagnose`.
+    recorded in all units. The units alone are traced by several `processes`, or by `spread`. For `declared_noise`,
+    `holdout` and `left_out`, by unit, see `diagnose`.
     """
     noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
     asked = [
@@ -99,7 +100,7 @@ def diagnose_fleet(
         for unit, runs in units.items()
     ]  # fmt: skip
     alone: dict[str, Diagnosis] = {}
-    answers = by_processes(diagnosed, asked, processes)
+    answers = by_processes(diagnosed, asked, processes) if spread is None else spread(diagnosed, asked)
     for number, unit in enumerate(units, start=1):
         on_progress(f"tracing {unit} ({number} of {len(units)})")
         alone[unit] = next(answers)

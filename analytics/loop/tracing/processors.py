@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
 
@@ -13,6 +13,13 @@ R = TypeVar("R")
 
 _FEWEST_UNITS = 4  # fewer do not repay the start of processes
 _MOST_PROCESSES = 8  # each has the libraries and the data of a unit in memory
+
+
+class Spread(Protocol):
+    """Work on many items, somewhere; the results are those of `map`."""
+
+    def __call__(self, work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
+        """Results of work, a function of a module, on each item, in their order."""
 
 
 def processors() -> int:

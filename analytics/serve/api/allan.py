@@ -71,11 +71,11 @@ class Allan(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/allan/{unit}/{run}/{signal}", table="", is_slow=True, is_live=True)
 def allan(call: Call, asked: AllanAsked) -> Allan:
     """Overlapping Allan deviation of a signal over averaging time, with 95 % confidence bounds."""
-    from analytics.curves.allan_curve import allan_curve
-
     of = _names(call)
     if asked.source == "stored" and (known := known_allan(call)) is not None:
         return known
+    from analytics.curves.allan_curve import allan_curve
+
     record = find_signal(call.views, of["unit"], of["signal"], of["run"])
     noise = _noise(call, of)
     try:

@@ -112,7 +112,7 @@ def diagnosis(call: Call, asked: Nothing) -> Diagnosis:
 
     del asked
     unit = call.path["unit"]
-    unit_row(call.views, unit)  # NotFound names similar ones
+    unit_row(call, unit)  # NotFound names similar ones
     versions = models_of(call.store, unit)
     documents = logged_documents(call.store, (ModelActivated, ResidualWatched)) if versions else []
     history = [
@@ -128,7 +128,7 @@ def diagnosis(call: Call, asked: Nothing) -> Diagnosis:
 def diagnose_unit(call: Call, asked: DiagnosisAsked) -> JobDocument:
     """Diagnose a unit: find what a declared model lacks; a job, whose result is that of `gyrofleet diagnose --json`."""
     unit = call.path["unit"]
-    unit_row(call.views, unit)
+    unit_row(call, unit)
     if not asked.model.strip():
         raise BadInput("model is empty; declare one, as: rate = bias + scale_factor*input_rate + temperature")
     given = {"signal": asked.signal, "block": asked.block, "holdout": asked.holdout}

@@ -1,7 +1,7 @@
 """An operation as a route: who may, what is asked, the kept answer or a new one, its form."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 from urllib.parse import urlencode
 
@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form, encoded, form_of
-from analytics.serve.api.operation import Call, Operation
+from analytics.serve.api.operation import Call, NotYet, Operation
 from analytics.serve.doors.admission import admitted, check_change
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import TooLarge, TooSlow
@@ -51,18 +51,22 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
         asked, others = query_of(request, operation.asked, (_FORMAT,))
         named = others.get(_FORMAT)
         form = form_of(request.headers.get("accept", ""), named, forms_of(operation))
-    state = await anyio.to_thread.run_sync(service.lake.state, limiter=service.fast, abandon_on_cancel=True)
+    state = await service.state()
     call = functools.partial(Call, service, person, path=dict(request.path_params), url=url_of(request))
 
-    def answer(state: LakeState) -> Answer:
-        with call(state) as leased:
+    def answer(state: LakeState, *, is_patient: bool) -> Answer:
+        with call(state, is_patient=is_patient) as leased:
             return encoded(operation(leased, asked), form, operation.table)
 
     limiter = service.slow if operation.is_slow else service.fast
     is_repeated = operation.role is Role.VIEWER  # what changes something is done once
     compute = functools.partial(computed, service, state, answer, limiter, is_repeated=is_repeated)
     if not operation.is_kept:
-        made = await service.result(compute())
+        try:
+            made = await service.result(_shared(request, operation, service, state, form, compute))
+        finally:
+            if not is_repeated:
+                service.has_changed()
         return Response(made.body, operation.status, media_type=made.media_type)
     version = operation.version(service, state, request.path_params)
     tag = f'"{service.nonce}-{version}-{form}"'
@@ -73,19 +77,34 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
     return Response(made.body, operation.status, headers, made.media_type)
 
 
+async def _shared(
+    request: Request, operation: Operation[Any, Any], service: Service, state: LakeState, form: Form,
+    compute: Callable[[], Awaitable[Answer]],
+) -> Answer:  # fmt: skip
+    """An answer, or the one that somebody has got a moment ago."""
+    if not operation.shared_s:
+        return await compute()
+    key = ("shared", url_of(request), form, f"{state.tag}-{state.log_version}", str(service.changed))
+    return await service.cache.answer(key, compute, operation.shared_s)
+
+
 async def computed(
-    service: Service, state: LakeState, answer: Callable[[LakeState], Answer], limiter: anyio.CapacityLimiter,
+    service: Service, state: LakeState, answer: Callable[..., Answer], limiter: anyio.CapacityLimiter,
     *, is_repeated: bool = True,
 ) -> Answer:  # fmt: skip
     """Compute an answer in a thread; once more if the lake has changed under it, where it `is_repeated`."""
     run = functools.partial(anyio.to_thread.run_sync, limiter=limiter, abandon_on_cancel=True)
-    try:
-        return await run(answer, state)
-    except GyrofleetError:
-        fresh = await run(service.lake.state)
-        if not is_repeated or fresh.number == state.number:
-            raise
-        return await run(answer, fresh)
+    if is_repeated:
+        try:
+            return await run(functools.partial(answer, state, is_patient=False))
+        except NotYet:
+            await service.metrics()
+            state = await service.state()
+        except GyrofleetError:
+            state, before = await run(service.warming.newest), state
+            if state.number == before.number:
+                raise
+    return await run(functools.partial(answer, state, is_patient=True))
 
 
 async def limited_body(request: Request) -> bytes:

@@ -5,6 +5,7 @@ from typing import Any, Literal
 import msgspec
 
 from analytics.audit import AUDITED
+from analytics.event_words import kind_name
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
 from analytics.serve.api.units import unit_row
@@ -58,6 +59,8 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
     arrival: str | None
     t_ns: int
     kind: str
+    en: str  # name of the kind
+    zh: str
     run: str | None
     unit: str | None
     site: str
@@ -103,11 +106,11 @@ class UnitAudit(msgspec.Struct, frozen=True, kw_only=True):
     next: str | None
 
 
-@get("/api/units/{unit}/audit", table="events")
+@get("/api/units/{unit}/audit", table="events", sees_log=True)
 def unit_audit(call: Call, asked: Paged) -> UnitAudit:
     """What happened to a unit: who did what when, its runs, mountings, verdicts, models; the latest first."""
     unit = call.path["unit"]
-    unit_row(call.fresh, unit)
+    unit_row(call, unit)
     at, uid = _cursor(asked.after)
     given = {"unit": unit, "at": at, "uid": uid, "rows": asked.limit + 1}
     rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _AUDIT, given)], asked.limit)
@@ -117,7 +120,10 @@ def unit_audit(call: Call, asked: Paged) -> UnitAudit:
 
 
 def _row(row: dict[str, Any]) -> EventRow:
-    return EventRow(**row | {"document": msgspec.json.decode(row["document"]), "arrival": iso(row["arrival_ns"])})
+    named = {"en": kind_name(row["kind"], "en"), "zh": kind_name(row["kind"], "zh")}
+    return EventRow(
+        **row | {"document": msgspec.json.decode(row["document"]), "arrival": iso(row["arrival_ns"])} | named
+    )
 
 
 def _cursor(after: str) -> tuple[int | None, str]:

@@ -72,7 +72,7 @@ class UnitFloor(msgspec.Struct, frozen=True, kw_only=True):
     estimates: list[dict[str, Any]]
 
 
-@get("/api/floor", is_kept=False)
+@get("/api/floor", is_kept=False, shared_s=0.25)
 def floor(call: Call, asked: Nothing) -> FloorDocument:
     """All units on the floor as they are now; /api/live has the changes from this version on."""
     del asked

@@ -38,7 +38,7 @@ def add_note(call: Call, asked: NoteAsked) -> Noted:
     if asked.run not in call.service.live.floor.runs:
         run_row(call.fresh, asked.run)  # NotFound names similar ones
     if asked.unit and asked.unit not in call.service.live.floor.units:
-        unit_row(call.fresh, asked.unit)
+        unit_row(call, asked.unit)
     note = NoteAdded(
         run=asked.run, t_ns=time.time_ns(), text=asked.text.strip(), author=call.person.name, unit=asked.unit or None
     )

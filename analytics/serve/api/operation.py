@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Generic, TypeVar, get_type_hints
 from urllib.parse import quote, urlencode
@@ -20,6 +20,10 @@ Asked = TypeVar("Asked", bound=msgspec.Struct)
 Given = TypeVar("Given")
 
 
+class NotYet(Exception):
+    """The metrics are still being computed, and who asks shows what there is meanwhile."""
+
+
 class Nothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """No parameters."""
 
@@ -35,6 +39,8 @@ class Call:
     state: The version of the lake that the answer is of.
     path: Parameters in the path, as ``{"unit": "FOG-0231"}``.
     url: Path and parameters as they were asked.
+    is_patient: Whether it waits until metrics are computed; else `metrics` raises NotYet.
+    is_partial: Whether it shows what is known meanwhile.
     """
 
     service: Service
@@ -42,6 +48,8 @@ class Call:
     state: LakeState
     path: Mapping[str, str] = field(default_factory=dict)
     url: str = ""
+    is_patient: bool = True
+    is_partial: bool = False
     _leases: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -52,18 +60,26 @@ class Call:
     @cached_property
     def views(self) -> Catalog:
         """The store's own views; it has no metrics."""
-        return self._leases.enter_context(self.service.lake.views.lease(self.state))
+        return self._leases.enter_context(self.service.lake.views.lease(self.state.lake))
 
     @cached_property
     def fresh(self) -> FreshViews:
         """The store's own views with the channels and documents as well that only the log has."""
-        state = replace(self.state, log_version=self.service.live.log_version)
-        return self._leases.enter_context(self.service.fresh.lease(state))
+        return self._leases.enter_context(self.service.fresh.lease(self.state))
 
     @cached_property
     def metrics(self) -> Catalog:
-        """All tables, those of metrics and verdicts included."""
-        return self._leases.enter_context(self.service.lake.metrics.lease(self.state))
+        """All tables, those of metrics and verdicts included: of the lake as it was when `state.metrics` was seen."""
+        state = self.state.metrics
+        if state is None and not self.is_patient:
+            self.service.warming.want_metrics()
+            raise NotYet
+        return self._leases.enter_context(self.service.lake.metrics.lease(state or self.state.lake))
+
+    @property
+    def metrics_tag(self) -> str:
+        """The version that `metrics` are of."""
+        return (self.state.metrics or self.state).tag
 
     def __enter__(self) -> "Call":
         return self
@@ -86,6 +102,7 @@ class Operation(Generic[Asked, Given]):
     sees_log: The answer depends on the rows of channels and documents as well that only the log has.
     is_slow: It needs metrics or long computations, in a pool of threads of their own.
     status: Of its answer.
+    shared_s: Who asks the same within so many seconds gets the same answer.
     """
 
     method: str
@@ -98,14 +115,18 @@ class Operation(Generic[Asked, Given]):
     status: int = 200
     is_live: bool = False
     sees_log: bool = False
+    shared_s: float = 0.0
 
     def version(self, service: Service, state: LakeState, path: Mapping[str, str]) -> str:
         """Names all that a kept answer depends on."""
+        tag = state.tag
+        if self.is_slow and state.metrics is not None and state.metrics.tag != tag:
+            tag = f"{tag}-{state.metrics.number}"
         if self.sees_log:
-            return f"{state.tag}-{service.live.log_version}"
+            return f"{tag}-{state.log_version}"
         if not self.is_live:
-            return state.tag
-        return f"{state.tag}-{service.live.tail.version((path['unit'], path['run'], path['signal']))}"
+            return tag
+        return f"{tag}-{service.live.tail.version((path['unit'], path['run'], path['signal']))}"
 
     def __call__(self, call: Call, asked: Asked) -> Given:
         """Answer; what takes long and depends on the lake alone is computed once for pages and programs."""
@@ -156,11 +177,14 @@ def get(
     is_slow: bool = False,
     is_live: bool = False,
     sees_log: bool = False,
+    shared_s: float = 0.0,
 ) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
     """Declare an operation that reads."""
 
     def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
-        return Operation("GET", path, handler, role, table, is_kept, is_slow, is_live=is_live, sees_log=sees_log)
+        return Operation(
+            "GET", path, handler, role, table, is_kept, is_slow, is_live=is_live, sees_log=sees_log, shared_s=shared_s
+        )
 
     return declare
 

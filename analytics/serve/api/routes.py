@@ -10,6 +10,7 @@ from starlette.routing import Route
 from analytics.serve.api import (
     alerts,
     allan,
+    certificates,
     diagnosis,
     events,
     grafana,
@@ -43,6 +44,7 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     unit_pictures.unit_allan,
     unit_pictures.unit_temperature,
     events.unit_audit,
+    certificates.certificate_pdf,
     runs.list_runs,
     runs.run,
     run_course.run_course,

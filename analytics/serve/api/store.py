@@ -132,7 +132,7 @@ class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
     verified_ns: int | None
 
 
-@get("/api/status", is_kept=False)
+@get("/api/status", is_kept=False, shared_s=0.5)
 def status(call: Call, asked: Nothing) -> StoreStatus:
     """What is at work on the store, and what is wrong: as `gyrofleet status --json`."""
     del asked
@@ -140,7 +140,7 @@ def status(call: Call, asked: Nothing) -> StoreStatus:
     return msgspec.structs.replace(found, store=call.store.folder.resolve().name)
 
 
-@get("/api/store", is_kept=False, table="clocks")
+@get("/api/store", is_kept=False, table="clocks", shared_s=1.0)
 def store(call: Call, asked: Nothing) -> StoreDocument:
     """The store: log, lake, disk, who writes it, delivery, clocks of the sources, its notes, the last verification."""
     del asked

@@ -151,6 +151,14 @@ def _metric_row(header: "MetricHeader", count: dict[str, int]) -> MetricRow:
     )  # fmt: skip
 
 
+def named_metrics() -> list[MetricRow]:
+    """All metrics, without what has come of them: that is not known yet."""
+    from analytics.metric_registry.registry import metrics
+
+    none = {"n": 0, "units": 0, "without_value": 0}
+    return [_metric_row(metric.header, none) for metric in metrics().values()]
+
+
 @get("/api/trends", is_slow=True)
 def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
     """A metric over time: control charts, changes, drift, groups, capability, and a sentence on each result."""

@@ -102,7 +102,7 @@ def unit_history(call: Call, asked: HistoryAsked) -> Picture:
 
     check_metrics((asked.metric,))
     unit, header = call.path["unit"], metrics()[asked.metric].header
-    unit_row(call.fresh, unit)
+    unit_row(call, unit)
     rows = dictionaries(call.metrics, _VALUES, {"unit": unit, "metric": asked.metric, "signal": asked.signal})
     dated = bool(rows) and all(row["date_known"] and row["t_ns"] is not None for row in rows)
     title, measure = Label(header.en, header.zh), rows[0]["unit_of_measure"] if rows else header.unit
@@ -227,7 +227,7 @@ def _sweeps(call: Call, unit: str, signal: str, temperature: str, factor: float)
 def _signal_of(call: Call, asked: str) -> str:
     """The signal that is asked for, else the first angular rate with curves, else the first of all."""
     unit = call.path["unit"]
-    unit_row(call.fresh, unit)
+    unit_row(call, unit)
     if asked:
         return asked
     known = dictionaries(call.views, _SIGNALS, {"unit": unit})

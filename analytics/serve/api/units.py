@@ -5,10 +5,10 @@ from typing import Any
 import msgspec
 
 from analytics.metric_registry.registry import alike
+from analytics.serve.api.certificates import CertificateRow, certificates_of
 from analytics.serve.api.models import ModelRow, models_of
 from analytics.serve.api.operation import Call, Nothing, get, link
-from analytics.serve.api.rows import Name, Paged, Views, dictionaries, iso, page_of
-from storage.sql.catalog import Catalog
+from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
 from stream.errors import NotFound
 
 _UNITS = """
@@ -117,7 +117,7 @@ class UnitRun(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything of a unit: its runs, characteristics, verdicts by the specifications, error models."""
+    """Everything of a unit: runs, characteristics, verdicts by the specifications, error models, certificates."""
 
     unit: str
     about: UnitRow
@@ -126,6 +126,7 @@ class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
     metrics: list[dict[str, Any]]
     verdicts: list[dict[str, Any]]
     models: list[ModelRow]
+    certificates: list[CertificateRow]
     warnings: list[dict[str, Any]]
 
 
@@ -145,18 +146,28 @@ def list_units(call: Call, asked: UnitsAsked) -> Units:
 
 @get("/api/units/{unit}", table="metrics", is_slow=True, sees_log=True)
 def unit(call: Call, asked: Nothing) -> UnitDocument:
-    """One unit: its runs, characteristics with limits and verdicts, error models."""
+    """One unit: its runs, characteristics with limits and verdicts, error models, certificates."""
     del asked
     name = call.path["unit"]
-    about = unit_row(call.fresh, name)
-    runs = dictionaries(call.fresh, _RUNS, {"unit": name})
     # the lake's, so that they are not computed again for every message that the log gets
-    found = call.service.memo.result(("unit", name, call.state.tag), lambda: _judged(call, name))
+    found = call.service.memo.result(("unit", name, call.metrics_tag), lambda: _judged(call, name))
+    return _document(call, name, found)
+
+
+def unit_without_metrics(call: Call) -> UnitDocument:
+    """One unit as it is known before its characteristics are computed."""
+    return _document(call, call.path["unit"], {"metrics": [], "verdict": None, "verdicts": [], "warnings": []})
+
+
+def _document(call: Call, name: str, found: dict[str, Any]) -> UnitDocument:
+    about = unit_row(call, name)
+    runs = dictionaries(call.fresh, _RUNS, {"unit": name})
     return UnitDocument(
         unit=name,
         about=about,
         runs=[UnitRun(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"])) for row in runs],
         models=models_of(call.store, name),
+        certificates=certificates_of(call, name),
         **found,
     )
 
@@ -164,25 +175,29 @@ def unit(call: Call, asked: Nothing) -> UnitDocument:
 def _judged(call: Call, name: str) -> dict[str, Any]:
     """Characteristics and verdicts of a unit in the lake."""
     from analytics.evaluation.selection import Selection, selected
-    from analytics.specifications.verdicts import verdicts_of
+    from analytics.specifications.verdicts import values_of, verdicts_of
 
+    key = ("judged", call.metrics_tag)
+    every = call.service.memo.result(key, lambda: verdicts_of(call.metrics, with_values=False))
+    verdict = next((row for row in every.units if row["unit"] == name), None)
     has_steps = bool(call.metrics.rows("select 1 from unit_metrics where unit = $unit limit 1", {"unit": name}))
-    judged = verdicts_of(call.metrics, [name]) if _is_judged(call.metrics, name) else None
     return {
         "metrics": [_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
-        "verdict": judged.units[0] if judged else None,
-        "verdicts": [_named(row) for row in judged.verdicts] if judged else [],
-        "warnings": judged.warnings if judged else [],
+        "verdict": verdict,
+        "verdicts": [_named(row) for row in values_of(call.metrics, [name])] if verdict else [],
+        "warnings": [row for row in every.warnings if row["unit"] == name] if verdict else [],
     }
 
 
-def unit_row(views: Views, name: str) -> UnitRow:
-    """A unit; NotFound names similar ones."""
-    found = dictionaries(views, f"select * from ({_UNITS}) where unit = $unit", {"unit": name})  # noqa: S608
-    if not found:
-        known = [each for (each,) in views.rows(f"select unit from ({_UNITS}) order by unit limit 2000")]  # noqa: S608
-        raise NotFound(f"unit {name!r} is not in the store; {alike(name, known, 'units are')}")
-    return _unit_row(found[0])
+def unit_row(call: Call, name: str) -> UnitRow:
+    """A unit; NotFound names similar ones. All are found once for each version: one takes as long."""
+    key = ("units", call.state.tag, call.state.log_version)
+    every: dict[str, dict[str, Any]] = call.service.memo.result(
+        key, lambda: {row["unit"]: row for row in dictionaries(call.fresh, f"from ({_UNITS}) order by unit")}
+    )
+    if name not in every:
+        raise NotFound(f"unit {name!r} is not in the store; {alike(name, list(every), 'units are')}")
+    return _unit_row(every[name])
 
 
 def _unit_row(row: dict[str, Any]) -> UnitRow:
@@ -198,7 +213,3 @@ def _named(row: dict[str, Any]) -> dict[str, Any]:
         {"en": row["metric"], "zh": row["metric"]} if known is None else {"en": known.header.en, "zh": known.header.zh}
     )
     return row | names
-
-
-def _is_judged(catalog: Catalog, name: str) -> bool:
-    return bool(catalog.rows("select 1 from unit_verdicts where unit = $unit", {"unit": name}))

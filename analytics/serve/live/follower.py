@@ -26,6 +26,7 @@ from stream.wire.batches import RawBatch
 _LOOK_S = 0.05
 _AT_ONCE = 200  # messages
 _RUNS_S = 1.0  # between two rows of the same run
+_ROWS_S = 0.5  # between two versions of the rows that only the log has
 _TRY_AGAIN_S = 5.0
 _FILLED_WITHIN_S = 10.0
 _ENTERED = ("SpecificationEntered", "CheckEntered", "ModelActivated")
@@ -118,7 +119,7 @@ class FloorFollower(Closing):
             document = self.rows.document(fresh)
         tell(document["version"], "floor", json_text(document).encode())
         self._is_filled.set()
-        told_s = 0.0
+        told_s = published_s = 0.0
         rows = LiveRows(self.fresh.version + 1)
         with LogFollower(self._store, state.segments) as messages:
             while not self._ends.is_set():
@@ -130,9 +131,8 @@ class FloorFollower(Closing):
                         for message in some:
                             self._take(message, rows)
                 self.lag_s, self.problem = time.monotonic() - began_s, None
-                is_due = began_s - told_s >= _RUNS_S
-                if is_due:
-                    told_s = began_s
+                if began_s - published_s >= _ROWS_S:
+                    published_s = began_s
                     in_lake = lake.state().segments
                     self.tail.forget(in_lake)
                     self.course.forget(in_lake)
@@ -141,6 +141,9 @@ class FloorFollower(Closing):
                         rows.publish()
                         self.fresh = rows
                     self._is_read.set()
+                is_due = began_s - told_s >= _RUNS_S
+                if is_due:
+                    told_s = began_s
                 self._tell(tell, with_runs=is_due)
                 # as long again as the look took, so that requests have their turn
                 self._ends.wait(max(_LOOK_S, time.monotonic() - began_s))

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import Any
 
 import pyarrow as pa
@@ -26,7 +25,7 @@ class FreshViews(Closing):
     def __init__(self, lake: SharedLake, live: FloorFollower, state: LakeState) -> None:
         channels, events = live.beyond(state.segments)
         with ExitStack() as stack:
-            catalog = stack.enter_context(lake.views.lease(replace(state, log_version=0)))
+            catalog = stack.enter_context(lake.views.lease(state.lake))
             self._views: Catalog | Overlay = catalog
             if channels.num_rows or events.num_rows:
                 name = f"log_{next(_numbers)}"

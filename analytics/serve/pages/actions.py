@@ -53,10 +53,15 @@ async def act(request: Request, *, service: Service) -> Response:
     except msgspec.ValidationError as error:
         raise BadInput(f"the form is not complete: {error}") from error
 
+    state = await service.state()
+
     def done() -> None:
-        with Call(service, person, service.lake.state(), path) as call:
+        with Call(service, person, state, path) as call:
             operation(call, asked)
 
     run = functools.partial(anyio.to_thread.run_sync, limiter=service.slow, abandon_on_cancel=True)
-    await run(done)
+    try:
+        await run(done)
+    finally:
+        service.has_changed()
     return RedirectResponse(local_path(fields.get("back", "/")), 303)

@@ -4,16 +4,17 @@ from typing import Any
 
 import msgspec
 
-from analytics.audit import summary
+from analytics.event_words import summary
 from analytics.serve.api import events as api
 from analytics.serve.api.operation import Call
+from analytics.serve.pages.language import LANGUAGES
 from analytics.serve.pages.page import shown
 from analytics.serve.pages.zones import common_zone, zoned
 
 _SHOWN_CHARACTERS = 400
 
 
-@shown("/events", "events.html.jinja")
+@shown("/events", "events.html.jinja", shared_s=1.0)
 def events(call: Call, asked: api.EventsAsked) -> dict[str, Any]:
     """The documents."""
     zone = common_zone(call)
@@ -21,7 +22,10 @@ def events(call: Call, asked: api.EventsAsked) -> dict[str, Any]:
         call, msgspec.structs.replace(asked, from_=zoned(asked.from_, zone), to=zoned(asked.to, zone))
     )
     next_page = None if found.next is None else found.next.removeprefix("/api")
-    rows = [(row, shortened(summary(row.document)), _text(row.document)) for row in found.events]
+    rows = [
+        (row, {language: shortened(summary(row.document, language)) for language in LANGUAGES}, _text(row.document))
+        for row in found.events
+    ]
     return {"found": found, "rows": rows, "next": next_page, "data": f"/api{call.url}"}
 
 

@@ -30,7 +30,7 @@ class FloorAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     page: int = 1
 
 
-@shown("/", "floor.html.jinja")
+@shown("/", "floor.html.jinja", shared_s=0.5)
 def floor(call: Call, asked: FloorAsked) -> dict[str, Any]:
     """The floor."""
     found = api.floor(call, Nothing())

@@ -8,6 +8,8 @@ from typing import Literal
 
 from starlette.requests import Request
 
+from analytics.event_words import kind_name
+
 Language = Literal["en", "zh"]
 LANGUAGES: tuple[Language, ...] = ("en", "zh")
 COOKIE = "gyrofleet_lang"
@@ -81,5 +83,7 @@ class Texts:
         """
         if not word:
             return ""
+        if kind == "kind":
+            return kind_name(word, self.language)
         pair = _texts().get(f"{kind}_{word}")
         return word if pair is None else pair[self._at]

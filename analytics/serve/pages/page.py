@@ -6,20 +6,22 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, TypeVar, get_type_hints
 
-import anyio.to_thread
 import msgspec
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
-from analytics.serve.api.endpoint import query_of, url_of
+from analytics.serve.answer_cache import Answer
+from analytics.serve.api.endpoint import computed, query_of, url_of
 from analytics.serve.api.operation import Call
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
-from analytics.serve.pages.render import page
+from analytics.serve.pages.language import language_of
+from analytics.serve.pages.render import compiled, page_of, rendered
 from analytics.serve.pages.waiting import Waiting
 from analytics.serve.pages.zones import common_zone
 from analytics.serve.service import Service
+from analytics.serve.shared_lake import LakeState
 
 Asked = TypeVar("Asked", bound=msgspec.Struct)
 _LANG = "lang"
@@ -27,12 +29,13 @@ _LANG = "lang"
 
 @dataclass(frozen=True)
 class Page(Generic[Asked]):
-    """A page; its handler gives what the template shows."""
+    """A page; its handler gives what the template shows. Who asks for it within `shared_s` gets the same content."""
 
     path: str
     template: str
     handler: Callable[[Call, Asked], dict[str, Any]]
     is_slow: bool = False
+    shared_s: float = 0.0
 
     @cached_property
     def asked(self) -> type[Asked]:
@@ -43,17 +46,18 @@ class Page(Generic[Asked]):
 
     def route(self, service: Service) -> Route:
         """Its route."""
+        service.warming.tasks.append(functools.partial(compiled, self.template))
         respond = functools.partial(_respond, shown=self, service=service, waiting=Waiting())
         return Route(self.path, respond, name=f"page_{self.handler.__name__}")
 
 
 def shown(
-    path: str, template: str, *, is_slow: bool = False
+    path: str, template: str, *, is_slow: bool = False, shared_s: float = 0.0
 ) -> Callable[[Callable[[Call, Asked], dict[str, Any]]], Page[Asked]]:
     """Declare a page."""
 
     def declare(handler: Callable[[Call, Asked], dict[str, Any]]) -> Page[Asked]:
-        return Page(path, template, handler, is_slow)
+        return Page(path, template, handler, is_slow, shared_s)
 
     return declare
 
@@ -61,16 +65,32 @@ def shown(
 async def _respond(request: Request, *, shown: Page[Any], service: Service, waiting: Waiting) -> Response:
     person = admitted(request.scope, Role.VIEWER)
     asked, _ = query_of(request, shown.asked, (_LANG,))
+    limiter = service.slow if shown.is_slow else service.fast
+    # a window shows what is ready; its script looks for the rest
+    is_partial = request.headers.get("sec-fetch-dest") == "document" or "x-partial" in request.headers
 
-    def made() -> Response:
-        with Call(service, person, service.lake.state(), dict(request.path_params), url_of(request)) as call:
-            found = {"asked": asked, **shown.handler(call, asked)}
+    def answer(state: LakeState, *, is_patient: bool) -> Answer:
+        path = dict(request.path_params)
+        with Call(service, person, state, path, url_of(request), is_patient, is_partial) as call:
+            found = {"asked": asked, "metrics_of": state.metrics, "is_behind": state.is_behind}
+            found |= shown.handler(call, asked)
             if found.get("zone") is None:
                 found["zone"] = common_zone(call)
-            return page(request, shown.template, found)
+            return Answer(rendered(request, shown.template, found), HTMLResponse.media_type)
 
-    limiter = service.slow if shown.is_slow else service.fast
-    make = functools.partial(anyio.to_thread.run_sync, made, limiter=limiter, abandon_on_cancel=True)
-    answer = await waiting.answer(request, service, make)
-    answer.headers["Cache-Control"] = "private, no-cache"
-    return answer
+    async def made() -> Answer:
+        state = await service.state()
+        compute = functools.partial(computed, service, state, answer, limiter)
+        if not shown.shared_s:
+            return await compute()
+        of_metrics = "" if state.metrics is None else state.metrics.tag
+        of_person = (language_of(request), person.role.word, str(person.csrf is None))
+        key = ("page", url_of(request), *of_person, f"{state.tag}-{state.log_version}-{of_metrics}")
+        return await service.cache.answer((*key, str(service.changed), str(is_partial)), compute, shown.shared_s)
+
+    async def make() -> Response:
+        return page_of(request, (await made()).body)
+
+    found = await waiting.answer(request, service, make)
+    found.headers["Cache-Control"] = "private, no-cache"
+    return found

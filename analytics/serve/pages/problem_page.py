@@ -10,6 +10,9 @@ from analytics.serve.pages.render import page
 from analytics.serve.problems import Unauthorised, document_of, headers_of, status_of
 from stream.errors import GyrofleetError
 
+# of too many tries, and of a store or server that is away for a while
+_PASSING = (429, 503)
+_AGAIN_S = "5"
 _OF_PROGRAMS = ("/api/", "/health", "/metrics", "/static/")
 
 
@@ -23,6 +26,8 @@ def problem_response(request: Request, error: GyrofleetError) -> Response:
         return _to_login(request)
     answer = page(request, "problem.html.jinja", {"status": status, "message": str(error)}, status)
     answer.headers.update(headers_of(error))
+    if request.method == "GET" and status in _PASSING:
+        answer.headers["Refresh"] = answer.headers.get("Retry-After", _AGAIN_S)  # the browser asks once more by itself
     return answer
 
 

@@ -2,19 +2,20 @@
 
 import json
 import math
+import secrets
 from functools import cache
 from typing import Any
 from urllib.parse import quote
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
 from analytics.serve.api.operation import link
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.gate import PERSON
-from analytics.serve.doors.roles import Role
+from analytics.serve.doors.roles import Person, Role
 from analytics.serve.pages.language import COOKIE, LANGUAGES, Texts, language_of
 from analytics.serve.pages.zones import DEFAULT, local, typed
 from stream.events import Verdict
@@ -22,6 +23,8 @@ from stream.events import Verdict
 _YEAR_S = 365 * 86_400
 _MOST_DIGITS = 9
 _REMARK = "remark"
+# where a page has the name and the secret of its reader; nobody else can write them
+_NAME, _SECRET = f"NAME-{secrets.token_hex(16)}", f"SECRET-{secrets.token_hex(16)}"
 
 
 @cache
@@ -52,24 +55,45 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
+def compiled(template: str) -> jinja2.Template:
+    """A template, compiled once."""
+    return _environment().get_template(template)
+
+
 def page(request: Request, template: str, context: dict[str, Any], status: int = 200) -> HTMLResponse:
     """A page in the language of the request."""
+    return page_of(request, rendered(request, template, context), status)
+
+
+def page_of(request: Request, body: bytes, status: int = 200) -> HTMLResponse:
+    """A rendered page, with the name and the secret of who asks."""
+    person: Person | None = request.scope.get(PERSON)
+    if person is not None:
+        for mark, text in ((_NAME, person.name), (_SECRET, person.csrf or "")):
+            body = body.replace(mark.encode(), str(escape(text)).encode())
+    answer = HTMLResponse(body, status)
+    language = language_of(request)
+    answer.headers["Content-Language"] = language
+    answer.headers["Vary"] = "Accept-Language, Cookie"
+    if request.query_params.get("lang") in LANGUAGES:
+        answer.set_cookie(COOKIE, language, max_age=_YEAR_S, samesite="strict", path="/")
+    return answer
+
+
+def rendered(request: Request, template: str, context: dict[str, Any]) -> bytes:
+    """A page in the language of the request, for everybody of a role: `page_of` puts name and secret in."""
     texts = Texts(language_of(request))
+    person: Person | None = request.scope.get(PERSON)
     common = {
         "t": texts,
         "lang": texts.language,
         "other": next(each for each in LANGUAGES if each != texts.language),
         "other_url": str(request.url.include_query_params(lang="zh" if texts.language == "en" else "en").query),
         "path": request.url.path,
-        "person": request.scope.get(PERSON),
+        "person": None if person is None else Person(_NAME, person.role, None if person.csrf is None else _SECRET),
         "zone": DEFAULT,
     }
-    answer = HTMLResponse(_environment().get_template(template).render(common | context), status)
-    answer.headers["Content-Language"] = texts.language
-    answer.headers["Vary"] = "Accept-Language, Cookie"
-    if request.query_params.get("lang") in LANGUAGES:
-        answer.set_cookie(COOKIE, texts.language, max_age=_YEAR_S, samesite="strict", path="/")
-    return answer
+    return compiled(template).render(common | context).encode()
 
 
 def number(value: object, uncertainty: float | None = None) -> str:

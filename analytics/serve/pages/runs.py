@@ -19,7 +19,7 @@ class RunPageAsked(api.RunAsked, frozen=True, forbid_unknown_fields=True, kw_onl
     signal: Name = ""
 
 
-@shown("/runs", "runs.html.jinja")
+@shown("/runs", "runs.html.jinja", shared_s=1.0)
 def list_runs(call: Call, asked: api.RunsAsked) -> dict[str, Any]:
     """All runs."""
     found = api.list_runs(call, asked)
@@ -27,7 +27,7 @@ def list_runs(call: Call, asked: api.RunsAsked) -> dict[str, Any]:
     return {"found": found, "next": next_page, "data": f"/api{call.url}"}
 
 
-@shown("/runs/{run}", "run.html.jinja", is_slow=True)
+@shown("/runs/{run}", "run.html.jinja", is_slow=True, shared_s=0.5)
 def run(call: Call, asked: RunPageAsked) -> dict[str, Any]:
     """One run."""
     page = {name: getattr(asked, name) for name in ("unit", "limit", "after")}

@@ -37,7 +37,7 @@ class SignalPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     beside: tuple[Name, ...] = ()
 
 
-@shown("/signals/{unit}/{run}/{signal}", "signal.html.jinja", is_slow=True)
+@shown("/signals/{unit}/{run}/{signal}", "signal.html.jinja", is_slow=True, shared_s=0.5)
 def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
     """A stretch of a signal."""
     zone = zone_of_run(call, call.path["run"]) or common_zone(call)

@@ -35,8 +35,10 @@ async def sql(request: Request, *, service: Service) -> Response:
         if form not in ("", *_FILES):
             raise BadInput(f"format {form!r} is not one of {', '.join(_FILES)}")
 
+    state = await service.state()
+
     def made() -> Response:
-        with Call(service, person, service.lake.state()) as call:
+        with Call(service, person, state) as call:
             if form:
                 return _file(call, statement, Form(form))
             return page(request, "sql.html.jinja", _content(call, statement, is_sent=is_sent))

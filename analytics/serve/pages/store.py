@@ -8,7 +8,7 @@ from analytics.serve.api.operation import Call, Nothing
 from analytics.serve.pages.page import shown
 
 
-@shown("/store", "store.html.jinja")
+@shown("/store", "store.html.jinja", shared_s=1.0)
 def store(call: Call, asked: Nothing) -> dict[str, Any]:
     """Verification, alerts, disk, log, lake, delivery, clocks, events, notes."""
     jobs = [job for job in call.service.jobs.all() if job.kind == "verify"]

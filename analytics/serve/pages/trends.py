@@ -6,7 +6,7 @@ import msgspec
 
 from analytics.serve.api import trend_pictures as pictures
 from analytics.serve.api import trends as api
-from analytics.serve.api.operation import Call, Nothing, link
+from analytics.serve.api.operation import Call, Nothing, NotYet, link
 from analytics.serve.api.rows import Name
 from analytics.serve.pages.page import shown
 from analytics.serve.pages.zones import DEFAULT
@@ -33,15 +33,25 @@ class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     group: Name = ""
 
 
-@shown("/trends", "trends.html.jinja", is_slow=True)
+@shown("/trends", "trends.html.jinja", is_slow=True, shared_s=1.0)
 def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
     """The trend of a metric."""
-    metrics = api.list_metrics(call, Nothing()).metrics
     fields = {name: value for name, value in msgspec.structs.asdict(asked).items() if name not in _OF_PAGE}
     shares = api.YieldAsked(by=asked.yield_by, name=asked.group)
+    try:
+        metrics = api.list_metrics(call, Nothing()).metrics
+    except NotYet:
+        if not call.is_partial:
+            raise
+        data = link("api", "trends", **fields) if asked.metric else "/api/metrics"
+        return {
+            "found": None, "metrics": api.named_metrics(), "here": fields, "zone": DEFAULT, "data": data,
+            "has_table": not asked.metric, "is_whole": False,
+        }  # fmt: skip
     of_yield = {"by": asked.yield_by, "name": asked.group}
     content = {
         "found": None,
+        "is_whole": True,
         "metrics": metrics,
         "shares": api.list_yield(call, shares),
         "yields": {
@@ -96,7 +106,7 @@ def _kind(each: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@shown("/verdicts", "verdicts.html.jinja", is_slow=True)
+@shown("/verdicts", "verdicts.html.jinja", is_slow=True, shared_s=1.0)
 def verdicts(call: Call, asked: api.VerdictsAsked) -> dict[str, Any]:
     """Units with their verdicts by the specifications: of a lot, a station, a fixture, a day, or by one metric."""
     found = api.list_verdicts(call, asked)

@@ -1,17 +1,20 @@
 """The pages of units: all of them, and one."""
 
+import datetime as dt
 from typing import Any
 
 import msgspec
 
-from analytics.audit import summary
+from analytics.event_words import summary
 from analytics.plots.picture import Picture
 from analytics.serve.api import events
 from analytics.serve.api import unit_pictures as pictures
 from analytics.serve.api import units as api
-from analytics.serve.api.operation import Call, Nothing, link
+from analytics.serve.api.certificates import CertificateRow
+from analytics.serve.api.operation import Call, Nothing, NotYet, link
 from analytics.serve.api.rows import Name, Paged
 from analytics.serve.pages.events import shortened
+from analytics.serve.pages.language import LANGUAGES
 from analytics.serve.pages.page import shown
 
 _MOST_HISTORIES = 6
@@ -19,7 +22,7 @@ _AUDIT = 30
 _ORDER = {"FAIL": 0, "MARGINAL": 1, "NO_DATA": 2}
 
 
-@shown("/units", "units.html.jinja")
+@shown("/units", "units.html.jinja", shared_s=1.0)
 def list_units(call: Call, asked: api.UnitsAsked) -> dict[str, Any]:
     """All units."""
     found = api.list_units(call, asked)
@@ -33,12 +36,18 @@ class UnitPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     metric: Name = ""
 
 
-@shown("/units/{unit}", "unit.html.jinja", is_slow=True)
+@shown("/units/{unit}", "unit.html.jinja", is_slow=True, shared_s=1.0)
 def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
     """One unit."""
-    found = api.unit(call, Nothing())
+    try:
+        found, is_whole = api.unit(call, Nothing()), True
+    except NotYet:
+        if not call.is_partial:
+            raise
+        found, is_whole = api.unit_without_metrics(call), False
     limited = dict.fromkeys(row["metric"] for row in found.verdicts if row["value"] is not None)
-    histories = list(dict.fromkeys([asked.metric, *limited] if asked.metric else limited))[:_MOST_HISTORIES]
+    asked_for = asked.metric if is_whole else ""
+    histories = list(dict.fromkeys([asked_for, *limited] if asked_for else limited))[:_MOST_HISTORIES]
     of_signal = pictures.OfSignal(signal=asked.signal)
     drawn = [
         _drawn(pictures.unit_history(call, pictures.HistoryAsked(metric=metric)), found.unit, "history", metric=metric)
@@ -52,14 +61,26 @@ def unit(call: Call, asked: UnitPageAsked) -> dict[str, Any]:
         "allan": _drawn(pictures.unit_allan(call, of_signal), found.unit, "allan", signal=asked.signal),
         "temperature": _drawn(
             pictures.unit_temperature(call, of_signal), found.unit, "temperature", signal=asked.signal
-        ),
+        )
+        if is_whole
+        else None,
+        "is_whole": is_whole,
         "metrics": sorted({(row["metric"], row["en"], row["zh"]) for row in found.metrics if row["value"] is not None}),
         "signals": sorted({name for run in found.runs for name in run.signals}),
+        "certificates": [(row, _state(row)) for row in found.certificates],
         "audit": [
-            (row, shortened(summary(row.document))) for row in events.unit_audit(call, Paged(limit=_AUDIT)).events
+            (row, {language: shortened(summary(row.document, language)) for language in LANGUAGES})
+            for row in events.unit_audit(call, Paged(limit=_AUDIT)).events
         ],
         "data": link("api", "units", found.unit),
     }
+
+
+def _state(row: CertificateRow) -> str:
+    """Whether a certificate is ``valid``, ``superseded`` or ``expired`` today."""
+    if row.superseded_by is not None:
+        return "superseded"
+    return "valid" if dt.datetime.now(dt.UTC).date().isoformat() <= row.valid_until else "expired"
 
 
 def _by_need(row: dict[str, Any]) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 const PARTS = {
   "live-floor": "./floor.js", "signal-plot": "./signal.js", "allan-plot": "./allan.js", "sql-form": "./sql.js",
   "run-course": "./run_course.js", "run-allan": "./run_allan.js", "run-control": "./run_control.js",
+  "rest-of-page": "./later.js",
 };
 
 for (const [id, module] of Object.entries(PARTS)) {

@@ -11,6 +11,7 @@ from pypdf import PdfReader
 from analytics.certificate.statement.content import FILLED_BY
 from analytics.certificate.statement.standards import standards
 from tests.analytics.certificate.conftest import UNIT
+from tests.analytics.certificate.pdf_checks import fonts_that_are_not_embedded, is_archivable
 
 
 def text_of(path: Path) -> str:
@@ -82,6 +83,8 @@ def test_the_file_is_pdf_a_with_the_digital_certificate_in_it(
     reader = PdfReader(BytesIO(out.read_bytes()))
     assert reader.xmp_metadata is not None
     assert b"<pdfaid:part>3</pdfaid:part>" in out.read_bytes()
+    assert is_archivable(out)
+    assert fonts_that_are_not_embedded(out) == []
     ((name, contents),) = reader.attachments.items()
     assert name == "certificate.xml"
     assert contents[0] == Path(done.json["digital"]).read_bytes()

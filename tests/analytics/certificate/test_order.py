@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from analytics.certificate.statement.content import later
 from analytics.certificate.statement.order import ReferenceTable, read_order
 from analytics.certificate.statement.references import Reference
+from analytics.certificate.statement.validity import later
 from stream.errors import BadInput
 
 

@@ -216,3 +216,34 @@ def test_turns_that_lack_something_say_what(recorded: Any) -> None:
     assert one(rows, run="dead", element="L_yx")["reason"].startswith("the output is 0 in every sample")
     assert one(rows, run="dead", element="L_zx")["value"] == pytest.approx(arcmin("ZX"))
     assert one(rows, run="volts", element="L_zx")["reason"].startswith("no scale factor for an output in V")
+
+
+def test_the_earths_vertical_rate_is_taken_off_equal_angles_where_it_can_be(recorded: Any) -> None:
+    """(5): Y sees L_yx of X, which points up at every angle; a latitude of 40 deg."""
+    vertical = EARTH_DEG_PER_H * math.sin(math.radians(40.0)) * ELEMENTS["YX"]
+
+    def many(run: str, mount: str = "Y_east_Z_north ", **words: Any) -> Rows:
+        rows = around([0, 90, 180, 270], bias=6.0 + vertical, run=run, signal="rate_y", axis="Y", **words)
+        return [row | {"position": f"{mount}{row['position']}"} for row in rows]
+
+    records = [*turned(run="L"), *many("named"), *many("unnamed", mount=""), *many("other", unit="U2")]
+    rows = {row["run"]: row for row in recorded(records, "attitude_unit_bias")}
+    assert rows["named"]["value"] == pytest.approx(6.0, abs=1e-6)
+    assert rows["named"]["vertical_rate_deg_per_h"] == pytest.approx(vertical, rel=1e-3)
+    assert rows["unnamed"]["value"] == pytest.approx(6.0 + vertical, abs=1e-9)
+    assert rows["unnamed"]["remark"].endswith("is in it: name the mount, as X_east_Y_north 30 deg")
+    assert rows["other"]["remark"].endswith("is in it: measure L_yx (7.3)")
+    # turned over it cancels, and is no scatter
+    placed = [
+        row | {"signal": "rate_y", "run": "four", "position": position, "mean": 6.0 + way * vertical}
+        for row, (position, way) in zip(
+            four(level=0.0, standard_uncertainty=0.001, freedom=9.0),
+            {"Y_east_Z_north": 1, "Y_east_Z_south": -1, "Y_west_Z_south": 1, "Y_west_Z_north": -1}.items(), strict=True,
+        )
+    ]  # fmt: skip
+    across = EARTH_DEG_PER_H * math.cos(math.radians(40.0)) * ELEMENTS["YZ"]
+    for row, north in zip(placed, (1, -1, -1, 1), strict=True):
+        row["mean"] += north * across
+    (row,) = [each for each in recorded([*turned(run="L2"), *placed], "attitude_unit_bias") if each["run"] == "four"]
+    assert row["value"] == pytest.approx(6.0, abs=1e-6)
+    assert row["standard_uncertainty"] == pytest.approx(0.0005, rel=0.05)

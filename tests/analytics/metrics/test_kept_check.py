@@ -45,7 +45,8 @@ def rewrite(path: Path, column: str, *, with_hash: bool) -> None:
     """Other values under the same description, as a spreadsheet or a script would leave them."""
     table = pq.read_table(path)
     at = table.schema.get_field_index(column)
-    is_last = pa.array(np.arange(len(table)) >= len(table) - 1)
+    known = np.flatnonzero(table[column].is_valid().to_numpy())
+    is_last = pa.array(np.arange(len(table)) == known[-1])
     pq.write_table(
         table.set_column(at, column, pc.if_else(is_last, pc.multiply(table[column], 0.01), table[column])), path
     )

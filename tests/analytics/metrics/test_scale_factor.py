@@ -129,6 +129,23 @@ def test_attitude_units_need_seven_rates_and_the_axis_that_is_up(tested: Any, ta
     assert row["value"] == pytest.approx(1.01, rel=1e-4)
 
 
+def test_more_rates_than_the_clause_has_are_stated_as_a_deviation(tested: Any) -> None:
+    """7.1.1 c: 7 to 11 rates; more do no harm to K, and are another method."""
+    tested.run("r1")
+    rng = np.random.default_rng(1)
+    t_ns = START_NS
+    rates = [way * rate for rate in (10.0, 20.0, 30.0, 50.0, 70.0, 100.0) for way in (1, -1)]
+    for rate in (0.0, *rates, 0.0):
+        noise = 1e-3 * rng.standard_normal(200)
+        t_ns = tested.step(
+            "r1", "U1", {"rate_x": (1.01 * rate + noise, "deg/s")}, t0_ns=t_ns, axis="X", position="X_up",
+            procedure="attitude_unit_scale_factor", rate_command_deg_per_s=rate,
+        )  # fmt: skip
+    (row,) = tested.metric("scale_factor")
+    assert row["value"] == pytest.approx(1.01, rel=1e-4)
+    assert row["remark"] == "12 rates: the clause has 7 to 11 (7.1.1 c)"
+
+
 def test_attitude_units_are_refused_short_records_and_dead_axes(tested: Any) -> None:
     """7.1.1 d: at least 20 s at each rate; an axis that gives one value at every rate has no scale factor of 0."""
     tested.run("r1")

@@ -1,6 +1,7 @@
 """Pages that take long: a word at once, made once however often the window asks, and no two readers' pages mixed."""
 
 import asyncio
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,12 +12,14 @@ from starlette.responses import HTMLResponse, Response
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.doors.roles import Role
 from analytics.serve.live.follower import FloorFollower
+from analytics.serve.pages.problem_page import problem_response
 from analytics.serve.pages.waiting import Waiting
-from analytics.serve.problems import Stopping
+from analytics.serve.problems import Stopping, TooMany
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import SharedLake
 from analytics.serve.sql_pool import SqlPool
 from storage.store import Store
+from stream.errors import NotFound, StoreError
 
 
 @pytest.fixture
@@ -51,12 +54,14 @@ class Slow:
 def test_a_window_is_told_at_once_and_gets_the_page_made_once(service: Service) -> None:
     async def run() -> None:
         waiting, slow = Waiting(), Slow(1.2)
-        for _ in range(2):
-            answer = await waiting.answer(window(), service, slow)
-            assert (answer.status_code, answer.headers["refresh"]) == (202, "1")
-            assert "being computed" in bytes(answer.body).decode()
+        began_s = time.monotonic()
         answer = await waiting.answer(window(), service, slow)
+        assert time.monotonic() - began_s < 1.0
+        assert (answer.status_code, answer.headers["refresh"]) == (202, "0")
+        assert "being computed" in bytes(answer.body).decode()
+        answer = await waiting.answer(window(), service, slow)  # held until it is made
         assert (bytes(answer.body), slow.made) == (b"page 1", 1)
+        assert time.monotonic() - began_s >= 1.2
         await waiting.answer(window(), service, slow)
         assert slow.made == 2  # a page is not kept longer than it is waited for
 
@@ -88,6 +93,17 @@ def test_an_error_is_told_to_who_waits(service: Service) -> None:
             await waiting.answer(window(), service, fail)
 
     asyncio.run(run())
+
+
+def test_a_problem_that_passes_is_a_page_that_asks_again() -> None:
+    scope = dict(window().scope) | {"headers": [(b"accept", b"text/html"), (b"host", b"here")]}
+    for problem, status, after in ((TooMany("too many statements", 7.0), 429, "7"), (StoreError("a disk"), 503, "5")):
+        answer = problem_response(Request(scope), problem)
+        assert (answer.status_code, answer.headers["refresh"]) == (status, after)
+        assert str(problem) in bytes(answer.body).decode()
+        sent = problem_response(Request(scope | {"method": "POST"}), problem)  # a form is not sent again
+        assert "refresh" not in sent.headers
+    assert "refresh" not in problem_response(Request(scope), NotFound("no unit U")).headers
 
 
 def test_a_server_that_stops_says_so(service: Service) -> None:

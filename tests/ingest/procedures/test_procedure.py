@@ -201,3 +201,22 @@ def test_power_comes_on_while_the_table_turns() -> None:
     rates = [step for step in recorded("startup_time") if "rate" in step.settings]
     assert [step.settings["rate"] for step in rates] == [300.0, 30.0, 3.0]
     assert all((step.power, step.warm_up_s, step.settle_s) == ("cycle", 0.0, 0.0) for step in rates)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"rate_pairs": "3"}, "below the least, 4"),
+        ({"rate_pairs": "6"}, "above the most, 5"),
+        ({"rate_record_s": "10"}, "below the least, 20 s"),
+    ],
+)
+def test_attitude_units_are_measured_as_the_clause_says(given: dict[str, str], expected: str) -> None:
+    """JJF 1536 7.1.1 c, d: 7 to 11 rates, at least 20 s at each."""
+    with pytest.raises(BadInput, match=expected):
+        load_procedure("attitude_unit_scale_factor").steps(given)
+    for pairs, rates in ((4, 8), (5, 10)):
+        steps = recorded("attitude_unit_scale_factor", rate_pairs=pairs)
+        of_x = [step for step in steps if step.words.axis == "X" and step.words.step == "rate"]
+        assert len({step.settings["rate"] for step in of_x}) == rates
+        assert all(step.record_s >= 20.0 for step in of_x)

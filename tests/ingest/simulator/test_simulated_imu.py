@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from ingest.instruments.rate_table import RateTable, RateTableOptions
+from ingest.procedures.file import ready_names
+from ingest.procedures.procedure import load_procedure
 from ingest.simulator.bench import SimulatedBench
 from ingest.simulator.physics.accelerometer import AccelerometerParameters
 from ingest.simulator.physics.bias import Bias
@@ -97,6 +99,18 @@ def test_carried_and_turned_it_feels_gravity_and_the_earth_along_the_axes_of_eac
     turned = (rates[1, 200:] - rates[1, 150]).sum() * DT_S
     assert turned == pytest.approx(180.0, abs=2e-3)
     assert bench.table.handle("POS nowhere;SYST:ERR?") == '-224,"Illegal parameter value;no position nowhere"'
+
+
+@pytest.mark.parametrize("name", [each for each in ready_names() if each.startswith("attitude_unit")])
+def test_each_mount_of_an_attitude_unit_is_a_position_that_the_table_carries_it_to(name: str) -> None:
+    """Without a position the unit would stay as it was mounted for the axis before."""
+    mounts = [step for step in load_procedure(name).steps() if step.prompt is not None]
+    assert {step.words.axis for step in mounts} == set("XYZ")
+    for step in mounts:
+        assert step.words.position in POSITION_NAMES
+    if name.startswith("attitude_unit_bias"):  # the directions are those of the table's zero
+        before = [step for step in load_procedure(name).steps() if step.number < mounts[0].number]
+        assert before[-1].settings == {"angle": 0.0}
 
 
 def test_the_instrument_carries_to_the_positions_of_its_file_over_the_wire() -> None:

@@ -10,3 +10,5 @@ where lack is null and k <> 0
   and not regexp_matches(coalesce(position, ''), '_down$')
 group by unit, signal, run, output_unit, steps
 qualify row_number() over (partition by unit, signal, output_unit, max(t_to_ns) order by run, steps) = 1;
+
+create or replace table internal.scale_factors as from measured_scale_factors('internal.scale_fits');

@@ -1,7 +1,6 @@
 -- One row for each scale factor that was measured: the points of its rates, the rests around them, what is asked of
 -- them by each standard, and the least-squares lines through all points, the forward ones and the backward ones.
--- Planning the lines takes longer than computing them: the metric scale_factor, which comes first, keeps them as the
--- table scale_fits. (They are macros of a table that is named later, since a view would be planned when it is defined.)
+-- Planning the lines takes longer than computing them: the table scale_fits has them.
 
 create or replace view internal.scale_sets as
 with measured as (
@@ -106,7 +105,10 @@ with sided as (
     end as lack_of_rest,
     concat_ws('; ', case when len(forwards) + len(backwards) < 7 then
       len(forwards) + len(backwards) || ' rates measured, 7 to 11 are asked for (7.1.1 c)' end,
-      lack_of_seconds(points, 20.0, '7.1.1 d')) as jjf1536_lack
+      lack_of_seconds(points, 20.0, '7.1.1 d')) as jjf1536_lack,
+    -- more rates than the clause has do no harm, and are no longer its method
+    case when len(forwards) + len(backwards) > 11 then
+      len(forwards) + len(backwards) || ' rates: the clause has 7 to 11 (7.1.1 c)' end as jjf1536_remark
   from sided s left join other o using (run, unit, signal, steps)
   where s.side = 'both'
 )
@@ -120,6 +122,8 @@ select *,
     axis: axis, phase: phase
   } as words
 from lacks;
+
+create or replace table internal.scale_fits as from scale_lines('internal.scale_sides');
 
 -- The scale factor of each standard that the measurement can serve, with the reason where something it asks for is
 -- missing.

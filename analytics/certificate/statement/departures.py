@@ -1,0 +1,54 @@
+"""In what the records of a calibration depart from the clauses of its standard, and which outputs are compensated."""
+
+from collections.abc import Sequence
+
+from analytics.certificate.statement.order import Text
+from analytics.certificate.statement.results import ResultRow
+from analytics.certificate.statement.words import Words
+
+_NONE = {"none", "no", "nil", "n/a", "-", "/", "无", "没有"}
+
+
+def departures(rows: Sequence[ResultRow]) -> list[Words]:
+    """What the metrics found: of each characteristic, once."""
+    found: dict[str, Words] = {}
+    for row in rows:
+        for each in row.results:
+            if each.departs.en:
+                text = Words(f"{row.name.en}: {each.departs.en}", f"{row.name.zh}：{each.departs.zh}")
+                found.setdefault(text.en, text)
+    return list(found.values())
+
+
+def not_stated(stated: Text, found: Sequence[Words]) -> list[Words]:
+    """What is missing in an order that does not state the departures that were found.
+
+    >>> [each.en for each in not_stated("none", [Words("records of 60 s", "60 s")])]
+    ['the order states no deviation, and the records depart from the clause: state it (records of 60 s)']
+    """
+    words = Words.of(stated)
+    is_none = not words or words.en.strip().lower().rstrip(".。") in _NONE
+    if not (found and is_none):
+        return []
+    en, zh = "; ".join(each.en for each in found), "；".join(each.zh for each in found)
+    return [
+        Words(
+            f"the order states no deviation, and the records depart from the clause: state it ({en})",
+            f"委托信息未说明偏离，而记录偏离规范条款：须说明（{zh}）",
+        )
+    ]
+
+
+def compensation_of(rows: Sequence[ResultRow]) -> Words:
+    """Which results are of outputs that an error model has compensated."""
+    signals = sorted({each.signal for row in rows for each in row.results if each.is_compensated})
+    if not signals:
+        return Words(
+            "The results are those of the outputs as the item gives them, without compensation.",
+            "校准结果为被校对象的原始输出，未作补偿。",
+        )
+    listed = ", ".join(signals)
+    return Words(
+        f"Compensated by an error model: {listed}; the other results are those of the outputs as the item gives them.",
+        f"经误差模型补偿的输出：{listed}；其余为被校对象的原始输出。",
+    )

@@ -1,0 +1,17 @@
+-- Steps of gyro outputs. `output_unit` is what scale factors are in: deg/s for all rates. A rate that is given or
+-- measured by another instrument is no gyro's output.
+create or replace macro is_instrument_name(signal) as
+  regexp_matches(lower(signal), '^(table|input|chamber|command|set_?point|vibration|stage|platform|encoder|earth)'
+    '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$');
+
+create or replace macro is_output_name(signal) as
+  (regexp_matches(signal, '^rate(_|$)') or is_integrated_output(signal)) and not is_instrument_name(signal);
+
+create or replace macro no_scale_factor(unit_of_measure) as
+  'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';
+
+create or replace view internal.gyro_steps as
+select s.*, r.deg_per_h as rate_factor,
+  case when r.deg_per_h is null then s.unit_of_measure else 'deg/s' end as output_unit
+from step_means s left join internal.rate_units r using (unit_of_measure)
+where is_output_name(s.signal) or (r.deg_per_h is not null and not is_instrument_name(s.signal));

@@ -1,0 +1,15 @@
+-- Steps of gyro outputs with `deg_per_h`, which turns the output into deg/h of the input: by the scale factor that was last
+-- valid before the step ended, also where the output is a rate already; else by the output's unit where that is an
+-- angular rate, else by the nominal scale factor of the product. `scale_source` says which.
+create or replace view rate_steps as
+select g.* exclude (output_unit),
+  coalesce(coalesce(g.rate_factor, 3600) / f.value, g.rate_factor, 3600 / p.scale_factor) as deg_per_h,
+  case
+    when f.value is not null then 'measured in run ' || f.run
+    when g.rate_factor is not null then 'output is a rate'
+    when p.scale_factor is not null then 'nominal of product ' || g.product
+  end as scale_source
+from internal.gyro_steps g
+asof left join internal.scale_factors f
+  on f.unit = g.unit and f.signal = g.signal and f.output_unit = g.output_unit and f.t_to_ns <= g.t_to_ns
+left join internal.product_scales p on p.unit = g.unit and p.run = g.run and p.unit_of_measure = g.unit_of_measure;

@@ -1,0 +1,69 @@
+"""Metrics computed for ranges of units, and one metric alone, are those that are computed for all at once."""
+
+import shutil
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from analytics.evaluation import kept_metrics
+from analytics.metric_registry.registry import metrics
+from analytics.step_records import FOLDER
+from tests.analytics.metrics.test_incremental_metrics import START_NS, Bench, table_of
+
+
+@pytest.fixture
+def filled(tested: Any) -> Any:
+    """A store of three units with tests of several kinds, two of them fed by one supply."""
+    for grow in Bench(tested).grown():
+        grow()
+    tested.run("p", t_ns=START_NS, procedure="power_consumption")
+    for unit in ("U1", "U3"):
+        tested.mount("p", unit, t_ns=START_NS, product="FOG-70")
+        tested.step("p", unit, np.array([1.0, 1.5, 1.2]), t0_ns=START_NS)
+    for signal, measure in (("supply_voltage", "V"), ("supply_current", "A")):
+        tested.samples("p", "PSU", signal, np.array([5.0, 5.1, 5.2]), t0_ns=START_NS, unit_of_measure=measure)
+    return tested
+
+
+def _anew(tested: Any) -> None:
+    shutil.rmtree(tested.store.folder / FOLDER, ignore_errors=True)
+
+
+def test_ranges_of_units_have_the_rows_of_one_pass(filled: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = table_of(filled)
+    with filled.catalog() as catalog:
+        steps = catalog.table("from step_means order by all")
+        static = catalog.table("from static_steps order by all")
+    assert len(set(whole["unit"].to_pylist())) == 3
+    _anew(filled)
+    monkeypatch.setattr(kept_metrics, "RANGE_RECORDS", 1)  # each unit is a range
+    with filled.catalog() as catalog:
+        assert catalog.table("from unit_metrics").equals(whole)
+        assert catalog.table("from step_means order by all").equals(steps)
+        assert catalog.table("from static_steps order by all").equals(static)
+    assert table_of(filled).equals(whole)  # as kept
+
+
+def test_a_supply_of_two_units_is_one_also_where_one_of_them_changed(filled: Any) -> None:
+    def of_power() -> pa.Table:
+        with filled.catalog() as catalog:
+            return catalog.table("from unit_metrics where metric = 'power'")
+
+    before = of_power()
+    reasons = before["reason"].to_pylist()
+    assert [reason.startswith("supply PSU fed 2 units at once") for reason in reasons] == [True, True]
+    Bench(filled).still("later", 5, ("U1",), power_ons=1)
+    assert of_power().equals(before)
+
+
+@pytest.mark.in_gate("bias", "bias_repeatability", "scale_factor", "power")
+@pytest.mark.parametrize("metric", sorted(metrics()))
+def test_a_metric_alone_is_the_one_among_all(filled: Any, metric: str) -> None:
+    every = table_of(filled)
+    expected = every.filter(pa.compute.equal(every["metric"], metric))
+    _anew(filled)
+    with filled.catalog() as catalog, catalog.suspended_layers():
+        kept_metrics.unit_metrics(catalog, wanted=[metric])
+        assert catalog.table("from unit_metrics").equals(expected)
