@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results
 from stream.result_table import ResultTable
 from stream.security.rights import Role, principal_of
@@ -25,7 +26,7 @@ _HOSTS = click.option(
 )
 
 
-@click.group("site")
+@click.group("site", cls=CommandGroup)
 def site() -> None:
     """Make and end the certificates by which stations, recorders and people know each other on the bus."""
 
