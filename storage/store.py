@@ -41,6 +41,8 @@ class Store:
 
     def __init__(self, folder: Path, identity: str) -> None:
         self.folder, self.identity = folder, identity
+        self.label = str(folder)  # what messages call it
+        self.is_local = True  # its log and files are at hand
         self.log = folder / "log"
         self.aside = folder / "log" / "aside"
         self.lake = folder / "lake"

@@ -41,6 +41,7 @@ _EXTRAS = {
     **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
     "cryptography": "attest",
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
+    **dict.fromkeys(("fsspec", "obstore"), "s3"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
     **dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station"),
 }

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -14,8 +13,7 @@ import numpy as np
 from analytics.api.arrays import DeviationCurve, deviation_curve
 from ingest.moment import moment_ns
 from storage.sql.door import QueryLimits
-from storage.sql.opened import Answer, OpenedStore
-from storage.store import Store
+from storage.sql.opened import Answer, OpenedStore, opened_at
 from stream.errors import BadInput, StoreError
 from stream.estimators.full_overlap.deviation_forms import Deviation
 
@@ -44,7 +42,8 @@ class FleetStore:
 
     Parameters
     ----------
-    folder: Of the store.
+    folder: Of the store; or the address of its published lake, ``s3://BUCKET/PREFIX``.
+    endpoint_url: Of the object store; by default AWS_ENDPOINT_URL, else Amazon's.
     limits: Time, memory and rows that one SQL statement may take.
 
     Raises
@@ -59,9 +58,11 @@ class FleetStore:
     ...     store.allan("FOG-0231", "rate").plot("allan.png")
     """
 
-    def __init__(self, folder: str | PathLike[str], limits: QueryLimits | None = None) -> None:
-        self._store = Store.open(Path(folder))
-        self._sql = OpenedStore(folder, limits)
+    def __init__(
+        self, folder: str | PathLike[str], limits: QueryLimits | None = None, *, endpoint_url: str | None = None
+    ) -> None:
+        self._store = opened_at(folder, endpoint_url)
+        self._sql = OpenedStore(self._store, limits)
         self._stack = ExitStack()
         self._stack.callback(self._sql.close)
         self._opened: Catalog | None = None
@@ -233,7 +234,7 @@ class FleetStore:
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise StoreError(f"the store {self._store.folder} is closed: open it again with gyrofleet.open_store")
+            raise StoreError(f"the store {self._store.label} is closed: open it again with gyrofleet.open_store")
 
     def __enter__(self) -> Self:
         return self
@@ -242,14 +243,16 @@ class FleetStore:
         self.close()
 
 
-def open_store(folder: str | PathLike[str], limits: QueryLimits | None = None) -> FleetStore:
-    """Open a store for Python; see `FleetStore`.
+def open_store(
+    folder: str | PathLike[str], limits: QueryLimits | None = None, *, endpoint_url: str | None = None
+) -> FleetStore:
+    """Open a store for Python, or the published lake of one; see `FleetStore`.
 
     Raises
     ------
     StoreError: If the folder is no store.
     """
-    return FleetStore(folder, limits)
+    return FleetStore(folder, limits, endpoint_url=endpoint_url)
 
 
 def _each(names: str | Sequence[str]) -> tuple[str, ...]:

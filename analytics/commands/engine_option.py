@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from stream.console import counted, status_line
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 
 if TYPE_CHECKING:
     from analytics.cluster.diagnosis_tasks import ClusterTracing
@@ -48,6 +48,8 @@ def compute_by_engine(catalog: "Catalog", name: str | None, wanted: Collection[s
     from analytics.metric_registry.registry import check_metrics
 
     check_metrics(wanted)
+    if not catalog.store.is_local:
+        raise BadInput("--engine computes over a store that all tasks see at the same path: give --store, not --lake")
     if not os.access(catalog.kept, os.W_OK):
         raise StoreError(
             f"--engine keeps what it computes in {catalog.kept}, which cannot be written: ask without --engine, or as "

@@ -10,6 +10,7 @@ import click
 from analytics.commands.engine_option import compute_by_engine, engine_option
 from analytics.commands.limits import warn_of_copies
 from analytics.commands.plants import check_one_store, of_plants, with_plant
+from storage.commands.lake_address import asked_at, lake_options
 from storage.commands.stored_names import RUN, UNIT
 from stream.completion import ListedName
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from analytics.evaluation.inner_page import InnerRow
     from analytics.evaluation.selection import Row
     from storage.sql.catalog import Catalog
+    from storage.store import Store
 
 _SHOWN_ROWS = 500
 _SHOWN_REASONS = 5
@@ -44,6 +46,7 @@ METRIC = ListedName(_metric_names)
 @click.option(
     "--unit", "units", type=UNIT, multiple=True, help="Only this unit; may be given several times, as all of these."
 )
+@lake_options
 @click.option("--lot", "lots", multiple=True, help="Only units of this lot, in runs in which they were of it.")
 @click.option("--run", "runs", type=RUN, multiple=True, help="Only what rests on this run.")
 @click.option("--metric", "ids", type=METRIC, multiple=True, help="Only this metric, as bias_stability.")
@@ -58,11 +61,13 @@ METRIC = ListedName(_metric_names)
 def metrics(
     folder: Path, units: tuple[str, ...], lots: tuple[str, ...], runs: tuple[str, ...], ids: tuple[str, ...],
     standards: tuple[str, ...], since: str | None, annex_unit: str | None, csv_path: Path | None,
-    xlsx_path: Path | None, engine: str | None, language: str, *, as_json: bool,
+    xlsx_path: Path | None, engine: str | None, url: str | None, endpoint_url: str | None, cache_size: str | None,
+    language: str, *, as_json: bool,
 ) -> None:  # fmt: skip
     """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
 
     Changed runs are reduced first; other values are read from the store. With --metric only these metrics are computed.
+    With --lake they are those of a published lake.
 
     \b
     gyrofleet metrics --unit FOG-0231
@@ -76,9 +81,10 @@ def metrics(
     if annex_unit is not None and (units or lots or runs or ids or standards or since or csv_path or xlsx_path):
         raise BadInput("--annex-a stands alone, with --lang and --json: it is the unit's last values of JJF 2014-2022")
     asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
+    at = asked_at(folder, url, endpoint_url, cache_size)
     if annex_unit is not None:
-        check_one_store(folder, "--annex-a")
-        with opened_catalog(folder, quiet=as_json) as catalog:
+        check_one_store(at, "--annex-a")
+        with opened_catalog(at, quiet=as_json) as catalog:
             compute_by_engine(catalog, engine)
             _print_annex(inner_page(catalog, annex_unit, "JJF2014"), annex_unit, language, as_json=as_json)
         return
@@ -89,7 +95,7 @@ def metrics(
         # a step is unused where no metric at all uses it
         return selected(catalog, asked), undated, [] if ids else unused_steps(catalog, asked)
 
-    answers = of_plants(folder, ask, quiet=as_json)
+    answers = of_plants(at, ask, quiet=as_json)
     rows = [row for plant, (found, _, _) in answers for row in with_plant(plant, found)]
     undated = sum(count for _, (_, count, _) in answers)
     for _, (_, _, unused) in answers:
@@ -111,11 +117,11 @@ def metrics(
 
 
 @contextmanager
-def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
+def opened_catalog(at: "Path | Store", *, quiet: bool) -> "Iterator[Catalog]":
     """A store's catalogue that shows the progress of the reduction of changed runs on standard error."""
     from storage.specifications.chain import read_chain
     from storage.sql.catalog import Catalog
-    from storage.store import Store
+    from storage.sql.opened import opened_at
 
     with progress_bar(hidden=quiet) as progress:
         task = progress.add_task("reducing changed runs", total=None, visible=False)
@@ -123,8 +129,10 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
         def update(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total, visible=done < total)
 
-        with Catalog(Store.open(folder), progress=update) as catalog:
-            warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
+        store = opened_at(at)
+        with Catalog(store, progress=update) as catalog:
+            if store.is_local:
+                warn_of_copies(store, read_chain(store, catalog))
             yield catalog
 
 

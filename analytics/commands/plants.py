@@ -8,12 +8,13 @@ from stream.errors import BadInput, NotFound
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
+    from storage.store import Store
 
 T = TypeVar("T")
 Row = dict[str, Any]
 
 
-def of_plants(folder: Path, ask: "Callable[[Catalog], T]", *, quiet: bool) -> list[tuple[str, T]]:
+def of_plants(at: "Path | Store", ask: "Callable[[Catalog], T]", *, quiet: bool) -> list[tuple[str, T]]:
     """The answer of a store, with an empty name; of a fleet store that of each plant, computed from it alone.
 
     NotFound of a plant is raised only if every plant raises it.
@@ -21,12 +22,12 @@ def of_plants(folder: Path, ask: "Callable[[Catalog], T]", *, quiet: bool) -> li
     from analytics.commands.metrics import opened_catalog
     from storage.fleet_store import FleetStore, is_fleet
 
-    if not is_fleet(folder):
-        with opened_catalog(folder, quiet=quiet) as catalog:
+    if not isinstance(at, Path) or not is_fleet(at):
+        with opened_catalog(at, quiet=quiet) as catalog:
             return [("", ask(catalog))]
     found: list[tuple[str, T]] = []
     missing = []
-    for replica in FleetStore.open(folder).replicas():
+    for replica in FleetStore.open(at).replicas():
         with opened_catalog(replica.store.folder, quiet=quiet) as catalog:
             try:
                 found.append((replica.plant.name, ask(catalog)))
@@ -55,9 +56,9 @@ def named(row: Row, column: str) -> str:
     return f"{row['plant']}/{row[column]}" if "plant" in row else str(row[column])
 
 
-def check_one_store(folder: Path, option: str) -> None:
+def check_one_store(at: "Path | Store", option: str) -> None:
     """Refuse an option that is of one store, for a fleet store."""
     from storage.fleet_store import is_fleet
 
-    if is_fleet(folder):
-        raise BadInput(f"{option} asks one store: --store {folder}/plants/NAME")
+    if isinstance(at, Path) and is_fleet(at):
+        raise BadInput(f"{option} asks one store: --store {at}/plants/NAME")

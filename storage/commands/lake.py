@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from storage.commands.lake_address import endpoint_option
 from stream.console import notes, print_json, progress_bar, reporting, status_listen_option, store_option, until_stopped
 
 if TYPE_CHECKING:
@@ -31,22 +32,30 @@ _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw
 )  # fmt: skip
 @_older_than
 @_max_size
+@click.option(
+    "--lake", "url", metavar="s3://BUCKET/PREFIX", help="Also publish it there, on an object store with the S3 API."
+)
+@endpoint_option
+@click.option("--repair", is_flag=True, help="Verify what is published first, and publish damaged parts anew.")
 @status_listen_option
 @reporting
 def lake(
-    folder: Path, grace_s: float, older_than: str | None, max_size: str | None, status_listen: str | None, *,
-    once: bool, as_json: bool,
+    folder: Path, grace_s: float, older_than: str | None, max_size: str | None, url: str | None,
+    endpoint_url: str | None, status_listen: str | None, *, once: bool, repair: bool,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Build the lake from sealed segments as they appear, until stopped.
 
     The parts of a finished day (UTC) are merged into one, small parts of the present day into few. With --older-than or
-    --max-size raw rows are dropped as by `gyrofleet retain`.
+    --max-size raw rows are dropped as by `gyrofleet retain`. With --lake the lake is published on an object store, for
+    `gyrofleet sql --lake` and `gyrofleet metrics --lake`; credentials and region come from AWS_*. Several builders may
+    publish one store at once.
     """
     from storage.lake.builder import builder_lock
     from storage.recording.status_board import StatusBoard
     from storage.store import Store
     from storage.upkeep.service import LakeService
-    from stream.errors import StoreError
+    from stream.errors import BadInput, StoreError
     from stream.status.reporter import StatusReporter, served
 
     console = notes()
@@ -59,8 +68,23 @@ def lake(
         else:
             console.print(text, soft_wrap=True, markup=False)
 
+    publisher = None
+    if url is not None:
+        from storage.object_lake.bucket import Bucket
+        from storage.object_lake.publisher import Publisher
+
+        bucket = Bucket(url, endpoint_url)
+        damaged: set[str] = set()
+        if repair:
+            from storage.check.verify_published import damaged_parts, verify_published
+
+            damaged = damaged_parts(bucket, verify_published(bucket, store))
+            report("verified", f"{len(damaged)} published parts are damaged", damaged=len(damaged))
+        publisher = Publisher(store, bucket, grace_s=grace_s, report=report, damaged=damaged)
+    elif repair or endpoint_url is not None:
+        raise BadInput("--repair and --endpoint-url are of a published lake: give --lake s3://BUCKET/PREFIX as well")
     with builder_lock(store), until_stopped() as stopped, ExitStack() as stack:
-        service = LakeService(store, report=report, rule=rule, grace_s=grace_s)
+        service = LakeService(store, report=report, rule=rule, grace_s=grace_s, publisher=publisher)
         if not once:
             stack.enter_context(served(status_listen, service.status))
             stack.enter_context(StatusReporter(service.status, StatusBoard(store).put))
@@ -69,7 +93,12 @@ def lake(
             problems = service.round(stopped)
             if once or stopped.wait(_POLL_S):
                 break
-    report("ended", f"{service.segments} segments brought to the lake, {service.compacted} parts merged")
+    sent: dict[str, object] = {}
+    ended = f"{service.segments} segments brought to the lake, {service.compacted} parts merged"
+    if publisher is not None:
+        ended += f"; {publisher.parts} parts published, {publisher.bytes:,} bytes sent"
+        sent = {"parts_published": publisher.parts, "bytes_sent": publisher.bytes}
+    report("ended", ended, **sent)
     if once and problems:
         raise StoreError("; ".join(problems))
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from storage.commands.lake_address import asked_at, lake_options
 from storage.commands.query_output import cell, print_csv, print_json_rows, print_table, write_parquet
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.result_table import ResultTable
@@ -12,6 +13,7 @@ from stream.result_table import ResultTable
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
     from storage.sql.door import QueryLimits, SqlDoor
+    from storage.store import Store
 
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 
@@ -33,16 +35,20 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
     "--max-memory", "memory_gib", type=_POSITIVE, metavar="GIB",
     help="Memory that STATEMENT may take.  [default: 4, or half of the machine's]",
 )  # fmt: skip
+@lake_options
 @click.option("--max-rows", type=click.IntRange(min=1), help="Rows that the result may have.  [default: 100,000,000]")
 @reporting
 def sql(
     statement: str | None, folder: Path, parquet_path: Path | None, catalogue_path: Path | None, time_s: float | None,
-    memory_gib: float | None, max_rows: int | None, *, tables: bool, as_csv: bool, as_json: bool,
+    memory_gib: float | None, max_rows: int | None, url: str | None, endpoint_url: str | None, cache_size: str | None,
+    *, tables: bool, as_csv: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
     STATEMENT runs in a process that can only read the store. One that would do more, fails, or exceeds --max-time,
-    --max-memory or --max-rows, ends with exit code 2. Of a fleet store all tables have the column plant.
+    --max-memory or --max-rows, ends with exit code 2. Of a fleet store all tables have the column plant. With --lake it
+    asks a lake that `gyrofleet lake --lake` published: parts of files are fetched as statements need them, and kept in
+    a cache; credentials come from AWS_*.
 
     \b
     gyrofleet sql --tables
@@ -57,7 +63,7 @@ def sql(
         raise BadInput("give one of --json, --csv and --parquet FILE")
     if tables + (catalogue_path is not None) + (statement is not None and not tables) != 1:
         raise BadInput("give one of STATEMENT, --tables [NAME] and --catalogue FILE")
-    asked = _Asked(folder)
+    asked = _Asked(asked_at(folder, url, endpoint_url, cache_size))
     for path in (catalogue_path, parquet_path):
         if path is not None:
             check_outside(asked.store, path)
@@ -93,14 +99,19 @@ def sql(
 
 
 class _Asked:
-    """The store that is asked, or a fleet store."""
+    """The store that is asked, a fleet store, or the store of a published lake."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, at: "Path | Store") -> None:
         from storage.fleet_store import FleetStore, is_fleet
         from storage.store import Store
 
-        self._fleet = FleetStore.open(folder) if is_fleet(folder) else None
-        self.store = Store.open(folder) if self._fleet is None else Store(folder, "")
+        self._fleet, self._has_files = None, isinstance(at, Path)
+        if not isinstance(at, Path):
+            self.store = at
+        elif is_fleet(at):
+            self._fleet, self.store = FleetStore.open(at), Store(at, "")
+        else:
+            self.store = Store.open(at)
 
     def catalog(self) -> "Catalog":
         """A catalogue of all tables."""
@@ -123,6 +134,8 @@ class _Asked:
 
         if self._fleet is not None:
             raise BadInput(f"a catalogue is of one store: --store {self._fleet.folder}/plants/NAME")
+        if not self._has_files:
+            raise BadInput("a catalogue has views over the files of a store; --parquet FILE keeps a result of a --lake")
         export_catalogue(self.store, path)
         notes().print(
             f"written to {path}: DuckDB 1.3 or later opens it, its view samples needs DuckDB 2.0", soft_wrap=True

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 import msgspec
+from click.core import ParameterSource
 
+from storage.commands.lake_address import endpoint_option
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
 from stream.result_table import ResultTable
@@ -27,15 +29,25 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
     help="Also compare with this attestation: nothing before it may have changed.",
 )  # fmt: skip
 @click.option("--signed-by", default="", metavar="FINGERPRINT", help="Only of this key the attestation counts.")
+@click.option(
+    "--lake", "url", metavar="s3://BUCKET/PREFIX", help="Verify the lake published there; with --store by its log too."
+)
+@endpoint_option
 @reporting
-def verify(folder: Path, against: Path | None, signed_by: str, *, as_json: bool) -> None:
+def verify(
+    folder: Path, against: Path | None, signed_by: str, url: str | None, endpoint_url: str | None, *, as_json: bool
+) -> None:
     """Read everything in the store and report what is wrong, where, and the remedy; nothing is changed.
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
     gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
     models in use and the copies of the specifications, whose documents in the log form an unbroken chain, and the
-    store's own attestations (`gyrofleet attest`). Of a fleet store every plant is verified.
+    store's own attestations (`gyrofleet attest`). Of a fleet store every plant is verified. With
+    --lake every object of a published lake is read and compared with its manifest, with --store also with the log.
     """
+    if url is not None:
+        is_given = click.get_current_context().get_parameter_source("folder") is not ParameterSource.DEFAULT
+        _verify_lake(url, endpoint_url, folder if is_given else None, as_json=as_json)
     from storage.attestation.attestation import read_attestation
     from storage.attestation.comparison import against as compared
     from storage.check.verify import verify as verify_store
@@ -79,13 +91,30 @@ def _print_findings(findings: "Sequence[Finding]") -> None:
             results().print(f"{count - _SHOWN_OF_A_KIND:,} more of {kind}; --json lists all")
 
 
-def _print_counts(found: "Verification", plant: str = "") -> None:
-    what = f"plant {plant}" if plant else "the store"
+def _print_counts(found: "Verification", what: str = "the store") -> None:
     results().print(
         f"{found.segments:,} segments with {found.samples:,} samples in {found.messages:,} messages, {found.parts:,} "
         f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "
         + (f"{what} is sound" if found.is_sound else f"{what} is NOT sound")
     )
+
+
+def _verify_lake(url: str, endpoint_url: str | None, folder: Path | None, *, as_json: bool) -> NoReturn:
+    from storage.check.verify_published import verify_published
+    from storage.object_lake.bucket import Bucket
+    from storage.store import Store
+
+    store = None if folder is None else Store.open(folder)
+    bucket = Bucket(url, endpoint_url)
+    with progress_bar(hidden=as_json) as progress:
+        task = progress.add_task(f"reading {bucket.url}", total=1.0)
+        found = verify_published(bucket, store, lambda done: progress.update(task, completed=done))
+    if as_json:
+        print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
+    else:
+        _print_findings(found.findings)
+        _print_counts(found, "the lake")
+    sys.exit(0 if found.is_sound else 1)
 
 
 def _verify_fleet(folder: Path, *, as_json: bool) -> NoReturn:
@@ -102,7 +131,7 @@ def _verify_fleet(folder: Path, *, as_json: bool) -> NoReturn:
     else:
         for name, each in found.plants.items():
             _print_findings(each.findings)
-            _print_counts(each, name)
+            _print_counts(each, f"plant {name}")
         _print_findings(found.findings)
         sound = "the fleet store is sound" if found.is_sound else "the fleet store is NOT sound"
         results().print(f"{counted(len(found.plants), 'plant')}: {sound}")

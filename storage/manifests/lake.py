@@ -164,7 +164,7 @@ def read_manifest(store: Store) -> Manifest:
                 f"{path} has lake format {manifest.format}, this gyrofleet reads up to {LAKE_FORMAT}: upgrade gyrofleet"
             )
         for part in manifest.parts:
-            _check_names(part)
+            check_names(part)
         for each in manifest.replaced:
             _check_within(each.path.split("/"))
         return manifest
@@ -181,10 +181,8 @@ def read_part(folder: Path) -> Part:
     """The description in a part's folder."""
     path = folder / PART
     try:
-        part = msgspec.json.decode(_unsealed(path.read_bytes()), type=Part)
-        _check_names(part)
-        return part
-    except (OSError, ValueError, msgspec.MsgspecError) as error:
+        return decoded_part(path.read_bytes())
+    except (OSError, ValueError) as error:
         raise StoreError(f"{path} is damaged ({error}); {_REMEDY}") from error
 
 
@@ -246,7 +244,8 @@ def left_aside(store: Store) -> list[Path]:
     return sorted(store.folder.glob("lake-aside*"))
 
 
-def _check_names(part: Part) -> None:
+def check_names(part: Part) -> None:
+    """Refuse, by a ValueError, names that lead out of the lake."""
     for name in (part.name, *part.segments, *part.files):
         _check_within([name])
 
@@ -257,11 +256,24 @@ def _check_within(names: list[str]) -> None:
         raise ValueError(f"{'/'.join(names)!r} is not a path within the lake")
 
 
-def _write(path: Path, value: Manifest | Part) -> None:
+def sealed(value: Manifest | Part) -> bytes:
+    """The content of a description's file, with its hash."""
     content = msgspec.json.encode(value)
-    fresh = path.with_name(f"{path.name}.{time.time_ns()}.new")
-    sealed = _HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL
-    write_durably(path, sealed, fresh=fresh)
+    return _HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL
+
+
+def decoded_part(content: bytes) -> Part:
+    """The part that the content of a ``part.json`` describes; ValueError if that is damaged."""
+    try:
+        part = msgspec.json.decode(_unsealed(content), type=Part)
+    except msgspec.MsgspecError as error:
+        raise ValueError(str(error)) from error
+    check_names(part)
+    return part
+
+
+def _write(path: Path, value: Manifest | Part) -> None:
+    write_durably(path, sealed(value), fresh=path.with_name(f"{path.name}.{time.time_ns()}.new"))
 
 
 def _unsealed(content: bytes) -> bytes:

@@ -12,9 +12,10 @@ import pyarrow as pa
 
 from storage.findings import Finding
 from storage.lake.tables import TABLES
-from storage.manifests.lake import Part, read_manifest
+from storage.manifests.lake import Part
 from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
+from storage.sql.lake_source import LakeSource, source_of
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
 from storage.sql.views import VIEWS, define_views, reading_lake
@@ -24,6 +25,7 @@ from stream.errors import QueryError
 
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
+_ALWAYS_READ = {"channels"}
 _COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
 _PART_ROWS = 122_880  # that DuckDB compresses together
 Progress = Callable[[int, int], None]
@@ -74,19 +76,19 @@ class Catalog(Closing):
 
     What they are made of is in the schema `internal`. A `file` is a DuckDB database to create with the same views; by
     default they are in memory. `progress` is called by a layer with the numbers of steps done and in total. `parts` of
-    the lake are by default those in force now; layers keep what they compute in the folder `kept`, by default the
-    store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes` is the limit of DuckDB, which
-    then uses no disk either; by default most of the machine's memory. With `live` users' statements also see the rows
-    that only the log has, as it is when one first names a table that has some; layers and the project's own statements
-    never do. With `units` channels, documents and estimates of other units are left out, and so their samples; those of
-    no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
+    the lake are by default those in force now, and a `source` reads their files; layers keep what they compute in the
+    folder `kept`, by default the store's, or raise `NotKept` instead of computing anything (`frozen`). `memory_bytes`
+    is the limit of DuckDB, which then uses no disk either; by default most of the machine's memory. With `live` users'
+    statements also see the rows that only the log has, as it is when one first names a table that has some; layers and
+    the project's own statements never do. With `units` channels, documents and estimates of other units are left out,
+    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
     """
 
     def __init__(
         self, store: Store, file: Path | None = None, *, progress: Progress | None = None,
-        parts: Iterable[Part] | None = None, kept: Path | None = None, frozen: bool = False,
-        memory_bytes: int | None = None, live: bool = False, units: Collection[str] | None = None,
-        threads: int | None = None,
+        parts: Iterable[Part] | None = None, source: LakeSource | None = None, kept: Path | None = None,
+        frozen: bool = False, memory_bytes: int | None = None, live: bool = False,
+        units: Collection[str] | None = None, threads: int | None = None,
     ) -> None:  # fmt: skip
         self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
@@ -102,7 +104,9 @@ class Catalog(Closing):
             self._connection.execute(f"create schema {_COMPACT}.internal")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
         self._deferred = DeferredDefinitions(self._execute)
-        self.parts = read_manifest(store).parts if parts is None else tuple(parts)
+        self.source = source_of(store, parts) if source is None else source
+        self.parts = self.source.parts
+        self.source.attach(self._connection)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
             self._attach(f"internal.lake_{table}", table, self.parts)
@@ -113,8 +117,8 @@ class Catalog(Closing):
         self._has_views = False
         if self._live is None:
             self._define_views()
-        folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
-        allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
+        folders = [self.source.root, *(str((self.kept / layer.folder).resolve()) for layer in layers())]
+        allowed = ", ".join("'" + each.replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
         if memory_bytes is not None:
             self._connection.execute(f"set memory_limit = '{memory_bytes}B'; set temp_directory = ''")
@@ -125,12 +129,13 @@ class Catalog(Closing):
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
         """A view of a table over the parts that have it; DuckDB opens the first file now, the others on demand."""
         file = f"{table}.parquet"
-        lake = self.store.lake.resolve()
-        paths = [str(lake / part.name / file) for part in parts if file in part.files and part.files[file].rows]
+        paths = [self.source.path(part.name, file) for part in parts if file in part.files and part.files[file].rows]
         if not paths:
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
             self._connection.execute(f"create table {source} ({columns}, filename varchar)")
             return
+        if table in _ALWAYS_READ:
+            self.source.bring(paths)
         of_units = ""
         if self._units is not None and "unit" in (column.name for column in TABLES[table]):
             of_units = f" where unit is null or unit in ({_quoted(['', *self._units])})"

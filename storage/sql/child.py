@@ -140,7 +140,9 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     import msgspec
 
     from storage.manifests.lake import Part
+    from storage.object_lake.range_service import RangeClient
     from storage.sql.catalog import Catalog
+    from storage.sql.lake_source import RangeLake
     from storage.store import Store
 
     if "plants" in setup:
@@ -150,10 +152,11 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
             Path(setup["folder"]), msgspec.convert(setup["plants"], type=list[PlantFile]), setup["tables"],
             memory_bytes=setup["memory_bytes"],
         )  # fmt: skip
+    parts = msgspec.json.decode(setup["parts"], type=tuple[Part, ...])
+    source = RangeLake(parts, RangeClient(setup["ranges"]).read) if setup["ranges"] else None
     return Catalog(
-        Store(Path(setup["folder"]), setup["identity"]),
-        parts=msgspec.json.decode(setup["parts"], type=tuple[Part, ...]), kept=Path(setup["kept"]), frozen=True,
-        memory_bytes=setup["memory_bytes"], live=True,
+        Store(Path(setup["folder"]), setup["identity"]), parts=parts, source=source, kept=Path(setup["kept"]),
+        frozen=True, memory_bytes=setup["memory_bytes"], live=True,
     )  # fmt: skip
 
 

@@ -17,8 +17,9 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import msgspec
 
 import stream.errors
-from storage.manifests.lake import read_manifest
+from storage.object_lake.range_service import RangeService
 from storage.sql.child import Closed, FrameKind, read_frame, write_frame
+from storage.sql.lake_source import source_of
 from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, QueryError, StoreError
@@ -68,12 +69,14 @@ class SqlDoor(Closing):
     ...     table = door.ask("select unit, signal, samples from signals").read_all()
     """
 
+    _ranges: RangeService | None = None  # serves a published lake to the process
+
     def __init__(self, store: Store, limits: QueryLimits | None = None, *, landlock: bool = True) -> None:
         self.store = store
         self.limits = limits or QueryLimits()
         self.is_enforced: bool | None = None
         self._landlock = landlock
-        self._parts = read_manifest(store).parts
+        self._source = source_of(store)
         self._kept = store.folder
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self._process: _Process | None = None
@@ -143,15 +146,18 @@ class SqlDoor(Closing):
         """What the process opens, and what it may read."""
         return {
             "folder": str(self.store.folder.resolve()), "identity": self.store.identity,
-            "parts": msgspec.json.encode(self._parts).decode(), "kept": str(self._kept.resolve()),
+            "parts": msgspec.json.encode(self._source.parts).decode(), "kept": str(self._kept.resolve()),
             "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())],
         }  # fmt: skip
 
     def _started(self) -> "_Process":
-        self._process = process = _Process()
+        ranges = self._serving()
+        self._process = process = _Process([] if ranges is None else [each.fileno() for each in ranges.far_ends])
+        if ranges is not None:
+            ranges.handed_over()
         setup = {
             **self._setup(), "time_s": self.limits.time_s, "memory_bytes": self.limits.memory_bytes,
-            "landlock": self._landlock,
+            "landlock": self._landlock, "ranges": process.inherited,
         }  # fmt: skip
         process.send(FrameKind.REQUEST, json.dumps(setup).encode())
         try:
@@ -174,13 +180,26 @@ class SqlDoor(Closing):
                 if (self.store.folder / folder).is_dir():
                     shutil.copytree(self.store.folder / folder, Path(self._scratch.name) / folder)
             self._kept = Path(self._scratch.name)
-        with Catalog(self.store, parts=self._parts, kept=self._kept) as catalog:
+        with Catalog(self.store, source=self._source, kept=self._kept) as catalog:
             catalog.prepare(statement)
+
+    def _serving(self) -> RangeService | None:
+        """What serves the lake to the process, if that is not in files that it can read."""
+        if not hasattr(self.store, "parts"):  # one in files needs none of the libraries
+            return None
+        from storage.object_lake.published_store import PublishedStore
+
+        if isinstance(self.store, PublishedStore):
+            self._ranges = RangeService(self.store.read)
+        return self._ranges
 
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
             self._process = None
+        if self._ranges is not None:
+            self._ranges.close()
+            self._ranges = None
 
     def close(self) -> None:
         """End the process."""
@@ -192,13 +211,14 @@ class SqlDoor(Closing):
 class _Process:
     """The process, and the end of its standard error."""
 
-    def __init__(self) -> None:
+    def __init__(self, inherited: list[int]) -> None:
+        self.inherited = inherited
         folders = os.pathsep.join(each for each in sys.path if each)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "storage.sql.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=subprocess.PIPE, pass_fds=inherited,
             # memory that arenas reserve would count; nothing is compiled there, and numba's cache is not writable
-            env={**os.environ, "PYTHONPATH": folders, "MALLOC_ARENA_MAX": "2", "NUMBA_DISABLE_JIT": "1"},
+            env={**_environment(), "PYTHONPATH": folders, "MALLOC_ARENA_MAX": "2", "NUMBA_DISABLE_JIT": "1"},
         )  # fmt: skip
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -242,6 +262,11 @@ class _Process:
         self.answers.close()
         with suppress(OSError):  # unsent data are discarded
             self._requests.close()
+
+
+def _environment() -> dict[str, str]:
+    """The environment without credentials: the process has no use for them."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("AWS_")}
 
 
 def _too_much_memory(limits: QueryLimits, how: str = "") -> QueryError:

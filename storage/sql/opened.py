@@ -35,6 +35,17 @@ class Answer:
         return list(self._table.to_pylist())
 
 
+def opened_at(folder: str | PathLike[str] | Store, endpoint_url: str | None = None) -> Store:
+    """The store in a folder, or whose lake is published at ``s3://BUCKET/PREFIX``."""
+    if isinstance(folder, Store):
+        return folder
+    if str(folder).startswith("s3:"):
+        from storage.object_lake.published_store import PublishedStore
+
+        return PublishedStore.open_url(str(folder), endpoint_url)
+    return Store.open(Path(folder))
+
+
 class OpenedStore(Closing):
     """A store as it is when it is opened; `limits` are the time, memory and rows of one statement.
 
@@ -45,8 +56,10 @@ class OpenedStore(Closing):
     ...     frame = store.sql("select unit, value, lo, hi from unit_metrics where metric = 'bias'").polars()
     """
 
-    def __init__(self, folder: str | PathLike[str], limits: QueryLimits | None = None) -> None:
-        self.door = SqlDoor(Store.open(Path(folder)), limits)
+    def __init__(
+        self, folder: str | PathLike[str] | Store, limits: QueryLimits | None = None, *, endpoint_url: str | None = None
+    ) -> None:
+        self.door = SqlDoor(opened_at(folder, endpoint_url), limits)
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
         """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""

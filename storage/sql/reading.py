@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from storage.lake.tables import SAMPLES_FILE, damaged, open_table
+from storage.lake.tables import SAMPLES_FILE, damaged
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers, rows_with
 from storage.store import Store
@@ -73,7 +73,7 @@ def _check_held(catalog: Asked, column: str, wanted: str, of: str, given: dict[s
     held = [str(row[0]) for row in catalog.rows(sql, given)]
     if wanted not in held:
         listed = ", ".join(held[:12]) + (f" and {len(held) - 12} more" if len(held) > 12 else "")
-        raise NotFound(f"{column} {wanted!r}{of} is not in {catalog.store.folder}; it holds {listed or 'nothing yet'}")
+        raise NotFound(f"{column} {wanted!r}{of} is not in {catalog.store.label}; it holds {listed or 'nothing yet'}")
 
 
 def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:
@@ -108,7 +108,7 @@ def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.Re
     stretches = catalog.rows(sql, {"channel": channel})
     if all(seq_next <= after for (_, seq_next, _), (after, _, _) in itertools.pairwise(stretches)):
         for _, _, path in stretches:
-            yield from _part_rows(Path(path).with_name(SAMPLES_FILE), channel, column)
+            yield from _part_rows(catalog, f"{path.rpartition('/')[0]}/{SAMPLES_FILE}", channel, column)
         return
     # a segment that was recovered later has numbers between those of another part
     sql = (
@@ -119,9 +119,9 @@ def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.Re
         yield batch.select(["seq", "t_ns", column])
 
 
-def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch]:
+def _part_rows(catalog: Catalog, path: str, channel: int, column: str) -> Iterator[pa.RecordBatch]:
     columns = ["base", "above"] if column == "counts" else ["value"]
-    with open_table(path) as file:
+    with catalog.source.open_table(path) as file:
         bounds = [file.metadata.row_group(i).column(0).statistics for i in range(file.num_row_groups)]
         own = [i for i, each in enumerate(bounds) if each is not None and each.min <= channel <= each.max]
         try:
@@ -135,12 +135,12 @@ def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch
                     numbered = [rows.column("seq"), rows.column("t_ns"), data]
                     yield pa.RecordBatch.from_arrays(numbered, ["seq", "t_ns", column])
         except (pa.ArrowException, OSError) as error:
-            raise damaged(path, error) from error
+            raise damaged(Path(path), error) from error
 
 
 def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int) -> NotFound:
     return NotFound(
-        f"unit {unit}, signal {signal}, run {run}: raw samples were dropped from {catalog.store.folder} to make room "
+        f"unit {unit}, signal {signal}, run {run}: raw samples were dropped from {catalog.store.label} to make room "
         f"({gone:,} of {of:,}; the documents raw_rows_dropped in the view events say when and why); what is kept of "
         f"them is in rollup_1s, rollup_10s and estimates, and in the log: `gyrofleet replay {run}`"
     )

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from storage.lake.compaction import FAN_IN, compact
 from storage.lake.lake import Lake
@@ -11,8 +12,12 @@ from stream.console import Stop
 from stream.errors import GyrofleetError, StoreError
 from stream.status.role_status import Role, RoleStatus, new_status
 
+if TYPE_CHECKING:
+    from storage.object_lake.publisher import Publisher
+
 _RETRY_S = 60.0
 _RETENTION_EVERY_S = 60.0
+_PUBLISHED_EVERY_S = 60.0  # what is unchanged
 
 Report = Callable[..., None]  # gets an event in one word, a sentence, and numbers by name
 
@@ -21,11 +26,17 @@ class LakeService:
     """Maintains a lake round by round; the caller holds `builder_lock`.
 
     A failure is reported once and retried after a minute; it delays nothing else. `grace_s` is how long replaced files
-    stay for their readers. `segments` were brought to the lake, and `compacted` parts merged, since the start.
+    stay for their readers. A `publisher` keeps a copy on an object store. `segments` were brought to the lake, and
+    `compacted` parts merged, since the start.
     """
 
-    def __init__(self, store: Store, *, report: Report, rule: Rule | None = None, grace_s: float = 3600.0) -> None:
+    def __init__(
+        self, store: Store, *, report: Report, rule: Rule | None = None, grace_s: float = 3600.0,
+        publisher: "Publisher | None" = None,
+    ) -> None:  # fmt: skip
         self._store, self._report, self._rule = store, report, rule
+        self._publisher = publisher
+        self._published: tuple[int, float] | None = None  # number of the manifest, and when
         self._grace_s = grace_s
         self._lake: Lake | None = None
         self._retained_at = float("-inf")
@@ -43,7 +54,11 @@ class LakeService:
     def round(self, stopped: Stop) -> list[str]:
         """Do everything that is due, until `stopped`; returns the failures."""
         problems: list[str] = []
-        for what, step in (("lake", self._build), ("compaction", self._compact), ("retention", self._retain)):
+        steps = (
+            ("lake", self._build), ("compaction", self._compact), ("retention", self._retain),
+            ("publication", self._publish),
+        )  # fmt: skip
+        for what, step in steps:
             if stopped.asked_at is not None:
                 break
             try:
@@ -88,6 +103,17 @@ class LakeService:
         if dropped.parts:
             text = f"raw rows of {dropped.samples:,} samples dropped, {dropped.bytes:,} bytes ({self._rule})"
             self._report("raw_rows_dropped", text, **dropped._asdict())
+
+    def _publish(self, _stopped: Stop, _problems: list[str]) -> None:
+        manifest = self._opened().manifest
+        if self._publisher is None:
+            return
+        if self._published is not None:
+            number, at = self._published
+            if time.monotonic() - at < (_PUBLISHED_EVERY_S if number == manifest.number else 0.0):
+                return
+        self._published = manifest.number, time.monotonic()
+        self._publisher.publish(manifest)
 
     def _opened(self) -> Lake:
         if self._lake is None:

@@ -1,0 +1,184 @@
+"""Where a catalogue reads the files of a lake: in the folder of a store, or by ranges of a published lake."""
+
+import io
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import duckdb
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from storage.lake.tables import damaged, open_table
+from storage.manifests.lake import Part, read_manifest
+from storage.store import Store
+from stream.errors import StoreError
+
+if TYPE_CHECKING:
+    from storage.object_lake.published_store import PublishedStore
+
+_SCHEME = "gyrolake"
+_FIRST_NS = datetime.fromtimestamp(0, UTC)  # files of a published lake never change
+
+
+class LakeSource(Protocol):
+    """The files of the parts in force."""
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Parts in force when the source was opened."""
+
+    @property
+    def root(self) -> str:
+        """Where all paths begin."""
+
+    def path(self, part: str, file: str) -> str:
+        """Path of a file, for DuckDB."""
+
+    def attach(self, connection: duckdb.DuckDBPyConnection) -> None:
+        """Let a connection read its paths."""
+
+    def bring(self, paths: Iterable[str]) -> None:
+        """Prepare to read small files, of which all are needed soon."""
+
+    def open_table(self, path: str) -> pq.ParquetFile:
+        """A table with page checksums; StoreError if it is damaged."""
+
+
+class LocalLake:
+    """The lake in a store's folder."""
+
+    def __init__(self, store: Store, parts: Iterable[Part] | None = None) -> None:
+        self._folder = store.lake.resolve()
+        self.parts = read_manifest(store).parts if parts is None else tuple(parts)
+        self.root = str(self._folder)
+
+    def path(self, part: str, file: str) -> str:
+        """Path of a file."""
+        return str(self._folder / part / file)
+
+    def attach(self, connection: duckdb.DuckDBPyConnection) -> None:
+        """Nothing to do."""
+
+    def bring(self, paths: Iterable[str]) -> None:
+        """Nothing to do."""
+
+    def open_table(self, path: str) -> pq.ParquetFile:
+        """A table with page checksums; StoreError if it is damaged."""
+        return open_table(Path(path))
+
+
+class RangeLake:
+    """A published lake: `read` gives bytes of a file ``PART/FILE`` from an offset on."""
+
+    root = f"{_SCHEME}://"
+
+    def __init__(
+        self, parts: Sequence[Part], read: Callable[[str, int, int], bytes],
+        bring: Callable[[list[str]], None] = lambda _: None,
+    ) -> None:  # fmt: skip
+        self.parts = tuple(parts)
+        self._read, self._bring = read, bring
+        self._bytes = {f"{part.name}/{name}": file.bytes for part in parts for name, file in part.files.items()}
+
+    def path(self, part: str, file: str) -> str:
+        """Path of a file."""
+        return f"{self.root}{part}/{file}"
+
+    def attach(self, connection: duckdb.DuckDBPyConnection) -> None:
+        """Register the file system of the lake."""
+        from fsspec import AbstractFileSystem
+
+        lake = self
+
+        class LakeFileSystem(AbstractFileSystem):
+            """Reads files of one lake."""
+
+            protocol = _SCHEME
+            cachable = False
+
+            def open(self, path: str, *_: Any, **__: Any) -> "_RangeFile":
+                return lake.open(path)
+
+            def glob(self, path: str, **_: Any) -> list[str]:
+                return [path]
+
+            def exists(self, path: str, **_: Any) -> bool:
+                return lake.name(path) in lake._bytes
+
+            def info(self, path: str, **_: Any) -> dict[str, Any]:
+                return {"name": path, "size": lake.open(path).size, "type": "file"}
+
+            def modified(self, _: str) -> datetime:
+                return _FIRST_NS
+
+        connection.register_filesystem(LakeFileSystem())
+
+    def bring(self, paths: Iterable[str]) -> None:
+        """Fetch small files, several at a time."""
+        self._bring([self.name(path) for path in paths])
+
+    def open_table(self, path: str) -> pq.ParquetFile:
+        """A table with page checksums; StoreError if it is damaged."""
+        try:
+            return pq.ParquetFile(pa.PythonFile(self.open(path), mode="r"), page_checksum_verification=True)
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(Path(self.name(path)), error) from error
+
+    def open(self, path: str) -> "_RangeFile":
+        """A file, to read."""
+        name = self.name(path)
+        if name not in self._bytes:
+            raise FileNotFoundError(path)
+        return _RangeFile(name, self._bytes[name], self._read)
+
+    def name(self, path: str) -> str:
+        """``PART/FILE`` of a path."""
+        return path.removeprefix(self.root)
+
+
+class _RangeFile(io.RawIOBase):
+    """A file that is read by ranges."""
+
+    def __init__(self, name: str, size: int, read: Callable[[str, int, int], bytes]) -> None:
+        self._name, self.size, self._read = name, size, read
+        self._at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self.size}[whence]
+        return self._at
+
+    def read(self, size: int = -1) -> bytes:
+        length = self.size - self._at if size is None or size < 0 else size
+        try:
+            content = self._read(self._name, self._at, length)
+        except StoreError as error:
+            raise OSError(str(error)) from error
+        self._at += len(content)
+        return content
+
+    def readinto(self, buffer: Any) -> int:
+        content = self.read(len(buffer))
+        buffer[: len(content)] = content
+        return len(content)
+
+
+def source_of(store: "Store | PublishedStore", parts: Iterable[Part] | None = None) -> LakeSource:
+    """The lake of a store, with the parts in force now unless others are given."""
+    parts_published = getattr(store, "parts", None)
+    if parts_published is None:
+        return LocalLake(store, parts)
+    from storage.object_lake.published_store import PublishedStore
+
+    assert isinstance(store, PublishedStore)
+    return RangeLake(store.parts if parts is None else tuple(parts), store.read, store.bring)
