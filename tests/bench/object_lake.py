@@ -94,7 +94,7 @@ def compare(folder: Path, units: int, days: int, samples: int) -> dict[str, Any]
         bucket = Bucket("s3://fleet/bench", endpoint)
         begin = time.perf_counter()
         with builder_lock(store):
-            lake = Publisher(store, bucket).publish(Lake(store).manifest)
+            lake = Publisher(store, bucket).publish()
         published_s = time.perf_counter() - begin
         size = sum(part.bytes for part in lake.parts)
         local = asked(store, 3)
