@@ -1,7 +1,7 @@
 """Verification of the log: its manifest, every byte of its segments, and the numbers of every stream."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from uuid import UUID
