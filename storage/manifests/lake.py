@@ -94,7 +94,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 class _Written(msgspec.Struct, frozen=True, kw_only=True):
     """The file. In format 2 parts of older segments stand in `blocks`, drops as ranges of segments by document."""
 
-    format: int
+    format: int = 1
     number: int = 0
     parts: tuple[Part, ...] = ()
     replaced: tuple[Replaced, ...] = ()

@@ -131,7 +131,7 @@ def in_order(parts: Iterable[Part]) -> list[Part]:
 def check_names(part: Part) -> None:
     """Refuse, by a ValueError, names that lead out of the lake."""
     if _NAMES.fullmatch("\n".join((part.name, *part.segments, *part.files))) is None:
-        raise ValueError(f"a name of part {part.name!r} is not one within the lake")
+        raise ValueError(f"a name of part {part.name!r} is not a path within the lake")
 
 
 def check_within(names: list[str]) -> None:
