@@ -8,10 +8,11 @@ from storage.manifests.lake import NEW_LAKE
 from storage.manifests.log import SNAPSHOT
 from storage.sql.catalog import layers
 from storage.store import Store
-from storage.store_marker import MARKER
+from storage.store_marker import MARKER, REPLICA
 
 _DERIVED = {"lake", NEW_LAKE, "checkpoints", "plots", "reports", SNAPSHOT, "published"}
 _OF_PROCESSES = {"tmp", "status", "control", "spool"}
+_OF_FLEET = {REPLICA}  # the backup of a copy in a fleet store is one of the plant's own store
 DATABASE = ".db"
 
 
@@ -21,7 +22,7 @@ def other_files(store: Store) -> Iterator[Path]:
     Left out is what is computed from the log, what processes that are at work tell each other, and the spool of a
     source, whose messages are not in the store yet.
     """
-    left_out = _DERIVED | _OF_PROCESSES | {"log", *(layer.folder for layer in layers())}
+    left_out = _DERIVED | _OF_PROCESSES | _OF_FLEET | {"log", *(layer.folder for layer in layers())}
     for top in sorted(store.folder.iterdir()):
         if top.name in left_out or top.name.startswith(("lake-aside", f"{store.lake.name}-aside")):
             continue

@@ -15,6 +15,7 @@ from storage.replication.identities import Conflict, conflicts
 from storage.replication.progress import Progress
 from storage.replication.receiver import Receiver, Report
 from storage.replication.source import SegmentSource
+from storage.specifications.copies import write_missing_copies
 from stream.errors import StoreError
 
 _PATIENCE_S = 10.0
@@ -108,6 +109,7 @@ class Replication:
                     continue
                 with builder_lock(replica.store, patience_s=_PATIENCE_S):
                     deque(build_missing(replica.store), maxlen=0)
+                write_missing_copies(replica.store)
             except StoreError as error:
                 failed[replica.plant.name] = str(error)
         return failed

@@ -1,6 +1,7 @@
 """Readable copies of the specifications in the store's folder ``products``; only the log counts."""
 
 import os
+import re
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from stream.errors import StoreError
 from stream.events import SpecificationEntered
 
 FOLDER = "products"
+_PLAIN = re.compile(r"\w[^/\x00]{0,199}")
 
 
 def write_copy(store: Store, document: SpecificationEntered) -> None:
@@ -26,6 +28,13 @@ def write_copy(store: Store, document: SpecificationEntered) -> None:
         raise StoreError(
             f"cannot write {path}: {error}; free the disk or mend its permissions, then `gyrofleet recover`"
         ) from error
+
+
+def write_missing_copies(store: Store) -> None:
+    """Write the copies of entered revisions that are not there, from the log; a name is never a path."""
+    for name, document in _contents(read_chain(store)).items():
+        if _PLAIN.fullmatch(name) is not None and not (store.folder / FOLDER / f"{name}.toml").exists():
+            write_copy(store, document)
 
 
 def specification_findings(store: Store) -> list[Finding]:

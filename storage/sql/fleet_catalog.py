@@ -12,6 +12,7 @@ import duckdb
 import msgspec
 
 from storage.sql.catalog import Catalog
+from storage.sql.deferred import DeferredDefinitions
 from storage.sql.guard import plain_message
 from storage.sql.views import VIEWS, conversion_macros
 from storage.store import Store
@@ -56,6 +57,7 @@ class FleetCatalog(Catalog):
     ) -> None:  # fmt: skip
         self.store, self.progress, self.kept, self.frozen = Store(folder, ""), None, folder, True
         self.parts, self._unfilled, self._live, self._has_views = (), [], None, True
+        self._is_in_memory, self._deferred = True, DeferredDefinitions(self._execute)
         self._notes = tuple(note for each in plants for note in each.notes)
         self._connection = duckdb.connect(":memory:")
         try:

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from gyrofleet import main
 from storage.fleet_store import FleetStore
 from storage.sql.catalog import Catalog, known_tables
-from storage.sql.fleet_door import opened_fleet_catalog
+from storage.sql.fleet_door import FleetDoor, opened_fleet_catalog
 
 _LIMIT = """
 revision = "1"
@@ -63,20 +63,20 @@ def ask(fleet: Path) -> Callable[..., Result]:
 
 
 def test_every_row_in_sql_has_its_plant(ask: Callable[..., Result], fleet: Path) -> None:
-    def asked(statement: str) -> list[Any]:
-        return [tuple(row.values()) for row in json.loads(ask("sql", statement, "--json").stdout)]
+    with FleetDoor(FleetStore.open(fleet)) as door:
 
-    counts = asked("select plant, unit, run, count(*) from samples group by all order by all")
-    assert counts == [(plant, "FOG-1", "r1", 4000) for plant in _BIAS_DEG_PER_H]
-    means = asked(
-        "select plant, round(avg(deg_per_h(value, unit_of_measure)), 1) from samples group by all order by all"
-    )
-    assert means == list(_BIAS_DEG_PER_H.items())
-    for table in ("runs", "units", "steps", "estimates", "events", "unit_metrics", "unit_verdicts"):
-        assert {plant for (plant,) in asked(f"select distinct plant from {table}")} == set(_BIAS_DEG_PER_H), table
-    assert {row["plant"] for row in json.loads(ask("sql", "from adev('FOG-1', 'rate')", "--json").stdout)} == set(
-        _BIAS_DEG_PER_H
-    )
+        def asked(statement: str) -> list[Any]:
+            return [tuple(row.values()) for row in door.ask(statement).read_all().to_pylist()]
+
+        counts = asked("select plant, unit, run, count(*) from samples group by all order by all")
+        assert counts == [(plant, "FOG-1", "r1", 4000) for plant in _BIAS_DEG_PER_H]
+        mean = "round(avg(deg_per_h(value, unit_of_measure)), 1)"
+        means = asked(f"select plant, {mean} from samples group by all order by all")
+        assert means == list(_BIAS_DEG_PER_H.items())
+        for table in ("runs", "steps", "estimates", "events", "unit_metrics", "unit_verdicts", "adev('FOG-1', 'rate')"):
+            assert {plant for (plant,) in asked(f"select distinct plant from {table}")} == set(_BIAS_DEG_PER_H), table
+    one = json.loads(ask("sql", "select plant, unit, verdict from unit_verdicts order by all", "--json").stdout)
+    assert [row["plant"] for row in one] == list(_BIAS_DEG_PER_H)
     assert "plant" in ask("sql", "--tables", "samples").stdout
 
 
@@ -109,6 +109,15 @@ def test_metrics_and_verdicts_of_a_plant_are_those_of_its_store_alone(
         assert {row["plant"] for row in csv.DictReader(file)} == set(_BIAS_DEG_PER_H)
     ask("metrics", "--unit", "FOG-9", code=1)
     ask("metrics", "--annex-a", "FOG-1", code=1)
+
+
+def test_a_copy_agrees_with_what_its_plant_has_attested(fleet: Path, run_command: Callable[..., Any]) -> None:
+    words = ("attest", "--store", "xian", "--out", "xian.json", "--key", "key.pem")
+    assert run_command(*words, cwd=fleet.parent).code == 0
+    copy = fleet / "plants" / "xian"
+    assert (copy / "products" / "f70-1.toml").read_text() == _LIMIT
+    found = run_command("verify", "--store", copy, "--against", "xian.json", "--json", cwd=fleet.parent)
+    assert (found.code, found.json["findings"]) == (0, [])
 
 
 def test_one_serial_with_two_products_is_reported_and_not_merged(ask: Callable[..., Result], fleet: Path) -> None:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from storage.backup.backup import back_up
+from storage.backup.restore import restore
 from storage.check.recover import recover
 from storage.check.verify import verify
 from storage.fleet_store import FleetStore
@@ -132,3 +134,16 @@ def test_a_damaged_copy_is_not_taken(store: Store, fleet: FleetStore) -> None:
 def test_a_store_that_is_being_written_is_left_alone(store: Store, fleet: FleetStore) -> None:
     with WriterLock(store, "gyrofleet record"), pytest.raises(StoreError, match="being written by gyrofleet record"):
         recalled(store, fleet)
+
+
+def test_a_backup_of_a_copy_restores_the_plant_or_the_copy(tmp_path: Path, store: Store, fleet: FleetStore) -> None:
+    copy = fleet.replica("a").store
+    back_up(copy, tmp_path / "backup")
+    restore(tmp_path / "backup", tmp_path / "again")
+    again = Store.open(tmp_path / "again")
+    assert (read_plant(again.folder), segments_of(again)) == (read_plant(store.folder), segments_of(store))
+    fill(again, range(8, 10))  # it is the plant's store, which records
+    shutil.rmtree(copy.folder)
+    restore(tmp_path / "backup", copy.folder)
+    assert replicated(fleet, again).added == 1
+    assert verified(fleet).is_sound

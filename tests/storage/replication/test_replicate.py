@@ -9,9 +9,11 @@ from storage.replication.bandwidth import Bandwidth
 from storage.replication.fleet_status import fleet_status
 from storage.replication.folder_source import FolderSource
 from storage.replication.receiver import Receiver
+from storage.specifications.chain import append_document
 from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.errors import BadInput, StoreError
+from stream.events import SpecificationAction, SpecificationEntered
 from tests.storage.replication.plants import CutOff, kinds, plant, received, replicated, segments_of, verified
 from tests.storage.verified_store import fill
 
@@ -136,3 +138,17 @@ def test_a_plant_without_segments_is_no_plant_yet(tmp_path: Path) -> None:
     fleet = FleetStore.create(tmp_path / "fleet")
     found = received(FolderSource(Store.create(tmp_path / "a").folder), fleet)
     assert (found.is_well, found.added, fleet.replicas()) == (True, 0, [])
+
+
+@pytest.mark.parametrize("name", ["../../../../stolen", "/tmp/stolen", "..", ".hidden/x"])
+def test_a_name_within_a_document_is_never_a_path(tmp_path: Path, name: str) -> None:
+    store, fleet = plant(tmp_path / "a", 1), FleetStore.create(tmp_path / "fleet")
+    for each in (name, "fog"):
+        document = SpecificationEntered(
+            run="", t_ns=5, action=SpecificationAction.ADDED, name=each, revision="1", content='revision = "1"', by="Li"
+        )
+        append_document(store, document)
+    assert replicated(fleet, store).is_well
+    copy = fleet.replica("a").store.folder
+    assert [path.name for path in (copy / "products").iterdir()] == ["fog-1.toml"]
+    assert not list(tmp_path.rglob("*stolen*"))
