@@ -116,6 +116,7 @@ def _add_commands() -> None:
     from storage.commands.lake import lake, rebuild, retain
     from storage.commands.record import record, router
     from storage.commands.replicate import replicate
+    from storage.commands.site import site
     from storage.commands.sql import sql
     from storage.commands.status import status
     from storage.commands.verify import recover, verify
@@ -127,6 +128,7 @@ def _add_commands() -> None:
     main.add_section("Certify", budget, attitude, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
+    main.add_section("Secure the bus", site)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover, attest, backup, restore, replicate)
     main.add_section("Give to other programs", export_iceberg)
     main.add_section("Shell", completion)

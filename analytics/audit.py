@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from analytics.event_words import kind_name, summary
+from storage.manifests.part import with_sources
 from storage.sql.catalog import Catalog
 from stream.atomic_file import replacement
 from stream.console import csv_text
@@ -48,7 +49,7 @@ class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
 
 def audit_of(catalog: Catalog, unit: str) -> list[AuditRow]:
     """Everything that happened to a unit, the earliest first; NotFound if the store has nothing of it."""
-    sources = {part.name: dict(part.sources) for part in catalog.parts}
+    sources = {part.name: with_sources(catalog.store.lake, part).sources for part in catalog.parts}
     rows = list(_rows(catalog, unit, sources))
     if not rows:
         raise NotFound(f"the log of {catalog.store.folder} has no document of unit {unit!r}")

@@ -147,10 +147,11 @@ class Store:
 class WriterLock(Closing):
     """Lock of the one process that writes a store: on ``writer.lock``, which names the holder, and on the log folder.
 
-    `role` is who writes, for the error message of other processes; `endpoint` is where, empty if it does not listen.
+    `role` is who writes, for the error message of other processes; `endpoint` is where, empty if it does not listen,
+    `security` the folder of its certificate, empty if its bus has no security.
     """
 
-    def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
+    def __init__(self, store: Store, role: str, endpoint: str = "", security: str = "") -> None:
         if is_replica(store.folder) and role != REPLICATION:
             raise StoreError(
                 f"{store.folder} is a fleet store's copy of a plant, which `gyrofleet replicate` alone writes: record, "
@@ -171,7 +172,9 @@ class WriterLock(Closing):
                 f"{holder.get('process', '?')}; send to it{where}, or wait until it has ended"
             ) from None
         self._last_endpoint = endpoint or _holder(store.folder).get("last_endpoint", "")
-        self._write({"role": role, "process": os.getpid(), "endpoint": endpoint})
+        self._write(
+            {"role": role, "process": os.getpid(), "endpoint": endpoint} | ({"security": security} if security else {})
+        )
 
     def close(self) -> None:
         """Let another process write."""
@@ -225,6 +228,12 @@ def _is_locked(path: Path) -> bool:
 def writer_endpoint(folder: Path) -> str | None:
     """Endpoint of the process that writes the store now; None if there is none."""
     return (_holder(folder).get("endpoint") or None) if writer_is_active(folder) else None
+
+
+def writer_security(folder: Path) -> Path | None:
+    """Folder of the certificate of the process that writes the store now; None if its bus has no security."""
+    found = _holder(folder).get("security") if writer_is_active(folder) else None
+    return Path(found) if found else None
 
 
 def recorder_endpoint(folder: Path) -> str | None:

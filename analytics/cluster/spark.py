@@ -35,13 +35,15 @@ _HOST = "host"
 _LOOPBACK = re.compile(r"spark://(127\.[\d.]+|localhost):")
 # that decide the last digits of a result
 _PACKAGES = ("gyrofleet", "duckdb", "numpy", "scipy", "numba", "pyarrow", "polars")
-# of the driver's Java, which only plans: to start soon is worth more than to run fast
+# of Java, which only plans and passes bytes on: to start soon is worth more than to run fast
+_QUICK = "-XX:TieredStopAtLevel=1 -XX:+UseSerialGC"
 _JAVA = {
-    "spark.driver.extraJavaOptions": "-XX:TieredStopAtLevel=1 -XX:+UseSerialGC",
+    "spark.driver.extraJavaOptions": _QUICK,
     "spark.driver.memory": "2g",  # holds the results of a job
 }
 _SETTINGS = {
     "spark.app.name": "gyrofleet",
+    "spark.executor.extraJavaOptions": _QUICK,
     "spark.ui.enabled": "false",
     "spark.ui.showConsoleProgress": "false",
     "spark.driver.maxResultSize": "0",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from storage.manifests.lake import Part
+from storage.manifests.part import Part
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import StoreError

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from stream.console import notes, print_json, reporting, store_option, until_stopped
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from stream.events import AnyDocument
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     help="Seconds between looks at runs that have been recorded, which may refuse a model.",
 )  # fmt: skip
 @reporting
+@secured(Role.ESTIMATOR)
 def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_json: bool) -> None:
     """Take off what the live error models predict, as SIGNAL_compensated beside the raw signal, until stopped.
 

@@ -12,7 +12,8 @@ from typing import Generic, TypeVar
 import msgspec
 
 from analytics.serve.metrics_process import LARGE_SAMPLES, MetricsProcess
-from storage.manifests.lake import MANIFEST, Part, read_manifest
+from storage.manifests.lake import MANIFEST, read_manifest
+from storage.manifests.part import Part
 from storage.sql.catalog import Catalog, NotKept
 from storage.store import Store
 from stream.closing import Closing

@@ -9,6 +9,8 @@ import click
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput, NotFound
 from stream.events import CommandOutcome, RunAction
+from stream.security.rights import Role
+from stream.security_options import secured
 
 _ACTIONS = tuple(each.value for each in RunAction)
 
@@ -20,6 +22,7 @@ _ACTIONS = tuple(each.value for each in RunAction)
 @click.option("--by", help="Who; by default the name of the user.")
 @store_option
 @reporting
+@secured(Role.APPROVER, Role.STATION, Role.RECORDER)
 def control(run: str, action: str, reason: str, by: str | None, folder: Path, *, as_json: bool) -> None:
     """Pause, resume or abort the RUN of a procedure that a station on this computer carries out.
 

@@ -10,6 +10,8 @@ import click
 from ingest.commands.import_report import LISTED_FILES, report_files
 from stream.console import estimates_option, notes, print_json, progress_bar, reporting, store_option
 from stream.errors import BadInput
+from stream.security.rights import Role
+from stream.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:
@@ -61,6 +63,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--listen", help="Let subscribers connect at this endpoint during the import.")
 @estimates_option
 @reporting
+@secured(Role.STATION, Role.RECORDER)
 def import_files(
     files: tuple[Path, ...], folder: Path, unit: str | None, run: str | None, start: str | None,
     sample_rate_hz: float | None, renames: tuple[str, ...], databases: tuple[Path, ...], mapping: Path | None,

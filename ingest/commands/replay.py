@@ -9,6 +9,8 @@ import click
 from storage.commands.stored_names import RUN
 from stream.console import notes, print_json, progress_bar, reporting, results, store_option
 from stream.errors import BadInput
+from stream.security.rights import Role
+from stream.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ _TOLD = 10
     help="Seconds of a signal's time between estimates; by default as the stored ones came.",
 )  # fmt: skip
 @reporting
+@secured(Role.STATION)
 def replay(
     run: str, folder: Path, speed: float, into: Path | None, connect: str | None, every_s: float | None, *,
     as_json: bool,

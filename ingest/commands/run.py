@@ -9,8 +9,11 @@ from typing import Any
 import click
 
 from ingest.commands.procedure import PROCEDURE
+from ingest.station.station_security import station_security
 from stream.console import estimates_option, reporting, status_listen_option, store_option
 from stream.errors import BadInput
+from stream.security.rights import Role
+from stream.security_options import secured
 
 _defaulted = partial(click.option, show_default=True)
 _PATH = click.Path(path_type=Path)
@@ -71,6 +74,7 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @destination_options
 @click.option("--check", "is_check", is_flag=True, help="Check whether the run could begin, and end.")
 @reporting
+@secured(Role.STATION, default=lambda given: station_security(given["station"]))
 def run(
     station: Path | None, units: Path | None, parameters: tuple[str, ...], run_id: str | None, settle_timeout_h: float,
     estimated: tuple[str, ...], folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int,
@@ -127,6 +131,7 @@ def run(
 @status_listen_option
 @destination_options
 @reporting
+@secured(Role.STATION)
 def run_simulated(
     run_id: str, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int,
     status_listen: str | None, *, is_ended: bool, as_json: bool, **given: Any,

@@ -46,7 +46,7 @@ class EmbeddedPipeline:
             stack.enter_context(WriterLock(self.store, role))
             log = EventLog(self.store, rotate_bytes=rotate_bytes)
             self.recovered: list[Recovery] = log.recovered
-            bus = stack.enter_context(ZenohBus(listen=listen))
+            bus = stack.enter_context(ZenohBus(listen=listen, is_embedded=True))
             self.put_status = on_bus(bus)
             self._estimates = stack.enter_context(DurablePublisher(bus))
             publishers = [self._estimates]

@@ -151,8 +151,10 @@ def _listen(bus: ZenohBus, run: str, units: Sequence[str], on_document: Callable
             if isinstance(document, EarlyDecision | VerdictGiven) and document.run == run and document.unit in wanted:
                 on_document(document)
 
+    # a station is admitted to its own keys only
+    own = "*" if bus.credentials is None else bus.credentials.principal.name
     for what in (EARLY_DECISION, VERDICT):
-        bus.subscribe(estimate_key(Place("*", "*"), "*", "*", what), take)
+        bus.subscribe(estimate_key(Place("*", own), "*", "*", what), take)
 
 
 def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:

@@ -115,6 +115,7 @@ class StationTable(StationLocation, frozen=True, kw_only=True, forbid_unknown_fi
     name: str
     time_zone: str = "UTC"
     simulated: bool = False
+    security: str = ""  # folder of its certificate, beside the file; "mtls" is the folder `security`
 
 
 class StandardTable(Standard, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -130,6 +131,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     lines: dict[str, LineTable] = {}
     slots: dict[str, SlotTable] = {}
     settings: dict[str, str] = {}
+    security: str = ""  # as in [station]
 
 
 class Station(msgspec.Struct, frozen=True, kw_only=True):

@@ -16,7 +16,8 @@ from pathlib import Path
 import msgspec
 
 from storage.attestation.signing_key import SigningKey, is_signed
-from storage.manifests.log import SegmentEntry, read_log_manifest
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import read_log_manifest
 from storage.replication.source import is_carried
 from storage.segments.disk import sha256_of
 from storage.specifications.copies import FOLDER as SPECIFICATIONS
@@ -126,7 +127,7 @@ def read_attestation(path: Path) -> Attestation:
 def attest(store: Store, key: SigningKey) -> tuple[Path, Attestation]:
     """Sign what the store is now, and keep it there; StoreError if its manifest is damaged."""
     with only_one(store.folder / FOLDER / ".lock", "gyrofleet attest"):
-        found = read_log_manifest(store)
+        found = read_log_manifest(store, whole=True)
         if found.damage:
             line, why = found.damage[0]
             raise StoreError(

@@ -34,7 +34,7 @@ def against(store: Store, attestation: Attestation, where: str, signer: str = ""
     if stated.store != store.identity:
         what = f"it is of the store {stated.store}, this one is {store.identity}"
         return [Finding("attestation_foreign", Severity.DAMAGE, where, what, "give the attestation of this store")]
-    found = read_log_manifest(store)
+    found = read_log_manifest(store, whole=True)
     return [*_segments(store, stated, found), *_order(store, stated, found), *_files(store, stated)]
 
 

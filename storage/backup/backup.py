@@ -12,7 +12,8 @@ import msgspec
 
 from storage.backup.content import DATABASE, other_files, unlisted_segments
 from storage.backup.copied_file import CopiedFile, copy_database, copy_file
-from storage.manifests.log import LogManifest, SegmentEntry, manifest_path, read_log_manifest
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
 from storage.store import Store, only_one
 from stream.atomic_file import write_durably
 from stream.errors import StoreError
@@ -105,7 +106,7 @@ class _Writer:
 
     def written(self) -> Written:
         for _ in range(_ATTEMPTS):
-            found = read_log_manifest(self._store)
+            found = read_log_manifest(self._store, whole=True)
             if found.damage:
                 raise StoreError(
                     f"{manifest_path(self._store)} is damaged in line {found.damage[0].line}: `gyrofleet recover` "

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from storage.log.files import is_own
 from storage.manifests.lake import NEW_LAKE
+from storage.manifests.log import SNAPSHOT
 from storage.sql.catalog import layers
 from storage.store import Store
 from storage.store_marker import MARKER, REPLICA
 
-_DERIVED = {"lake", NEW_LAKE, "checkpoints", "plots", "reports"}
+_DERIVED = {"lake", NEW_LAKE, "checkpoints", "plots", "reports", SNAPSHOT, "published"}
 _OF_PROCESSES = {"tmp", "status", "control", "spool"}
 _OF_FLEET = {REPLICA}  # the backup of a copy in a fleet store is one of the plant's own store
 DATABASE = ".db"

@@ -18,7 +18,8 @@ from storage.log.files import quarantine_unknown
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
 from storage.log.sequence import LostStretch
 from storage.log.store_documents import append_document, store_document
-from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import LOST, ManifestWriter, manifest_path, read_log_manifest, rewrite_manifest
 from storage.specifications.copies import mend_copies
 from storage.store import Store, WriterLock
 from stream.errors import StoreError
@@ -98,7 +99,7 @@ def _repair_log(store: Store) -> Iterator[Action]:
 
 def _repair_manifest(store: Store) -> Iterator[Action]:
     """Rewrite a damaged manifest with its valid entries; `EventLog` adds the segments that it lacks."""
-    found = read_log_manifest(store)
+    found = read_log_manifest(store, whole=True)
     is_missing = not manifest_path(store).exists() and any(store.log.glob("*.mcap"))
     if found.damage or is_missing:
         aside = rewrite_manifest(store, [*found.entries.values(), *found.lost.values()])

@@ -10,7 +10,8 @@ from storage.attestation.comparison import own_findings
 from storage.check.verify_lake import lasting_problems
 from storage.check.verify_log import LogState, verify_log
 from storage.findings import Finding, Severity, Verification
-from storage.manifests.lake import Part, read_manifest
+from storage.manifests.lake import read_manifest
+from storage.manifests.part import Part
 from storage.specifications.copies import specification_findings
 from storage.store import Store, writer_is_active
 from stream.delivery.spool import held_messages
@@ -86,7 +87,7 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
         damaged_file = store.lake / problem.part / problem.file
         found.append(Finding("lake_damaged", Severity.DAMAGE, str(damaged_file), problem.what, problem.remedy))
     try:
-        manifest = read_manifest(store)
+        manifest = read_manifest(store, with_sources=True)
     except StoreError:
         return found  # reported above
     for part in manifest.parts:

@@ -11,6 +11,7 @@ from storage.lake.lake import Lake, quarantine, rebuilt_manifest
 from storage.lake.part import without_samples
 from storage.lake.tables import open_table
 from storage.manifests import lake as manifests
+from storage.manifests import part as descriptions
 from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.errors import StoreError
@@ -34,7 +35,7 @@ def lake_problems(store: Store) -> Iterator[LakeProblem]:
 
 def lasting_problems(store: Store) -> list[LakeProblem]:
     """As `lake_problems`, for a lake that may change meanwhile: changed parts are checked again."""
-    sound: dict[str, manifests.Part] = {}
+    sound: dict[str, descriptions.Part] = {}
     until = time.monotonic() + _SETTLED_WITHIN_S
     while True:
         before = _version(store)
@@ -62,10 +63,10 @@ def _stamp(path: Path) -> tuple[int, int]:
     return found.st_ino, found.st_mtime_ns  # inode numbers are reused
 
 
-def _problems(store: Store, sound: dict[str, manifests.Part]) -> Iterator[LakeProblem]:
+def _problems(store: Store, sound: dict[str, descriptions.Part]) -> Iterator[LakeProblem]:
     """Damage of the parts that are not in `sound`; intact parts are added to it."""
     try:
-        manifest = manifests.read_manifest(store)
+        manifest = manifests.read_manifest(store, with_sources=True)
     except manifests.LakeManifestDamaged as error:
         remedy = "rebuild the manifest from the parts' descriptions, and missing parts from the log"
         yield LakeProblem("", manifests.MANIFEST, str(error), remedy)
@@ -111,21 +112,21 @@ def repair_lake(store: Store) -> Iterator[LakeProblem]:
         raise failure
 
 
-def _part_problems(store: Store, part: manifests.Part) -> Iterator[LakeProblem]:
+def _part_problems(store: Store, part: descriptions.Part) -> Iterator[LakeProblem]:
     folder = store.lake / part.name
     if not folder.is_dir():
         yield _problem(part, "", "its folder is missing")
         return
     try:
-        described = manifests.read_part(folder)
+        described = descriptions.read_part(folder)
         if described.dropped is not None and part.dropped is None:
             is_as_listed = described == without_samples(part, described.dropped.document)  # written before the manifest
         else:
             is_as_listed = described == part
         if not is_as_listed:
-            yield _problem(part, manifests.PART, "it does not match the manifest")
+            yield _problem(part, descriptions.PART, "it does not match the manifest")
     except StoreError as error:
-        yield _problem(part, manifests.PART, str(error))
+        yield _problem(part, descriptions.PART, str(error))
     for name, file in part.files.items():
         wrong = _wrong_with(folder / name, file)
         if wrong is not None:
@@ -135,7 +136,7 @@ def _part_problems(store: Store, part: manifests.Part) -> Iterator[LakeProblem]:
         yield _problem(part, "samples.parquet", f"{raw.rows} rows, its segments have {part.samples} samples")
 
 
-def _wrong_with(path: Path, file: manifests.PartFile) -> str | None:
+def _wrong_with(path: Path, file: descriptions.PartFile) -> str | None:
     try:
         size = path.stat().st_size
         if size != file.bytes:
@@ -151,6 +152,6 @@ def _wrong_with(path: Path, file: manifests.PartFile) -> str | None:
     return None if rows == file.rows else f"{rows} rows, {file.rows} are expected"
 
 
-def _problem(part: manifests.Part, file: str, what: str) -> LakeProblem:
+def _problem(part: descriptions.Part, file: str, what: str) -> LakeProblem:
     remedy = f"quarantine {part.name} and rebuild its {len(part.segments)} segments from the log"
     return LakeProblem(part.name, file, what, remedy)

@@ -1,7 +1,7 @@
 """Verification of the log: its manifest, every byte of its segments, and the numbers of every stream."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from uuid import UUID
@@ -12,8 +12,9 @@ from storage.log.recovery import left_open, reached_in
 from storage.log.sequence import DOCUMENTS, LostStretch, SequenceCheck, place_of
 from storage.log.store_documents import is_foreign
 from storage.log.tail import open_records
+from storage.manifests.entries import SegmentEntry
 from storage.manifests.lake import read_manifest
-from storage.manifests.log import SegmentEntry, manifest_path, read_log_manifest
+from storage.manifests.log import manifest_path, read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.segments.reader import SegmentScan, read_segment
 from storage.segments.records import EVENTS, LogRecord
@@ -43,7 +44,7 @@ class LogState:
 
     store: str
     findings: list[Finding] = field(default_factory=list)
-    entries: dict[str, SegmentEntry] = field(default_factory=dict)
+    entries: MutableMapping[str, SegmentEntry] = field(default_factory=dict)
     lost: dict[str, SegmentEntry] = field(default_factory=dict)
     gone: list[str] = field(default_factory=list)
     samples: dict[str, int] = field(default_factory=dict)
@@ -100,7 +101,7 @@ def _verify_manifest(store: Store, state: LogState) -> list[Path]:
     while True:
         # segments first: what is sealed later is not verified
         sealed = sealed_segments(store)
-        manifest = read_log_manifest(store)
+        manifest = read_log_manifest(store, whole=True)
         is_listed = all(path.name in manifest.entries for path in sealed)
         if is_listed or not writer_is_active(store.folder) or time.monotonic() >= until:
             break

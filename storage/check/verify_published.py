@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 from storage.findings import Finding, Severity, Verification
 from storage.lake.part import without_samples
-from storage.manifests.lake import PART, Part, decoded_part
 from storage.manifests.log import read_log_manifest
+from storage.manifests.part import PART, Part, decoded_part
 from storage.object_lake.bucket import AT_ONCE, Bucket, StoredObject
 from storage.object_lake.published import BLOCKS, HEAD, PARTS, Published, read_published
 from storage.store import Store

@@ -18,6 +18,8 @@ from stream.console import (
     store_option,
     until_stopped,
 )
+from stream.security.rights import Role
+from stream.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 @estimates_option
 @status_listen_option
 @reporting
+@secured(Role.ESTIMATOR)
 def estimate(
     folder: Path, connect: str | None, every_s: float, averages_s: tuple[float, ...], checkpoint_every_s: float,
     estimated: tuple[str, ...], status_listen: str | None, *, no_spectrum: bool, as_json: bool,

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from stream.console import notes, print_json, reporting, status_listen_option, store_option, until_stopped
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from storage.recording.recorder import Recorder
@@ -40,6 +42,7 @@ _SILENCE_S = 30.0
 @click.option("--no-lake", is_flag=True, help="Leave the lake to a separate `gyrofleet lake`.")
 @status_listen_option
 @reporting
+@secured(Role.RECORDER, listens=True)
 def record(
     folder: Path, listen: str | None, connect: str | None, rotate_mb: int, rotate_s: float, sync_ms: int,
     status_listen: str | None, *, no_lake: bool, as_json: bool,
@@ -49,12 +52,16 @@ def record(
     from storage.recording.recorder import Recorder
     from storage.store import Store, WriterLock
     from stream.errors import BadInput, StoreError
+    from stream.security.credentials import process_security
+    from stream.security.endpoint import parse_endpoint, secured_endpoint
     from stream.status.reporter import served
     from stream.transport.zenoh_bus import DEFAULT_ENDPOINT, ZenohBus
 
     if listen and connect:
         raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
-    endpoint = connect or listen or DEFAULT_ENDPOINT
+    credentials = process_security().credentials
+    default = DEFAULT_ENDPOINT if credentials is None else secured_endpoint(DEFAULT_ENDPOINT)
+    endpoint = connect or listen or default
     console = notes()
     printing = threading.Lock()
 
@@ -66,7 +73,9 @@ def record(
             console.print(f"{_now()} warning: {text}", soft_wrap=True, markup=False)
 
     store = Store.create(folder)
-    with WriterLock(store, "gyrofleet record", endpoint), until_stopped() as stopped:
+    reached = str(parse_endpoint(endpoint).local)
+    folder_of_key = "" if credentials is None else str(credentials.folder)
+    with WriterLock(store, "gyrofleet record", reached, folder_of_key), until_stopped() as stopped:
         try:
             log = EventLog(store, rotate_bytes=rotate_mb << 20, rotate_s=rotate_s)
         except OSError as error:
@@ -103,6 +112,7 @@ def record(
 @click.command("router")
 @click.option("--listen", default="tcp/127.0.0.1:7447", show_default=True, help="Address that all others connect to.")
 @reporting
+@secured(Role.ROUTER, listens=True)
 def router(listen: str, *, as_json: bool) -> None:
     """Pass messages between sources, recorder and estimators that connect here, until stopped.
 

@@ -10,6 +10,8 @@ import msgspec
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
 from stream.errors import BadInput
 from stream.result_table import ResultTable
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -42,6 +44,7 @@ _ENDPOINT = "tcp/127.0.0.1:7448"
 @click.option("--recall", "recalls", is_flag=True, help="Read all of --to; fetch what is lost or damaged.")
 @click.option("--no-lake", is_flag=True, help="Leave the lakes to `gyrofleet rebuild`, or to a later pass.")
 @reporting
+@secured(Role.FLEET, Role.RECORDER)
 def replicate(
     sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None,
     folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool, serves: bool, recalls: bool,

@@ -21,7 +21,8 @@ import pyarrow.parquet as pq
 from storage.lake.drops import Drops
 from storage.lake.part import BuiltPart, fresh_folder
 from storage.lake.tables import CHANNEL_COLUMNS, ROW_GROUP, SAMPLES_FILE, TABLES, damaged, open_table, part_writers
-from storage.manifests.lake import Manifest, Part, PartFile, hull, write_part
+from storage.manifests.lake import Manifest
+from storage.manifests.part import Part, PartFile, hull, with_sources, write_part
 from stream.errors import StoreError
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def merge_parts(lake: "Lake", group: list[Part]) -> Compacted:
     name = lake.free_name(f"{group[0].day or 'empty'}-{digest}")
     fresh = lake.store.tmp / f"lake-{name}"
     with fresh_folder(fresh):
-        part = hull(group, name, _merged_files(lake, group, fresh))
+        part = hull([with_sources(lake.store.lake, each) for each in group], name, _merged_files(lake, group, fresh))
         write_part(fresh, part)
     lake.swap([each.name for each in group], [BuiltPart(fresh, part, Drops({}, {}))])
     return Compacted(name, len(group))

@@ -17,6 +17,7 @@ from storage.lake.part import BuiltPart, build_part, documented_drops, without_s
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.files import sealed_segments
 from storage.manifests import lake as manifests
+from storage.manifests import part as descriptions
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.store import Store
 from stream.atomic_file import sync_folder
@@ -80,7 +81,7 @@ class Lake:
         is_changed = drops != self._drops()
         kept = [part for part in self.manifest.parts if part.name not in gone]
         self.commit(
-            parts=tuple(manifests.in_order([*kept, *(each.part for each in new)])),
+            parts=tuple(descriptions.in_order([*kept, *(each.part for each in new)])),
             replaced=(*self.manifest.replaced, *(manifests.Replaced(name, now_ns) for name in sorted(gone))),
             **drops._asdict(),
         )
@@ -90,8 +91,7 @@ class Lake:
     def commit(self, **changes: object) -> None:
         """Write a changed manifest."""
         manifest = msgspec.structs.replace(self.manifest, number=self.manifest.number + 1, **changes)
-        manifests.write_manifest(self.store, manifest)
-        self.manifest = manifest
+        self.manifest = manifests.write_manifest(self.store, manifest)
 
     def drop_raw(self, dropped: Mapping[str, str]) -> None:
         """Drop the raw rows of segments; `dropped` names the document of each, which must be in the log."""
@@ -149,12 +149,12 @@ class Lake:
         found, drops = [], self._drops()
         listed = read_log_manifest(self.store)
         for path in sorted(self.store.lake.iterdir()):
-            if path.name in known or not path.is_dir():
+            if path.name in known or path.name == manifests.BLOCKS or not path.is_dir():
                 continue
-            if not (path / manifests.PART).exists() and not path.name.isdecimal():
+            if not (path / descriptions.PART).exists() and not path.name.isdecimal():
                 continue  # not a part
             try:
-                part = manifests.read_part(path)
+                part = descriptions.read_part(path)
             except StoreError:
                 quarantine(self.store, path)
                 continue
@@ -167,11 +167,11 @@ class Lake:
             else:
                 shutil.rmtree(path)
         lost = {
-            part.name for part in self.manifest.parts if not (self.store.lake / part.name / manifests.PART).exists()
+            part.name for part in self.manifest.parts if not (self.store.lake / part.name / descriptions.PART).exists()
         }
         if found or lost:
             kept = [part for part in self.manifest.parts if part.name not in lost]
-            self.commit(parts=tuple(manifests.in_order([*kept, *found])), **drops._asdict())
+            self.commit(parts=tuple(descriptions.in_order([*kept, *found])), **drops._asdict())
 
     def _drops(self) -> Drops:
         return Drops(self.manifest.dropped, self.manifest.restored)
@@ -181,8 +181,9 @@ class Lake:
         for part in self.manifest.parts:
             due = [segment for segment in part.segments if segment in self.manifest.dropped]
             if part.dropped is None and due and len(due) == len(part.segments):
-                without = without_samples(part, self.manifest.dropped[due[-1]])
-                manifests.write_part(self.store.lake / part.name, without)
+                described = descriptions.with_sources(self.store.lake, part)
+                without = without_samples(described, self.manifest.dropped[due[-1]])
+                descriptions.write_part(self.store.lake / part.name, without)
                 parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
                 gone = manifests.Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
                 self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
@@ -191,7 +192,7 @@ class Lake:
                     self.rebuild_part(part.name)
 
 
-def is_from_log(part: manifests.Part, log: LogManifest) -> bool:
+def is_from_log(part: descriptions.Part, log: LogManifest) -> bool:
     """Whether a part was made from segments of this log, as far as that is known."""
     known = {name.removesuffix(".mcap"): entry for name, entry in (*log.lost.items(), *log.entries.items())}
     return not known or all(

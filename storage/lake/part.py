@@ -12,7 +12,7 @@ import pyarrow as pa
 from storage.lake import tables
 from storage.lake.drops import Drops
 from storage.lake.segment_content import SegmentContent
-from storage.manifests.lake import DroppedRows, Part, PartFile, write_part
+from storage.manifests.part import DroppedRows, Part, PartFile, write_part
 from storage.segments.disk import sha256_of
 from storage.segments.reader import read_segment
 from stream.errors import OutOfMemory, StoreError

@@ -71,12 +71,12 @@ def _only_in_old(store: Store, new: Lake) -> list[str]:
     if not (store.lake / MANIFEST).exists():
         return []
     try:
-        old = read_manifest(store)
+        old = read_manifest(store, with_sources=True)
     except StoreError:
         return []
     before, now = (
         {segment: sha256 for part in manifest.parts for segment, sha256 in part.sources.items()}
-        for manifest in (old, new.manifest)
+        for manifest in (old, read_manifest(new.store, with_sources=True))
     )
     others = {segment for segment in before.keys() & now.keys() if before[segment] != now[segment]}
     return sorted(old.segments - new.manifest.segments | others)

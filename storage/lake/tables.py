@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from storage.manifests.lake import PartFile
+from storage.manifests.part import PartFile
 from stream.errors import StoreError
 
 ROW_GROUP = 1_000_000

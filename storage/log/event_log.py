@@ -12,7 +12,8 @@ from storage.log.files import highest_number, sealed_segments, unknown_files
 from storage.log.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, unlisted_entry
 from storage.log.sequence import LogPlace, SegmentTally, place_of, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
-from storage.manifests.log import ManifestWriter, SegmentEntry
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import ManifestWriter
 from storage.segments.disk import DISK, Disk
 from storage.segments.reader import SegmentScan, read_marks
 from storage.segments.records import LogRecord

@@ -13,7 +13,7 @@ from pathlib import Path
 from storage.log.files import is_own, next_free
 from storage.log.sequence import LostStretch, SegmentTally, SequenceCheck, place_of, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
-from storage.manifests.log import SegmentEntry
+from storage.manifests.entries import SegmentEntry
 from storage.segments.disk import DISK, Disk, sha256_of
 from storage.segments.reader import SegmentScan, read_marks, read_segment
 from storage.segments.records import SealedSegment

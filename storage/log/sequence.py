@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from storage.manifests.log import SegmentEntry
+from storage.manifests.entries import SegmentEntry
 from storage.segments.records import EVENTS, SAMPLES, LogRecord, SealedSegment
 from stream.errors import StoreError
 from stream.events import AnyDocument, RunEnded, decode_event

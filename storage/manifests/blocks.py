@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 import msgspec
 import zstandard
 
-from storage.manifests.lake import Part, check_names
+from storage.manifests.part import Part, check_names
 
 SPAN = 4096  # segments
 _LEVEL = 3

@@ -1,90 +1,47 @@
-"""The lake's manifest: the parts in force, their files, and what was dropped of them.
+"""The lake's manifest: the parts in force, and what was dropped of them.
 
-A part is a folder of Parquet files made from one or more sealed segments, described in its ``part.json``, which is
-written before the folder gets its name. ``manifest.json`` alone says which parts are in force; it is replaced as a
-whole. Both files carry a hash of their content.
+``manifest.json`` alone says which parts are in force; it is replaced as a whole, and carries a hash of its content. In
+a lake of many segments it is a head that names immutable blocks of parts (format 2), so that a change writes what is
+near it and nothing else.
 """
 
 import hashlib
-import re
 import shutil
 import time
-from collections.abc import Iterable
-from datetime import UTC, datetime
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 
+from storage.manifests.blocks import decode_block, encode_block, in_blocks, packed, unpacked
+from storage.manifests.part import (
+    PART,
+    REMEDY,
+    Part,
+    check_names,
+    check_within,
+    in_order,
+    read_part,
+    unsealed,
+    write_sealed,
+)
 from storage.store import Store
 from stream.atomic_file import sync_folder, write_durably
 from stream.errors import StoreError
 
-LAKE_FORMAT = 1
+LAKE_FORMAT = 2
 MANIFEST = "manifest.json"
-PART = "part.json"
+BLOCKS = "manifest"
 NEW_LAKE = "lake-new"
 
 _COMPLETE = "complete"  # mark in a new lake: it may replace the old one
 _REMOVABLE = "removable"  # mark in an old lake: the new one holds everything in it
 
-_HEAD = b'{"sha256":"'
-_MIDDLE = b'","content":'
-_TAIL = b"}\n"
-# of a folder or file in the lake, or of a segment
-_NAME = re.compile(r"\w[\w.-]*")
+_ATTEMPTS = 5  # to read blocks, while they are replaced
 
 
 class LakeManifestDamaged(StoreError):
     """The lake's manifest is lost or damaged."""
-
-
-class PartFile(msgspec.Struct, frozen=True):
-    """A file of a part."""
-
-    bytes: int
-    rows: int
-    sha256: str
-
-
-class DroppedRows(msgspec.Struct, frozen=True):
-    """Raw rows that a part no longer holds, and the document of it."""
-
-    document: str
-    samples: int
-    bytes: int
-
-
-class Part(msgspec.Struct, frozen=True, kw_only=True):
-    """A part of the lake: the folder `name`, made from the sealed `segments`, in order.
-
-    `samples` are those in its segments, `sources` their SHA-256 (empty in parts of an older gyrofleet). `dropped` is
-    set once its raw rows are. `quarantined` messages cannot be built; the log keeps them and their samples.
-    """
-
-    name: str
-    segments: tuple[str, ...]
-    files: dict[str, PartFile]
-    samples: int
-    t_first_ns: int | None = None
-    t_last_ns: int | None = None
-    arrival_first_ns: int | None = None
-    arrival_last_ns: int | None = None
-    dropped: DroppedRows | None = None
-    sources: dict[str, str] = {}
-    quarantined: int = 0
-    quarantined_samples: int = 0
-
-    @property
-    def bytes(self) -> int:
-        """Size of its files."""
-        return sum(file.bytes for file in self.files.values())
-
-    @property
-    def day(self) -> str:
-        """UTC day of its first arrival; empty for an empty part."""
-        if self.arrival_first_ns is None:
-            return ""
-        return datetime.fromtimestamp(self.arrival_first_ns // 10**9, UTC).strftime("%Y-%m-%d")
 
 
 class Replaced(msgspec.Struct, frozen=True):
@@ -94,19 +51,35 @@ class Replaced(msgspec.Struct, frozen=True):
     at_ns: int
 
 
+class Block(msgspec.Struct, frozen=True):
+    """A block of parts: its file below ``manifest/``, and the hash of it."""
+
+    number: int
+    file: str
+    sha256: str
+
+
+class _Loaded(msgspec.Struct, frozen=True):
+    """A block as it was read or written."""
+
+    block: Block
+    parts: list[Part]
+
+
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """What is in force: parts in the order of their first segments.
 
     `replaced` is removed later. `dropped` are segments whose raw rows are dropped, with the document of it, `restored`
-    those restored, with the documents that no longer apply to them. `number` counts changes.
+    those restored, with the documents that no longer apply to them. `number` counts changes. `blocks` are those that it
+    was read from.
     """
 
-    format: int = LAKE_FORMAT
     number: int = 0
     parts: tuple[Part, ...] = ()
     replaced: tuple[Replaced, ...] = ()
     dropped: dict[str, str] = {}
     restored: dict[str, tuple[str, ...]] = {}
+    blocks: tuple[_Loaded, ...] = ()
 
     @property
     def segments(self) -> set[str]:
@@ -118,77 +91,168 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
         return next(part for part in self.parts if part.name == name)
 
 
-def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
-    """The description of a part that holds what `parts` hold."""
-    parts = list(parts)
+class _Written(msgspec.Struct, frozen=True, kw_only=True):
+    """The file. In format 2 parts of older segments stand in `blocks`, drops as ranges of segments by document."""
 
-    def known(field: str) -> list[int]:
-        return [value for part in parts if (value := getattr(part, field)) is not None]
+    format: int = 1
+    number: int = 0
+    parts: tuple[Part, ...] = ()
+    replaced: tuple[Replaced, ...] = ()
+    dropped: dict[str, str] = {}
+    restored: dict[str, tuple[str, ...]] = {}
+    blocks: tuple[Block, ...] = ()
+    dropped_by: dict[str, list[str]] = {}
+    restored_by: dict[str, list[str]] = {}
 
-    dropped = [part.dropped for part in parts if part.dropped is not None]
-    return Part(
-        name=name,
-        segments=tuple(sorted(segment for part in parts for segment in part.segments)),
-        files=files,
-        samples=sum(part.samples for part in parts),
-        sources={segment: sha256 for part in parts for segment, sha256 in sorted(part.sources.items())},
-        t_first_ns=min(known("t_first_ns"), default=None),
-        t_last_ns=max(known("t_last_ns"), default=None),
-        arrival_first_ns=min(known("arrival_first_ns"), default=None),
-        arrival_last_ns=max(known("arrival_last_ns"), default=None),
-        dropped=None
-        if not dropped
-        else DroppedRows(dropped[-1].document, sum(d.samples for d in dropped), sum(d.bytes for d in dropped)),
-        quarantined=sum(part.quarantined for part in parts),
-        quarantined_samples=sum(part.quarantined_samples for part in parts),
+
+def read_manifest(store: Store, *, with_sources: bool = False) -> Manifest:
+    """The manifest of a store's lake; an empty one if nothing has reached the lake yet.
+
+    Parts of older segments have their `sources` only if these are asked for.
+    """
+    path = store.lake / MANIFEST
+    for left in reversed(range(_ATTEMPTS)):
+        content = _content(store, path)
+        if content is None:
+            return Manifest()
+        try:
+            return _decoded(path, content, with_sources=with_sources)
+        except FileNotFoundError as error:  # a block that was replaced since
+            if not left or _content(store, path) == content:
+                raise LakeManifestDamaged(f"{error.filename}, a block of the manifest, is missing; {REMEDY}") from error
+        except (OSError, ValueError, msgspec.MsgspecError) as error:
+            raise LakeManifestDamaged(f"{path} is damaged ({error}); {REMEDY}") from error
+    raise AssertionError
+
+
+def _content(store: Store, path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        if store.lake.is_dir() and next(store.lake.glob(f"*/{PART}"), None) is not None:
+            raise LakeManifestDamaged(f"{path} is missing; {REMEDY}") from None
+        if (store.folder / NEW_LAKE / MANIFEST).exists() and not store.lake.is_dir():
+            raise LakeManifestDamaged(f"{store.lake} is being rebuilt; run `gyrofleet rebuild` again") from None
+        return None
+    except OSError as error:
+        raise LakeManifestDamaged(f"{path} cannot be read: {error}; {REMEDY}") from error
+
+
+def _decoded(path: Path, content: bytes, *, with_sources: bool) -> Manifest:
+    written = msgspec.json.decode(unsealed(content), type=_Written)
+    if written.format > LAKE_FORMAT:
+        raise StoreError(
+            f"{path} has lake format {written.format}, this gyrofleet reads up to {LAKE_FORMAT}: upgrade gyrofleet"
+        )
+    for part in written.parts:
+        check_names(part)
+    for each in written.replaced:
+        check_within(each.path.split("/"))
+    loaded = tuple(_loaded(path.parent, block, with_sources=with_sources) for block in written.blocks)
+    parts = [*(part for each in loaded for part in each.parts), *written.parts]
+    dropped, restored = dict(written.dropped), dict(written.restored)
+    for document, ranges in written.dropped_by.items():
+        dropped.update(dict.fromkeys(unpacked(ranges), document))
+    for document, ranges in written.restored_by.items():
+        for segment in unpacked(ranges):
+            restored[segment] = (*restored.get(segment, ()), document)
+    return Manifest(
+        number=written.number, parts=tuple(in_order(parts)), replaced=written.replaced, dropped=dropped,
+        restored=restored, blocks=loaded,
+    )  # fmt: skip
+
+
+def _loaded(lake: Path, block: Block, *, with_sources: bool) -> _Loaded:
+    check_within([block.file])
+    content = (lake / BLOCKS / block.file).read_bytes()
+    if hashlib.sha256(content).hexdigest() != block.sha256:
+        raise ValueError(f"the content of block {block.file} does not match its hash")
+    return _Loaded(block, decode_block(content, with_sources=with_sources))
+
+
+def write_manifest(store: Store, manifest: Manifest) -> Manifest:
+    """Put a manifest in force, atomically; returns it with its blocks.
+
+    While all segments are within one block it has none, and the format of earlier versions. Blocks that are no longer
+    named are removed: who reads an old manifest meanwhile reads the new one.
+    """
+    by_number = in_blocks(manifest.parts)
+    newest = max(by_number, default=0)
+    earlier = {each.block.number: each for each in manifest.blocks}
+    loaded: list[_Loaded] = []
+    for number, parts in sorted(by_number.items()):
+        before = earlier.get(number)
+        if number == newest:
+            continue
+        loaded.append(
+            before if before is not None and before.parts == parts else _written(store, manifest, number, parts)
+        )
+    tail = tuple(_with_known_sources(store, earlier.get(newest), by_number.get(newest, [])))
+    written = _Written(
+        format=1, number=manifest.number, parts=tail, replaced=manifest.replaced, dropped=manifest.dropped,
+        restored=manifest.restored,
+    )  # fmt: skip
+    if loaded:
+        dropped_by, restored_by = _by_document(manifest)
+        written = msgspec.structs.replace(
+            written, format=LAKE_FORMAT, blocks=tuple(each.block for each in loaded), dropped={}, restored={},
+            dropped_by=dropped_by, restored_by=restored_by,
+        )  # fmt: skip
+    write_sealed(store.lake / MANIFEST, written)
+    _remove_others(store, {each.block.file for each in loaded})
+    return msgspec.structs.replace(manifest, blocks=tuple(loaded))
+
+
+def _by_document(manifest: Manifest) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Ranges of dropped and of restored segments by the document of it."""
+    dropped: dict[str, list[str]] = {}
+    restored: dict[str, list[str]] = {}
+    for segment, document in manifest.dropped.items():
+        dropped.setdefault(document, []).append(segment)
+    for segment, documents in manifest.restored.items():
+        for document in documents:
+            restored.setdefault(document, []).append(segment)
+    return (
+        {document: packed(segments) for document, segments in dropped.items()},
+        {document: packed(segments) for document, segments in restored.items()},
     )
 
 
-def read_manifest(store: Store) -> Manifest:
-    """The manifest of a store's lake; an empty one if nothing has reached the lake yet."""
-    path = store.lake / MANIFEST
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        if store.lake.is_dir() and next(store.lake.glob(f"*/{PART}"), None) is not None:
-            raise LakeManifestDamaged(f"{path} is missing; {_REMEDY}") from None
-        if (store.folder / NEW_LAKE / MANIFEST).exists() and not store.lake.is_dir():
-            raise LakeManifestDamaged(f"{store.lake} is being rebuilt; run `gyrofleet rebuild` again") from None
-        return Manifest()
-    except OSError as error:
-        raise LakeManifestDamaged(f"{path} cannot be read: {error}; {_REMEDY}") from error
-    try:
-        manifest = msgspec.json.decode(_unsealed(content), type=Manifest)
-        if manifest.format > LAKE_FORMAT:
-            raise StoreError(
-                f"{path} has lake format {manifest.format}, this gyrofleet reads up to {LAKE_FORMAT}: upgrade gyrofleet"
-            )
-        for part in manifest.parts:
-            check_names(part)
-        for each in manifest.replaced:
-            _check_within(each.path.split("/"))
-        return manifest
-    except (ValueError, msgspec.MsgspecError) as error:
-        raise LakeManifestDamaged(f"{path} is damaged ({error}); {_REMEDY}") from error
+def _written(store: Store, manifest: Manifest, number: int, parts: list[Part]) -> _Loaded:
+    """Write a block, durably, under a name that no other has."""
+    earlier = {each.block.number: each for each in manifest.blocks}
+    content = encode_block(_with_known_sources(store, earlier.get(number), parts))
+    file = f"{number:06d}-{manifest.number:08d}-{time.time_ns():x}.json.zst"
+    folder = store.lake / BLOCKS
+    if not folder.is_dir():
+        folder.mkdir()
+        sync_folder(store.lake)
+    write_durably(folder / file, content)
+    return _Loaded(Block(number, file, hashlib.sha256(content).hexdigest()), parts)
 
 
-def write_manifest(store: Store, manifest: Manifest) -> None:
-    """Put a manifest in force, atomically."""
-    _write(store.lake / MANIFEST, manifest)
+def _with_known_sources(store: Store, before: _Loaded | None, parts: list[Part]) -> list[Part]:
+    """Parts with the SHA-256 of their segments; those read without them have them in their block or description."""
+    if all(part.sources for part in parts):
+        return parts
+    earlier = [] if before is None else _loaded(store.lake, before.block, with_sources=True).parts
+    known = {each.name: each.sources for each in earlier}
+    found = []
+    for part in parts:
+        sources = part.sources or known.get(part.name)
+        if not sources:
+            with suppress(StoreError):  # a damaged part is rebuilt
+                sources = read_part(store.lake / part.name).sources
+        found.append(msgspec.structs.replace(part, sources=sources or {}))
+    return found
 
 
-def read_part(folder: Path) -> Part:
-    """The description in a part's folder."""
-    path = folder / PART
-    try:
-        return decoded_part(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path} is damaged ({error}); {_REMEDY}") from error
-
-
-def write_part(folder: Path, part: Part) -> None:
-    """Write a part's description into its folder."""
-    _write(folder / PART, part)
+def _remove_others(store: Store, named: set[str]) -> None:
+    folder = store.lake / BLOCKS
+    if folder.is_dir():
+        for path in folder.iterdir():
+            if path.name not in named:
+                path.unlink(missing_ok=True)
 
 
 def found_parts(store: Store) -> list[Part]:
@@ -208,11 +272,6 @@ def found_parts(store: Store) -> list[Part]:
             taken.update(part.segments)
             chosen.append(part)
     return in_order(chosen)
-
-
-def in_order(parts: Iterable[Part]) -> list[Part]:
-    """Parts in the order of their first segments."""
-    return sorted(parts, key=lambda part: (part.segments[0], part.name))
 
 
 def switch(store: Store, *, keep_old: bool) -> None:
@@ -242,47 +301,3 @@ def finish_switch(store: Store) -> None:
 def left_aside(store: Store) -> list[Path]:
     """Quarantined lakes, which hold more than the log gives, and damaged parts."""
     return sorted(store.folder.glob("lake-aside*"))
-
-
-def check_names(part: Part) -> None:
-    """Refuse, by a ValueError, names that lead out of the lake."""
-    for name in (part.name, *part.segments, *part.files):
-        _check_within([name])
-
-
-def _check_within(names: list[str]) -> None:
-    """Refuse paths that lead out of the lake: folders and files are removed by these names."""
-    if len(names) > 2 or any(_NAME.fullmatch(name) is None for name in names):
-        raise ValueError(f"{'/'.join(names)!r} is not a path within the lake")
-
-
-def sealed(value: Manifest | Part) -> bytes:
-    """The content of a description's file, with its hash."""
-    content = msgspec.json.encode(value)
-    return _HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL
-
-
-def decoded_part(content: bytes) -> Part:
-    """The part that the content of a ``part.json`` describes; ValueError if that is damaged."""
-    try:
-        part = msgspec.json.decode(_unsealed(content), type=Part)
-    except msgspec.MsgspecError as error:
-        raise ValueError(str(error)) from error
-    check_names(part)
-    return part
-
-
-def _write(path: Path, value: Manifest | Part) -> None:
-    write_durably(path, sealed(value), fresh=path.with_name(f"{path.name}.{time.time_ns()}.new"))
-
-
-def _unsealed(content: bytes) -> bytes:
-    begin = len(_HEAD) + 64
-    inner = content[begin + len(_MIDDLE) : -len(_TAIL)]
-    digest = hashlib.sha256(inner).hexdigest().encode()
-    if content != _HEAD + digest + _MIDDLE + inner + _TAIL:
-        raise ValueError("its content does not match its hash")
-    return inner
-
-
-_REMEDY = "`gyrofleet recover` rebuilds it from the parts and the log; no sample is lost"

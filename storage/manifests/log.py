@@ -1,46 +1,31 @@
 """The log's manifest: one line for each sealed segment, chained by hashes so that a lost line is noticed.
 
 A line is the entry as JSON and, after a tab, the SHA-256 of the previous line and this entry. It is appended after the
-segment is sealed; if the process is killed in between, the next one reads the segment and adds the line.
+segment is sealed; if the process is killed in between, the next one reads the segment and adds the line. Who writes the
+log keeps a snapshot of a long manifest, bound to it by length and chain, so that others read only the lines after it.
 """
 
 import hashlib
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 
+from storage.manifests.entries import SPAN, EntriesState, SegmentEntries, SegmentEntry
 from storage.segments.disk import DISK, Disk
 from storage.store import Store
+from stream.atomic_file import write_durably
 
 FIRST = "0" * 64
 LOST = "lost"
 _NAME = "manifest.jsonl"
+SNAPSHOT = "log-manifest.snapshot"
 _SEGMENT = re.compile(r"\d+\.mcap")
-
-
-class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A sealed segment: name, bytes and SHA-256 of its file, and what it holds.
-
-    Arrivals are by the recorder's clock. `runs` are those that it has samples or documents of, `ended` those whose end
-    it has. `origin` is recorded, recovered (was left open), salvaged (readable part of a damaged one), found (sealed,
-    without a line), or lost (documented in the log).
-    """
-
-    segment: str
-    size: int
-    sha256: str
-    messages: int
-    samples: int
-    arrival_first_ns: int
-    arrival_last_ns: int
-    runs: tuple[str, ...] = ()
-    ended: tuple[str, ...] = ()
-    origin: str = "recorded"
 
 
 class ManifestDamage(NamedTuple):
@@ -54,16 +39,31 @@ class ManifestDamage(NamedTuple):
 class LogManifest:
     """Last entry of each segment, and damage; numbers of `lost` segments, which no longer exist, are not reused."""
 
-    entries: dict[str, SegmentEntry] = field(default_factory=dict)
+    entries: MutableMapping[str, SegmentEntry] = field(default_factory=SegmentEntries)
     lost: dict[str, SegmentEntry] = field(default_factory=dict)
     damage: list[ManifestDamage] = field(default_factory=list)
     last: str = FIRST
+    lines: int = 0
+    whole_bytes: int = 0  # up to the end of the last whole line
 
     def take(self, entry: SegmentEntry) -> None:
         """Apply an entry."""
-        mine, other = (self.lost, self.entries) if entry.origin == LOST else (self.entries, self.lost)
-        other.pop(entry.segment, None)
-        mine[entry.segment] = entry
+        if entry.origin == LOST:
+            self.entries.pop(entry.segment, None)
+            self.lost[entry.segment] = entry
+        else:
+            self.lost.pop(entry.segment, None)
+            self.entries[entry.segment] = entry
+
+
+class _Snapshot(msgspec.Struct, frozen=True):
+    """A manifest as it was after some of its lines, undamaged."""
+
+    whole_bytes: int
+    lines: int
+    last: str
+    entries: EntriesState
+    lost: list[SegmentEntry]
 
 
 _decoder = msgspec.json.Decoder(SegmentEntry)
@@ -74,27 +74,60 @@ def manifest_path(store: Store) -> Path:
     return store.log / _NAME
 
 
-def read_log_manifest(store: Store) -> LogManifest:
-    """Read the manifest; damaged lines are reported in it, an unfinished last line is ignored."""
-    found = LogManifest()
+def read_log_manifest(store: Store, *, whole: bool = False) -> LogManifest:
+    """Read the manifest; damaged lines are reported in it, an unfinished last line is ignored.
+
+    Lines before a snapshot are read only as a `whole`, which finds damage in them.
+    """
     path = manifest_path(store)
-    content = path.read_bytes() if path.exists() else b""
-    lines = content.split(b"\n")
-    lines.pop()  # empty, or an unfinished line
-    for number, line in enumerate(lines, 1):
-        text, _, chained = line.rpartition(b"\t")
-        # the next line is checked against this line's own hash, so that one damaged line does not spoil the rest
-        if not text or _chain(found.last, text) != chained.decode(errors="replace"):
-            found.damage.append(ManifestDamage(number, "the line or the one before it is not what was written"))
-            found.last = chained.decode(errors="replace")
-            continue
-        found.last = chained.decode()
-        entry = _decoder.decode(text)
-        if _SEGMENT.fullmatch(entry.segment) is None:
-            found.damage.append(ManifestDamage(number, f"{entry.segment!r} is not the name of a segment"))
-            continue
-        found.take(entry)
+    found = LogManifest() if whole else _from_snapshot(store)
+    try:
+        file = path.open("rb")
+    except FileNotFoundError:
+        return LogManifest()
+    with file:
+        file.seek(found.whole_bytes)
+        for line in file:
+            if line.endswith(b"\n"):
+                _take_line(found, line[:-1])
+                found.whole_bytes += len(line)
     return found
+
+
+def _take_line(found: LogManifest, line: bytes) -> None:
+    found.lines += 1
+    text, _, chained = line.rpartition(b"\t")
+    # the next line is checked against this line's own hash, so that one damaged line does not spoil the rest
+    if not text or _chain(found.last, text) != chained.decode(errors="replace"):
+        found.damage.append(ManifestDamage(found.lines, "the line or the one before it is not what was written"))
+        found.last = chained.decode(errors="replace")
+        return
+    found.last = chained.decode()
+    entry = _decoder.decode(text)
+    if _SEGMENT.fullmatch(entry.segment) is None:
+        found.damage.append(ManifestDamage(found.lines, f"{entry.segment!r} is not the name of a segment"))
+        return
+    found.take(entry)
+
+
+def _from_snapshot(store: Store) -> LogManifest:
+    """The manifest as the snapshot has it; an empty one without a snapshot of this manifest."""
+    try:
+        content = (store.folder / SNAPSHOT).read_bytes()
+        if hashlib.sha256(content[64:]).hexdigest().encode() != content[:64]:
+            return LogManifest()
+        snapshot = msgspec.msgpack.decode(content[64:], type=_Snapshot)
+        end = f"\t{snapshot.last}\n".encode()
+        with manifest_path(store).open("rb") as file:
+            file.seek(snapshot.whole_bytes - len(end))
+            if file.read(len(end)) != end:
+                return LogManifest()
+    except (OSError, ValueError, msgspec.MsgspecError):
+        return LogManifest()
+    return LogManifest(
+        SegmentEntries(snapshot.entries), {entry.segment: entry for entry in snapshot.lost}, [], snapshot.last,
+        snapshot.lines, snapshot.whole_bytes,
+    )  # fmt: skip
 
 
 class ManifestWriter:
@@ -103,9 +136,12 @@ class ManifestWriter:
     def __init__(self, store: Store, disk: Disk = DISK) -> None:
         self._path = manifest_path(store)
         self._disk = disk
+        self._snapshot = store.folder / SNAPSHOT
         self.found = read_log_manifest(store)
         # the rest after the last whole line is of an interrupted or failed write
-        self._whole_bytes = self._path.read_bytes().rfind(b"\n") + 1 if self._path.exists() else 0
+        self._whole_bytes = self.found.whole_bytes
+        self._in_snapshot = _from_snapshot(store).lines if self.found.lines >= SPAN else 0
+        self._keep_snapshot()
 
     def add(self, entry: SegmentEntry) -> None:
         """Append an entry, durably; after an OSError the next start adds the segment."""
@@ -119,7 +155,23 @@ class ManifestWriter:
             self._disk.sync_folder(self._path.parent)
         self._whole_bytes += len(line)
         self.found.last = chained
+        self.found.lines += 1
+        self.found.whole_bytes = self._whole_bytes
         self.found.take(entry)
+        self._keep_snapshot()
+
+    def _keep_snapshot(self) -> None:
+        """Write a snapshot once it saves reading many lines; without room on the disk there is none."""
+        found = self.found
+        if found.damage or found.lines - self._in_snapshot < SPAN or not isinstance(found.entries, SegmentEntries):
+            return
+        self._in_snapshot = found.lines
+        snapshot = _Snapshot(
+            found.whole_bytes, found.lines, found.last, found.entries.state(), list(found.lost.values())
+        )
+        content = msgspec.msgpack.encode(snapshot)
+        with suppress(OSError):
+            write_durably(self._snapshot, hashlib.sha256(content).hexdigest().encode() + content)
 
 
 def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry]) -> Path | None:

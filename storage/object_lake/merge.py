@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from storage.lake.drops import Drops
 from storage.lake.part import without_samples
-from storage.manifests.lake import Part
+from storage.manifests.part import Part
 
 
 class Merge(NamedTuple):

@@ -16,7 +16,8 @@ import msgspec
 
 from storage.lake.drops import Drops
 from storage.manifests.blocks import decode_block, encode_block, in_blocks, packed, unpacked
-from storage.manifests.lake import Part, Replaced, in_order
+from storage.manifests.lake import Replaced
+from storage.manifests.part import Part, in_order
 from storage.object_lake.bucket import AT_ONCE, Bucket, Outdated, Unanswered
 from stream.errors import StoreError
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Self
 
-from storage.manifests.lake import Part
+from storage.manifests.part import Part
 from storage.object_lake.block_cache import DEFAULT_BYTES, BlockCache, cache_folder
 from storage.object_lake.bucket import AT_ONCE, Bucket
 from storage.object_lake.published import PARTS, Published, read_published

@@ -8,10 +8,11 @@ from pathlib import Path
 from uuid import uuid4
 
 from storage.lake.drops import Drops
-from storage.lake.lake import GRACE_S, Lake
+from storage.lake.lake import GRACE_S
 from storage.lake.part import build_part
 from storage.lake.tables import SAMPLES_FILE
-from storage.manifests.lake import Manifest, Part, Replaced
+from storage.manifests.lake import Manifest, Replaced, read_manifest
+from storage.manifests.part import Part
 from storage.object_lake.bucket import Bucket, Outdated, Unanswered
 from storage.object_lake.merge import Merge, merge
 from storage.object_lake.published import PARTS, Published, check_conditional_puts, commit, read_published
@@ -53,14 +54,14 @@ class Publisher:
         self.parts = 0
         self.bytes = 0
 
-    def publish(self, manifest: Manifest) -> Published:
+    def publish(self) -> Published:
         """Publish what the lake has and the address lacks; StoreError at the end for parts that cannot be."""
         if self._skew_ns is None:
             self._skew_ns = self._measured_skew()
         unanswered = 0
         for attempt in range(_ATTEMPTS):
             try:
-                return self._purged(self._published(manifest))
+                return self._purged(self._published(read_manifest(self._store, with_sources=True)))
             except Outdated:
                 time.sleep(min(0.05 * 2**attempt, 2.0) if attempt else 0.0)
             except Unanswered:
@@ -216,8 +217,3 @@ def _is_named(key: str, parts: set[str], paths: set[str]) -> bool:
     if folder in {"manifest", _PROBES}:
         return key in paths
     return True
-
-
-def published_lake(store: Store, bucket: Bucket, *, grace_s: float = GRACE_S) -> Published:
-    """Publish the lake of a store once; the caller holds `builder_lock`."""
-    return Publisher(store, bucket, grace_s=grace_s).publish(Lake(store).manifest)

@@ -13,7 +13,7 @@ from uuid import uuid4
 
 import msgspec
 
-from storage.manifests.lake import PART, Part, sealed
+from storage.manifests.part import PART, Part, sealed
 from storage.object_lake.bucket import Bucket, file_digests
 from storage.object_lake.published import PARTS
 from storage.store import Store

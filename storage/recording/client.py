@@ -14,13 +14,15 @@ import numpy as np
 
 from storage.log.store_documents import LAKE
 from storage.recording.knowledge import KnownRuns, KnownSignal, KnownStep, unpacked
-from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint
+from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint, writer_security
 from stream.batch import FloatArray, IntArray
 from stream.closing import Closing
 from stream.delivery.publisher import DurablePublisher
-from stream.errors import DeliveryError, GyrofleetError, StoreError, WireError
+from stream.errors import BusError, DeliveryError, GyrofleetError, StoreError, WireError
 from stream.events import AnyDocument
 from stream.identity import Place, event_key
+from stream.security.credentials import BusSecurity, load_credentials, process_security
+from stream.security.rights import Role
 from stream.transport.bus import Bus
 from stream.wire import requests
 
@@ -186,7 +188,7 @@ def record_documents(
     if endpoint is not None:
         from stream.transport.zenoh_bus import ZenohBus
 
-        with ZenohBus(connect=[endpoint]) as remote:
+        with ZenohBus(connect=[endpoint], security=_as_writer(store.folder)) as remote:
             _send(remote, documents, place, store)
         return
     from storage.log.event_log import EventLog
@@ -199,6 +201,25 @@ def record_documents(
         Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake, reports_status=False),
     ):
         _send(bus, documents, place, store)
+
+
+def _as_writer(folder: Path) -> BusSecurity:
+    """As whom documents are sent to the recorder of a store: as this process, else with the recorder's certificate.
+
+    Who can read that certificate's key writes the store anyway. A recorder that is not secured was started so.
+    """
+    own, certificate = process_security(), writer_security(folder)
+    if certificate is None:
+        return BusSecurity(is_insecure=True)
+    if own.credentials is not None and own.credentials.principal.role in {Role.APPROVER, Role.RECORDER}:
+        return own
+    try:
+        return BusSecurity(load_credentials(certificate))
+    except BusError as error:
+        raise BusError(
+            f"the recorder of {folder} admits certificates only: set GYROFLEET_SECURITY to the folder of an approver's "
+            f"(`gyrofleet site add-approver`); that of the recorder itself cannot be used: {error}"
+        ) from error
 
 
 def _send(bus: Bus, documents: Sequence[AnyDocument], place: Place, store: Store) -> None:

@@ -3,7 +3,8 @@
 from collections import deque
 from collections.abc import Iterable, Mapping
 
-from storage.manifests.log import LOST, SegmentEntry
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import LOST
 from storage.replication.plant_list import ListRefused, checked_line
 from storage.replication.progress import Lag
 

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from storage.manifests.log import FIRST, LOST, SegmentEntry
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import FIRST, LOST
 from storage.replication.source import MAX_LINE_BYTES, MAX_SEGMENT_BYTES, is_segment
 from storage.segments.disk import DISK, Disk
 from stream.atomic_file import write_durably

@@ -12,7 +12,9 @@ import msgspec
 
 from storage.lake.builder import build_missing, builder_lock
 from storage.lake.lake import Lake
-from storage.manifests.log import FIRST, LogManifest, ManifestWriter, SegmentEntry
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import FIRST, LogManifest, ManifestWriter
+from storage.manifests.part import with_sources
 from storage.plant import Plant, checked, read_plant, write_plant
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.bandwidth import Bandwidth
@@ -183,7 +185,8 @@ class _Recall:
             entries = self._manifest.found.entries
             for part in lake.manifest.parts:
                 marks = {segment: entries.get(f"{segment}.mcap") for segment in part.segments}
-                if any(entry is not None and part.sources.get(each) != entry.sha256 for each, entry in marks.items()):
+                sources = with_sources(self._store.lake, part).sources
+                if any(entry is not None and sources.get(each) != entry.sha256 for each, entry in marks.items()):
                     lake.rebuild_part(part.name)
             deque(build_missing(self._store), maxlen=0)
 

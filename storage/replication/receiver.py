@@ -7,7 +7,8 @@ from pathlib import Path
 import msgspec
 
 from storage.fleet_store import FleetStore, PlantRefused, Replica
-from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, rewrite_manifest
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import LOST, ManifestWriter, manifest_path, rewrite_manifest
 from storage.plant import checked
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.bandwidth import Bandwidth

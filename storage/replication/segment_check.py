@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from storage.manifests.log import SegmentEntry
+from storage.manifests.entries import SegmentEntry
 from storage.replication.arrival import ArrivalRefused
 from storage.segments.disk import DISK, sha256_of
 from storage.segments.reader import read_marks, read_origin

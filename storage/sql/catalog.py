@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from storage.findings import Finding
 from storage.lake.tables import TABLES
-from storage.manifests.lake import Part
+from storage.manifests.part import Part
 from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.lake_source import LakeSource, source_of

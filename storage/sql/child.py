@@ -139,7 +139,7 @@ def _serve(
 def _catalog(setup: dict[str, Any]) -> "Catalog":
     import msgspec
 
-    from storage.manifests.lake import Part
+    from storage.manifests.part import Part
     from storage.object_lake.range_service import RangeClient
     from storage.sql.catalog import Catalog
     from storage.sql.lake_source import RangeLake

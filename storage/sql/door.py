@@ -185,6 +185,8 @@ class SqlDoor(Closing):
 
     def _serving(self) -> RangeService | None:
         """What serves the lake to the process, if that is not in files that it can read."""
+        if not hasattr(self.store, "parts"):  # one in files needs none of the libraries
+            return None
         from storage.object_lake.published_store import PublishedStore
 
         if isinstance(self.store, PublishedStore):

@@ -11,7 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from storage.lake.tables import damaged, open_table
-from storage.manifests.lake import Part, read_manifest
+from storage.manifests.lake import read_manifest
+from storage.manifests.part import Part
 from storage.store import Store
 from stream.errors import StoreError
 

@@ -15,8 +15,8 @@ import duckdb
 import pyarrow as pa
 
 from storage.lake.tables import MESSAGE_COLUMNS, TABLES
-from storage.manifests.lake import Part
 from storage.manifests.log import read_log_manifest
+from storage.manifests.part import Part
 from storage.sql.guard import plain_message
 from storage.sql.views import define_views, reading_lake
 from storage.store import Store

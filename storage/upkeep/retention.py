@@ -7,7 +7,8 @@ from typing import NamedTuple
 from storage.lake.lake import Lake
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.store_documents import signed, store_document
-from storage.manifests.lake import Manifest, Part
+from storage.manifests.lake import Manifest
+from storage.manifests.part import Part
 from storage.recording.client import record_documents
 from storage.upkeep.retention_clock import check_clock
 from stream.errors import BadInput

@@ -113,7 +113,7 @@ class LakeService:
             if time.monotonic() - at < (_PUBLISHED_EVERY_S if number == manifest.number else 0.0):
                 return
         self._published = manifest.number, time.monotonic()
-        self._publisher.publish(manifest)
+        self._publisher.publish()
 
     def _opened(self) -> Lake:
         if self._lake is None:

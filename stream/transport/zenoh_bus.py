@@ -1,7 +1,8 @@
 """The bus over Zenoh. No other file imports zenoh.
 
 By default nothing listens and nothing is announced: no multicast scouting, no gossip, no endpoint.
-A session that listens is a router, so that its clients see each other's messages.
+A session that listens is a router, so that its clients see each other's messages. Without security the bus reaches
+this computer only; with it every link is mutual TLS, and who listens admits what the site's roles may do.
 """
 
 import json
@@ -16,11 +17,12 @@ import zenoh
 from stream.bounds import MAX_MESSAGE_BYTES
 from stream.closing import Closing
 from stream.errors import BusError, GyrofleetError
+from stream.security.credentials import BusSecurity, Credentials, process_security
+from stream.security.endpoint import DEFAULT_ENDPOINT as DEFAULT_ENDPOINT
+from stream.security.endpoint import check_plain_endpoint, secured_endpoint
+from stream.security.rights import ACCESS_KEY, check_right, principal_of
+from stream.security.zenoh_settings import access_control, tls_settings
 from stream.transport.bus import Handler, call_handlers
-
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-
-_ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
 
 # Zenoh closes a transport that its other side has stalled for so long, and messages that wait there are lost without
 # an error; whoever needs them requests them again. A source waits about as long as the lease (10 s), after which the
@@ -32,6 +34,7 @@ Answerer = Callable[[str, bytes], bytes]
 _QUEUED_MESSAGES = 256
 _MESSAGE_ROOM_BYTES = 4 << 20  # so that a message slightly too large arrives, and is counted and reported
 _PATIENCE_S = 5.0
+_ACCESS_PATIENCE_S = 2.0
 _SOURCE_WAITS_US = 8_000_000
 _ROUTER_WAITS_US = 200_000
 
@@ -39,7 +42,9 @@ _ROUTER_WAITS_US = 200_000
 class ZenohBus(Closing):
     """A session on Zenoh with endpoints, such as ``tcp/127.0.0.1:7447``; without any the bus is inside the process.
 
-    Raises a BusError if an endpoint cannot be listened on or reached.
+    `security` is that of this process by default; `credentials` are its credentials, None on a bus without. With
+    `is_embedded` sources and recorder are of this process, and whoever connects may only read. Raises a BusError if an
+    endpoint cannot be listened on or reached, an InsecureBus if it must not be without security.
 
     >>> import time
     >>> with ZenohBus() as bus:
@@ -51,7 +56,21 @@ class ZenohBus(Closing):
     [('gyrofleet/plant/chamber-2/event', b'hello')]
     """
 
-    def __init__(self, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> None:
+    def __init__(
+        self, listen: Sequence[str] = (), connect: Sequence[str] = (), *, security: BusSecurity | None = None,
+        is_embedded: bool = False,
+    ) -> None:  # fmt: skip
+        protection = process_security() if security is None and (listen or connect) else security or BusSecurity()
+        own = protection.credentials
+        for endpoint in (*listen, *connect):
+            if own is None:
+                is_listening = endpoint in listen
+                check_plain_endpoint(endpoint, is_listening=is_listening, is_insecure=protection.is_insecure)
+        if own is not None:
+            listen, connect = [secured_endpoint(each) for each in listen], [secured_endpoint(each) for each in connect]
+        self._own = own if listen or connect else None
+        self._is_trusted = bool(listen) or is_embedded  # its own messages pass no link that would refuse them
+        self.credentials: Credentials | None = None if is_embedded else self._own
         zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
         config = zenoh.Config()
         settings: dict[str, Any] = {
@@ -68,25 +87,54 @@ class ZenohBus(Closing):
             "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + _MESSAGE_ROOM_BYTES,
             _WAIT_BEFORE_CLOSE: _ROUTER_WAITS_US if listen else _SOURCE_WAITS_US,
         }
-        for endpoint in (*listen, *connect):
-            if _ENDPOINT.fullmatch(endpoint) is None:
-                raise BusError(f"{endpoint!r} is no address; write it as tcp/HOST:PORT, for example {DEFAULT_ENDPOINT}")
+        if own is not None and (listen or connect):
+            settings |= tls_settings(own, listens=bool(listen))
+        if own is not None and listen:
+            settings["access_control"] = access_control(own, is_read_only=is_embedded)
         try:
             for key, value in settings.items():
                 config.insert_json5(key, json.dumps(value))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
             wanted = ", ".join([*(f"listen on {e}" for e in listen), *(f"connect to {e}" for e in connect)])
-            raise BusError(
-                f"cannot {wanted or 'open a bus'}: {_message_of(error)}; "
-                f"is the address right and free, and the other side running?"
-            ) from error
+            asked = "is the address right and free, and the other side running?"
+            if own is not None:
+                asked += f" Both sides need valid certificates of one site; {own.describe()}"
+            elif connect:
+                asked += " Does it require certificates (--security)?"
+            raise BusError(f"cannot {wanted or 'open a bus'}: {_message_of(error)}; {asked}") from error
         self._subscribers: dict[str, tuple[Any, threading.Thread]] = {}
         self._handlers: dict[str, list[Handler]] = {}
         self._lock = threading.Lock()
+        if self._own is not None and listen:
+            self.answer(ACCESS_KEY, self._answer_access)
+
+    def why_refused(self) -> str:
+        """Why the other side refuses this one, as the end of a sentence; empty if it does not, or does not answer."""
+        if self._own is None or self._is_trusted:
+            return ""
+        try:
+            found = self.ask(ACCESS_KEY, self._own.principal.common_name.encode(), _ACCESS_PATIENCE_S).all()
+        except BusError as error:
+            return f"; {error}"
+        reasons = [content.decode(errors="replace") for _, content in found if content]
+        return f"; it is refused there: {reasons[0]}" if reasons else ""
+
+    def _answer_access(self, _key: str, payload: bytes) -> bytes:
+        assert self._own is not None
+        try:
+            principal = principal_of(payload.decode())
+        except ValueError as error:
+            raise BusError(f"no common name: {error}") from error
+        return (self._own.access.reason_against(principal) or "").encode()
+
+    def _check_right(self, action: str, key: str) -> None:
+        if self._own is not None and not self._is_trusted:
+            check_right(self._own.principal, action, key)
 
     def publish(self, key: str, payload: bytes) -> None:
         """Send `payload` under `key`; waits where the bus is congested; a BusError if the session is closed."""
+        self._check_right("publish", key)
         try:
             # declaring a publisher for each key takes 0.3 ms, and every message twice as long
             self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -95,6 +143,7 @@ class ZenohBus(Closing):
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
         """Call `handler` with (key, payload) for every message that matches."""
+        self._check_right("read", key_expression)
         with self._lock:
             handlers = self._handlers.get(key_expression)
             if handlers is not None:
@@ -133,6 +182,7 @@ class ZenohBus(Closing):
 
     def answer(self, key: str, answerer: Answerer) -> None:
         """Answer every request that matches a key by ``answerer(key, payload)``; its error is sent to who asks."""
+        self._check_right("answer", key)
         queryable = self._session.declare_queryable(key, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
         channel = queryable.handler
 
@@ -161,6 +211,7 @@ class ZenohBus(Closing):
 
         A BusError if the session is closed.
         """
+        self._check_right("query", key_expression)
         try:
             replies = self._session.get(
                 key_expression, payload=payload, timeout=timeout_s, congestion_control=zenoh.CongestionControl.BLOCK,

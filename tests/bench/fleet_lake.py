@@ -22,7 +22,7 @@ from storage.lake.lake import Lake
 from storage.lake.part import BuiltPart
 from storage.lake.segment_content import channel_id
 from storage.lake.tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers
-from storage.manifests.lake import Part, PartFile, write_part
+from storage.manifests.part import Part, PartFile, write_part
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import SampleBatch

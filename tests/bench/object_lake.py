@@ -84,17 +84,21 @@ def asked(store: Store, count: int) -> dict[str, tuple[float, Any]]:
 
 def compare(folder: Path, units: int, days: int, samples: int) -> dict[str, Any]:
     store = Store.create(folder / "store")
+    begin = time.perf_counter()
     write_log(store, units, days, samples, rate_hz=100)
+    logged_s = time.perf_counter() - begin
+    begin = time.perf_counter()
     with builder_lock(store):
         list(build_missing(store, compacts=False))
         list(compact(Lake(store), now_ns=START_NS + (days + 30) * DAY_NS))
         Lake(store).purge(grace_s=0.0)
+    built_s = time.perf_counter() - begin
     os.environ |= {"AWS_ACCESS_KEY_ID": "bench", "AWS_SECRET_ACCESS_KEY": "bench", "AWS_REGION": "us-east-1"}
     with object_store() as endpoint:
         bucket = Bucket("s3://fleet/bench", endpoint)
         begin = time.perf_counter()
         with builder_lock(store):
-            lake = Publisher(store, bucket).publish(Lake(store).manifest)
+            lake = Publisher(store, bucket).publish()
         published_s = time.perf_counter() - begin
         size = sum(part.bytes for part in lake.parts)
         local = asked(store, 3)
@@ -117,6 +121,8 @@ def compare(folder: Path, units: int, days: int, samples: int) -> dict[str, Any]
     assert verified.is_sound
     return {
         "rows": units * days * samples, "parts": len(lake.parts), "lake_mb": size / 1e6,
+        "logged_million_a_s": units * days * samples / logged_s / 1e6,
+        "built_and_merged_million_a_s": units * days * samples / built_s / 1e6,
         "published_mb_a_s": size / 1e6 / published_s, "verified_mb_a_s": size / 1e6 / verified.seconds,
         "opened_s": opened_s, "one_unit_first_s": one_s, "one_unit_fetched_mb": one_bytes / 1e6,
         **{f"{name}_local_s": seconds for name, (seconds, _) in local.items()},

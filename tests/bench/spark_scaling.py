@@ -2,7 +2,8 @@
 
 `scaling` writes a lake of units that stand still for an hour a day at 10 Hz, and times their step records (from the
 lake's means of seconds) in one process with one thread, and on one and two workers of one core with 100 units a task:
-strong scaling on all units, weak scaling on half of them on one worker, and the overhead of the tasks. `fleet` takes
+strong scaling on all units, weak scaling on half of them on one worker, and the overhead of the tasks, by the clock and
+in seconds of the processor. `fleet` takes
 2,000 units over 30 days from their kept step records to metrics and verdicts. `diagnose` traces a fleet, each unit
 alone and all pooled. All compare the results with those of one process, to the last bit; with `--kill` a worker is
 killed in the middle.
@@ -102,8 +103,16 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - begin, found
 
 
+def processor_timed(work: Callable[[], Any], processor_s: Callable[[], float]) -> tuple[float, float, Any]:
+    used_s = processor_s()
+    took_s, found = timed(work)
+    return took_s, processor_s() - used_s, found
+
+
 @contextmanager
-def on_workers(folder: Path, workers: int, kills: bool = False) -> Iterator[tuple[Engine, Progress, dict[str, int]]]:
+def on_workers(
+    folder: Path, workers: int, kills: bool = False
+) -> Iterator[tuple[Engine, Progress, dict[str, int], StandaloneCluster]]:
     """An engine; its progress, which kills a worker at a third of the work if that is asked for; when it was killed."""
     killed: dict[str, int] = {}
     started = StandaloneCluster(folder / f"cluster-{workers}-{time.monotonic_ns()}", workers)
@@ -114,7 +123,7 @@ def on_workers(folder: Path, workers: int, kills: bool = False) -> Iterator[tupl
                 killed["worker_killed_after_units"] = done
                 cluster.kill_worker()
 
-        yield engine, progress, killed
+        yield engine, progress, killed, cluster
 
 
 def records(store: Store, engine: Engine | None, progress: Progress, units: int | None = None) -> pa.Table:
@@ -132,25 +141,27 @@ def records(store: Store, engine: Engine | None, progress: Progress, units: int 
 def scaling(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]:
     written_s, store = timed(lambda: write_days(folder / "days", units, days))
     half = units // 2
-    one_s, one = timed(lambda: records(store, None, ignore))
+    one_s, one_processor_s, one = processor_timed(lambda: records(store, None, ignore), time.process_time)
     one_half_s, one_half = timed(lambda: records(store, None, ignore, half))
     found: dict[str, Any] = {
         "units": units, "days": days, "step_records": one.num_rows, "written_s": written_s,
-        "one_process_s": one_s, "one_process_half_s": one_half_s,
+        "one_process_s": one_s, "one_process_processor_s": one_processor_s, "one_process_half_s": one_half_s,
     }  # fmt: skip
     for workers in (1, 2):
-        with on_workers(folder, workers) as (engine, progress, _):
+        with on_workers(folder, workers) as (engine, progress, _, cluster):
             records(store, engine, progress)  # starts the Python of each executor
-            strong_s, table = timed(lambda: records(store, engine, progress))
-            found |= {f"workers_{workers}_s": strong_s, f"workers_{workers}_same_bits": table.equals(one)}
+            took = processor_timed(lambda: records(store, engine, progress), cluster.processor_s)
+            found |= {f"workers_{workers}_s": took[0], f"workers_{workers}_processor_s": took[1]}
+            found[f"workers_{workers}_same_bits"] = took[2].equals(one)
             if workers == 1:
                 weak_s, table = timed(lambda: records(store, engine, progress, half))
                 found |= {"weak_half_on_1_s": weak_s, "weak_same_bits": table.equals(one_half)}
     found["strong_speedup"] = found["workers_1_s"] / found["workers_2_s"]
     found["weak_efficiency"] = found["weak_half_on_1_s"] / found["workers_2_s"]
     found["overhead_of_tasks"] = found["workers_1_s"] / one_s - 1.0
+    found["overhead_in_processor_time"] = found["workers_1_processor_s"] / one_processor_s - 1.0
     if kills:
-        with on_workers(folder, 2, kills=True) as (engine, progress, killed):
+        with on_workers(folder, 2, kills=True) as (engine, progress, killed, _):
             records(store, engine, ignore)
             table = records(store, engine, progress)
             found |= killed | {"killed_same_bits": table.equals(one)}
@@ -187,7 +198,7 @@ def fleet(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]:
         (folder / name).mkdir()
         shutil.copytree(kept, folder / name / "metrics", ignore=shutil.ignore_patterns("unit_metrics*"))
     found["one_process_s"], answers["one"] = timed(lambda: judged(made.store, folder / "one", None, ignore))
-    with on_workers(folder, 2, kills) as (engine, progress, killed):
+    with on_workers(folder, 2, kills) as (engine, progress, killed, _):
         found["workers_2_s"], answers["two"] = timed(lambda: judged(made.store, folder / "two", engine, progress))
         found |= killed
     metrics, verdicts = answers["one"]
@@ -221,7 +232,7 @@ def diagnose(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]
     written_s, store = timed(lambda: write_days(folder / "days", units, days))
     one_s, one = timed(lambda: traced(store, None, ignore))
     found: dict[str, Any] = {"units": units, "days": days, "written_s": written_s, "one_process_s": one_s}
-    with on_workers(folder, 2, kills) as (engine, progress, killed):
+    with on_workers(folder, 2, kills) as (engine, progress, killed, _):
         found["workers_2_s"], two = timed(lambda: traced(store, engine, progress))
         found |= killed
     assert one is not None

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from analytics.cluster.diagnosis_tasks import ClusterTracing
-from analytics.cluster.metric_tasks import ClusterComputation
+from analytics.cluster.metric_tasks import ClusterComputation, RecordsTask, compute_records
+from analytics.cluster.store_slice import sliced
 from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.loop.unit_diagnosis import trace_units
 from analytics.loop.unit_reduction import Question, reduce_units
@@ -76,13 +77,12 @@ def test_a_store_that_a_worker_does_not_see_is_named_with_the_worker(tested: Any
 
     fill(tested, runs=1)
     tested.catalog().close()
-    moved = tested.store.folder.with_name("moved")
-    with SparkEngine(cluster.engine) as engine, Catalog(tested.store) as catalog, catalog.suspended_layers():
-        computation = ClusterComputation(engine, lambda _done, _total: None)
-        runs = {run: "print" for (run,) in catalog.rows("select run from runs")}
-        slot = tested.store.folder.rename(moved)
+    with SparkEngine(cluster.engine) as engine:
+        with Catalog(tested.store) as catalog:
+            tasks = [RecordsTask(each, {"r0": "print"}) for each in sliced(catalog, UNITS[:3], engine.slots)]
+        moved = tested.store.folder.rename(tested.store.folder.with_name("moved"))
         try:
             with pytest.raises(GyrofleetError, match=r"a task failed on .*store is not a gyrofleet store"):
-                computation.records(catalog, list(runs), runs, None)
+                engine.map(compute_records, tasks, [len(each.of.units) for each in tasks], lambda _done, _total: None)
         finally:
-            slot.rename(tested.store.folder)
+            moved.rename(tested.store.folder)

@@ -17,7 +17,8 @@ from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact, due
 from storage.lake.lake import Lake
 from storage.lake.rebuild import rebuild
-from storage.manifests.lake import Manifest, Part, PartFile, left_aside, read_manifest
+from storage.manifests.lake import Manifest, left_aside, read_manifest
+from storage.manifests.part import Part, PartFile
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
 from storage.store import Store

@@ -10,7 +10,8 @@ from storage.check.verify_lake import lake_problems, repair_lake
 from storage.lake.builder import LakeBusy, build_missing, builder_lock
 from storage.lake.lake import Lake
 from storage.lake.part import build_part
-from storage.manifests.lake import MANIFEST, PART, LakeManifestDamaged, read_manifest, write_manifest
+from storage.manifests.lake import MANIFEST, LakeManifestDamaged, read_manifest, write_manifest
+from storage.manifests.part import PART
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import StoreError

@@ -5,14 +5,8 @@ from pathlib import Path
 
 from storage.log.event_log import EventLog
 from storage.log.recovery import unlisted_entry
-from storage.manifests.log import (
-    FIRST,
-    ManifestWriter,
-    SegmentEntry,
-    manifest_path,
-    read_log_manifest,
-    rewrite_manifest,
-)
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import FIRST, ManifestWriter, manifest_path, read_log_manifest, rewrite_manifest
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
 from stream.events import RunEnded, encode_event

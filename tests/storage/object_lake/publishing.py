@@ -14,7 +14,8 @@ from storage.store import Store
 
 def publish(store: Store, bucket: Bucket, **options: Any) -> Published:
     with builder_lock(store):
-        return Publisher(store, bucket, **options).publish(Lake(store).manifest)
+        Lake(store)
+        return Publisher(store, bucket, **options).publish()
 
 
 def segments(lake: Published) -> list[str]:

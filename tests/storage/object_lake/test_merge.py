@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from storage.lake.drops import Drops
-from storage.manifests.lake import DroppedRows, Part, PartFile
+from storage.manifests.part import DroppedRows, Part, PartFile
 from storage.object_lake.merge import Merge, merge
 
 NO_DROPS = Drops({}, {})

@@ -8,7 +8,8 @@ import msgspec
 
 from storage.check.verify_fleet import FleetVerification, verify_fleet
 from storage.fleet_store import FleetStore
-from storage.manifests.log import FIRST, SegmentEntry, manifest_path, read_log_manifest
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import FIRST, manifest_path, read_log_manifest
 from storage.replication.folder_source import FolderSource
 from storage.replication.progress import Progress
 from storage.replication.receiver import Receiver

@@ -8,7 +8,8 @@ import msgspec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from storage.manifests.log import FIRST, LOST, SegmentEntry
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import FIRST, LOST
 from storage.replication.lines_ahead import LinesAhead
 from storage.replication.plant_list import SALVAGED, ListRefused, PlantList
 from storage.replication.progress import Lag

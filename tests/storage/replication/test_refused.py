@@ -8,7 +8,8 @@ import pytest
 
 from storage.check.recover import recover
 from storage.fleet_store import FleetStore
-from storage.manifests.log import SegmentEntry, manifest_path, read_log_manifest
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import manifest_path, read_log_manifest
 from storage.plant import Plant
 from storage.replication import receiver
 from storage.replication.folder_source import FolderSource

@@ -1,0 +1,90 @@
+"""The access list of a site: who is admitted with which key, and who is revoked; signed by the site."""
+
+from base64 import b64decode, b64encode
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from stream.errors import BusError, GyrofleetError
+from stream.security.rights import Principal, principal_of
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
+
+ACCESS_FILE = "access.json"
+
+
+class _Entry(msgspec.Struct, frozen=True):
+    common_name: str
+    public_key: str  # DER, base64
+
+
+class _Content(msgspec.Struct, frozen=True):
+    at_ns: int
+    admitted: list[_Entry]
+    revoked: list[str]
+
+
+class _File(msgspec.Struct, frozen=True):
+    content: msgspec.Raw
+    signature: str
+
+
+class AccessList:
+    """The public key of everybody who is admitted; `revoked` are those who are not any more."""
+
+    def __init__(self, admitted: dict[Principal, bytes], revoked: frozenset[Principal], at_ns: int) -> None:
+        self.admitted, self.revoked, self.at_ns = admitted, revoked, at_ns
+        self._loaded: dict[Principal, EllipticCurvePublicKey] = {}
+
+    def key_of(self, principal: Principal) -> "EllipticCurvePublicKey | None":
+        """The public key of a principal; None if it is not admitted."""
+        from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
+        from cryptography.hazmat.primitives.serialization import load_der_public_key
+
+        found = self._loaded.get(principal)
+        if found is None and principal in self.admitted:
+            loaded = load_der_public_key(self.admitted[principal])
+            assert isinstance(loaded, EllipticCurvePublicKey)
+            found = self._loaded[principal] = loaded
+        return found
+
+    def reason_against(self, principal: Principal) -> str | None:
+        """Why a principal is not admitted; None if it is."""
+        if principal in self.revoked:
+            return f"{principal} is revoked"
+        if principal not in self.admitted:
+            return f"{principal} is not on the access list; copy the site's newest {ACCESS_FILE} there, and restart"
+        return None
+
+    def encode(self, site_key: "EllipticCurvePrivateKey") -> bytes:
+        """The list as a file, signed by the site."""
+        from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
+        from cryptography.hazmat.primitives.hashes import SHA256
+
+        entries = [_Entry(each.common_name, b64encode(key).decode()) for each, key in sorted(self.admitted.items())]
+        content = msgspec.json.encode(_Content(self.at_ns, entries, sorted(each.common_name for each in self.revoked)))
+        signature = b64encode(site_key.sign(content, ECDSA(SHA256()))).decode()
+        return msgspec.json.encode(_File(msgspec.Raw(content), signature))
+
+
+def read_access_list(path: Path, site_key: "EllipticCurvePublicKey") -> AccessList:
+    """Read an access list; raises BusError if it cannot be read or is not signed by the site."""
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
+    from cryptography.hazmat.primitives.hashes import SHA256
+
+    again = "copy it from the site's folder again"
+    try:
+        file = msgspec.json.decode(path.read_bytes(), type=_File)
+        site_key.verify(b64decode(file.signature), bytes(file.content), ECDSA(SHA256()))
+        content = msgspec.json.decode(file.content, type=_Content)
+        admitted = {principal_of(each.common_name): b64decode(each.public_key) for each in content.admitted}
+        return AccessList(admitted, frozenset(map(principal_of, content.revoked)), content.at_ns)
+    except InvalidSignature:
+        raise BusError(f"{path} is not signed by the site; {again}") from None
+    except OSError as error:
+        raise BusError(f"{path} cannot be read: {error.strerror}; {again}") from error
+    except (msgspec.MsgspecError, ValueError, GyrofleetError) as error:
+        raise BusError(f"{path}: {error}; {again}") from error

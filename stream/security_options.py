@@ -1,0 +1,60 @@
+"""The options ``--security`` and ``--insecure`` of the commands that use the bus."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import click
+
+from stream.errors import BadInput
+from stream.security.credentials import VARIABLE, BusSecurity, load_credentials, secured_process
+from stream.security.endpoint import check_plain_endpoint, secured_endpoint
+from stream.security.rights import Role
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_UNPROTECTED = "the bus has no security: it reaches this computer only; `gyrofleet site init` makes certificates"
+
+
+def secured(
+    *roles: Role, listens: bool = False, default: Callable[[dict[str, Any]], Path | None] = lambda _: None
+) -> Callable[[Callable[P, R]], Callable[..., R]]:  # fmt: skip
+    """Give a command the options, and its buses the protection that they ask for; it stands below `reporting`.
+
+    The certificate is of one of `roles`. Addresses among the command's arguments are checked before it begins, and are
+    of TLS with security. `listens`: it listens where it is given no address, and reports that the bus has no security.
+    `default` finds the folder of the certificate in its other arguments.
+    """
+
+    def decorate(command: Callable[P, R]) -> Callable[..., R]:
+        @click.option(
+            "--security", "security", type=click.Path(path_type=Path, exists=True), envvar=VARIABLE,
+            help=f"Folder of this side's certificate, from `gyrofleet site`.  [variable: {VARIABLE}]",
+        )  # fmt: skip
+        @click.option(
+            "--insecure", "is_insecure", is_flag=True, help="Let the bus reach beyond this computer without security."
+        )
+        @functools.wraps(command)
+        def run(*args: Any, security: Path | None = None, is_insecure: bool = False, **kwargs: Any) -> R:
+            if security is not None and is_insecure:
+                raise BadInput("give --security or --insecure, not both")
+            if security is None and not is_insecure:
+                security = default(kwargs)
+            credentials = None if security is None else load_credentials(security, roles or tuple(Role))
+            for name in ("listen", "connect"):
+                given = kwargs.get(name)
+                if given and credentials is not None:
+                    kwargs[name] = secured_endpoint(given)
+                elif given:
+                    check_plain_endpoint(given, is_listening=name == "listen", is_insecure=is_insecure)
+            does_listen = kwargs.get("listen") or (listens and not kwargs.get("connect"))
+            if credentials is None and does_listen:
+                text = "the bus has no security, and reaches the network" if is_insecure else _UNPROTECTED
+                click.echo(f"note: {text}", err=True)
+            with secured_process(BusSecurity(credentials, is_insecure)):
+                return command(*args, **kwargs)
+
+        return run
+
+    return decorate
