@@ -18,7 +18,7 @@ from starlette.types import ASGIApp
 from analytics.serve.api.routes import api_routes
 from analytics.serve.doors.gate import PERSON, Gate, address_of
 from analytics.serve.doors.roles import Person
-from analytics.serve.pages.problem_page import problem_response
+from analytics.serve.pages.frame.problem_page import problem_response
 from analytics.serve.pages.routes import page_routes
 from analytics.serve.problems import Forbidden, HttpProblem, Misdirected, TooLarge, TooMany, TooSlow, WrongMethod
 from analytics.serve.service import Service

@@ -30,7 +30,7 @@ from stream.errors import BadInput
 from stream.no_pandas import hide_pandas
 
 if TYPE_CHECKING:
-    from analytics.serve.doors.oidc_login import OidcLogin
+    from analytics.serve.doors.oidc.oidc_login import OidcLogin
 
 _GRACE_S = 2
 _KEEP_ALIVE_S = 20
@@ -105,7 +105,7 @@ def _oidc(file: LoginFile, settings: Settings, site: str) -> "OidcLogin | None":
     """Logins by the provider that a file names."""
     if file.oidc is None:
         return None
-    from analytics.serve.doors.oidc_login import OidcLogin  # its libraries are an extra
+    from analytics.serve.doors.oidc.oidc_login import OidcLogin  # its libraries are an extra
 
     if not settings.url and not settings.is_on_loopback:
         raise BadInput(

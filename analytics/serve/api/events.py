@@ -8,7 +8,7 @@ from analytics.audit import AUDITED
 from analytics.event_words import kind_name
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
-from analytics.serve.api.units import unit_row
+from analytics.serve.api.unit.units import unit_row
 from stream.errors import BadInput
 
 _ROWS = """

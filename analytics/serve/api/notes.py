@@ -6,8 +6,8 @@ from typing import Annotated, Any
 import msgspec
 
 from analytics.serve.api.operation import Call, post
-from analytics.serve.api.runs import run_row
-from analytics.serve.api.units import unit_row
+from analytics.serve.api.run.runs import run_row
+from analytics.serve.api.unit.units import unit_row
 from analytics.serve.doors.roles import Role
 from ingest.importing.entered import enter
 from storage.recording.run_command import give_note, is_at_work

@@ -7,32 +7,14 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from analytics.serve.api import (
-    alerts,
-    allan,
-    certificates,
-    diagnosis,
-    events,
-    grafana,
-    health,
-    jobs,
-    live,
-    notes,
-    run_allan,
-    run_commands,
-    run_course,
-    runs,
-    signals,
-    sql,
-    store,
-    trend_pictures,
-    trends,
-    unit_pictures,
-    units,
-)
+from analytics.serve.api import alerts, events, health, jobs, live, notes, store
 from analytics.serve.api.endpoint import route
 from analytics.serve.api.openapi import openapi_document
 from analytics.serve.api.operation import Operation
+from analytics.serve.api.query import allan, grafana, signals, sql
+from analytics.serve.api.run import run_allan, run_commands, run_course, runs
+from analytics.serve.api.trend import trend_pictures, trends
+from analytics.serve.api.unit import certificates, diagnosis, unit_pictures, units
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.service import Service

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from starlette.datastructures import Headers
 
-from analytics.serve.doors.oidc_problem import OidcProblem
+from analytics.serve.doors.oidc.oidc_problem import OidcProblem
 from analytics.serve.doors.proxy import Caller, Proxy
 from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.doors.roles import Person, Role
@@ -19,7 +19,7 @@ from analytics.serve.doors.watch import Watch
 from analytics.serve.problems import Forbidden, TooMany
 
 if TYPE_CHECKING:  # its libraries are an extra
-    from analytics.serve.doors.oidc_login import Entered, OidcLogin
+    from analytics.serve.doors.oidc.oidc_login import Entered, OidcLogin
 
 _BY_TOKEN = "token"  # noqa: S105  the name of who holds it
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from analytics.serve.api import alerts, store
 from analytics.serve.api.operation import Call, Nothing
-from analytics.serve.pages.page import shown
+from analytics.serve.pages.frame.page import shown
 
 
 @shown("/work", "at_work.html.jinja")

@@ -5,11 +5,11 @@ from typing import Any
 import msgspec
 
 from analytics.plots.picture import Picture
-from analytics.serve.api import diagnosis as api
 from analytics.serve.api import jobs as jobs_api
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
-from analytics.serve.pages.page import shown
+from analytics.serve.api.unit import diagnosis as api
+from analytics.serve.pages.frame.page import shown
 from stream.errors import NotFound
 
 

@@ -7,9 +7,9 @@ import msgspec
 from analytics.event_words import summary
 from analytics.serve.api import events as api
 from analytics.serve.api.operation import Call
-from analytics.serve.pages.language import LANGUAGES
-from analytics.serve.pages.page import shown
-from analytics.serve.pages.zones import common_zone, zoned
+from analytics.serve.pages.frame.language import LANGUAGES
+from analytics.serve.pages.frame.page import shown
+from analytics.serve.pages.frame.zones import common_zone, zoned
 
 _SHOWN_CHARACTERS = 400
 

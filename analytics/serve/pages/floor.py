@@ -11,7 +11,7 @@ from analytics.serve.api.alerts import AlertsAsked, list_alerts
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
 from analytics.serve.live.floor_rows import STATE_COLUMNS, UNIT_COLUMNS
-from analytics.serve.pages.page import shown
+from analytics.serve.pages.frame.page import shown
 
 _ROWS = 200
 # what needs somebody first: failed, aborted, at the limit, without data, silent; then the undecided

@@ -5,21 +5,9 @@ import functools
 from starlette.routing import Route
 
 from analytics.serve.doors.login_file import DONE_PATH
-from analytics.serve.pages import (
-    actions,
-    at_work,
-    diagnosis,
-    events,
-    floor,
-    login,
-    runs,
-    signal,
-    single_sign_on,
-    sql,
-    store,
-    trends,
-    units,
-)
+from analytics.serve.pages import at_work, diagnosis, events, floor, runs, signal, sql, store, trends, units
+from analytics.serve.pages.frame import actions
+from analytics.serve.pages.sign_in import login, single_sign_on
 from analytics.serve.service import Service
 
 PAGES = (

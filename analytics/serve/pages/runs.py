@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from analytics.serve.api import runs as api
 from analytics.serve.api.operation import Call, Nothing, link
 from analytics.serve.api.rows import Name
-from analytics.serve.api.run_allan import MOST_UNITS, RunAllan, RunAllanAsked, run_allan
-from analytics.serve.api.run_course import RunCourse, run_course
-from analytics.serve.pages.page import shown
+from analytics.serve.api.run import runs as api
+from analytics.serve.api.run.run_allan import MOST_UNITS, RunAllan, RunAllanAsked, run_allan
+from analytics.serve.api.run.run_course import RunCourse, run_course
+from analytics.serve.pages.frame.page import shown
 
 _CHOICES = 200
 

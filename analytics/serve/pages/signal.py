@@ -6,12 +6,12 @@ from typing import Any
 
 import msgspec
 
-from analytics.serve.api import allan as allan_api
-from analytics.serve.api import signals as api
 from analytics.serve.api.operation import Call, link
+from analytics.serve.api.query import allan as allan_api
+from analytics.serve.api.query import signals as api
 from analytics.serve.api.rows import Name, dictionaries
-from analytics.serve.pages.page import shown
-from analytics.serve.pages.zones import common_zone, typed, zone_of_run, zoned
+from analytics.serve.pages.frame.page import shown
+from analytics.serve.pages.frame.zones import common_zone, typed, zone_of_run, zoned
 from stream.quantities import report_unit
 
 _TABLE_POINTS = 100

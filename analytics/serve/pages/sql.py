@@ -8,13 +8,13 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
-from analytics.serve.api import sql as api
 from analytics.serve.api.encoding import Form
 from analytics.serve.api.operation import Call, Nothing, link
+from analytics.serve.api.query import sql as api
 from analytics.serve.doors.admission import admitted, check_change
 from analytics.serve.doors.roles import Role
-from analytics.serve.pages.login import form_of
-from analytics.serve.pages.render import page
+from analytics.serve.pages.frame.render import page
+from analytics.serve.pages.sign_in.login import form_of
 from analytics.serve.service import Service
 from analytics.serve.sql_pool import MOST_ROWS
 from stream.errors import BadInput, GyrofleetError

@@ -5,7 +5,7 @@ from typing import Any
 from analytics.serve.api import alerts, events
 from analytics.serve.api import store as api
 from analytics.serve.api.operation import Call, Nothing
-from analytics.serve.pages.page import shown
+from analytics.serve.pages.frame.page import shown
 
 
 @shown("/store", "store.html.jinja", shared_s=1.0)

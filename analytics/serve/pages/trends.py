@@ -4,12 +4,12 @@ from typing import Any, Literal
 
 import msgspec
 
-from analytics.serve.api import trend_pictures as pictures
-from analytics.serve.api import trends as api
 from analytics.serve.api.operation import Call, Nothing, NotYet, link
 from analytics.serve.api.rows import Name
-from analytics.serve.pages.page import shown
-from analytics.serve.pages.zones import DEFAULT
+from analytics.serve.api.trend import trend_pictures as pictures
+from analytics.serve.api.trend import trends as api
+from analytics.serve.pages.frame.page import shown
+from analytics.serve.pages.frame.zones import DEFAULT
 
 _MOST_CHARTS = 24
 _OF_PAGE = ("yield_by", "group")

@@ -8,14 +8,14 @@ import msgspec
 from analytics.event_words import summary
 from analytics.plots.picture import Picture
 from analytics.serve.api import events
-from analytics.serve.api import unit_pictures as pictures
-from analytics.serve.api import units as api
-from analytics.serve.api.certificates import CertificateRow
 from analytics.serve.api.operation import Call, Nothing, NotYet, link
 from analytics.serve.api.rows import Name, Paged
+from analytics.serve.api.unit import unit_pictures as pictures
+from analytics.serve.api.unit import units as api
+from analytics.serve.api.unit.certificates import CertificateRow
 from analytics.serve.pages.events import shortened
-from analytics.serve.pages.language import LANGUAGES
-from analytics.serve.pages.page import shown
+from analytics.serve.pages.frame.language import LANGUAGES
+from analytics.serve.pages.frame.page import shown
 
 _MOST_HISTORIES = 6
 _AUDIT = 30

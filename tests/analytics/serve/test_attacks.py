@@ -12,7 +12,7 @@ import pytest
 
 from analytics.serve.api.routes import OPERATIONS
 from analytics.serve.doors.passwords import hashed, matches
-from analytics.serve.pages.actions import ACTIONS
+from analytics.serve.pages.frame.actions import ACTIONS
 from tests.analytics.serve.conftest import TOKEN, Served
 
 CHANGES = [

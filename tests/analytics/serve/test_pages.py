@@ -9,7 +9,7 @@ import pytest
 
 from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.table import format_number
-from analytics.serve.pages.language import Texts
+from analytics.serve.pages.frame.language import Texts
 from stream.events import Document
 from tests.analytics.serve.conftest import Served
 from tests.analytics.serve.served_store import START_NS

@@ -12,8 +12,8 @@ from starlette.responses import HTMLResponse, Response
 from analytics.serve.doors.doorkeeper import Doorkeeper
 from analytics.serve.doors.roles import Role
 from analytics.serve.live.follower import FloorFollower
-from analytics.serve.pages.problem_page import problem_response
-from analytics.serve.pages.waiting import Waiting
+from analytics.serve.pages.frame.problem_page import problem_response
+from analytics.serve.pages.frame.waiting import Waiting
 from analytics.serve.problems import Stopping, TooMany
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import SharedLake

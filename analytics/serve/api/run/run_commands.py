@@ -6,8 +6,8 @@ from typing import Annotated
 import msgspec
 
 from analytics.serve.api.operation import Call, Nothing, get, post
-from analytics.serve.api.run_course import CommandRow, run_course
-from analytics.serve.api.runs import run_row
+from analytics.serve.api.run.run_course import CommandRow, run_course
+from analytics.serve.api.run.runs import run_row
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import Conflict, TooMany
 from storage.recording.run_command import command_documents, give_command, is_at_work

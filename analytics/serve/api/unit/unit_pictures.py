@@ -9,7 +9,7 @@ import msgspec
 from analytics.plots.picture import Axis, Curve, Label, Picture
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, dictionaries
-from analytics.serve.api.units import unit_row
+from analytics.serve.api.unit.units import unit_row
 from stream.quantities import is_angular_rate, report_unit
 
 _MOST_CURVES = 12

@@ -9,9 +9,11 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from analytics.serve.api import alerts, diagnosis, jobs, notes, run_commands
+from analytics.serve.api import alerts, jobs, notes
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.api.operation import Call, Operation
+from analytics.serve.api.run import run_commands
+from analytics.serve.api.unit import diagnosis
 from analytics.serve.doors.admission import admitted, check_change
 from analytics.serve.doors.origin import local_path
 from analytics.serve.service import Service

@@ -5,10 +5,10 @@ from typing import Any
 import msgspec
 
 from analytics.metric_registry.registry import alike
-from analytics.serve.api.certificates import CertificateRow, certificates_of
-from analytics.serve.api.models import ModelRow, models_of
 from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
+from analytics.serve.api.unit.certificates import CertificateRow, certificates_of
+from analytics.serve.api.unit.models import ModelRow, models_of
 from stream.errors import NotFound
 
 _UNITS = """

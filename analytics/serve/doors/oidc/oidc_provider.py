@@ -14,7 +14,7 @@ from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
 from analytics.serve.doors.login_file import LoginFile, OidcSettings, is_safe_url
-from analytics.serve.doors.oidc_problem import OidcProblem
+from analytics.serve.doors.oidc.oidc_problem import OidcProblem
 
 _TIMEOUT_S = 5.0
 _FRESH_S = 3600.0

@@ -10,7 +10,7 @@ import msgspec
 import pyarrow as pa
 
 from analytics.serve.api.operation import Call, Nothing, get, post
-from analytics.serve.api.sql_result import SqlResult, SqlRows, expanded_bytes
+from analytics.serve.api.query.sql_result import SqlResult, SqlRows, expanded_bytes
 from analytics.serve.doors.roles import Role
 from analytics.serve.sql_pool import MOST_ROWS
 from storage.sql.catalog import Catalog

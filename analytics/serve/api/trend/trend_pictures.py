@@ -6,8 +6,8 @@ from typing import Any
 import msgspec
 
 from analytics.plots.picture import Axis, Curve, Label, Mark, Picture, Style
-from analytics.serve.api import trends
 from analytics.serve.api.operation import Call, get, link
+from analytics.serve.api.trend import trends
 
 _MOST_GROUPS = 12
 _FEW_UNITS = 8

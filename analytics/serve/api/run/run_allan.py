@@ -5,10 +5,10 @@ from itertools import islice
 
 import msgspec
 
-from analytics.serve.api.allan import Allan, AllanAsked, allan
 from analytics.serve.api.operation import Call, Nothing, get
+from analytics.serve.api.query.allan import Allan, AllanAsked, allan
 from analytics.serve.api.rows import Name, dictionaries
-from analytics.serve.api.run_course import RunCourse, run_course
+from analytics.serve.api.run.run_course import RunCourse, run_course
 from storage.specifications.live_limits import chosen_periods, unit_limits
 from stream.errors import BadInput, GyrofleetError, NotFound, UnknownUnit
 from stream.events import EstimatePoint, Limit, Verdict

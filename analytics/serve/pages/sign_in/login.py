@@ -10,8 +10,8 @@ from analytics.serve.api.endpoint import limited_body
 from analytics.serve.doors.admission import check_change
 from analytics.serve.doors.gate import PERSON, address_of
 from analytics.serve.doors.origin import is_of_this_site, local_path
-from analytics.serve.pages.render import page
-from analytics.serve.pages.single_sign_on import logged_out
+from analytics.serve.pages.frame.render import page
+from analytics.serve.pages.sign_in.single_sign_on import logged_out
 from analytics.serve.problems import Forbidden, TooMany
 from analytics.serve.service import Service
 from stream.errors import BadInput

@@ -5,10 +5,10 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from analytics.serve.doors.gate import address_of
-from analytics.serve.doors.oidc_problem import OidcProblem
+from analytics.serve.doors.oidc.oidc_problem import OidcProblem
 from analytics.serve.doors.origin import local_path
 from analytics.serve.doors.sessions import Session
-from analytics.serve.pages.render import page
+from analytics.serve.pages.frame.render import page
 from analytics.serve.service import Service
 from stream.errors import NotFound
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from analytics.serve.doors.login_file import DONE_PATH, LoginFile, OidcSettings
-from analytics.serve.doors.oidc_problem import OidcProblem
-from analytics.serve.doors.oidc_provider import OidcProvider
-from analytics.serve.doors.oidc_token import verified_claims
+from analytics.serve.doors.oidc.oidc_problem import OidcProblem
+from analytics.serve.doors.oidc.oidc_provider import OidcProvider
+from analytics.serve.doors.oidc.oidc_token import verified_claims
 from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.doors.roles import Role
 from analytics.serve.doors.users_file import is_name

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from analytics.serve.api.jobs import JobDocument, JobRow, document_of, job_row
-from analytics.serve.api.models import ModelRow, models_of
 from analytics.serve.api.operation import Call, Nothing, get, post
 from analytics.serve.api.rows import Name, iso
-from analytics.serve.api.units import unit_row
+from analytics.serve.api.unit.models import ModelRow, models_of
+from analytics.serve.api.unit.units import unit_row
 from analytics.serve.doors.roles import Role
 from analytics.serve.jobs import Job
 from analytics.serve.problems import Conflict

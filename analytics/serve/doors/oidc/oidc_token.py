@@ -8,8 +8,8 @@ from joserfc import jwt
 from joserfc.errors import ExpiredTokenError, InvalidClaimError, InvalidKeyIdError, JoseError
 
 from analytics.serve.doors.login_file import OidcSettings
-from analytics.serve.doors.oidc_problem import OidcProblem
-from analytics.serve.doors.oidc_provider import OidcProvider, Tokens
+from analytics.serve.doors.oidc.oidc_problem import OidcProblem
+from analytics.serve.doors.oidc.oidc_provider import OidcProvider, Tokens
 
 # signatures by a private key alone: none and HMAC with the client's secret are not among them
 _ALGORITHMS = ["RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "Ed25519", "EdDSA"]

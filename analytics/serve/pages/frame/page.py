@@ -16,10 +16,10 @@ from analytics.serve.api.endpoint import computed, query_of, url_of
 from analytics.serve.api.operation import Call
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
-from analytics.serve.pages.language import language_of
-from analytics.serve.pages.render import compiled, page_of, rendered
-from analytics.serve.pages.waiting import Waiting
-from analytics.serve.pages.zones import common_zone
+from analytics.serve.pages.frame.language import language_of
+from analytics.serve.pages.frame.render import compiled, page_of, rendered
+from analytics.serve.pages.frame.waiting import Waiting
+from analytics.serve.pages.frame.zones import common_zone
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
 

@@ -10,9 +10,9 @@ import msgspec
 
 from analytics.serve.api.encoding import Form
 from analytics.serve.api.operation import Call, Nothing, get, post
+from analytics.serve.api.query.signals import SignalAsked, signal
+from analytics.serve.api.query.sql import SqlAsked, answered
 from analytics.serve.api.rows import moment
-from analytics.serve.api.signals import SignalAsked, signal
-from analytics.serve.api.sql import SqlAsked, answered
 from analytics.serve.doors.roles import Role
 from storage.sql.reading import find_signal
 from stream.errors import BadInput

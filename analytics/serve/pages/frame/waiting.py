@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from starlette.requests import Request
 from starlette.responses import Response
 
-from analytics.serve.pages.render import page
+from analytics.serve.pages.frame.render import page
 from analytics.serve.service import Service
 
 _PATIENCE_S = 0.5

@@ -16,8 +16,8 @@ from analytics.serve.api.operation import link
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.gate import PERSON
 from analytics.serve.doors.roles import Person, Role
-from analytics.serve.pages.language import COOKIE, LANGUAGES, Texts, language_of
-from analytics.serve.pages.zones import DEFAULT, local, typed
+from analytics.serve.pages.frame.language import COOKIE, LANGUAGES, Texts, language_of
+from analytics.serve.pages.frame.zones import DEFAULT, local, typed
 from stream.events import Verdict
 
 _YEAR_S = 365 * 86_400

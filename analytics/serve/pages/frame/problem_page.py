@@ -6,7 +6,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from analytics.serve.pages.render import page
+from analytics.serve.pages.frame.render import page
 from analytics.serve.problems import Unauthorised, document_of, headers_of, status_of
 from stream.errors import GyrofleetError
 

@@ -1,0 +1,1 @@
+"""Runs over the HTTP API: steps, course, live Allan deviation, commands."""

@@ -1,0 +1,1 @@
+"""Trends over the HTTP API: charts, their pictures."""

@@ -1,0 +1,1 @@
+"""Units over the HTTP API: runs, curves, certificates, error models, diagnosis."""

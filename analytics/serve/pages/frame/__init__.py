@@ -1,0 +1,1 @@
+"""What all pages share: language, zone of time, rendering, problems, waiting."""
