@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from uuid import UUID
@@ -120,7 +121,7 @@ def test_nothing_that_a_router_makes_up_is_recorded(between: Between) -> None:
     counts = between.recorder.counts
     for number, (key, payload, reason) in enumerate(cases, 1):
         between.router.publish(key, payload)
-        _until(lambda number=number: counts.rejected == number)
+        _until(partial(_has_rejected, between.recorder, number))
         assert reason in counts.rejections[-1], (key, reason)
     assert counts.samples == 10
     quarantined = len(cases)
@@ -160,10 +161,17 @@ def test_a_source_believes_a_recorders_acknowledgement_only(between: Between) ->
     made_up = [encode_acknowledgement(store, (position,)), forged, *map(msgspec.msgpack.encode, (named, moved))]
     for number, payload in enumerate(made_up, 1):
         between.router.publish(ACKNOWLEDGEMENT_KEY, payload)
-        wanted = f"a forged acknowledgement is refused, {number} so far"
-        _until(lambda wanted=wanted: wanted in (between.source.warning or ""))
+        _until(partial(_warns, between.source, f"a forged acknowledgement is refused, {number} so far"))
     assert between.source.outstanding == 1
     between.source.abandon()
+
+
+def _has_rejected(recorder: Recorder, number: int) -> bool:
+    return recorder.counts.rejected == number
+
+
+def _warns(source: DurablePublisher, text: str) -> bool:
+    return text in (source.warning or "")
 
 
 def _until(is_so: Callable[[], bool]) -> None:
