@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from analytics.certificate.issue import Issued
     from analytics.certificate.statement.words import Language
     from analytics.certificate.verification import Verified
+    from storage.store import Store
 
 
 @click.group("certificate", cls=CommandGroup, invoke_without_command=True)
@@ -76,10 +77,22 @@ def certificate(
     )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
         issued = issue_certificate(catalog, wanted)
+        if not issued.is_draft:
+            _attest(catalog.store)
     if as_json:
         print_json(issued)
     else:
         _print_issued(issued, out)
+
+
+def _attest(store: "Store") -> None:
+    """Anchor the store's history with the certificate in it, where the user has a key that attests."""
+    from storage.attestation.attestation import attest
+    from storage.attestation.signing_key import SigningKey, default_key
+
+    if default_key().exists():
+        kept, _ = attest(store, SigningKey(default_key()))
+        notes().print(f"attested: {kept}", soft_wrap=True)
 
 
 def _print_issued(issued: "Issued", out: Path) -> None:

@@ -17,6 +17,8 @@ from cryptography.x509.oid import NameOID
 
 from analytics.certificate.document.signature import check_signature, sign
 from analytics.certificate.record import read_certificates
+from storage.attestation.attestation import kept_attestations, read_attestation
+from storage.attestation.signing_key import create_key, default_key
 from storage.log.store_documents import forgery, sealed
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -87,9 +89,11 @@ def test_the_digital_certificate_has_the_results_with_u_and_k(
 
 
 def test_a_new_one_on_the_same_runs_has_to_supersede(
-    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, answer = issued
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "home"))
+    create_key(default_key())
     refused = run_command(*ORDERED, "--out", "second.pdf", cwd=folder)
     assert refused.code == 1
     assert f"--supersedes {answer['number']}" in refused.out
@@ -99,6 +103,10 @@ def test_a_new_one_on_the_same_runs_has_to_supersede(
     more = ("--supersedes", answer["number"], "--reason", "model corrected", "--out", "second.pdf", "--lang", "en")
     second = run_command(*ORDERED, *more, cwd=folder)
     assert second.code == 0, second.err
+    (attested,) = kept_attestations(Store.open(folder / "lab"))  # who has a key anchors the history with each
+    assert f"certificates/{second.json['number']}.pdf" in [
+        each.path for each in read_attestation(attested).stated.files
+    ]
     code, found = verified(run_command, folder, "first.pdf")
     assert (code, found["genuine"], found["valid"]) == (1, True, False)
     assert found["superseded_by"] == second.json["number"]
