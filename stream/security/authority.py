@@ -1,5 +1,7 @@
 """Authority by kind of document: what a principal's role lets it put on record."""
 
+from functools import lru_cache
+
 from stream import events
 from stream.errors import WireError
 from stream.identity import EstimateKey, EventKey, SampleKey
@@ -25,11 +27,16 @@ class NotAuthorised(WireError):
     """A message that its source may not put on record."""
 
 
+@lru_cache(maxsize=200_000)
+def _may_send(source: Principal, key: str) -> bool:
+    return any(includes(each, key) for each in rights_of(source).publishes)
+
+
 def check_authority(
     source: Principal, key: str, parsed: SampleKey | EventKey | EstimateKey, document: events.AnyDocument | None
 ) -> None:
     """Raise NotAuthorised if a source may not send a document, or samples where it is None, under a key."""
-    if not any(includes(each, key) for each in rights_of(source).publishes):
+    if not _may_send(source, key):
         raise NotAuthorised(f"{source} may not send under this key")
     if isinstance(parsed, SampleKey):
         if source.role is Role.ESTIMATOR and not parsed.signal.endswith(_COMPENSATED):
