@@ -23,7 +23,7 @@ from stream.events import AnyDocument
 from stream.identity import Place, event_key
 from stream.security.credentials import BusSecurity, load_credentials, process_security
 from stream.security.rights import Role
-from stream.transport.bus import Bus
+from stream.transport.bus import Admitted, Bus
 from stream.wire import requests
 
 _AGAIN_S = 2.0
@@ -100,9 +100,10 @@ class RecorderClient:
                     if self._state.wait_for(lambda: bool(found), min(_AGAIN_S, max(0.0, until - time.monotonic()))):
                         break
                 if time.monotonic() >= until:
+                    refused = self._bus.why_refused() if isinstance(self._bus, Admitted) else ""
                     raise DeliveryError(
                         f"no recorder has answered for {patience_s:.0f} s; is `gyrofleet record` of this version "
-                        f"running where this source connects to?"
+                        f"running where this source connects to?{refused}"
                     )
             time.sleep(others_s)
             with self._state:

@@ -14,6 +14,9 @@ from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
 from stream.events import StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.security.authority import check_authority
+from stream.security.proof import SourceVerifier, split
+from stream.security.rights import Principal
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch, encode_preview, read_batch_head
 from stream.wire.event_validation import decode_received
@@ -101,11 +104,12 @@ class Intake:
     `moved` are streams whose source waits for an acknowledgement, `received` the number after the last message received
     of each: no more is acknowledged, whatever the log has. `rewinds` are streams of which messages are missing, to be
     requested; `conflicts` messages whose numbers are recorded with other content. `ended_runs` counts ends of runs,
-    `late` messages after the end of their run (resent ones, estimates); the recorder resets both.
+    `late` messages after the end of their run (resent ones, estimates); the recorder resets both. With `sources` a
+    message needs a proof of its source, which is authorised for it.
     """
 
-    def __init__(self, log: EventLog, store: Store) -> None:
-        self._log, self._store = log, store
+    def __init__(self, log: EventLog, store: Store, sources: SourceVerifier | None = None) -> None:
+        self._log, self._store, self._sources = log, store, sources
         self._recent = RecentMessages()
         self.conflicts: list[NumberConflict] = []
         self.counts = RecorderCounts()
@@ -128,10 +132,14 @@ class Intake:
             parsed = _parse_key(key)
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
+            proven = split(payload)
+            source = None if self._sources is None else self._sources.source_of(key, proven)
             if isinstance(parsed, SampleKey):
+                if source is not None:
+                    check_authority(source, key, parsed, None)
                 self._add_samples(key, parsed, payload, arrival_ns)
             else:
-                self._add_document(key, parsed, payload, arrival_ns)
+                self._add_document(key, parsed, payload, arrival_ns, source)
         except GyrofleetError as error:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key[:200]}: {str(error)[:500]}")
@@ -180,9 +188,13 @@ class Intake:
             data = encode_preview(float(batch.value_array[0]), batch.unit_of_measure)
             self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
 
-    def _add_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
+    def _add_document(
+        self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int, source: Principal | None
+    ) -> None:  # fmt: skip
         message = decode_received(payload)
         document = message.document
+        if source is not None:
+            check_authority(source, key, parsed, document)
         if (reason := forgery(self._store, document)) is not None:
             what = document.what if isinstance(document, StoreNoted) else ""
             raise WireError(f"{type(document).__name__} {what[:80]}".strip() + f": {reason}")
@@ -202,12 +214,12 @@ class Intake:
             self.received[stream] = next_seq
         if seq == expected:
             self._log.append(place, record)
-            self._recent.add(stream, seq, record.data)
+            self._recent.add(stream, seq, split(record.data).body)
             self.moved.add(stream)
             self.late += place.run in self._ended
             return True
         if next_seq <= expected:
-            if self._recent.differs(stream, seq, record.data):
+            if self._recent.differs(stream, seq, split(record.data).body):
                 self._keep_conflict(place, record)
             else:
                 self.counts.duplicates += 1

@@ -24,6 +24,7 @@ from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
+from stream.security.proof import SourceVerifier, credentials_of
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import SILENT_AFTER_S, STATUS_KEY, Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
@@ -57,7 +58,8 @@ class Recorder(Closing):
     ) -> None:  # fmt: skip
         self._store, self._bus, self._log, self._sync_interval_s = store, bus, log, sync_interval_s
         self._warn, self._on_failure = on_warning, on_failure
-        self._intake = Intake(log, store)
+        self._credentials = credentials_of(bus)
+        self._intake = Intake(log, store, None if self._credentials is None else SourceVerifier(self._credentials))
         self.counts = self._intake.counts
         self._reports = Reports(store, log, self._intake, self._warn)
         self._watch = DiskWatch(store.folder, disk)
@@ -236,7 +238,7 @@ class Recorder(Closing):
         self._acknowledge(tuple(StreamPosition(*stream, marks.get(stream, 0), rewind=True) for stream in streams))
 
     def _acknowledge(self, positions: tuple[StreamPosition, ...]) -> None:
-        payload = encode_acknowledgement(self._store.identity, positions, self.paused or "")
+        payload = encode_acknowledgement(self._store.identity, positions, self.paused or "", self._credentials)
         self._bus.publish(ACKNOWLEDGEMENT_KEY, payload)
 
     def _sync(self) -> None:

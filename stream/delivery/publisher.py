@@ -19,7 +19,8 @@ from stream.delivery.spool import Spool, SpoolError, SpoolFull
 from stream.errors import DeliveryError, GyrofleetError, WireError
 from stream.events import AnyDocument, encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY
-from stream.transport.bus import Bus
+from stream.security.proof import PROOF_BYTES, Forged, SourceProver, check_acknowledgement, credentials_of
+from stream.transport.bus import Admitted, Bus
 from stream.wire.acknowledgement import StreamId, decode_acknowledgement
 from stream.wire.event_validation import decode_received
 
@@ -57,6 +58,10 @@ class DurablePublisher:
     ) -> None:  # fmt: skip
         self._bus, self._window_bytes, self._resend_after_s = bus, window_bytes, resend_after_s
         self._timeout_s, self._spool = timeout_s, spool
+        self._credentials = credentials_of(bus)
+        self._prover = None if self._credentials is None else SourceProver(self._credentials)
+        self._most_bytes = MAX_MESSAGE_BYTES - (0 if self._prover is None else PROOF_BYTES)
+        self._forged = 0
         self._out = Outbox(window_bytes, resend_after_s, spool, only_store)
         self._epoch = uuid4().hex
         self._event_seq: dict[str, int] = {}
@@ -109,10 +114,10 @@ class DurablePublisher:
             self._by_key[key] = stream
         seq = batch.seq
         payload = stream.encoder.encode(batch)
-        if len(payload) > MAX_MESSAGE_BYTES:
-            raise WireError(f"{key}: {len(payload):,} bytes in a batch, a message may have {MAX_MESSAGE_BYTES:,}")
+        if len(payload) > self._most_bytes:
+            raise WireError(f"{key}: {len(payload):,} bytes in a batch, a message may have {self._most_bytes:,}")
         if self._accept(stream, seq, seq + len(batch), payload):
-            self._bus.publish(key, stream.on_wire(payload))
+            self._publish(stream, payload)
 
     def send_event(self, key: str, document: AnyDocument) -> None:
         """Number and send a document, waiting and raising like `send_batch`; WireError if it makes no sense."""
@@ -128,7 +133,7 @@ class DurablePublisher:
             is_due = self._accept(stream, seq, seq + 1, payload)
             self._event_seq[key] = seq + 1
             if is_due:
-                self._bus.publish(key, stream.on_wire(payload))
+                self._publish(stream, payload)
 
     def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
         """Wait until all is acknowledged, or `given_up()`; DeliveryError if nothing is acknowledged for `timeout_s`."""
@@ -182,6 +187,10 @@ class DurablePublisher:
         with self._lock:
             return self._out.stream(StreamId(key, epoch))
 
+    def _publish(self, stream: OutgoingStream, payload: bytes) -> None:
+        key, message = stream.id.key, stream.on_wire(payload)
+        self._bus.publish(key, message if self._prover is None else self._prover.prove(key, message))
+
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
         with self._lock:
@@ -228,9 +237,12 @@ class DurablePublisher:
             raise DeliveryError(
                 f"{why}no recorder has acknowledged anything for {silence_s:.0f} s and "
                 f"{self._out.format_outstanding()}; is `gyrofleet record` running where this source is connected to?"
-                f"{self._out.format_other_store()}"
+                f"{self._out.format_other_store()}{self._why_refused()}"
             )
         self._state.wait(0.1)
+
+    def _why_refused(self) -> str:
+        return self._bus.why_refused() if isinstance(self._bus, Admitted) else ""
 
     def _check(self) -> None:
         if self._out.broken:
@@ -240,6 +252,13 @@ class DurablePublisher:
     def _on_acknowledgement(self, _key: str, payload: bytes) -> None:
         try:
             acknowledgement = decode_acknowledgement(payload)
+            if self._credentials is not None:
+                by, signature = acknowledgement.by, acknowledgement.signature
+                check_acknowledgement(self._credentials, by, signature, acknowledgement.content)
+        except Forged as error:
+            self._forged += 1
+            self._out.warning = f"a forged acknowledgement is refused, {self._forged} so far: {error}"
+            return
         except WireError:
             return  # not from a recorder; without an acknowledgement everything is kept and sent again
         now = time.monotonic()
@@ -270,7 +289,7 @@ class DurablePublisher:
                     chunk += self._out.next_chunk()
                 chunk += self._load()
                 for stream, held in chunk:
-                    self._bus.publish(stream.id.key, stream.on_wire(held.payload))
+                    self._publish(stream, held.payload)
                 with self._lock:
                     for stream, _ in chunk:
                         stream.pumping = False

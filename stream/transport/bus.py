@@ -3,7 +3,7 @@
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from stream.closing import Closing
 
@@ -24,6 +24,14 @@ class Bus(Protocol):
 
     def close(self) -> None:
         """Leave the bus."""
+
+
+@runtime_checkable
+class Admitted(Protocol):
+    """A bus whose other side admits certificates."""
+
+    def why_refused(self) -> str:
+        """Why the other side refuses this one, as the end of a sentence; empty if it does not, or does not answer."""
 
 
 class LocalBus(Closing):

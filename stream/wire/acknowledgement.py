@@ -5,6 +5,8 @@ from typing import NamedTuple
 import msgspec
 
 from stream.errors import WireError
+from stream.security.credentials import Credentials
+from stream.security.proof import signed_acknowledgement
 
 
 class StreamId(NamedTuple):
@@ -24,21 +26,38 @@ class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
-    """Streams that moved since the last one, their store, and why its recorder pauses; empty while it records."""
+    """Streams that moved since the last one, their store, and why its recorder pauses; empty while it records.
+
+    On a secured bus `by` is the recorder's common name, and `signature` its signature of all before.
+    """
 
     schema: int
     store: str
     positions: tuple[StreamPosition, ...]
     paused: str = ""
+    by: str = ""
+    signature: bytes = b""
+
+    @property
+    def content(self) -> bytes:
+        """What is signed."""
+        return msgspec.msgpack.encode(msgspec.structs.replace(self, signature=b""))
 
 
 ACKNOWLEDGEMENT_SCHEMA = 1
 _decoder = msgspec.msgpack.Decoder(Acknowledgement)
 
 
-def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...], paused: str = "") -> bytes:
-    """The wire form of positions."""
-    return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions, paused))
+def encode_acknowledgement(
+    store: str, positions: tuple[StreamPosition, ...], paused: str = "", signer: Credentials | None = None
+) -> bytes:
+    """The wire form of positions, signed on a secured bus."""
+    plain = Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions, paused)
+    if signer is None:
+        return msgspec.msgpack.encode(plain)
+    named = msgspec.structs.replace(plain, by=signer.principal.common_name)
+    signature = signed_acknowledgement(signer, named.content)
+    return msgspec.msgpack.encode(msgspec.structs.replace(named, signature=signature))
 
 
 def decode_acknowledgement(payload: bytes) -> Acknowledgement:

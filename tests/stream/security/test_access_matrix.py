@@ -13,7 +13,7 @@ from stream.errors import BusError
 from stream.security.credentials import BusSecurity, load_credentials
 from stream.security.rights import MissingRight, Principal, Role
 from stream.transport.zenoh_bus import Answers, ZenohBus
-from tests.stream.security.sites import credentials, make_site, session
+from tests.secured_sites import credentials, make_site, session
 
 OWN, OTHER = "gyrofleet/plant/c1/U1/rate", "gyrofleet/plant/c2/U2/rate"
 KEYS = {
