@@ -6,6 +6,7 @@ near it and nothing else.
 """
 
 import hashlib
+import os
 import shutil
 import time
 from contextlib import suppress
@@ -37,6 +38,7 @@ NEW_LAKE = "lake-new"
 _COMPLETE = "complete"  # mark in a new lake: it may replace the old one
 _REMOVABLE = "removable"  # mark in an old lake: the new one holds everything in it
 
+_BLOCK_GRACE_S = 30.0
 _ATTEMPTS = 5  # to read blocks, while they are replaced
 
 
@@ -174,7 +176,7 @@ def write_manifest(store: Store, manifest: Manifest) -> Manifest:
     """Put a manifest in force, atomically; returns it with its blocks.
 
     While all segments are within one block it has none, and the format of earlier versions. Blocks that are no longer
-    named are removed: who reads an old manifest meanwhile reads the new one.
+    named are removed after 30 s, for who reads an old manifest meanwhile.
     """
     by_number = in_blocks(manifest.parts)
     newest = max(by_number, default=0)
@@ -199,7 +201,8 @@ def write_manifest(store: Store, manifest: Manifest) -> Manifest:
             dropped_by=dropped_by, restored_by=restored_by,
         )  # fmt: skip
     write_sealed(store.lake / MANIFEST, written)
-    _remove_others(store, {each.block.file for each in loaded})
+    named = {each.block.file for each in loaded}
+    _remove_others(store, named, just_replaced={each.block.file for each in manifest.blocks} - named)
     return msgspec.structs.replace(manifest, blocks=tuple(loaded))
 
 
@@ -247,12 +250,16 @@ def _with_known_sources(store: Store, before: _Loaded | None, parts: list[Part])
     return found
 
 
-def _remove_others(store: Store, named: set[str]) -> None:
-    folder = store.lake / BLOCKS
-    if folder.is_dir():
-        for path in folder.iterdir():
-            if path.name not in named:
-                path.unlink(missing_ok=True)
+def _remove_others(store: Store, named: set[str], just_replaced: set[str]) -> None:
+    """Remove blocks that no manifest has named for a while; the time of a file is that of its replacement."""
+    folder, now_s = store.lake / BLOCKS, time.time()
+    if not folder.is_dir():
+        return
+    for path in folder.iterdir():
+        if path.name in just_replaced:
+            os.utime(path)
+        elif path.name not in named and not now_s - _BLOCK_GRACE_S < path.stat().st_mtime <= now_s:
+            path.unlink(missing_ok=True)
 
 
 def found_parts(store: Store) -> list[Part]:
