@@ -144,7 +144,7 @@ def simulated(command_server: CommandServer) -> Callable[..., Bench]:
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory, simulated: Callable[..., Bench]) -> Iterator[Bench]:
     """A hundred times real time."""
-    found = simulated(tmp_path_factory.mktemp("bench") / "sim", "--speed", 100, "--rate-hz", 2)
+    found = simulated(tmp_path_factory.mktemp("bench") / "sim", "--speed", 100, "--rate-hz", 10)
     yield found
     finish(found)
 

@@ -20,7 +20,7 @@ from analytics.serve.doors.roles import Role
 from analytics.serve.problems import TooLarge, TooSlow
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
-from stream.errors import BadInput, GyrofleetError
+from stream.errors import BadInput, GyrofleetError, NotFound
 
 MOST_BODY_BYTES = 1 << 20
 _LONGEST_BODY_S = 30.0
@@ -100,9 +100,11 @@ async def computed(
         except NotYet:
             await service.metrics()
             state = await service.state()
-        except GyrofleetError:
+        except GyrofleetError as error:
             state, before = await run(service.warming.newest), state
-            if state.number == before.number:
+            # what is not there yet may be in what the log has got since
+            is_newer = isinstance(error, NotFound) and state.log_version != before.log_version
+            if state.number == before.number and not is_newer:
                 raise
     return await run(functools.partial(answer, state, is_patient=True))
 
