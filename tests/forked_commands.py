@@ -137,18 +137,18 @@ class ForkedProcess(subprocess.Popen[str]):
 
 
 class ForkedSqlProcess(subprocess.Popen[bytes]):
-    """The process of `storage.sql.child`, forked from one that has its libraries loaded."""
+    """The process of `storage.sql.sandbox.child`, forked from one that has its libraries loaded."""
 
     def _execute_child(self, *parts: Any) -> None:
         assert len(parts) == _PARTS, f"Popen of Python {sys.version} hands {len(parts)} parts on, not {_PARTS}"
-        assert parts[0][-1] == "storage.sql.child", parts[0]
+        assert parts[0][-1] == "storage.sql.sandbox.child", parts[0]
         ends = (parts[10], parts[13], parts[15])
         others = (parts[11], parts[12], parts[14])
         self.pid = os.fork()
         if self.pid == 0:
             import numba
 
-            from storage.sql import child
+            from storage.sql.sandbox import child
 
             vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
             for number, end in enumerate(ends):

@@ -100,7 +100,7 @@ class SqlPool(Closing):
     def _start_one(self, tag: str) -> None:
         try:
             door = SqlDoor(self._store, self._limits)
-            with suppress(GyrofleetError):  # who asks next is told
+            with suppress(GyrofleetError):  # the next statement reports it
                 door.start()
             with self._lock:
                 is_wanted = not self._is_closed

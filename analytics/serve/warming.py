@@ -130,7 +130,7 @@ class Warming(Closing):
                 self._lake.views.sweep()
                 self._fresh.sweep()
             except (GyrofleetError, OSError):
-                pass  # who asks is told
+                pass  # the next request reports it
             self._ends.wait(max(_LOOK_S if took_s == 0.0 else _NEXT_S - took_s, _PAUSES * took_s))
 
     def _watch_metrics(self) -> None:

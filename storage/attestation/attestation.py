@@ -18,7 +18,7 @@ import msgspec
 from storage.attestation.signing_key import SigningKey, is_signed
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import read_log_manifest
-from storage.replication.source import is_carried
+from storage.replication.sources.source import is_carried
 from storage.segments.disk import sha256_of
 from storage.specifications.copies import FOLDER as SPECIFICATIONS
 from storage.store import Store, only_one
@@ -80,7 +80,7 @@ class Attestation(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def public(self) -> bytes:
-        """The key that is said to have signed it."""
+        """The public key in it; empty if that cannot be read."""
         try:
             return bytes.fromhex(self.public_key)
         except ValueError:

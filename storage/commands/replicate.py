@@ -107,8 +107,8 @@ def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | N
     from contextlib import ExitStack
 
     from storage.fleet_store import FleetStore, is_fleet
-    from storage.replication.bus_server import PlantServer
-    from storage.replication.folder_source import FolderSource
+    from storage.replication.sources.bus_server import PlantServer
+    from storage.replication.sources.folder_source import FolderSource
     from stream.transport.zenoh_bus import ZenohBus
 
     if listen and connect:

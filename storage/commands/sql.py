@@ -116,14 +116,14 @@ class _Asked:
     def catalog(self) -> "Catalog":
         """A catalogue of all tables."""
         from storage.sql.catalog import Catalog
-        from storage.sql.fleet_door import opened_fleet_catalog
+        from storage.sql.fleet.fleet_door import opened_fleet_catalog
 
         return Catalog(self.store) if self._fleet is None else opened_fleet_catalog(self._fleet)
 
     def door(self, limits: "QueryLimits") -> "SqlDoor":
         """The process that answers statements."""
         from storage.sql.door import SqlDoor
-        from storage.sql.fleet_door import FleetDoor
+        from storage.sql.fleet.fleet_door import FleetDoor
 
         return SqlDoor(self.store, limits) if self._fleet is None else FleetDoor(self._fleet, limits)
 

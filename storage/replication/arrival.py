@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from storage.replication.bandwidth import Bandwidth
-from storage.replication.source import CHUNK_BYTES, SegmentSource
+from storage.replication.sources.source import CHUNK_BYTES, SegmentSource
 from storage.segments.disk import DISK, Disk, OpenFile
 from stream.errors import StoreError
 

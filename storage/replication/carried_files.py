@@ -4,8 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
-from storage.replication.folder_source import kept_sha256
-from storage.replication.source import MAX_FILE_BYTES, MAX_FILES, CarriedFile, SegmentMissing, SegmentSource, is_carried
+from storage.replication.sources.folder_source import kept_sha256
+from storage.replication.sources.source import (
+    MAX_FILE_BYTES,
+    MAX_FILES,
+    CarriedFile,
+    SegmentMissing,
+    SegmentSource,
+    is_carried,
+)
 
 _MAX_REFUSED = 1_000
 

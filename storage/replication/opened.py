@@ -7,9 +7,9 @@ from pathlib import Path
 
 from storage.fleet_store import FleetStore, is_fleet
 from storage.plant import read_plant
-from storage.replication.bus_source import BusSource
-from storage.replication.folder_source import FolderSource
-from storage.replication.source import SegmentSource
+from storage.replication.sources.bus_source import BusSource
+from storage.replication.sources.folder_source import FolderSource
+from storage.replication.sources.source import SegmentSource
 from storage.store_marker import MARKER, read_marker
 from stream.errors import BadInput
 

@@ -11,7 +11,7 @@ import msgspec
 
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, LOST
-from storage.replication.source import MAX_LINE_BYTES, MAX_SEGMENT_BYTES, is_segment
+from storage.replication.sources.source import MAX_LINE_BYTES, MAX_SEGMENT_BYTES, is_segment
 from storage.segments.disk import DISK, Disk
 from stream.atomic_file import write_durably
 from stream.errors import StoreError

@@ -22,7 +22,7 @@ from storage.replication.carried_files import CarriedFiles, Stopped
 from storage.replication.plant_list import SALVAGED, ListRefused, checked_line
 from storage.replication.progress import Refusal
 from storage.replication.segment_check import check_segment, is_intact, set_aside
-from storage.replication.source import SegmentMissing, SegmentSource, SourceGone
+from storage.replication.sources.source import SegmentMissing, SegmentSource, SourceGone
 from storage.segments.disk import DISK
 from storage.store import Store, WriterLock
 from storage.store_marker import MARKER, is_unfinished, write_markers

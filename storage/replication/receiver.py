@@ -17,7 +17,7 @@ from storage.replication.lines_ahead import LinesAhead
 from storage.replication.plant_list import ListRefused, PlantList, segment_named
 from storage.replication.progress import Progress, Refusal, read_progress, write_progress
 from storage.replication.segment_check import check_segment, is_intact, set_aside
-from storage.replication.source import SegmentMissing, SegmentSource, SourceGone
+from storage.replication.sources.source import SegmentMissing, SegmentSource, SourceGone
 from storage.segments.disk import DISK, Disk
 from storage.store import REPLICATION, WriterLock
 from stream.errors import BadInput, StoreError

@@ -14,7 +14,7 @@ from storage.replication.bandwidth import Bandwidth
 from storage.replication.identities import Conflict, conflicts
 from storage.replication.progress import Progress
 from storage.replication.receiver import Receiver, Report
-from storage.replication.source import SegmentSource
+from storage.replication.sources.source import SegmentSource
 from storage.specifications.copies import write_missing_copies
 from stream.errors import StoreError
 

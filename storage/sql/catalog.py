@@ -14,10 +14,10 @@ from storage.findings import Finding
 from storage.lake.tables import TABLES
 from storage.manifests.part import Part
 from storage.sql.deferred import DeferredDefinitions, words_of
-from storage.sql.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.lake_source import LakeSource, source_of
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
+from storage.sql.sandbox.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.views import VIEWS, define_views, reading_lake
 from storage.store import Store
 from stream.closing import Closing

@@ -18,8 +18,8 @@ import msgspec
 
 import stream.errors
 from storage.object_lake.range_service import RangeService
-from storage.sql.child import Closed, FrameKind, read_frame, write_frame
 from storage.sql.lake_source import source_of
+from storage.sql.sandbox.child import Closed, FrameKind, read_frame, write_frame
 from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, QueryError, StoreError
@@ -215,7 +215,7 @@ class _Process:
         self.inherited = inherited
         folders = os.pathsep.join(each for each in sys.path if each)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "storage.sql.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            [sys.executable, "-P", "-m", "storage.sql.sandbox.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE, pass_fds=inherited,
             # memory that arenas reserve would count; nothing is compiled there, and numba's cache is not writable
             env={**_environment(), "PYTHONPATH": folders, "MALLOC_ARENA_MAX": "2", "NUMBA_DISABLE_JIT": "1"},

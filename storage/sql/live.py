@@ -17,7 +17,7 @@ import pyarrow as pa
 from storage.lake.tables import MESSAGE_COLUMNS, TABLES
 from storage.manifests.log import read_log_manifest
 from storage.manifests.part import Part
-from storage.sql.guard import plain_message
+from storage.sql.sandbox.guard import plain_message
 from storage.sql.views import define_views, reading_lake
 from storage.store import Store
 from stream.errors import QueryError, StoreError

@@ -10,7 +10,7 @@ import duckdb
 import pyarrow as pa
 
 from storage.lake.tables import TABLES
-from storage.sql.guard import plain_message
+from storage.sql.sandbox.guard import plain_message
 from storage.sql.views import define_views
 from stream.closing import Closing
 from stream.errors import QueryError

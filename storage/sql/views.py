@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import duckdb
 
-from storage.sql.guard import plain_message
+from storage.sql.sandbox.guard import plain_message
 from storage.store import Store
 from stream.errors import StoreError, UnknownUnit
 from stream.quantities import conversion, is_angular_rate

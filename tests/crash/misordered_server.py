@@ -8,8 +8,8 @@ import sys
 import time
 from pathlib import Path
 
-from storage.replication.bus_server import PlantServer
-from storage.replication.folder_source import FolderSource
+from storage.replication.sources.bus_server import PlantServer
+from storage.replication.sources.folder_source import FolderSource
 from stream.transport.zenoh_bus import ZenohBus
 
 _WRONG = 0.1

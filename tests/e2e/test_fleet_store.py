@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from gyrofleet import main
 from storage.fleet_store import FleetStore
 from storage.sql.catalog import Catalog, known_tables
-from storage.sql.fleet_door import FleetDoor, opened_fleet_catalog
+from storage.sql.fleet.fleet_door import FleetDoor, opened_fleet_catalog
 
 _LIMIT = """
 revision = "1"

@@ -116,7 +116,7 @@ def statements(place: str, out: str) -> list[str]:
 
 def function_calls() -> Iterator[str]:
     """A call of each table function that is not known to read the catalogue only, and of scalars with effects."""
-    from storage.sql.guard import TABLE_FUNCTIONS
+    from storage.sql.sandbox.guard import TABLE_FUNCTIONS
 
     rows = duckdb.connect().execute(
         "select distinct function_name, function_type, parameter_types, has_side_effects from duckdb_functions() "

@@ -10,11 +10,11 @@ from storage.check.verify_fleet import FleetVerification, verify_fleet
 from storage.fleet_store import FleetStore
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, manifest_path, read_log_manifest
-from storage.replication.folder_source import FolderSource
 from storage.replication.progress import Progress
 from storage.replication.receiver import Receiver
 from storage.replication.service import Pass, Replication
-from storage.replication.source import SegmentSource, SourceGone
+from storage.replication.sources.folder_source import FolderSource
+from storage.replication.sources.source import SegmentSource, SourceGone
 from storage.store import Store
 from tests.storage.verified_store import fill
 

@@ -8,11 +8,11 @@ import msgspec
 import pytest
 
 from storage.fleet_store import FleetStore
-from storage.replication import bus_source
-from storage.replication.bus_server import KEYS, PlantServer
-from storage.replication.bus_source import BusSource
-from storage.replication.folder_source import FolderSource
-from storage.replication.source import CarriedFile, SegmentMissing, SourceGone
+from storage.replication.sources import bus_source
+from storage.replication.sources.bus_server import KEYS, PlantServer
+from storage.replication.sources.bus_source import BusSource
+from storage.replication.sources.folder_source import FolderSource
+from storage.replication.sources.source import CarriedFile, SegmentMissing, SourceGone
 from stream.errors import BadInput, BusError
 from stream.transport.zenoh_bus import ZenohBus
 from tests.free_ports import free_endpoint

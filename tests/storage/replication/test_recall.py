@@ -12,10 +12,10 @@ from storage.check.verify import verify
 from storage.fleet_store import FleetStore
 from storage.manifests.log import manifest_path
 from storage.plant import read_plant
-from storage.replication.folder_source import FolderSource
 from storage.replication.recall import Recalled, recall
 from storage.replication.receiver import Receiver
 from storage.replication.service import Replication
+from storage.replication.sources.folder_source import FolderSource
 from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.errors import StoreError

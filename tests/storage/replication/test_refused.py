@@ -12,8 +12,8 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import manifest_path, read_log_manifest
 from storage.plant import Plant
 from storage.replication import receiver
-from storage.replication.folder_source import FolderSource
 from storage.replication.plant_list import ListRefused, checked_line
+from storage.replication.sources.folder_source import FolderSource
 from storage.store import Store
 from tests.storage.replication.plants import (
     Endless,

@@ -7,8 +7,8 @@ import pytest
 from storage.fleet_store import FleetStore
 from storage.replication.bandwidth import Bandwidth
 from storage.replication.fleet_status import fleet_status
-from storage.replication.folder_source import FolderSource
 from storage.replication.receiver import Receiver
+from storage.replication.sources.folder_source import FolderSource
 from storage.specifications.chain import append_document
 from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock

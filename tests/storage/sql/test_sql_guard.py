@@ -7,8 +7,8 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from storage.sql.guard import TABLE_FUNCTIONS, check_statement
-from storage.sql.landlock import landlock_version
+from storage.sql.sandbox.guard import TABLE_FUNCTIONS, check_statement
+from storage.sql.sandbox.landlock import landlock_version
 from stream.errors import QueryError
 from tests.sources import SOURCES
 from tests.storage import sql_corpus
@@ -82,8 +82,8 @@ def test_the_kernel_alone_lets_nothing_be_written(tmp_path: Path) -> None:
     script = """
 import sys
 from pathlib import Path
-from storage.sql.landlock import allow_reading_only
-from storage.sql.child import system_paths
+from storage.sql.sandbox.landlock import allow_reading_only
+from storage.sql.sandbox.child import system_paths
 assert allow_reading_only(Path(each) for each in (sys.argv[1], *system_paths()))
 import duckdb
 connection = duckdb.connect()

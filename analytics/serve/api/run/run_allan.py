@@ -130,7 +130,7 @@ def _of_specification(call: Call, course: RunCourse, unit: str, signal: str) -> 
         )
         try:
             periods = chosen_periods(call.store, t_ns or time.time_ns())
-        except GyrofleetError:  # a broken chain is told where limits are looked at
+        except GyrofleetError:  # the pages of limits report a broken chain
             return []
         limits = unit_limits([each.specification for each in periods], product, [signal])
         return [] if limits is None else list(limits.live)

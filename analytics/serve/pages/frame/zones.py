@@ -16,7 +16,7 @@ _OF_RUN = "select time_zone, date_known from internal.served_runs where run = $r
 def common_zone(call: Call) -> str:
     """The zone of all stations of a store; UTC where there is none, or more than one."""
     found: set[str] = set()
-    with suppress(GyrofleetError):  # a damaged lake is told by the page of the store, which needs a zone as well
+    with suppress(GyrofleetError):  # the page of the store reports a damaged lake, and needs a zone as well
         key = ("time zones", call.state.tag)
         found |= call.service.memo.result(key, lambda: frozenset(name for (name,) in call.views.rows(_ZONES)))
     found |= {run.time_zone for run in list(call.service.live.floor.runs.values()) if run.time_zone is not None}

@@ -8,8 +8,8 @@ import json
 import msgspec
 
 from storage.plant import Plant
-from storage.replication.folder_source import FolderSource
-from storage.replication.source import CHUNK_BYTES, CarriedFile, SegmentMissing
+from storage.replication.sources.folder_source import FolderSource
+from storage.replication.sources.source import CHUNK_BYTES, CarriedFile, SegmentMissing
 from stream.errors import BadInput, StoreError
 from stream.identity import ROOT
 from stream.transport.zenoh_bus import ZenohBus

@@ -22,7 +22,7 @@ from storage.log.files import sealed_segments
 from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog, Layer, layers
 from storage.sql.door import QueryLimits, Result, SqlDoor
-from storage.sql.fleet_catalog import FleetCatalog, PlantFile
+from storage.sql.fleet.fleet_catalog import FleetCatalog, PlantFile
 from storage.store import Store
 from stream.atomic_file import replacement
 from stream.errors import GyrofleetError, StoreError

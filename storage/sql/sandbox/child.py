@@ -1,6 +1,6 @@
 """The process that runs users' statements: it can only read the store, and is killed at its limits.
 
-``python -m storage.sql.child``, started by `storage.sql.door`; they exchange frames of kind, length and content.
+``python -m storage.sql.sandbox.child``, started by `storage.sql.door`. Frames are kind, length, content.
 Landlock enforces what DuckDB's settings refuse; it is set before DuckDB is imported, so that its threads have it.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
 
-from storage.sql.landlock import allow_reading_only
+from storage.sql.sandbox.landlock import allow_reading_only
 from stream.no_pandas import hide_pandas
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
     from storage.store import Store
 
     if "plants" in setup:
-        from storage.sql.fleet_catalog import FleetCatalog, PlantFile
+        from storage.sql.fleet.fleet_catalog import FleetCatalog, PlantFile
 
         return FleetCatalog(
             Path(setup["folder"]), msgspec.convert(setup["plants"], type=list[PlantFile]), setup["tables"],

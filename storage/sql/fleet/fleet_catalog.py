@@ -13,7 +13,7 @@ import msgspec
 
 from storage.sql.catalog import Catalog
 from storage.sql.deferred import DeferredDefinitions
-from storage.sql.guard import plain_message
+from storage.sql.sandbox.guard import plain_message
 from storage.sql.views import VIEWS, conversion_macros
 from storage.store import Store
 from stream.errors import StoreError

@@ -9,7 +9,14 @@ from pathlib import Path
 from storage.manifests.log import FIRST, manifest_path
 from storage.plant import Plant, plant_of
 from storage.replication.plant_list import checked_line
-from storage.replication.source import MAX_FILE_BYTES, CarriedFile, SegmentMissing, SourceGone, is_carried, is_segment
+from storage.replication.sources.source import (
+    MAX_FILE_BYTES,
+    CarriedFile,
+    SegmentMissing,
+    SourceGone,
+    is_carried,
+    is_segment,
+)
 from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.closing import Closing

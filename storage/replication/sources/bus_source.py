@@ -8,8 +8,8 @@ from contextlib import suppress
 import msgspec
 
 from storage.plant import Plant, checked
-from storage.replication.bus_server import KEYS, MISSING, After, Range
-from storage.replication.source import CHUNK_BYTES, CarriedFile, SegmentMissing, SourceGone
+from storage.replication.sources.bus_server import KEYS, MISSING, After, Range
+from storage.replication.sources.source import CHUNK_BYTES, CarriedFile, SegmentMissing, SourceGone
 from stream.closing import Closing
 from stream.errors import BadInput, BusError
 from stream.transport.zenoh_bus import Answers, Refused, ZenohBus
