@@ -22,11 +22,11 @@ class Service:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.process = process
         self.lines: list[dict[str, Any]] = []
+        self.errors = ""
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         self._errors = threading.Thread(target=self._drain, daemon=True)
         self._errors.start()
-        self.errors = ""
 
     def _read(self) -> None:
         assert self.process.stdout is not None

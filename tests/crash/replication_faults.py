@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -104,12 +104,13 @@ class Trial:
         line = f"tcp/127.0.0.1:{relay.port}"
         if fault == "twice":
             self.plant.serve("second server")
-        # slow enough that the fault strikes while segments arrive
-        slow = ("--no-lake", "--bandwidth", str(self.rng.choice([3e5, 6e5])))
+        # a second's worth passes at once: what is missing takes 1.5 to 3 s more, and the fault strikes meanwhile
+        slow = ("--no-lake", "--bandwidth", str(self._missing_bytes() / self.rng.uniform(2.5, 4.0)))
         passes = [self.receive(self.plant.misordered if fault == "misordered" else line, *slow)]
         if fault == "twice":
             passes.append(self.receive(line, *slow))
-        time.sleep(self.rng.uniform(0.1, 1.2))
+        self._wait_for_bytes(passes[0])
+        time.sleep(self.rng.uniform(0.0, 1.2))
         if fault == "kill_receiver":
             self.counts["struck"] += passes[0].poll() is None
             passes[0].send_signal(signal.SIGKILL)
@@ -134,6 +135,23 @@ class Trial:
             self.plant.kill("second server")
         self.counts[fault] += 1
         self.check(fault)
+
+    def _copy(self) -> Path:
+        return self.fleet.folder / "plants" / "a"
+
+    def _missing_bytes(self) -> int:
+        """Bytes of the sealed segments that have not arrived."""
+        here = {path.name for path in (self._copy() / "log").glob("*.mcap")}
+        return sum(path.stat().st_size for path in self.plant.store.log.glob("*.mcap") if path.name not in here)
+
+    def _wait_for_bytes(self, each: "subprocess.Popen[str]") -> None:
+        """Wait until something arrives, or the pass has ended."""
+        before, deadline_s = self._missing_bytes(), time.monotonic() + 30.0
+        while each.poll() is None and self._missing_bytes() == before and time.monotonic() < deadline_s:
+            with suppress(FileNotFoundError):  # it has arrived meanwhile
+                if any(part.stat().st_size for part in (self._copy() / "replica" / "arriving").glob("*")):
+                    return
+            time.sleep(0.01)
 
     def check(self, after: str) -> None:
         """Whether everything visible is what the plant sealed, and is listed once."""
