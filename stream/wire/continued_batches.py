@@ -14,12 +14,13 @@ from numba import njit
 
 from stream.batch import CountArray, IntArray
 from stream.bounds import MAX_MOMENT_NS, MAX_SEQ, MIN_MOMENT_NS
+from stream.wire.count_residuals import MEAN_BYTES
 
 Bytes = npt.NDArray[np.uint8]
 
 # tags of the wire form: field number << 3 | wire type
 _SEQ, _SAMPLES, _T0_NS = 6 << 3, 7 << 3, 8 << 3
-_COUNT_PLANES, _PROOF = 18 << 3 | 2, 19 << 3 | 2
+_RESIDUALS, _PROOF = 20 << 3 | 2, 19 << 3 | 2
 _LARGEST_HEAD = 1024
 # columns of the state of a stream
 _NEXT_SEQ, _NEXT_NS, _DT_NS, _BORDER, _DUE_NS, _PREFIX, _MIDDLE = range(7)
@@ -129,12 +130,12 @@ def _layout(data: Bytes) -> tuple[int, int, int]:
         start = at
         tag, at = _varint(data, at, end)
         field, kind = tag >> 3, tag & 7
-        if at < 0 or field <= before or field == 10 or field == 11 or field == 13 or field == 16 or field == 17:
+        if at < 0 or field <= before or 10 <= field <= 11 or field == 13 or 16 <= field <= 19:
             return 0, 0, 0
         before = field
         if field == 6:
             prefix = start
-        if field == 18:
+        if field == 20:
             return (prefix, middle, start) if prefix and middle else (0, 0, 0)
         value = 0
         if kind == 0:
@@ -167,16 +168,17 @@ def _numbers(data: Bytes, at: int, end: int) -> tuple[int, int, int, int]:
 
 
 @njit(cache=True, nogil=True)
-def _planes(data: Bytes, at: int, end: int, n: int) -> tuple[int, int]:
-    """Where the planes of a message's counts begin, and their length, 0 unless they are whole and nothing follows.
+def _residuals(data: Bytes, at: int, end: int, n: int) -> tuple[int, int]:
+    """Where the residuals of a message begin, and their planes, 0 unless they are whole and nothing follows.
 
     A proof may follow: the recorder checks it.
     """
     tag, at = _varint(data, at, end)
-    if at < 0 or tag != _COUNT_PLANES:
+    if at < 0 or tag != _RESIDUALS:
         return 0, 0
     length, at = _varint(data, at, end)
-    if at < 0 or n < 1 or length < n or length > 4 * n or length % n or length > end - at:
+    planes = 0 if n < 1 else (length - MEAN_BYTES) // n
+    if at < 0 or not 1 <= planes <= 4 or length != MEAN_BYTES + planes * n or length > end - at:
         return 0, 0
     rest = at + length
     if rest < end:
@@ -186,21 +188,27 @@ def _planes(data: Bytes, at: int, end: int, n: int) -> tuple[int, int]:
         proof, rest = _varint(data, rest, end)
         if rest < 0 or proof != end - rest:
             return 0, 0
-    return at, length
+    return at, planes
 
 
 @njit(cache=True, nogil=True)
-def _expand(data: Bytes, planes: int, length: int, out: CountArray) -> None:
-    """Write the counts of planes; see `count_planes`."""
+def _expand(data: Bytes, at: int, planes: int, out: CountArray) -> None:
+    """Write the counts of residuals; see `count_residuals`."""
     n = out.shape[0]
-    top = length // n - 1
-    plane = data[planes + top * n : planes + length]
+    mean = np.int32(0)
+    for k in range(MEAN_BYTES):
+        mean |= np.int32(data[at + k]) << np.int32(8 * k)
+    at += MEAN_BYTES
+    plane = data[at + (planes - 1) * n : at + planes * n]
     for i in range(n):
-        out[i] = np.int8(plane[i])
-    for k in range(top - 1, -1, -1):
-        plane = data[planes + k * n : planes + (k + 1) * n]
+        out[i] = plane[i]
+    for k in range(planes - 2, -1, -1):
+        plane = data[at + k * n : at + (k + 1) * n]
         for i in range(n):
-            out[i] = (out[i] << 8) | plane[i]
+            out[i] = (out[i] << np.int32(8)) | np.int32(plane[i])
+    for i in range(n):
+        zigzag = np.uint32(out[i])
+        out[i] = np.int32(mean + np.int32((zigzag >> np.uint32(1)) ^ (np.uint32(0) - (zigzag & np.uint32(1)))))
 
 
 @njit(cache=True, nogil=True)
@@ -230,14 +238,14 @@ def _read(
         seq, n, t0_ns, at = _numbers(data, begin + prefix, end)
         if at < 0 or at + middle >= end or not _same(data, at, heads[stream, prefix : prefix + middle]):
             return message, written, False
-        planes, length = _planes(data, at + middle, end, n)
+        residuals, planes = _residuals(data, at + middle, end, n)
         last_ns = t0_ns + (n - 1) * state[_DT_NS]
         is_next = seq == state[_NEXT_SEQ] and t0_ns == state[_NEXT_NS]
         is_within = seq + n < state[_BORDER] and last_ns < state[_DUE_NS]
         is_bounded = seq <= MAX_SEQ - n and t0_ns >= MIN_MOMENT_NS and last_ns <= MAX_MOMENT_NS
-        if length == 0 or not (is_next and is_bounded):
+        if planes == 0 or not (is_next and is_bounded):
             return message, written, False
-        _expand(data, planes, length, counts[written : written + n])
+        _expand(data, residuals, planes, counts[written : written + n])
         written += n
         state[_NEXT_SEQ] = found[1, message] = seq + n
         state[_NEXT_NS] = found[2, message] = last_ns + state[_DT_NS]

@@ -4,6 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 
 from stream.closing import Closing
@@ -262,10 +263,11 @@ class EstimationWorker(Closing):
         estimation = self._estimation
         before = self.counts.samples
         estimation.catching_up = True
-        for message in self._log.since(dict(estimation.positions)):
+        messages = self._log.since(dict(estimation.positions))
+        while part := [(each.stream.key, each.payload) for each in islice(messages, _MESSAGES_AT_ONCE)]:
             if self._killed:
                 break
-            estimation.take(message.stream.key, message.payload)
+            estimation.take_all(part)
             if saving and time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
         estimation.catching_up = False

@@ -33,13 +33,13 @@ def mutated(payload: bytes, rng: random.Random) -> bytes:
     n = message.samples
     change = rng.randrange(12)
     if change == 0:
-        message.values, message.count_planes = np.arange(n, dtype="<f8").tobytes(), b""
+        message.values, message.count_residuals = np.arange(n, dtype="<f8").tobytes(), b""
     elif change == 1:
         message.times_ns = (message.t0_ns + message.dt_ns * np.arange(n, dtype="<i8")).tobytes()
     elif change == 2:
         message.flags = bytes(n)
     elif change == 3:
-        message.counts, message.count_planes = np.arange(n, dtype="<i4").tobytes(), b""
+        message.counts, message.count_residuals = np.arange(n, dtype="<i4").tobytes(), b""
     elif change == 4:
         message.scale = 2.0
     elif change == 5:
@@ -47,7 +47,7 @@ def mutated(payload: bytes, rng: random.Random) -> bytes:
     elif change == 6:
         message.t0_ns += 5 * DT_NS
     elif change == 7:
-        message.count_planes = message.count_planes[:-1]
+        message.count_residuals = message.count_residuals[:-1]
     elif change == 8:
         return payload[: rng.randrange(len(payload))]
     elif change == 9:
