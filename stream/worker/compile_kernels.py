@@ -24,7 +24,7 @@ def warm_up() -> None:
     from stream.batch import SampleBatch
     from stream.estimators.base import all_estimators
     from stream.estimators.block_means import BlockMeans
-    from stream.estimators.noise.noise_kernel import descend, weighted_least_squares
+    from stream.estimators.noise.noise_kernel import descend, least_deviances, weighted_least_squares
 
     values = np.array([1.0, np.nan, 2.0, 4.0])
     times_ns = np.array([0, 1, 5, 6], np.int64) * 10**9
@@ -40,4 +40,5 @@ def warm_up() -> None:
             estimator.estimate()
         BlockMeans(1.0).push(batch)
     descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
+    least_deviances(np.ones((2, 1)), np.ones(2), np.ones((2, 1)))
     weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))
