@@ -28,6 +28,7 @@ from storage.store import only_one
 from stream.atomic_file import write_durably
 from stream.errors import BadInput, StoreError
 from stream.events import CertificateIssued
+from stream.security.actor import Actor
 
 _WHO = "gyrofleet certificate"
 
@@ -45,6 +46,7 @@ class Wanted(NamedTuple):
     reason: str = ""
     as_draft: bool = False
     sign: Callable[[bytes], bytes] | None = None
+    by: Actor = Actor("")
 
 
 class Issued(msgspec.Struct, frozen=True, kw_only=True):
@@ -139,7 +141,7 @@ def _document(
         runs=tuple(run.run for run in facts.evidence.runs),
         valid_until=later(days[1], wanted.order.valid_months).isoformat(),
         by=Words.of(wanted.order.people.issued_by).en, software=f"gyrofleet {version('gyrofleet')}",
-        specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
+        identity=wanted.by.identity, specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
     )  # fmt: skip
 
 

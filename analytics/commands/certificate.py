@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from analytics.commands.limits import by_option
 from analytics.commands.metrics import opened_catalog
 from storage.commands.stored_names import UNIT
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.security.actor import acting
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from analytics.certificate.issue import Issued
@@ -44,12 +48,14 @@ if TYPE_CHECKING:
     "--key-passphrase", envvar="GYROFLEET_KEY_PASSPHRASE", metavar="TEXT",
     help="Passphrase of the key; better as GYROFLEET_KEY_PASSPHRASE, or asked for.",
 )  # fmt: skip
+@by_option
 @click.pass_context
 @reporting
+@secured(Role.APPROVER, Role.RECORDER)
 def certificate(
     context: click.Context, folder: Path, unit: str | None, standard: str | None, order_path: Path | None,
     out: Path | None, language: "Language", number: str, supersedes: str, reason: str, key: Path | None,
-    key_passphrase: str | None, *, as_draft: bool, as_json: bool,
+    key_passphrase: str | None, by: str | None, *, as_draft: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a calibration certificate of a unit (PDF/A, with a digital certificate), or a draft of what is missing.
 
@@ -74,6 +80,7 @@ def certificate(
         unit=unit, standard=standard_of(standard), order=read_order(order_path), language=language, out=out,
         number=number, supersedes=supersedes, reason=reason, as_draft=as_draft,
         sign=None if key is None else partial(sign, key=key, passphrase=key_passphrase or "", reason="issue"),
+        by=acting(by),
     )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
         issued = issue_certificate(catalog, wanted)

@@ -16,11 +16,12 @@ from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
 from stream.events import ModelActivated
+from stream.security.actor import Actor
 
 EVENTS = (LINE, JUMP, TURN_ON)  # no model predicts them: a line has another phase in each run, a jump occurs once
 
 
-def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, note: str = "") -> ModelVersion:
+def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: Actor, note: str = "") -> ModelVersion:
     """A trace as a version to be written; BadInput if it has no fitted model."""
     diagnosis = found.diagnosis
     if diagnosis.model is None or diagnosis.declared is None or diagnosis.noise is None:
@@ -49,7 +50,7 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
         added=tuple(name for name in diagnosis.names if name not in EVENTS),
         holdout=None if holdout is None else dict(msgspec.to_builtins(holdout)),
         made_ns=time.time_ns(),
-        by=by,
+        by=by.name,
         note=note,
         confounded=tuple(dict.fromkeys(_confounded(found.diagnosis))),
         error=None if error is None else dict(msgspec.to_builtins(error)),
@@ -81,7 +82,7 @@ def promote_trace(
     question: Question,
     stage: Stage,
     *,
-    by: str,
+    by: Actor,
     note: str = "",
     on_progress: Progress = silent,
 ) -> tuple[ModelVersion, ModelActivated]:

@@ -18,10 +18,19 @@ from storage.store import Store, only_one
 from stream.errors import BadInput, NotFound, UnknownUnit
 from stream.events import SpecificationAction, SpecificationEntered
 from stream.quantities import check_result_unit, result_factor
+from stream.security.actor import Actor
+
+_NOBODY = Actor("")
 
 
 def add_specification(
-    store: Store, path: Path, *, by: str = "", reason: str = "", is_revision: bool = False, rejudges: bool = False
+    store: Store,
+    path: Path,
+    *,
+    by: Actor = _NOBODY,
+    reason: str = "",
+    is_revision: bool = False,
+    rejudges: bool = False,
 ) -> tuple[Specification, bool]:
     """Enter a specification file into a store's log.
 
@@ -46,13 +55,13 @@ def add_specification(
             return found, False
         periods_of([*(each for each in held if each.label != found.label), found])
         action = SpecificationAction.REVISED if found.name in names else SpecificationAction.ADDED
-        words = {"by": by, "reason": reason, "content": content.decode(), "rejudges": rejudges}
-        write_copy(store, _append(store, chain, action, words, found))
+        words = {"reason": reason, "content": content.decode(), "rejudges": rejudges}
+        write_copy(store, _append(store, chain, action, by, words, found))
     return found, is_new
 
 
 def withdraw_specification(
-    store: Store, label: str, *, by: str, reason: str, rejudges: bool = False
+    store: Store, label: str, *, by: Actor, reason: str, rejudges: bool = False
 ) -> SpecificationEntered:
     """Take a revision out of force: runs recorded from now on are not judged by it.
 
@@ -69,11 +78,11 @@ def withdraw_specification(
         except BadInput as error:
             why = f"since without it {error}; withdraw one of these first"
             raise BadInput(f"{label} cannot be withdrawn, {why}") from error
-        words = {"by": by, "reason": reason, "rejudges": rejudges}
-        return _append(store, chain, SpecificationAction.WITHDRAWN, words, held[label])
+        words = {"reason": reason, "rejudges": rejudges}
+        return _append(store, chain, SpecificationAction.WITHDRAWN, by, words, held[label])
 
 
-def settle_chain(store: Store, *, by: str, reason: str) -> list[str]:
+def settle_chain(store: Store, *, by: Actor, reason: str) -> list[str]:
     """Accept that the chain of documents is broken; returns a sentence for each break.
 
     Raises BadInput if it is whole; StoreError if the store cannot be written.
@@ -83,17 +92,19 @@ def settle_chain(store: Store, *, by: str, reason: str) -> list[str]:
         if not chain.breaks:
             raise BadInput("the chain of specification documents is whole: there is nothing to settle")
         settles = tuple(each.at for each in chain.breaks)
-        _append(store, chain, SpecificationAction.SETTLED, {"by": by, "reason": reason, "settles": settles})
+        _append(store, chain, SpecificationAction.SETTLED, by, {"reason": reason, "settles": settles})
     return [each.what for each in chain.breaks]
 
 
 def _append(
-    store: Store, chain: Chain, action: SpecificationAction, words: Mapping[str, Any], of: Specification | None = None
-) -> SpecificationEntered:
+    store: Store, chain: Chain, action: SpecificationAction, by: Actor, words: Mapping[str, Any],
+    of: Specification | None = None,
+) -> SpecificationEntered:  # fmt: skip
     """Append a document to the chain."""
     document = SpecificationEntered(
         run="", t_ns=max([time.time_ns(), *(link.document.t_ns + 1 for link in chain.links[-1:])]), action=action,
-        name="" if of is None else of.name, revision="" if of is None else of.revision, previous=chain.head, **words,
+        name="" if of is None else of.name, revision="" if of is None else of.revision, previous=chain.head,
+        by=by.name, identity=by.identity, **words,
     )  # fmt: skip
     append_document(store, document)
     return document

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import msgspec
 
 from stream.errors import NewerSchema, WireError
+from stream.events.document import Act as Act
 from stream.events.document import Document as Document
 from stream.events.document import Moment as Moment
 from stream.events.document import Verdict as Verdict
@@ -117,7 +118,7 @@ class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
     details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
+class NoteAdded(Act, frozen=True, kw_only=True, tag=True):
     """A note of a person or a program."""
 
     text: str
@@ -131,7 +132,7 @@ class StationStated(Document, frozen=True, kw_only=True, tag=True):
     details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
+class CheckEntered(Act, frozen=True, kw_only=True, tag=True):
     """A manual check of a unit without an instrument of the station, with its verdict (GJB 2426A 5.2, 5.3).
 
     `run` is empty where it belongs to none. `item` is ``visual``, ``electrical``, or another check.
@@ -269,7 +270,7 @@ class VerdictGiven(Document, frozen=True, kw_only=True, tag=True):
     checks: tuple[Check, ...] = ()
 
 
-class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
+class ModelActivated(Act, frozen=True, kw_only=True, tag=True):
     """A version of the error model of a unit's signal is activated or deactivated.
 
     `model` is the hash of the version. `stage` is ``live``, ``shadow`` (only monitored) or ``off``. `run` is empty.

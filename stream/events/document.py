@@ -30,3 +30,13 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit
     run: str
     t_ns: Moment
     uid: str = msgspec.field(default_factory=new_uid)
+
+
+class Act(Document, frozen=True, kw_only=True):
+    """Base class of what people and programs do on record.
+
+    `identity` is whom a certificate or a sign-in has proved, ``unauthenticated`` where nobody; empty in documents of
+    before, and in those that a program makes by itself.
+    """
+
+    identity: str = ""

@@ -15,6 +15,7 @@ from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError, StoreError
 from stream.events import AnyDocument, ModelActivated, new_uid
+from stream.security.actor import Actor
 
 _ROLE = "gyrofleet model"
 _SQL = "select document from events where list_contains($kinds, kind) order by t_ns"
@@ -107,7 +108,7 @@ def read_uses(store: Store) -> Uses:
     return uses_of(logged_documents(store, (ModelActivated,)))
 
 
-def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, after_ns: int | None) -> ModelActivated:
+def activation(version: ModelVersion, stage: Stage, reason: str, by: Actor, *, after_ns: int | None) -> ModelActivated:
     """The document that puts a version to use, later than the one before it; BadInput if it must not go live."""
     if stage is Stage.LIVE and not version.is_confirmed:
         raise BadInput(
@@ -124,11 +125,12 @@ def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, aft
         signal=version.signal,
         stage=stage.value,
         reason=reason,
-        by=by,
+        by=by.name,
+        identity=by.identity,
     )
 
 
-def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, by: str) -> ModelActivated:
+def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, by: Actor) -> ModelActivated:
     """Put a version to use; the log has it when this returns. BadInput if it must not, or is in that use already."""
     use = read_uses(store).get((version.unit, version.signal), InUse())
     if use.stage(version.hash) is stage:
@@ -144,14 +146,16 @@ def enter_activations(store: Store, documents: Sequence[AnyDocument]) -> None:
 
 
 def rollback_documents(
-    registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: str
+    registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: Actor
 ) -> list[ModelActivated]:
     """The documents that end the use of the live or shadow version; the previous live version replaces a live one."""
     taken = use.live if stage is Stage.LIVE else use.shadow
     if taken is None:
         raise BadInput(f"no version of the error model is {stage.value}: there is nothing to roll back")
     off_ns = max(time.time_ns(), (_last_ns(use) or 0) + 1)
-    off = msgspec.structs.replace(taken, uid=new_uid(), t_ns=off_ns, stage=Stage.OFF.value, reason=reason, by=by)
+    off = msgspec.structs.replace(
+        taken, uid=new_uid(), t_ns=off_ns, stage=Stage.OFF.value, reason=reason, by=by.name, identity=by.identity
+    )
     if stage is not Stage.LIVE or not use.before:
         return [off]
     earlier = use.before[-1]
