@@ -146,6 +146,10 @@ def print_json(value: Any) -> None:
     click.echo(json_text(value))
 
 
+# writes a line (level, event, text) where a role logs as JSON: then nothing else is on standard error
+structured_log: list[Callable[[str, str, str], None]] = []
+
+
 def reporting(command: Callable[P, R]) -> Callable[..., R]:
     """Give a command ``--json`` and report its errors in one line, with their exit code."""
 
@@ -173,7 +177,9 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             kind, message, code = "Interrupted", _INTERRUPTED, 130
         if kwargs.get("as_json", False):
             print_json({"error": {"kind": kind, "message": message}})
-        else:
+        if structured_log:
+            structured_log[-1]("error", "failed", message)
+        elif not kwargs.get("as_json", False):
             with suppress(BrokenPipeError):
                 click.secho(f"error: {shown_text(message)}", err=True, fg="red")
         sys.exit(code)

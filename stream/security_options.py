@@ -7,7 +7,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import click
 
-from stream.errors import BadInput
+from stream.console import structured_log
+from stream.errors import BadInput, BusError
 from stream.security.credentials import VARIABLE, BusSecurity, load_credentials, secured_process
 from stream.security.endpoint import check_plain_endpoint, secured_endpoint
 from stream.security.rights import Role
@@ -42,6 +43,11 @@ def secured(
             if security is None and not is_insecure:
                 security = default(kwargs)
             credentials = None if security is None else load_credentials(security, roles or tuple(Role))
+            if credentials is not None and kwargs.get("listen") and not credentials.principal.role.listens:
+                raise BusError(
+                    f"{credentials.principal} may not listen: others would not connect to it; --listen needs the "
+                    f"certificate of a recorder or router"
+                )
             for name in ("listen", "connect"):
                 given = kwargs.get(name)
                 if given and credentials is not None:
@@ -51,7 +57,10 @@ def secured(
             does_listen = kwargs.get("listen") or (listens and not kwargs.get("connect"))
             if credentials is None and does_listen:
                 text = "the bus has no security, and reaches the network" if is_insecure else _UNPROTECTED
-                click.echo(f"note: {text}", err=True)
+                if structured_log:
+                    structured_log[-1]("warning", "no_security", text)
+                else:
+                    click.echo(f"note: {text}", err=True)
             with secured_process(BusSecurity(credentials, is_insecure)):
                 return command(*args, **kwargs)
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import click
 
 from stream.command_group import CommandGroup
+from stream.config_file import configured
 from stream.console import notes, print_json, reporting, results, status_listen_option, store_option, until_stopped
 from stream.errors import GyrofleetError, NotFound
 from stream.result_table import ResultTable
+from stream.role_log import RoleLog, logged
 from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.security_options import secured
@@ -30,7 +32,9 @@ def alert() -> None:
 @store_option
 @_rules_option
 @status_listen_option
+@configured("alert")
 @reporting
+@logged("alert")
 def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: bool) -> None:
     """Watch a store and send alerts, until stopped.
 
@@ -43,14 +47,13 @@ def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: b
     from storage.store import Store, only_one
     from stream.status.reporter import StatusReporter, served
 
-    store = Store.open(folder)
+    store, log = Store.open(folder), RoleLog("alert")
     (folder / "alerts").mkdir(exist_ok=True)
 
     def report(text: str) -> None:
         if as_json:
             print_json({"event": "warning", "text": text})
-        else:
-            notes().print(text, soft_wrap=True, markup=False)
+        log.write("warning", "warning", text)
 
     with (
         only_one(folder / "alerts" / "run.lock", "gyrofleet alert run"),
@@ -63,8 +66,7 @@ def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: b
         watching = f"watching {folder}: {len(rules.rules)} rules, {len(rules.targets)} targets; Ctrl-C ends"
         if as_json:
             print_json({"event": "watching", "rules": len(rules.rules), "targets": sorted(rules.targets)})
-        else:
-            notes().print(watching, soft_wrap=True)
+        log.write("info", "watching", watching, rules=len(rules.rules))
         while True:
             service.look()
             if stopped.wait(_EVERY_S):

@@ -84,7 +84,7 @@ def certificate(
     )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
         issued = issue_certificate(catalog, wanted)
-        if not issued.is_draft:
+        if not issued.is_draft and issued.proposal is None:
             _attest(catalog.store)
     if as_json:
         print_json(issued)
@@ -107,6 +107,10 @@ def _print_issued(issued: "Issued", out: Path) -> None:
         notes().print(f"{out}: a draft, not issued; {len(issued.missing)} things are missing", soft_wrap=True)
         for each in issued.missing:
             notes().print(f"  {each}", soft_wrap=True)
+        return
+    if issued.proposal is not None:
+        wait = "it is issued once another person approves"
+        results().print(f"{out}: certificate {issued.number} is proposed as {issued.proposal[:12]}; {wait}")
         return
     results().print(f"{out}: certificate {issued.number}, valid until {issued.valid_until}; SHA-256 {issued.sha256}")
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from analytics.commands.proposal import print_proposed
 from stream.command_group import CommandGroup
 from stream.console import counted, notes, print_json, reporting, results, store_option
 from stream.result_table import ResultTable
@@ -91,10 +92,14 @@ def withdraw(label: str, folder: Path, reason: str, by: str | None, *, rejudges:
     """Take a revision out of force; the one before it holds again. Verdicts given by it stay."""
     from analytics.specifications.entering import withdraw_specification
     from storage.store import Store
+    from stream.events import ActProposed
 
     document = withdraw_specification(Store.open(folder), label, by=acting(by), reason=reason, rejudges=rejudges)
     if as_json:
         print_json(document)
+        return
+    if isinstance(document, ActProposed):
+        print_proposed(document)
         return
     results().print(f"{label}: withdrawn by {document.by}: {reason}")
     _print_rejudged(rejudges=rejudges)
@@ -111,9 +116,12 @@ def settle(folder: Path, reason: str, by: str | None, *, as_json: bool) -> None:
     from analytics.specifications.entering import settle_chain
     from storage.store import Store
 
-    breaks = settle_chain(Store.open(folder), by=acting(by), reason=reason)
+    breaks, proposal = settle_chain(Store.open(folder), by=acting(by), reason=reason)
     if as_json:
-        print_json({"settled": breaks})
+        print_json({"settled": breaks} if proposal is None else {"breaks": breaks, "proposal": proposal.uid})
+        return
+    if proposal is not None:
+        print_proposed(proposal)
         return
     for each in breaks:
         results().print(f"settled: {each}")
@@ -215,13 +223,18 @@ def _enter(
     from storage.store import Store
 
     store = Store.create(folder)
-    found, is_new = add_specification(
+    found, is_new, proposal = add_specification(
         store, file, by=acting(by), reason=reason, is_revision=is_revision, rejudges=rejudges
     )
     if as_json:
+        proposed = {} if proposal is None else {"proposal": proposal.uid}
         print_json(
             {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
+            | proposed
         )
+        return
+    if proposal is not None:
+        print_proposed(proposal)
         return
     what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
     results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}")

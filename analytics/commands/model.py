@@ -9,6 +9,7 @@ import click
 
 from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
 from analytics.commands.limits import by_option
+from analytics.commands.proposal import print_proposed
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results, status_line, store_option
@@ -166,6 +167,7 @@ def promote(
     from analytics.loop.model_promotion import check_usable, confounded_warning, promote_trace
     from analytics.loop.unit_reduction import Question
     from storage.store import Store
+    from stream.events import ActProposed
 
     if (number is None) is (text is None):
         raise BadInput(
@@ -176,20 +178,24 @@ def promote(
     if number is not None:
         version = ModelRegistry(store).version(unit, number)
         check_usable(version, stage)
-        activate(store, version, stage, reason=reason, by=actor)
+        done = activate(store, version, stage, reason=reason, by=actor)
     else:
         question = Question(
             model=text or "", signal=signal, block_s=None if block is None else block_seconds(block),
             noise=None if noise is None else noise_of(noise), holdout=holdout_of(holdout), runs=runs or None,
         )  # fmt: skip
         with status_line() as report:
-            version, _ = promote_trace(store, unit, question, stage, by=actor, note=reason, on_progress=report)
+            version, done = promote_trace(store, unit, question, stage, by=actor, note=reason, on_progress=report)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
         document = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
-        print_json({**document, "text": version.text, "warnings": [warning] if warning else []})
+        proposed = {"proposal": done.uid} if isinstance(done, ActProposed) else {}
+        print_json({**document, "text": version.text, "warnings": [warning] if warning else [], **proposed})
         return
-    results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}")
+    if isinstance(done, ActProposed):
+        print_proposed(done)
+    else:
+        results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}")
     if warning:
         notes().print(f"warning: {warning}", soft_wrap=True)
 

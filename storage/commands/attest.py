@@ -5,7 +5,9 @@ from pathlib import Path
 
 import click
 
+from stream.config_file import configured
 from stream.console import counted, notes, print_json, reporting, results, store_option, until_stopped
+from stream.role_log import RoleLog, logged
 
 _SECONDS_PER_H = 3600.0
 
@@ -20,7 +22,9 @@ _SECONDS_PER_H = 3600.0
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="Also write it here; keep it away from the store."
 )
 @click.option("--every-h", type=click.FloatRange(min=0.01), help="Again each so many hours, until stopped.")
+@configured("attest")
 @reporting
+@logged("attest")
 def attest(folder: Path, key: Path | None, out: Path | None, every_h: float | None, *, as_json: bool) -> None:
     """Sign what the store's history is now, so that nothing before can change unseen.
 
@@ -54,7 +58,8 @@ def attest(folder: Path, key: Path | None, out: Path | None, every_h: float | No
                         "segments": len(stated.segments), "files": len(stated.files), "signed_by": by,
                     }
                 )  # fmt: skip
-            else:
+            RoleLog("attest").write("debug", "attested", f"attested as {kept}", segments=len(stated.segments))
+            if not as_json:
                 at = datetime.fromtimestamp(stated.at_ns / 1e9, UTC)
                 results().print(
                     f"{kept}: {counted(len(stated.segments), 'segment')} and {counted(len(stated.files), 'file')} at "

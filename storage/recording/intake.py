@@ -8,6 +8,7 @@ from functools import lru_cache
 from storage.log.event_log import EventLog
 from storage.log.sequence import LogPlace
 from storage.log.store_documents import forgery
+from storage.recording.two_persons import reason_against
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
@@ -198,6 +199,9 @@ class Intake:
         if (reason := forgery(self._store, document)) is not None:
             what = document.what if isinstance(document, StoreNoted) else ""
             raise WireError(f"{type(document).__name__} {what[:80]}".strip() + f": {reason}")
+        access = None if self._sources is None else self._sources.access
+        if (reason := reason_against(self._store, access, document)) is not None:
+            raise WireError(f"{type(document).__name__}: {reason}")
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)
         place = LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)

@@ -40,3 +40,14 @@ class Act(Document, frozen=True, kw_only=True):
     """
 
     identity: str = ""
+
+
+class ApprovedAct(Act, frozen=True, kw_only=True):
+    """Base class of acts that two persons may be needed for.
+
+    `proposal` is the uid of the `ActProposed` that it carries out, `proposed_by` the identity of who proposed it; empty
+    where one person was enough.
+    """
+
+    proposal: str = ""
+    proposed_by: str = ""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import msgspec
 
 from stream.errors import GyrofleetError, WireError
+from stream.security.access import AccessList
 from stream.security.credentials import Credentials
 from stream.security.rights import Principal, Role, principal_of
 
@@ -118,6 +119,11 @@ class SourceVerifier:
     def __init__(self, credentials: Credentials) -> None:
         self._own = credentials
         self._secrets: dict[str, tuple[Principal, bytes]] = {}
+
+    @property
+    def access(self) -> AccessList:
+        """Who is admitted, and the site's rules."""
+        return self._own.access
 
     def source_of(self, key: str, message: Proven) -> Principal:
         """Who sent a message; raises Forged if its proof is not that of an admitted principal."""

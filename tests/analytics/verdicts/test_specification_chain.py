@@ -33,7 +33,7 @@ SECOND_NS = 10**9
 
 def test_each_document_names_the_one_before_it_and_who_when_and_why(store: Store, specify: Specify) -> None:
     specify(store, "A", limit(1.0), by=Actor("Li"), reason="order 7")
-    specify(store, "B", limit(2.0, "valid_from = 2030-01-01"), by="Wang", reason="too tight", is_revision=True)
+    specify(store, "B", limit(2.0, "valid_from = 2030-01-01"), by=Actor("Wang"), reason="too tight", is_revision=True)
     withdraw_specification(store, "fog-B", by=Actor("Li"), reason="cancelled")
     chain = read_chain(store)
     documents = [link.document for link in chain.links]

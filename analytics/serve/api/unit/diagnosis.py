@@ -145,7 +145,10 @@ def diagnose_unit(call: Call, asked: DiagnosisAsked) -> JobDocument:
 
 @post("/api/models/{unit}/promote", role=Role.ENGINEER)
 def promote_model(call: Call, asked: PromotionAsked) -> Activation:
-    """Put a version of a unit's error model to use; the log has who, when and why."""
+    """Put a version of a unit's error model to use, or propose it where the site needs two persons.
+
+    The log has who, when and why; a document of the kind ActProposed waits at /api/proposals.
+    """
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
     from analytics.loop.model_promotion import check_usable, confounded_warning
