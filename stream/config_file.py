@@ -145,7 +145,7 @@ def _single(path: Path, where: str, value: Any, option: click.Option) -> Any:
     return value
 
 
-def _range(kind: click.ParamType) -> str:
+def _range(kind: "click.ParamType[Any]") -> str:
     """The numbers that an option takes, as the end of a sentence."""
     if not isinstance(kind, click.IntRange | click.FloatRange):
         return ""

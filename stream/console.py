@@ -39,7 +39,7 @@ _EXTRAS = {
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
     **dict.fromkeys(("py4j", "pyspark"), "spark"),
     **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
-    "cryptography": "attest",
+    **dict.fromkeys(("cryptography", "rfc3161_client"), "attest"),
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("fsspec", "obstore"), "s3"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
@@ -237,6 +237,16 @@ class Stop:
         while self.asked_at is None and (left_s := until - time.monotonic()) > 0.0:
             time.sleep(min(left_s, 0.05))
         return self.asked_at is not None
+
+
+@contextmanager
+def interrupted_by_term() -> Iterator[None]:
+    """Have SIGTERM end a command as Ctrl-C does: what it holds is closed, and its exit code is 130."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -98,7 +98,7 @@ def _attest(store: "Store") -> None:
     from storage.attestation.signing_key import SigningKey, default_key
 
     if default_key().exists():
-        kept, _ = attest(store, SigningKey(default_key()))
+        kept = attest(store, SigningKey(default_key())).path
         notes().print(f"attested: {kept}", soft_wrap=True)
 
 
