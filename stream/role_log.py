@@ -85,7 +85,7 @@ def set_up(role: str, log_format: str, log_level: str) -> None:
     handler.setFormatter(formatter)
     root = logging.getLogger()
     root.handlers = [handler]
-    root.setLevel(logging.WARNING)  # of libraries
+    root.setLevel(max(logging.WARNING, logging.getLevelNamesMapping()[log_level.upper()]))  # of libraries
     logging.getLogger(_LOGGER).setLevel(log_level.upper())
     threading.excepthook = functools.partial(_thread_failed, role)
 

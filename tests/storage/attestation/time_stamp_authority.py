@@ -61,7 +61,8 @@ class Authority:
         request = tsp.TimeStampReq.load(query)
         if self.fault == "refuses":
             status = tsp.PKIStatusInfo({"status": "rejection", "status_string": ["not today"]})
-            return bytes(tsp.TimeStampResp({"status": status}).dump())
+            content: bytes = status.dump()  # without a token, which the library demands
+            return bytes((0x30, len(content))) + content
         if self.fault == "garbage":
             return b"<html>"
         if self.fault == "another":
