@@ -19,13 +19,15 @@ _UNPROTECTED = "the bus has no security: it reaches this computer only; `gyrofle
 
 
 def secured(
-    *roles: Role, listens: bool = False, default: Callable[[dict[str, Any]], Path | None] = lambda _: None
+    *roles: Role, listens: bool = False, default: Callable[[dict[str, Any]], Path | None] = lambda _: None,
+    is_group: bool = False,
 ) -> Callable[[Callable[P, R]], Callable[..., R]]:  # fmt: skip
     """Give a command the options, and its buses the protection that they ask for; it stands below `reporting`.
 
     The certificate is of one of `roles`. Addresses among the command's arguments are checked before it begins, and are
     of TLS with security. `listens`: it listens where it is given no address, and reports that the bus has no security.
-    `default` finds the folder of the certificate in its other arguments.
+    `default` finds the folder of the certificate in its other arguments. A group (`is_group`) with a subcommand called
+    needs none.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[..., R]:
@@ -38,6 +40,8 @@ def secured(
         )
         @functools.wraps(command)
         def run(*args: Any, security: Path | None = None, is_insecure: bool = False, **kwargs: Any) -> R:
+            if is_group and click.get_current_context().invoked_subcommand is not None:
+                return command(*args, **kwargs)
             if security is not None and is_insecure:
                 raise BadInput("give --security or --insecure, not both")
             if security is None and not is_insecure:

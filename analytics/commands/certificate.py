@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 @by_option
 @click.pass_context
 @reporting
-@secured(Role.APPROVER, Role.RECORDER)
+@secured(Role.APPROVER, Role.RECORDER, is_group=True)
 def certificate(
     context: click.Context, folder: Path, unit: str | None, standard: str | None, order_path: Path | None,
     out: Path | None, language: "Language", number: str, supersedes: str, reason: str, key: Path | None,
