@@ -16,6 +16,7 @@ FIRST_PAUSE_S = 1.0
 LONGEST_PAUSE_S = 60.0
 HEALTHY_S = 60.0  # a role that worked so long begins with the first pause again
 _WRONG_USE = 2  # exit code of options that are wrong: starting again does not help
+_ENDED_WELL = (0, 130, -Signals.SIGTERM)  # also interrupted to be resumed, and not yet begun
 _KEPT_LINES = 20
 _ERROR = re.compile(r"^(?:error|Error): ")
 Report = Callable[[Literal["info", "error"], str, str], None]  # level, event, text
@@ -101,10 +102,11 @@ class Supervisor:
                 process.kill()
                 code = process.wait()
                 self._report("error", "killed", f"{role.name} had not ended after {patience_s:g} s, and was killed")
-            is_well &= code == 0
+            has_ended_well = code in _ENDED_WELL
+            is_well &= has_ended_well
             self._join(role)
             why = "" if code == 0 else f": {describe_end(code, list(role.last))}"
-            self._report("info" if code == 0 else "error", "role_ended", f"{role.name} has ended{why}")
+            self._report("info" if has_ended_well else "error", "role_ended", f"{role.name} has ended{why}")
             role.process = None
         return is_well
 

@@ -54,7 +54,7 @@ CASES = {
     "run_simulated": Case(SOURCE, "S/log", code=130),
     "run": Case(RUN, '"event":"running"', code=130),
     "import_listen": Case(IMPORT, "S/log", code=130),
-    "supervise": Case(("supervise", "roles.toml"), "record is at work"),
+    "supervise": Case(("supervise", "roles.toml"), "recording from"),
 }
 
 
