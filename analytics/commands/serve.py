@@ -94,4 +94,5 @@ def serve(
     serve_store(store, settings, say)
     if as_json:
         print_json({"event": "ended"})
-    log.write("info", "ended", "server ended")
+    else:
+        log.write("info", "ended", "server ended")
