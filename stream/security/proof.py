@@ -161,9 +161,8 @@ class SourceVerifier:
         self._own = credentials
         self._name = credentials.principal.common_name
         self._known: dict[str, tuple[Principal, _Macs]] = {}
-        self._frames: dict[
-            bytes, tuple[Principal, _Macs]
-        ] = {}  # by what of a proof for this recorder alone is the same
+        # by what is the same in every proof of a source for this recorder alone
+        self._frames: dict[bytes, tuple[Principal, _Macs]] = {}
 
     @property
     def access(self) -> AccessList:
