@@ -57,12 +57,13 @@ class FleetStore:
     @classmethod
     def open(cls, folder: Path) -> Self:
         """Open an existing fleet store; StoreError if the folder is none."""
+        marker = folder / FLEET_MARKER
         try:
-            found = json.loads((folder / FLEET_MARKER).read_text())
+            found = json.loads(marker.read_text())
             if int(found["format"]) > _FORMAT:
-                raise StoreError(f"{folder} has a newer format than this gyrofleet reads: upgrade gyrofleet")
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise StoreError(f"{folder} is not a fleet store ({error}); `gyrofleet replicate` creates one") from error
+                raise StoreError(f"{marker} has a newer format than this gyrofleet reads: upgrade gyrofleet")
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise StoreError(f"{folder} is not a fleet store ({marker}: {error}); `gyrofleet replicate` creates one") from error
         return cls(folder)
 
     @classmethod

@@ -4,8 +4,10 @@ Its times of day are float seconds with a resolution of a quarter of a microseco
 """
 
 import importlib.util
+import logging
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import can
 from can.io.generic import MessageReader
 
 from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_block
-from ingest.can.log_structure import LEAST_BYTES, MAGIC, find_damage
+from ingest.can.log_structure import LEAST_BYTES, MAGIC, check_objects, check_unpacked, find_damage
 from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts
 from stream.errors import BadInput
 
@@ -26,11 +28,11 @@ _MOST_DIGITS = 9
 _HELD_BYTES = 64 << 20
 Progress = Callable[[float], None]
 _READERS: dict[str, Callable[[Path], MessageReader]] = {
-    ".blf": can.BLFReader,
+    ".blf": lambda path: _BlfReader(path),
     ".trc": can.TRCReader,
     ".log": can.CanutilsLogReader,
     ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
-    ".mf4": lambda path: can.MF4Reader(str(path)),
+    ".mf4": lambda path: _mf4_reader(path),
 }
 
 
@@ -54,7 +56,8 @@ class CanLog:
         self._channels: dict[str, int] = {}
         self._held: list[FrameBlock] | None = None
         _check_kind(path)
-        self._open().stop()
+        check_unpacked(path)
+        _stop(self._open())
 
     def blocks(self, progress: Progress | None = None) -> Iterator[FrameBlock]:
         """Frames in the file's order, up to damage; after a complete read up to 64 MB stay in memory for the next."""
@@ -69,7 +72,7 @@ class CanLog:
         held_bytes, size = 0, max(self.path.stat().st_size, 1)
         reader = self._open()
         try:
-            for frames, place in self._frames(reader):
+            for frames, place in self._with_reports(self._frames(reader)):
                 block = frame_block(frames)
                 yield block
                 held_bytes += block.data.nbytes + 16 * len(block)
@@ -80,8 +83,19 @@ class CanLog:
                 if progress is not None:
                     progress(min(place / size, 1.0))
         finally:
-            reader.stop()
+            _stop(reader)
         self._held = held
+
+    def _with_reports(self, found: Iterator[tuple[list[CanFrame], int]]) -> Iterator[tuple[list[CanFrame], int]]:
+        """What is found, and as damage what the reader logs of parts that it leaves out."""
+        with _logged_by_readers() as logged:
+            yield from found
+        self._add_damage(logged)
+
+    def _add_damage(self, logged: list[str]) -> None:
+        if logged:
+            more = f", and {len(logged) - 1} more" if len(logged) > 1 else ""
+            self.damage = self.damage or f"left out what cannot be read: {logged[0]}{more}"
 
     def _frames(self, reader: MessageReader) -> Iterator[tuple[list[CanFrame], int]]:
         """Lists of frames, with the position in the file behind them."""
@@ -141,16 +155,65 @@ class CanLog:
 
     def _open(self) -> MessageReader:
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), _logged_by_readers() as logged:
                 # asammdf warns of what it repairs in an unfinished file; `find_damage` reports it
                 warnings.simplefilter("ignore")
-                return _READERS[self.path.suffix.lower()](self.path)
+                reader = _READERS[self.path.suffix.lower()](self.path)
+            self._add_damage(logged)
+            return reader
         except BadInput:
             raise
         except Exception as error:  # readers raise whatever bad bytes lead to
             stated = " ".join(str(error).split()) or type(error).__name__
             what = f"{self.path.suffix} log of CAN frames"
             raise BadInput(f"{self.path}: cannot be read as a {what}: {stated}") from error
+
+
+class _BlfReader(can.BLFReader):
+    """python-can's, which repeats an object that states fewer bytes than its head has for ever."""
+
+    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        check_objects(self._tail + data)
+        yield from super()._parse_container(data)
+
+
+def _stop(reader: MessageReader) -> None:
+    with suppress(AttributeError):  # asammdf's, of a damaged file
+        reader.stop()
+
+
+def _mf4_reader(path: Path) -> MessageReader:
+    from asammdf.blocks import mdf_v4
+
+    # its destructor fails, and Python prints that, where the constructor did not come to its end
+    mdf_v4.MDF4.__del__ = lambda mdf: _closed(mdf.close)
+    return can.MF4Reader(str(path))
+
+
+def _closed(close: Callable[[], None]) -> None:
+    with suppress(AttributeError):
+        close()
+
+
+@contextmanager
+def _logged_by_readers() -> Iterator[list[str]]:
+    """What readers log of parts that they leave out, in place of its being printed."""
+    found: list[str] = []
+
+    class Collecting(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            lines = record.getMessage().strip().splitlines()
+            found.append(lines[-1][:200] if lines else "an error without a text")
+
+    loggers = [logging.getLogger(name) for name in ("asammdf", "can")]
+    before = [(each.handlers, each.propagate) for each in loggers]
+    for each in loggers:
+        each.handlers, each.propagate = [Collecting(logging.WARNING)], False
+    try:
+        yield found
+    finally:
+        for each, (handlers, propagates) in zip(loggers, before, strict=True):
+            each.handlers, each.propagate = handlers, propagates
 
 
 def _check_kind(path: Path) -> None:

@@ -1,5 +1,6 @@
 """The outer structure of CAN log files, which tells whether one was cut short or not closed by its recorder."""
 
+import mmap
 import os
 import struct
 import zlib
@@ -7,11 +8,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from stream.errors import BadInput
+
 _BLF_HEADER = struct.Struct("<4sLBBBBBBBBQQLL")
 _BLF_OBJECT = struct.Struct("<4sHHLL")
 _MF4_UNFINISHED = b"UnFinMF "
 MAGIC: dict[str, tuple[bytes, ...]] = {".blf": (b"LOGG",), ".mf4": (b"MDF ", _MF4_UNFINISHED)}
 LEAST_BYTES = {".blf": 144, ".mf4": 8}
+
+_MOST_UNPACKED_BYTES = 256 << 20  # recorders write 128 KiB in a container of BLF, 4 MiB in a block of MF4
+_HARMLESS_BYTES = _MOST_UNPACKED_BYTES // 1032  # packed; zlib packs 1032 bytes into one at most
+_BLF_CONTAINER, _BLF_CONTAINER_HEAD_BYTES, _MF4_ZIPPED_HEAD_BYTES = 10, 32, 48
 
 _BLOCK = struct.Struct("<4s4xQQ")
 _FLAGS_AT, _HEADER_AT = 60, 64
@@ -36,6 +43,67 @@ def find_damage(path: Path) -> tuple[str, str]:
             return "was not finished by its recorder; its last frames may be missing", ""
         file.seek(-1, os.SEEK_END)
         return "" if file.read(1) in b"\r\n" else "cut short: it ends inside a line", ""
+
+
+def check_unpacked(path: Path) -> None:
+    """Refuse, by a BadInput, a log with a part that would unpack to more memory than a recorder ever fills."""
+    parts = {".blf": _blf_containers, ".mf4": _mf4_zipped}.get(path.suffix.lower())
+    if parts is None or path.stat().st_size <= _HARMLESS_BYTES:
+        return
+    with path.open("rb") as file:
+        for begin, length in parts(file):
+            if length <= _HARMLESS_BYTES:
+                continue
+            file.seek(begin)
+            unpacker, unpacked = zlib.decompressobj(), 0
+            try:
+                piece = file.read(length)
+                while piece and unpacked <= _MOST_UNPACKED_BYTES:
+                    unpacked += len(unpacker.decompress(piece, 1 << 20))
+                    piece = unpacker.unconsumed_tail
+            except zlib.error:
+                continue
+            if unpacked > _MOST_UNPACKED_BYTES:
+                raise BadInput(
+                    f"{path}: the part at byte {begin:,} unpacks to more than {_MOST_UNPACKED_BYTES >> 20} MiB; no "
+                    "recorder writes such a log, record or export it again"
+                )
+
+
+def _blf_containers(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Begin and length of what is packed in each container."""
+    place = int.from_bytes(file.read(8)[4:8], "little")
+    while True:
+        file.seek(place)
+        base = file.read(_BLF_OBJECT.size)
+        if len(base) < _BLF_OBJECT.size:
+            return
+        signature, _, _, size, kind = _BLF_OBJECT.unpack(base)
+        if signature != b"LOBJ" or size < _BLF_OBJECT.size:
+            return
+        if kind == _BLF_CONTAINER:
+            yield place + _BLF_CONTAINER_HEAD_BYTES, size - _BLF_CONTAINER_HEAD_BYTES
+        place += size + size % 4
+
+
+def _mf4_zipped(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Begin and length of what is packed in each compressed block."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        place = content.find(b"##DZ")
+        while place >= 0:
+            length = int.from_bytes(content[place + 8 : place + 16], "little") - _MF4_ZIPPED_HEAD_BYTES
+            yield place + _MF4_ZIPPED_HEAD_BYTES, min(length, len(content))
+            place = content.find(b"##DZ", place + 4)
+
+
+def check_objects(container: bytes) -> None:
+    """Refuse, by a ValueError, what is in a container of BLF if an object in it is shorter than its head."""
+    place = 0
+    while (place := container.find(b"LOBJ", place, place + 8)) >= 0 and place + _BLF_OBJECT.size <= len(container):
+        _, _, _, size, _ = _BLF_OBJECT.unpack_from(container, place)
+        if size < _BLF_OBJECT.size:
+            raise ValueError(f"an object states {size} bytes, its head has {_BLF_OBJECT.size}")
+        place += size
 
 
 def _blf_damage(path: Path) -> str:
@@ -136,7 +204,8 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
             yield from _data(file, part, is_last_open=is_last_open and part == parts[-1])
     elif kind == b"##DZ":
         zip_type, parameter, size, zipped = struct.unpack("<2xBxLQQ", file.read(24))
-        data = zlib.decompress(file.read(zipped))
+        unpacker = zlib.decompressobj()
+        data = unpacker.decompress(file.read(zipped), min(size, _MOST_UNPACKED_BYTES) + 1)
         if len(data) != size or zip_type not in {0, 1} or (zip_type and not parameter):
             raise ValueError("a compressed block is damaged")
         if zip_type:  # it was transposed before it was compressed

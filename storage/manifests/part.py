@@ -132,6 +132,8 @@ def check_names(part: Part) -> None:
     """Refuse, by a ValueError, names that lead out of the lake."""
     if _NAMES.fullmatch("\n".join((part.name, *part.segments, *part.files))) is None:
         raise ValueError(f"a name of part {part.name!r} is not a path within the lake")
+    if not part.segments:
+        raise ValueError(f"part {part.name!r} is of no segment")
 
 
 def check_within(names: list[str]) -> None:

@@ -64,6 +64,20 @@ def restore(snapshot: bytes) -> Estimator[Any]:
             f"snapshot of version {version}, of an older gyrofleet; this one keeps version {SNAPSHOT_VERSION}: "
             "estimate again from the record"
         )
+    try:
+        return _restored(packed)
+    except (
+        msgspec.MsgspecError, zstandard.ZstdError, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError,
+        ValueError,
+    ) as error:  # fmt: skip
+        # its checksum is right: another program, or somebody, has written it
+        raise EstimatorError(
+            f"the snapshot of an estimator cannot be read ({type(error).__name__}: {error}); estimate again from the "
+            "record"
+        ) from error
+
+
+def _restored(packed: bytes) -> Estimator[Any]:
     content = _decoder.decode(zstandard.ZstdDecompressor().decompress(packed))
     classes = {cls.__name__: cls for cls in estimator_classes()}
     if content.estimator not in classes:

@@ -68,7 +68,8 @@ class Site:
             reason = f"{folder} is no site ({error.strerror})"
             raise BadInput(f"{reason}; `gyrofleet site init {folder}` makes one") from error
         except (ValueError, TypeError, msgspec.MsgspecError) as error:
-            raise BadInput(f"{folder} is damaged: {error}; restore it from its copy") from error
+            files = f"{_CA_KEY}, {SITE_CERTIFICATE} or {_INDEX}"
+            raise BadInput(f"{folder}: {files} is damaged: {error}; restore it from its copy") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise BadInput(f"{folder / _CA_KEY} is no key of a site")
         self._key = key
