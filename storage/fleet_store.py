@@ -63,7 +63,9 @@ class FleetStore:
             if int(found["format"]) > _FORMAT:
                 raise StoreError(f"{marker} has a newer format than this gyrofleet reads: upgrade gyrofleet")
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise StoreError(f"{folder} is not a fleet store ({marker}: {error}); `gyrofleet replicate` creates one") from error
+            raise StoreError(
+                f"{folder} is not a fleet store ({marker}: {error}); `gyrofleet replicate` creates one"
+            ) from error
         return cls(folder)
 
     @classmethod

@@ -30,8 +30,8 @@ _json = msgspec.json.Encoder(decimal_format="number")
 DEFAULT_STORE = "gyrofleet-data"
 _PATIENCE_S = 3.0
 _STATUS_EVERY_S = 5.0
-# C0 but tab and line feed, delete, C1, and Unicode's marks of direction
-_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+# C0 but tab and line feed, delete, C1, and what Unicode has of marks of direction, separators and signs without width
+_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
 _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 _EXTRAS = {
     "asammdf": "mf4",

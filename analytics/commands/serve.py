@@ -67,6 +67,7 @@ def serve(
 
     from analytics.serve.server import serve as serve_store
     from analytics.serve.settings import Settings
+    from storage.sql.sandbox.landlock import WITHOUT_LANDLOCK, landlock_version
     from storage.store import Store
 
     store = Store.open(folder)
@@ -85,6 +86,8 @@ def serve(
         else:
             results().print(f"serving {folder}: {login}", soft_wrap=True)
 
+    if landlock_version() == 0:
+        notes().print(f"note: {WITHOUT_LANDLOCK}", soft_wrap=True)
     faulthandler.enable()  # a crash of a library says where
     serve_store(store, settings, say)
     if as_json:

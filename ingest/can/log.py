@@ -4,10 +4,9 @@ Its times of day are float seconds with a resolution of a quarter of a microseco
 """
 
 import importlib.util
-import logging
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +14,19 @@ import can
 from can.io.generic import MessageReader
 
 from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_block
-from ingest.can.log_structure import LEAST_BYTES, MAGIC, check_objects, check_unpacked, find_damage
-from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts
+from ingest.can.log_bounds import check_bounds, check_objects
+from ingest.can.log_structure import LEAST_BYTES, MAGIC, find_damage
+from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts, logged_by
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
 
 _UTC_FROM_S = 1e8
-_MOST_S = 9e9  # what nanoseconds of 64 bits hold, rounded down
+_MOST_S = 4.6e9  # in 2115; later moments are beyond stream.bounds
 _MOST_CHANNEL = 2**15 - 1
 _MOST_DIGITS = 9
 _HELD_BYTES = 64 << 20
 Progress = Callable[[float], None]
-_READERS: dict[str, Callable[[Path], MessageReader]] = {
-    ".blf": lambda path: _BlfReader(path),
-    ".trc": can.TRCReader,
-    ".log": can.CanutilsLogReader,
-    ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
-    ".mf4": lambda path: _mf4_reader(path),
-}
 
 
 class CanLog:
@@ -56,7 +49,7 @@ class CanLog:
         self._channels: dict[str, int] = {}
         self._held: list[FrameBlock] | None = None
         _check_kind(path)
-        check_unpacked(path)
+        check_bounds(path)
         _stop(self._open())
 
     def blocks(self, progress: Progress | None = None) -> Iterator[FrameBlock]:
@@ -88,7 +81,7 @@ class CanLog:
 
     def _with_reports(self, found: Iterator[tuple[list[CanFrame], int]]) -> Iterator[tuple[list[CanFrame], int]]:
         """What is found, and as damage what the reader logs of parts that it leaves out."""
-        with _logged_by_readers() as logged:
+        with logged_by("asammdf", "can") as logged:
             yield from found
         self._add_damage(logged)
 
@@ -155,7 +148,7 @@ class CanLog:
 
     def _open(self) -> MessageReader:
         try:
-            with warnings.catch_warnings(), _logged_by_readers() as logged:
+            with warnings.catch_warnings(), logged_by("asammdf", "can") as logged:
                 # asammdf warns of what it repairs in an unfinished file; `find_damage` reports it
                 warnings.simplefilter("ignore")
                 reader = _READERS[self.path.suffix.lower()](self.path)
@@ -195,25 +188,13 @@ def _closed(close: Callable[[], None]) -> None:
         close()
 
 
-@contextmanager
-def _logged_by_readers() -> Iterator[list[str]]:
-    """What readers log of parts that they leave out, in place of its being printed."""
-    found: list[str] = []
-
-    class Collecting(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            lines = record.getMessage().strip().splitlines()
-            found.append(lines[-1][:200] if lines else "an error without a text")
-
-    loggers = [logging.getLogger(name) for name in ("asammdf", "can")]
-    before = [(each.handlers, each.propagate) for each in loggers]
-    for each in loggers:
-        each.handlers, each.propagate = [Collecting(logging.WARNING)], False
-    try:
-        yield found
-    finally:
-        for each, (handlers, propagates) in zip(loggers, before, strict=True):
-            each.handlers, each.propagate = handlers, propagates
+_READERS: dict[str, Callable[[Path], MessageReader]] = {
+    ".blf": _BlfReader,
+    ".trc": can.TRCReader,
+    ".log": can.CanutilsLogReader,
+    ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
+    ".mf4": _mf4_reader,
+}
 
 
 def _check_kind(path: Path) -> None:

@@ -1,6 +1,5 @@
 """The outer structure of CAN log files, which tells whether one was cut short or not closed by its recorder."""
 
-import mmap
 import os
 import struct
 import zlib
@@ -8,19 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from stream.errors import BadInput
+from ingest.can.log_bounds import BLF_OBJECT, MF4_BLOCK, MOST_UNPACKED_BYTES
 
 _BLF_HEADER = struct.Struct("<4sLBBBBBBBBQQLL")
-_BLF_OBJECT = struct.Struct("<4sHHLL")
 _MF4_UNFINISHED = b"UnFinMF "
 MAGIC: dict[str, tuple[bytes, ...]] = {".blf": (b"LOGG",), ".mf4": (b"MDF ", _MF4_UNFINISHED)}
 LEAST_BYTES = {".blf": 144, ".mf4": 8}
 
-_MOST_UNPACKED_BYTES = 256 << 20  # recorders write 128 KiB in a container of BLF, 4 MiB in a block of MF4
-_HARMLESS_BYTES = _MOST_UNPACKED_BYTES // 1032  # packed; zlib packs 1032 bytes into one at most
-_BLF_CONTAINER, _BLF_CONTAINER_HEAD_BYTES, _MF4_ZIPPED_HEAD_BYTES = 10, 32, 48
-
-_BLOCK = struct.Struct("<4s4xQQ")
 _FLAGS_AT, _HEADER_AT = 60, 64
 _COUNTERS_STALE, _LAST_LENGTH_STALE, _LISTS_STALE = 1, 4, 16
 _VARIABLE_LENGTH = 1
@@ -45,67 +38,6 @@ def find_damage(path: Path) -> tuple[str, str]:
         return "" if file.read(1) in b"\r\n" else "cut short: it ends inside a line", ""
 
 
-def check_unpacked(path: Path) -> None:
-    """Refuse, by a BadInput, a log with a part that would unpack to more memory than a recorder ever fills."""
-    parts = {".blf": _blf_containers, ".mf4": _mf4_zipped}.get(path.suffix.lower())
-    if parts is None or path.stat().st_size <= _HARMLESS_BYTES:
-        return
-    with path.open("rb") as file:
-        for begin, length in parts(file):
-            if length <= _HARMLESS_BYTES:
-                continue
-            file.seek(begin)
-            unpacker, unpacked = zlib.decompressobj(), 0
-            try:
-                piece = file.read(length)
-                while piece and unpacked <= _MOST_UNPACKED_BYTES:
-                    unpacked += len(unpacker.decompress(piece, 1 << 20))
-                    piece = unpacker.unconsumed_tail
-            except zlib.error:
-                continue
-            if unpacked > _MOST_UNPACKED_BYTES:
-                raise BadInput(
-                    f"{path}: the part at byte {begin:,} unpacks to more than {_MOST_UNPACKED_BYTES >> 20} MiB; no "
-                    "recorder writes such a log, record or export it again"
-                )
-
-
-def _blf_containers(file: BinaryIO) -> Iterator[tuple[int, int]]:
-    """Begin and length of what is packed in each container."""
-    place = int.from_bytes(file.read(8)[4:8], "little")
-    while True:
-        file.seek(place)
-        base = file.read(_BLF_OBJECT.size)
-        if len(base) < _BLF_OBJECT.size:
-            return
-        signature, _, _, size, kind = _BLF_OBJECT.unpack(base)
-        if signature != b"LOBJ" or size < _BLF_OBJECT.size:
-            return
-        if kind == _BLF_CONTAINER:
-            yield place + _BLF_CONTAINER_HEAD_BYTES, size - _BLF_CONTAINER_HEAD_BYTES
-        place += size + size % 4
-
-
-def _mf4_zipped(file: BinaryIO) -> Iterator[tuple[int, int]]:
-    """Begin and length of what is packed in each compressed block."""
-    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        place = content.find(b"##DZ")
-        while place >= 0:
-            length = int.from_bytes(content[place + 8 : place + 16], "little") - _MF4_ZIPPED_HEAD_BYTES
-            yield place + _MF4_ZIPPED_HEAD_BYTES, min(length, len(content))
-            place = content.find(b"##DZ", place + 4)
-
-
-def check_objects(container: bytes) -> None:
-    """Refuse, by a ValueError, what is in a container of BLF if an object in it is shorter than its head."""
-    place = 0
-    while (place := container.find(b"LOBJ", place, place + 8)) >= 0 and place + _BLF_OBJECT.size <= len(container):
-        _, _, _, size, _ = _BLF_OBJECT.unpack_from(container, place)
-        if size < _BLF_OBJECT.size:
-            raise ValueError(f"an object states {size} bytes, its head has {_BLF_OBJECT.size}")
-        place += size
-
-
 def _blf_damage(path: Path) -> str:
     """Walk the containers of a BLF: each states its length, and the head of the file that of the whole."""
     size = path.stat().st_size
@@ -117,13 +49,13 @@ def _blf_damage(path: Path) -> str:
         place = header_size
         while place < size:
             file.seek(place)
-            base = file.read(_BLF_OBJECT.size)
+            base = file.read(BLF_OBJECT.size)
             if not base.strip(b"\0"):
                 break
-            if len(base) < _BLF_OBJECT.size:
+            if len(base) < BLF_OBJECT.size:
                 return f"cut short at byte {size}, inside the head of a container"
-            signature, _, _, object_size, _ = _BLF_OBJECT.unpack(base)
-            if signature != b"LOBJ" or object_size < _BLF_OBJECT.size:
+            signature, _, _, object_size, _ = BLF_OBJECT.unpack(base)
+            if signature != b"LOBJ" or object_size < BLF_OBJECT.size:
                 return f"damaged at byte {place}: no container begins there"
             if place + object_size > size:
                 return f"cut short at byte {size}, inside a container of {object_size} bytes"
@@ -175,9 +107,9 @@ def _is_whole(file: BinaryIO, group: tuple[list[int], bytes], flags: int) -> boo
 
 def _block(file: BinaryIO, at: int) -> tuple[list[int], bytes]:
     file.seek(at)
-    _, length, count = _BLOCK.unpack(file.read(_BLOCK.size))
+    _, length, count = MF4_BLOCK.unpack(file.read(MF4_BLOCK.size))
     links = list(struct.unpack(f"<{count}Q", file.read(8 * count)))
-    return links, file.read(max(0, length - _BLOCK.size - 8 * count))
+    return links, file.read(max(0, length - MF4_BLOCK.size - 8 * count))
 
 
 def _chain(file: BinaryIO, at: int) -> Iterator[tuple[list[int], bytes]]:
@@ -195,7 +127,7 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
     if not at:
         return
     file.seek(at)
-    kind, length, _ = _BLOCK.unpack(file.read(_BLOCK.size))
+    kind, length, _ = MF4_BLOCK.unpack(file.read(MF4_BLOCK.size))
     if kind == b"##HL":
         yield from _data(file, _block(file, at)[0][0], is_last_open=is_last_open)
     elif kind == b"##DL":
@@ -205,7 +137,7 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
     elif kind == b"##DZ":
         zip_type, parameter, size, zipped = struct.unpack("<2xBxLQQ", file.read(24))
         unpacker = zlib.decompressobj()
-        data = unpacker.decompress(file.read(zipped), min(size, _MOST_UNPACKED_BYTES) + 1)
+        data = unpacker.decompress(file.read(zipped), min(size, MOST_UNPACKED_BYTES) + 1)
         if len(data) != size or zip_type not in {0, 1} or (zip_type and not parameter):
             raise ValueError("a compressed block is damaged")
         if zip_type:  # it was transposed before it was compressed
@@ -214,8 +146,8 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
             data = b"".join(data[i:whole:rows] for i in range(rows)) + data[whole:]
         yield data
     elif kind == b"##DT":
-        data = file.read() if is_last_open and length <= _BLOCK.size else file.read(length - _BLOCK.size)
-        if not is_last_open and len(data) < length - _BLOCK.size:
+        data = file.read() if is_last_open and length <= MF4_BLOCK.size else file.read(length - MF4_BLOCK.size)
+        if not is_last_open and len(data) < length - MF4_BLOCK.size:
             raise ValueError("a block is cut short")
         yield data
     else:

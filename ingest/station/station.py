@@ -176,7 +176,10 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
     def make_instruments(self, clock: StationClock) -> dict[str, Instrument]:
         """Every instrument by its name, not opened yet."""
         kinds = instrument_kinds()
-        return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
+        try:
+            return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
+        except BadInput as error:
+            raise BadInput(f"{self.path}: {error}") from error
 
     @contextmanager
     def held(self) -> Iterator[None]:

@@ -48,7 +48,9 @@ class AccessList:
             try:
                 loaded = load_der_public_key(self.admitted[principal])
             except ValueError as error:
-                raise BusError(f"the key of {principal} in the {ACCESS_FILE} of the site cannot be read: {error}") from error
+                raise BusError(
+                    f"the key of {principal} in the {ACCESS_FILE} of the site cannot be read: {error}"
+                ) from error
             if not isinstance(loaded, EllipticCurvePublicKey):
                 raise BusError(f"the key of {principal} in the {ACCESS_FILE} of the site is not of the curve P-256")
             found = self._loaded[principal] = loaded

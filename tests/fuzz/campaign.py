@@ -1,8 +1,9 @@
-"""Inputs that are nearly right, to every format that gyrofleet reads: ``python -m tests.fuzz.campaign csv --seconds 3600``.
+"""Inputs that are nearly right, to every format that gyrofleet reads.
 
-Without names, all formats; each is read in a process of its own, whose memory is limited. ``--guided`` lets coverage
-choose what is mutated further (`tests.fuzz.guided`). An input that shows something is kept in ``--keep FOLDER``; moved
-to ``tests/fuzz/found/FORMAT``, it is read first ever after, also in the gate.
+``python -m tests.fuzz.campaign csv --seconds 3600``. Without names, all formats; each is read in a process of its own,
+whose memory is limited. ``--guided`` lets coverage choose what is mutated further (`tests.fuzz.guided`). An input that
+shows something is kept in ``--keep FOLDER``; moved to ``tests/fuzz/found/FORMAT``, it is read first ever after, also in
+the gate.
 """
 
 import argparse

@@ -1,4 +1,6 @@
-"""A campaign in which coverage chooses what is mutated: ``python -m tests.fuzz.guided FORMAT SECONDS SEED RESULT [KEEP]``.
+"""A campaign in which coverage chooses what is mutated.
+
+``python -m tests.fuzz.guided FORMAT SECONDS SEED RESULT [KEEP]``.
 
 Atheris instruments the project and the readers in Python that it uses; libFuzzer keeps inputs that reach new branches,
 and mutates them by the format's own mutations. `tests.fuzz.campaign --guided` starts it.

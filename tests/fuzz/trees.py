@@ -11,9 +11,7 @@ class Tree:
 
     def __init__(self, folder: Path) -> None:
         paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-        self.files = {
-            str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_mode & 0o777) for path in paths
-        }
+        self.files = {str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_mode & 0o777) for path in paths}
         self._folders = [str(path.relative_to(folder)) for path in sorted(folder.rglob("*")) if path.is_dir()]
 
     def write(self, folder: Path) -> None:

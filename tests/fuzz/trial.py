@@ -48,7 +48,11 @@ class Watch:
         sys.addaudithook(self._hear)
 
     def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
-        if self.folder is None or "__pycache__" in repr(arguments) or (event not in _OPENING and event not in _CHANGING):
+        if (
+            self.folder is None
+            or "__pycache__" in repr(arguments)
+            or (event not in _OPENING and event not in _CHANGING)
+        ):
             return
         if event in ("subprocess.Popen", "os.system", "os.exec", "socket.connect"):
             self.outside.append(f"{event} {arguments!r:.200}")

@@ -21,8 +21,8 @@ from stream.security.certificate_authority import Site
 from stream.security.credentials import load_credentials
 from stream.security.rights import Role
 from tests.fuzz.format import Format
-from tests.fuzz.trees import made_by
 from tests.fuzz.mutations import mutated_json, mutated_lines
+from tests.fuzz.trees import made_by
 
 _OWN = "recorder/main"
 _BOX = f"{FOLDER}/{hashlib.sha256(b'r1').hexdigest()[:32]}"

@@ -85,7 +85,10 @@ def _mutated_parquet(content: bytes, rng: random.Random) -> bytes:
                 table = table.append_column(rng.choice((name, *TEXTS[:12])), column)
             case _:
                 table = table.set_column(at, name, _column(rng))
-    options = {"compression": rng.choice(("snappy", "zstd", "gzip", "none")), "row_group_size": rng.choice((1, 7, 1000))}
+    options = {
+        "compression": rng.choice(("snappy", "zstd", "gzip", "none")),
+        "row_group_size": rng.choice((1, 7, 1000)),
+    }
     try:
         return _written(table, **options, use_dictionary=rng.random() < 0.5)
     except (pa.ArrowException, ValueError, UnicodeEncodeError):
