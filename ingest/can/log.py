@@ -204,6 +204,8 @@ def _check_kind(path: Path) -> None:
     try:
         if path.is_dir():
             raise BadInput(f"{path}: a directory; give a file")
+        if not path.is_file() and path.exists():
+            raise BadInput(f"{path}: a pipe or a device, and it is read twice; give a file")
         if path.stat().st_size == 0:
             raise BadInput(f"{path}: the file is empty")
         with path.open("rb") as file:

@@ -177,6 +177,8 @@ def _open(path: Path) -> CsvTable | ParquetTable:
         size = path.stat().st_size
         if path.is_dir():
             raise BadInput(f"{path}: a directory; give a file")
+        if not path.is_file():
+            raise BadInput(f"{path}: a pipe or a device, and it is read twice; give a file")
         if suffix not in CSV_SUFFIXES | PARQUET_SUFFIXES:
             known = " ".join(sorted(CSV_SUFFIXES | PARQUET_SUFFIXES))
             raise BadInput(f"{path}: unknown kind of file {suffix!r}; tables are {known}")

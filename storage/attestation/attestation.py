@@ -5,7 +5,6 @@ manifest's chain, the files that are never changed once written, and the SHA-256
 """
 
 import base64
-import binascii
 import hashlib
 import re
 import time
@@ -91,7 +90,7 @@ class Attestation(msgspec.Struct, frozen=True, kw_only=True):
         """Whether its signature is that of its key."""
         try:
             signature = base64.b64decode(self.signature, validate=True)
-        except binascii.Error:
+        except ValueError:  # binascii.Error, and text that is not ASCII
             return False
         return self.algorithm == "Ed25519" and is_signed(self.public, signature, self.statement.encode())
 
@@ -118,6 +117,8 @@ def kept_attestations(store: Store) -> list[Path]:
 
 def read_attestation(path: Path) -> Attestation:
     """Read an attestation; StoreError if the file is none."""
+    if path.exists() and not path.is_file():
+        raise StoreError(f"{path} is no file; give the one that `gyrofleet attest --out FILE` has written")
     try:
         return msgspec.json.decode(path.read_bytes(), type=Attestation)
     except (OSError, msgspec.MsgspecError) as error:

@@ -78,10 +78,13 @@ class Site:
     @classmethod
     def create(cls, folder: Path) -> "Site":
         """Make a site; raises BadInput if the folder holds anything."""
-        if folder.exists() and any(folder.iterdir()):
-            raise BadInput(f"{folder} is not empty: a site's keys are never overwritten; give a new folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.chmod(0o700)
+        try:
+            if folder.exists() and any(folder.iterdir()):
+                raise BadInput(f"{folder} is not empty: a site's keys are never overwritten; give a new folder")
+            folder.mkdir(parents=True, exist_ok=True)
+            folder.chmod(0o700)
+        except OSError as error:
+            raise BadInput(f"{folder} cannot be made: {error.strerror}; give a new folder") from error
         key = ec.generate_private_key(ec.SECP256R1())
         _write_key(folder / _CA_KEY, key)
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"gyrofleet site {folder.resolve().name}"[:64])])
@@ -132,9 +135,7 @@ class Site:
         found = self._known(principal)
         if found.revoked_ns is not None:
             raise BadInput(f"{principal} is revoked and is not renewed; add it under another name")
-        certificate = x509.load_pem_x509_certificate((self.folder_of(principal) / CERTIFICATE).read_bytes())
-        public = certificate.public_key()
-        assert isinstance(public, ec.EllipticCurvePublicKey)
+        public = self._public_key(principal)
         return self._issue(principal, public, tuple(hosts) or found.hosts, days)
 
     def revoke(self, principal: Principal) -> None:
@@ -143,6 +144,21 @@ class Site:
         if found.revoked_ns is None:
             self._issued[principal] = msgspec.structs.replace(found, revoked_ns=time.time_ns())
             self._write()
+
+    def _public_key(self, principal: Principal) -> ec.EllipticCurvePublicKey:
+        """The key of a principal, from its certificate; BadInput if that is missing or damaged."""
+        path = self.folder_of(principal) / CERTIFICATE
+        try:
+            public = x509.load_pem_x509_certificate(path.read_bytes()).public_key()
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise BadInput(
+                f"{path}, the certificate of {principal}, cannot be read: {reason}; restore it from a copy, or revoke "
+                f"{principal.common_name}"
+            ) from error
+        if not isinstance(public, ec.EllipticCurvePublicKey):
+            raise BadInput(f"{path} is of a key that is not on the curve P-256; restore it from a copy")
+        return public
 
     def _known(self, principal: Principal) -> Issued:
         found = self._issued.get(principal)
@@ -184,9 +200,7 @@ class Site:
         admitted: dict[Principal, bytes] = {}
         for each in self.issued:
             if each.revoked_ns is None:
-                path = self.folder_of(each.principal) / CERTIFICATE
-                public = x509.load_pem_x509_certificate(path.read_bytes()).public_key()
-                admitted[each.principal] = public.public_bytes(
+                admitted[each.principal] = self._public_key(each.principal).public_bytes(
                     serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo
                 )
         revoked = frozenset(each.principal for each in self.issued if each.revoked_ns is not None)
