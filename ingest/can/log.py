@@ -179,7 +179,8 @@ def _mf4_reader(path: Path) -> MessageReader:
     from asammdf.blocks import mdf_v4
 
     # its destructor fails, and Python prints that, where the constructor did not come to its end
-    mdf_v4.MDF4.__del__ = lambda mdf: _closed(mdf.close)
+    kind: Any = mdf_v4.MDF4
+    kind.__del__ = lambda mdf: _closed(mdf.close)
     return can.MF4Reader(str(path))
 
 

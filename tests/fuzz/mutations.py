@@ -110,7 +110,7 @@ def _other_word(line: bytes, other: bytes, rng: random.Random) -> bytes:
         return line + _text(rng).encode(errors="surrogatepass")
     word = rng.choice(words)
     elsewhere = _TOKEN.findall(other)
-    new = rng.choice((_text(rng).encode(errors="surrogatepass"), str(_number(rng)).encode(), *elsewhere[:8]))
+    new: bytes = rng.choice((_text(rng).encode(errors="surrogatepass"), str(_number(rng)).encode(), *elsewhere[:8]))
     return line[: word.start()] + new + line[word.end() :]
 
 
@@ -125,6 +125,8 @@ def mutated_tree(tree: Any, rng: random.Random) -> Any:
             pairs = list(each.items()) if isinstance(each, dict) else list(enumerate(each))
             places += [(each, key) for key, _ in pairs]
             waiting += [value for _, value in pairs if isinstance(value, dict | list)]
+        if not places:
+            break
         holder, key = rng.choice(places[1:] or places)
         _change(holder, key, rng, places)
     return root.get("root")

@@ -17,6 +17,7 @@ from storage.check.verify import verify
 from storage.log.event_log import EventLog
 from storage.log.recovery import examine_segment
 from storage.log.sequence import place_of
+from storage.manifests.entries import SegmentEntries
 from storage.manifests.log import FIRST, SNAPSHOT, ManifestWriter, read_log_manifest
 from storage.segments.growing import GrowingSegment
 from storage.segments.reader import SegmentScan, read_marks, read_origin, read_segment
@@ -193,7 +194,7 @@ def _snapshot(folder: Path) -> list[bytes]:
     _store_around(folder)
     store = Store.open(folder)
     found = read_log_manifest(store, whole=True)
-    state = log.SegmentEntries()
+    state = SegmentEntries()
     for name, entry in found.entries.items():
         state[name] = entry
     written = log._Snapshot(found.whole_bytes, found.lines, found.last, state.state(), [])

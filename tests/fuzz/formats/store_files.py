@@ -24,7 +24,7 @@ from storage.attestation.signing_key import SigningKey, create_key
 from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
 from storage.check.verify import verify
-from storage.fleet_store import FLEET_MARKER, FleetStore
+from storage.fleet_store import FleetStore
 from storage.lake.builder import build_missing, builder_lock
 from storage.manifests.blocks import decode_block, encode_block
 from storage.manifests.lake import MANIFEST, read_manifest
@@ -36,6 +36,7 @@ from storage.recording.status_board import read_statuses
 from storage.replication.plant_list import ListRefused, PlantList
 from storage.sql.catalog import Catalog
 from storage.store import Store
+from storage.store_marker import FLEET_MARKER
 from stream.errors import StoreError
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.snapshot import restore as restore_estimator

@@ -2,7 +2,9 @@
 
 import io
 import random
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -106,7 +108,7 @@ def _mutated_footer(content: bytes, rng: random.Random) -> bytes:
 
 def _column(rng: random.Random) -> pa.Array:
     whole = [number for number in NUMBERS if -(2**63) <= number < 2**63]
-    values = {
+    values: dict[pa.DataType, Callable[[], Any]] = {
         pa.int64(): lambda: rng.choice(whole), pa.float64(): lambda: rng.choice(FLOATS), pa.bool_(): lambda: True,
         pa.string(): lambda: rng.choice(TEXTS).encode(errors="replace").decode(), pa.null(): lambda: None,
         pa.binary(): lambda: b"\xff", pa.timestamp("us"): lambda: rng.choice(whole), pa.date32(): lambda: 2**31 - 1,
