@@ -1,6 +1,7 @@
 """Bounds of what a CAN log may make its reader do: memory that packed parts take, chains that never end."""
 
 import mmap
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -37,8 +38,10 @@ def _check_unpacked(path: Path) -> None:
     if parts is None or path.stat().st_size <= _HARMLESS_BYTES:
         return
     with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
         for begin, length in parts(file):
-            if length <= _HARMLESS_BYTES:
+            if length <= _HARMLESS_BYTES or begin >= size:
                 continue
             file.seek(begin)
             unpacker, unpacked = zlib.decompressobj(), 0
@@ -94,17 +97,16 @@ def check_objects(container: bytes) -> None:
 
 def _endless_chain(file: BinaryIO) -> str | None:
     """Kind of the blocks of an MF4 whose chain leads back to itself; None if every chain ends."""
+    size = file.seek(0, os.SEEK_END)
     following: dict[int, int] = {}
     kinds: dict[int, bytes] = {}
     waiting = [_MF4_HEADER_AT]
     while waiting:
         at = waiting.pop()
-        if at in kinds:
+        if at in kinds or at + MF4_BLOCK.size > size:
             continue
-        file.seek(min(at, 2**62))
+        file.seek(at)
         head = file.read(MF4_BLOCK.size)
-        if len(head) < MF4_BLOCK.size:
-            continue
         kinds[at], _, count = MF4_BLOCK.unpack(head)
         links = file.read(8 * min(count, _MOST_LINKS)) if kinds[at].startswith(b"##") else b""
         found = struct.unpack(f"<{len(links) // 8}Q", links[: len(links) // 8 * 8])

@@ -110,8 +110,12 @@ def _mutated_segment(content: bytes, rng: random.Random) -> bytes:
         return rng.choice((mutated_bytes, mutated_blocks))(content, rng)
     length = int.from_bytes(content[at + 1 : at + 9], "little")
     body = at + 9
+    if body + 32 > len(content):
+        return mutated_bytes(content, rng)
     first, last, size, _, words = struct.unpack_from("<QQQII", content, body)
     start = body + 32 + words
+    if start + 8 > len(content):
+        return mutated_bytes(content, rng)
     (packed,) = struct.unpack_from("<Q", content, start)
     try:
         inner = zstandard.ZstdDecompressor().decompress(
@@ -254,15 +258,15 @@ FORMATS = [
     Format("segment", _sealed, _read_segment, _mutated_segment, f"log/{_SEGMENT}", gate_inputs=200),
     Format(
         "open segment", _growing, _recover, _mutated_segment, f"log/{_SEGMENT}.open",
-        _empty_store, changes=True, gate_inputs=60,
+        _empty_store, changes=True, gate_inputs=15,
     ),
     Format(
         "log manifest", _manifest, _read_manifest, chained(mutated_json), "log/manifest.jsonl",
-        _store_around, changes=True, gate_inputs=60,
+        _store_around, changes=True, gate_inputs=15,
     ),
     Format(
         "log snapshot", _snapshot, _read_manifest, within(lambda content: content[64:], _hashed, mutated_msgpack),
-        SNAPSHOT, _store_around, changes=True, gate_inputs=60,
+        SNAPSHOT, _store_around, changes=True, gate_inputs=15,
     ),
     Format("spool", _spool, _read_spool, _mutated_spool, "spool/00000001.spool", changes=True, gate_inputs=100),
     Format("samples message", lambda _: [_batch(0)], _read_message(decode_batch), mutated_blocks, "message"),

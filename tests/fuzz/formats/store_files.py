@@ -284,10 +284,10 @@ def _lake_around(folder: Path) -> None:
 
 
 FORMATS = [
-    Format("store marker", _markers, _open_or_repair, _checked_json, _MARKER, _store_around, True, 60),
+    Format("store marker", _markers, _open_or_repair, _checked_json, _MARKER, _store_around, True, 40),
     Format(
         "lake manifest", _lake_manifest, _read_lake, within(unsealed, _resealed, mutated_json), f"lake/{MANIFEST}",
-        _lake_around, True, 30,
+        _lake_around, True, 15,
     ),
     Format(
         "part", _parts, lambda path: read_part(path.parent), within(unsealed, _resealed, mutated_json),
@@ -304,7 +304,7 @@ FORMATS = [
     ),
     Format(
         "model version", _models, _read_model, mutated_json,
-        lambda content: f"models/U1/0001-{hash_of(content)}.json", _store_around, False, 100,
+        lambda content: f"models/U1/0001-{hash_of(content)}.json", _store_around, False, 40,
     ),
     Format("model", _declared_models, _read_declared, mutated_json, "model.json"),
     Format(
@@ -320,6 +320,6 @@ FORMATS = [
     Format("plant list", _segment_list, _read_list, chained(mutated_json), "segments.jsonl"),
     Format(
         "status", _statuses, lambda path: read_statuses(Store.open(path.parents[1])), mutated_json,
-        "status/record-1.json", _store_around, False, 100,
+        "status/record-1.json", _store_around, False, 40,
     ),
 ]  # fmt: skip
