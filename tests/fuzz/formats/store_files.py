@@ -304,12 +304,12 @@ FORMATS = [
     ),
     Format(
         "model version", _models, _read_model, mutated_json,
-        lambda content: f"models/U1/0001-{hash_of(content)}.json", _store_around, False, 40,
+        lambda content: f"models/U1/0001-{hash_of(content)}.json", _store_around, False, 15,
     ),
     Format("model", _declared_models, _read_declared, mutated_json, "model.json"),
     Format(
         "backup", lambda _: made_by(_make_backup).contents("backup.json"), _restore, mutated_json, "backup.json",
-        lambda folder: made_by(_make_backup).write(folder), True, 40,
+        lambda folder: made_by(_make_backup).write(folder), True, 20,
     ),
     Format(
         "attestation", _attestations, _compare, _mutated_attestation, "anchor.json",
@@ -320,6 +320,6 @@ FORMATS = [
     Format("plant list", _segment_list, _read_list, chained(mutated_json), "segments.jsonl"),
     Format(
         "status", _statuses, lambda path: read_statuses(Store.open(path.parents[1])), mutated_json,
-        "status/record-1.json", _store_around, False, 40,
+        "status/record-1.json", _store_around, False, 15,
     ),
 ]  # fmt: skip

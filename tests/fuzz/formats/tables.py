@@ -129,7 +129,7 @@ def _units(_folder: Path) -> list[bytes]:
 
 
 FORMATS = [
-    Format("csv", _csv, _read_table, mutated_lines, "samples.csv", gate_inputs=150),
-    Format("parquet", _parquet, _read_table, _mutated_parquet, "samples.parquet", gate_inputs=150),
+    Format("csv", _csv, _read_table, mutated_lines, "samples.csv", gate_inputs=80),
+    Format("parquet", _parquet, _read_table, _mutated_parquet, "samples.parquet", gate_inputs=80),
     Format("units", _units, read_units, mutated_lines, "units.csv", gate_inputs=200),
 ]

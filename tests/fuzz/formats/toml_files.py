@@ -100,7 +100,7 @@ def _mapping_database(folder: Path) -> None:
 
 def _toml(
     name: str, seeds: Callable[[Path], list[bytes]], read: Callable[[Path], object],
-    around: Callable[[Path], None] | None = None, gate_inputs: int = 150,
+    around: Callable[[Path], None] | None = None, gate_inputs: int = 80,
 ) -> Format:  # fmt: skip
     return Format(name, seeds, read, mutated_toml, f"{name}.toml", around, gate_inputs=gate_inputs)
 
