@@ -24,6 +24,7 @@ from storage.store_marker import (
     write_markers,
 )
 from stream.atomic_file import sync_folder, write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 _FORMAT = 1
@@ -156,7 +157,7 @@ class FleetStore:
     def refusals(self) -> list[tuple[Plant, str]]:
         """Plants that were not admitted, the last 1000, and why; delete ``refused.json`` to forget them."""
         try:
-            return msgspec.json.decode((self.folder / _REFUSED).read_bytes(), type=list[tuple[Plant, str]])
+            return decode_json((self.folder / _REFUSED).read_bytes(), list[tuple[Plant, str]])
         except (OSError, msgspec.MsgspecError):
             return []
 

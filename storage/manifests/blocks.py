@@ -57,7 +57,7 @@ def decode_block(content: bytes, *, with_sources: bool = False) -> list[Part]:
         text = zstandard.ZstdDecompressor().decompress(content, max_output_size=_MOST_BYTES)
         block = _decoder.decode(text)
         sources: Mapping[str, str] = _sources.decode(block.sources) if with_sources else {}
-    except (zstandard.ZstdError, msgspec.MsgspecError) as error:
+    except (zstandard.ZstdError, msgspec.MsgspecError, RecursionError) as error:
         raise ValueError(str(error)) from error
     except MemoryError as error:
         raise ValueError("it takes more memory than there is") from error

@@ -105,7 +105,11 @@ def _take_line(found: LogManifest, line: bytes) -> None:
     found.last = chained.decode()
     try:
         entry = _decoder.decode(text)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:  # its hash is right: somebody has computed it
+    except (
+        msgspec.MsgspecError,
+        UnicodeDecodeError,
+        RecursionError,
+    ) as error:  # its hash is right: somebody has computed it
         found.damage.append(ManifestDamage(found.lines, f"it is no entry of a segment: {error}"))
         return
     if _SEGMENT.fullmatch(entry.segment) is None:

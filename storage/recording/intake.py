@@ -183,6 +183,8 @@ class Intake:
         unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
+        if run:
+            check_name("run", run)
         stream = StreamId(key, epoch)
         place = LogPlace(stream, seq, next_seq, t0_ns, last_ns, run)
         if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload)):

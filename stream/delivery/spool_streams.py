@@ -174,7 +174,7 @@ def scan(folder: Path) -> Scanned:
         for frame in parsed.frames:
             try:
                 found.table.apply(frame)
-            except (msgspec.MsgspecError, UnicodeDecodeError) as error:  # its checksum is right
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:  # its checksum is right
                 found.damages.append(f"{path}: a frame of the table of streams cannot be read: {error}")
             if frame.number >= FIRST_STREAM:
                 file.unread += 1

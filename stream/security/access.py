@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from stream.decoding import decode_json
 from stream.errors import BusError, GyrofleetError
 from stream.security.rights import Principal, principal_of
 
@@ -83,9 +84,9 @@ def read_access_list(path: Path, site_key: "EllipticCurvePublicKey") -> AccessLi
 
     again = "copy it from the site's folder again"
     try:
-        file = msgspec.json.decode(path.read_bytes(), type=_File)
+        file = decode_json(path.read_bytes(), _File)
         site_key.verify(b64decode(file.signature), bytes(file.content), ECDSA(SHA256()))
-        content = msgspec.json.decode(file.content, type=_Content)
+        content = decode_json(file.content, _Content)
         admitted = {principal_of(each.common_name): b64decode(each.public_key) for each in content.admitted}
         return AccessList(admitted, frozenset(map(principal_of, content.revoked)), content.at_ns)
     except InvalidSignature:

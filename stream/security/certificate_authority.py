@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.errors import BadInput
 from stream.security.access import ACCESS_FILE, AccessList
 from stream.security.credentials import CERTIFICATE, KEY, SITE_CERTIFICATE
@@ -77,7 +78,7 @@ class Site:
     def _read_index(self) -> dict[Principal, Issued]:
         path = self.folder / _INDEX
         try:
-            index = msgspec.json.decode(path.read_bytes(), type=_Index)
+            index = decode_json(path.read_bytes(), _Index)
             return {each.principal: each for each in index.issued}
         except OSError as error:
             raise self._none(error) from error

@@ -13,7 +13,6 @@ from google.protobuf.message import DecodeError
 from stream.batch import INT64_MAX, CountArray, SampleBatch, are_moments, checked_batch
 from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
 from stream.errors import NewerSchema, WireError
-from stream.identity import is_name
 from stream.wire import samples_pb2
 from stream.wire.count_planes import join_planes
 from stream.wire.count_residuals import MEAN_BYTES, join_counts, split_counts
@@ -204,8 +203,6 @@ def _check_bounds(
     # unit and signal are those of the key expression, whose length is bounded
     if len(message.run) > MAX_NAME_CHARS or len(message.unit_of_measure) > MAX_NAME_CHARS:
         raise _wrong(message, f"run or unit of measure has more than {MAX_NAME_CHARS} characters")
-    if not (is_name(message.unit) and is_name(message.signal) and (not message.run or is_name(message.run))):
-        raise _wrong(message, "its unit, signal or run has characters that no name has")
     if times_ns and not are_moments(np.frombuffer(times_ns, "<i8")):
         raise _wrong(message, "one of its times is not between 1897 and 2116")
 

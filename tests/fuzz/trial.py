@@ -1,6 +1,7 @@
 """One input read under watch: errors of other classes, hangs, memory, files elsewhere, refusals that name nothing."""
 
 import io
+import re
 import resource
 import shutil
 import signal
@@ -110,7 +111,7 @@ class Trial:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         found = self._read(path, is_sound=is_sound)
         grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
-        if found is None and self.watch.outside:
+        if self.watch.outside and (found is None or found.mark.startswith("printed")):
             what = self.watch.outside[0]
             found = Finding(f"outside {what[:60]}", f"a file outside of its folder: {what}")
         if found is None and grown > MAX_MEMORY_BYTES // 2:
@@ -166,7 +167,8 @@ def _heard() -> Iterator[list[str]]:
 def _of_message(error: GyrofleetError, path: Path) -> Finding | None:
     """Whether a refusal is a sentence that names the file."""
     text = str(error)
-    if path.name not in text:
+    of_its_folder = re.compile(rf"{re.escape(str(path.parent))}/[\w./-]*\w\.\w+")
+    if path.name not in text and of_its_folder.search(text) is None:
         return Finding(f"nameless {_place(error)}", f"the refusal does not name the file: {text[:300]!r}")
     if len(text) > MAX_MESSAGE_CHARS:
         return Finding(f"long {_place(error)}", f"the refusal has {len(text):,} characters: {text[:300]!r}...")

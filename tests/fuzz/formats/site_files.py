@@ -66,7 +66,8 @@ def _read_access_list(path: Path) -> None:
 def _read_site(path: Path) -> None:
     site = Site(path.parent)
     for each in site.issued:
-        site.renew(each.principal, days=1.0)
+        if each.revoked_ns is None:
+            site.renew(each.principal, days=1.0)
 
 
 def _run_states(folder: Path) -> list[bytes]:
