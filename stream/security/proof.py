@@ -9,6 +9,7 @@ A proof is the last field of a message: field 19 of a batch, `proof` of a docume
 
 import struct
 from base64 import b64decode, b64encode
+from functools import lru_cache
 from hashlib import blake2b
 from hmac import compare_digest
 from typing import NamedTuple
@@ -16,11 +17,13 @@ from typing import NamedTuple
 import msgspec
 
 from stream.errors import GyrofleetError, WireError
+from stream.security.access import AccessList
 from stream.security.credentials import Credentials
 from stream.security.rights import Principal, Role, principal_of
 
 PROOF_BYTES = 1024  # room for a proof in a message
 _MAC_BYTES = 16
+_MOST_BEGUN = 50_000  # key expressions, about 500 bytes each
 _MESSAGE, _ACKNOWLEDGEMENT = b"gyrofleet message\0", b"gyrofleet acknowledgement\0"
 _JSON_FIELD = b',"proof":"'
 _FIELD = b"\x9a\x01"  # number 19, bytes
@@ -89,9 +92,29 @@ def split(payload: bytes) -> Proven:
         raise Forged(f"its proof of origin cannot be read: {error}") from error
 
 
+@lru_cache(maxsize=1024)
 def _field_head(size: int) -> bytes:
     """Number and length of the field; the length in three bytes, which protobuf allows."""
     return _FIELD + bytes((size & 0x7F | 0x80, size >> 7 & 0x7F | 0x80, size >> 14))
+
+
+class _Macs:
+    """MACs under one secret; what they have in common for a key expression is hashed once."""
+
+    def __init__(self, secret: bytes) -> None:
+        self._secret = secret
+        self._begun: dict[str, blake2b] = {}
+
+    def of(self, key: str, body: bytes) -> bytes:
+        """The MAC of a message."""
+        begun = self._begun.get(key)
+        if begun is None:
+            if len(self._begun) >= _MOST_BEGUN:
+                self._begun.clear()
+            begun = self._begun[key] = blake2b(_context(key), digest_size=_MAC_BYTES, key=self._secret)
+        state = begun.copy()
+        state.update(body)
+        return state.digest()
 
 
 class SourceProver:
@@ -100,16 +123,14 @@ class SourceProver:
     def __init__(self, credentials: Credentials) -> None:
         self._own, self._by = credentials, credentials.principal.common_name
         recorders = [each for each in credentials.access.admitted if each.role is Role.RECORDER]
-        self._macs = [(each.common_name, shared_key(credentials, each, credentials.principal, each))
+        self._macs = [(each.common_name, _Macs(shared_key(credentials, each, credentials.principal, each)))
                       for each in sorted(recorders)]  # fmt: skip
 
     def prove(self, key: str, body: bytes) -> bytes:
         """The message with its proof."""
         if key.endswith("/event") or not self._macs:
             return joined(body, Proof(self._by, signature=_signature(self._own, _context(key), body)))
-        context = _context(key)
-        macs = {name: _mac(secret, context, body) for name, secret in self._macs}
-        return joined(body, Proof(self._by, macs))
+        return joined(body, Proof(self._by, {name: macs.of(key, body) for name, macs in self._macs}))
 
 
 class SourceVerifier:
@@ -117,37 +138,42 @@ class SourceVerifier:
 
     def __init__(self, credentials: Credentials) -> None:
         self._own = credentials
-        self._secrets: dict[str, tuple[Principal, bytes]] = {}
+        self._name = credentials.principal.common_name
+        self._known: dict[str, tuple[Principal, _Macs]] = {}
+
+    @property
+    def access(self) -> AccessList:
+        """Who is admitted, and the site's rules."""
+        return self._own.access
 
     def source_of(self, key: str, message: Proven) -> Principal:
         """Who sent a message; raises Forged if its proof is not that of an admitted principal."""
         body, proof = message
         if proof is None:
             raise Forged("it has no proof of its source")
-        found = self._secrets.get(proof.by)
+        found = self._known.get(proof.by)
         if found is None:
-            found = self._secrets[proof.by] = self._admitted(proof.by)
-        principal, secret = found
-        context = _context(key)
+            found = self._known[proof.by] = self._admitted(proof.by)
+        principal, macs = found
         if proof.signature:
-            is_valid = _is_signed(self._own, principal, proof.signature, context, body)
+            is_valid = _is_signed(self._own, principal, proof.signature, _context(key), body)
         else:
-            mac = proof.macs.get(self._own.principal.common_name, b"")
+            mac = proof.macs.get(self._name, b"")
             if not mac:
                 raise Forged(f"{principal} does not know {self._own.principal}: copy the newest access.json there")
-            is_valid = compare_digest(mac, _mac(secret, context, body))
+            is_valid = compare_digest(mac, macs.of(key, body))
         if not is_valid:
             raise Forged(f"its proof is not that of {principal}")
         return principal
 
-    def _admitted(self, common_name: str) -> tuple[Principal, bytes]:
+    def _admitted(self, common_name: str) -> tuple[Principal, _Macs]:
         try:
             principal = principal_of(common_name)
         except GyrofleetError as error:
             raise Forged(str(error)) from error
         if (reason := self._own.access.reason_against(principal)) is not None:
             raise Forged(reason)
-        return principal, shared_key(self._own, principal, principal, self._own.principal)
+        return principal, _Macs(shared_key(self._own, principal, principal, self._own.principal))
 
 
 def signed_acknowledgement(credentials: Credentials, content: bytes) -> bytes:
@@ -183,10 +209,6 @@ def shared_key(own: Credentials, other: Principal, source: Principal, recorder: 
 
 def _context(key: str) -> bytes:
     return _MESSAGE + key.encode() + b"\0"
-
-
-def _mac(secret: bytes, context: bytes, body: bytes) -> bytes:
-    return blake2b(context + body, digest_size=_MAC_BYTES, key=secret).digest()
 
 
 def _signature(own: Credentials, context: bytes, body: bytes) -> bytes:
