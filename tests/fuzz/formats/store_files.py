@@ -212,8 +212,7 @@ def _key(folder: Path) -> SigningKey:
 
 def _attestations(folder: Path) -> list[bytes]:
     made_by(_with_segments).write(folder / "s")
-    path, _ = attest(Store.open(folder / "s"), _key(folder))
-    return [path.read_bytes()]
+    return [attest(Store.open(folder / "s"), _key(folder))[0].read_bytes()]
 
 
 def _compare(path: Path) -> None:
