@@ -97,4 +97,4 @@ for number, reading in enumerate({list(READINGS)!r}):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     for seen, (reading, mark) in zip(done.stdout.splitlines(), READINGS.items(), strict=True):
-        assert seen.startswith(mark), reading
+        assert seen.startswith(mark), (reading, seen)
