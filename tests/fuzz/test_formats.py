@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from analytics.config_kinds import KINDS
 from tests.fuzz.campaign import FOUND
 from tests.fuzz.format import formats
 from tests.fuzz.mutations import mutated_bytes, mutated_json, mutated_lines, mutated_toml
@@ -45,6 +46,11 @@ def test_what_is_nearly_right_is_refused_in_a_sentence() -> None:
 def test_what_coverage_leads_to_is_refused_in_a_sentence(name: str) -> None:
     (result,) = campaign(name, "--guided", "--seconds", str(SECONDS), timeout_s=SECONDS + 600)
     assert result["findings"] == {}
+
+
+def test_every_kind_of_file_that_people_write_is_a_format() -> None:
+    other_names = {"frame": "layout", "site": "site rules", "access": "access list"}
+    assert {other_names.get(kind, kind) for kind in KINDS} <= set(NAMES)
 
 
 def test_what_was_found_is_of_a_format() -> None:

@@ -5,11 +5,15 @@ from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
+import click
+
 from analytics.alerts.rules import load_rules
 from analytics.certificate.statement.order import read_order
+from analytics.commands.config import roles
 from analytics.serve.doors.login_file import LoginFile
 from analytics.serve.doors.roles import Role as PersonRole
 from analytics.serve.doors.users_file import add_certificate, add_person, add_program, read_users
+from gyrofleet import main
 from ingest.can.mapping import CanMapping
 from ingest.procedures.file import ready_names
 from ingest.procedures.procedure import load_procedure
@@ -19,6 +23,8 @@ from ingest.simulator.station_files import write_station
 from ingest.station.station import load_station
 from ingest.station.station_security import station_security
 from storage.specifications.specification import check_names, parse_specification, read_specification
+from stream.config_file import check_config
+from stream.security.site_rules import read_site_rules
 from tests.fuzz.format import Format
 from tests.fuzz.mutations import mutated_toml
 
@@ -98,6 +104,17 @@ def _mapping_database(folder: Path) -> None:
     write_station(folder, ["G-1", "G-2"], speed=1.0, rate_hz=10.0, seed=1, now_s=1.7e9)
 
 
+def _settings_around(folder: Path) -> None:
+    """What the settings name."""
+    (folder / "site" / "recorder" / "recorder").mkdir(parents=True)
+    (folder / "users.toml").touch()
+
+
+def _roles() -> dict[str, click.Command]:
+    with click.Context(main):
+        return {name: command for name, (_, command) in roles().items()}
+
+
 def _toml(
     name: str, seeds: Callable[[Path], list[bytes]], read: Callable[[Path], object],
     around: Callable[[Path], None] | None = None, gate_inputs: int = 80,
@@ -120,4 +137,8 @@ FORMATS = [
     ),
     _toml("layout", lambda _: [_LAYOUT.encode()], load_layout),
     _toml("fleet", _simulated("fleet.toml"), load_plan),
+    _toml("site rules", lambda _: [b'two_persons = ["models", "certificates"]\n'], read_site_rules),
+    _toml(
+        "settings", lambda _: _of_page("operations.md", 0), lambda path: check_config(path, _roles()), _settings_around
+    ),
 ]  # fmt: skip
