@@ -134,7 +134,7 @@ def _single(path: Path, where: str, value: Any, option: click.Option) -> Any:
     if isinstance(value, bool) or not isinstance(value, _TEXTS) or (is_text and is_number) or (is_path and not is_text):
         what = "a number" if is_number else "a text"
         raise BadInput(f"{path}: {where} is {value!r}; {what} is expected{_range(kind)}")
-    if is_path:
+    if is_path and isinstance(value, str):
         value = str(path.parent / value)
     try:
         kind.convert(value, option, None)
