@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.evaluation import kept_metrics
+from analytics.evaluation import kept_metrics, ranges
 from analytics.metric_registry.registry import metrics
 from analytics.step_records import FOLDER
 from tests.analytics.metrics.test_incremental_metrics import START_NS, Bench, table_of
@@ -38,7 +38,7 @@ def test_ranges_of_units_have_the_rows_of_one_pass(filled: Any, monkeypatch: pyt
         static = catalog.table("from static_steps order by all")
     assert len(set(whole["unit"].to_pylist())) == 3
     _anew(filled)
-    monkeypatch.setattr(kept_metrics, "RANGE_RECORDS", 1)  # each unit is a range
+    monkeypatch.setattr(ranges, "RANGE_RECORDS", 1)  # each unit is a range
     with filled.catalog() as catalog:
         assert catalog.table("from unit_metrics").equals(whole)
         assert catalog.table("from step_means order by all").equals(steps)
