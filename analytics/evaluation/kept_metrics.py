@@ -26,6 +26,9 @@ from storage.sql.catalog import Catalog, NotKept
 from storage.sql.parquet_content import ROW_GROUP, ParquetContent
 
 FILE = "unit_metrics.parquet"
+_RECORDS = """
+select unit, string_agg(distinct fingerprint, '/' order by fingerprint) from internal.step_records group by unit
+"""
 # Hash of each unit's checks that were entered by hand, which may belong to no run; and of its products' numbers.
 _ENTERED = """
 select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents
@@ -123,7 +126,7 @@ def _content(catalog: Catalog, found: Iterable[tuple[pa.Table, bool]], marks: Ma
 def _unit_fingerprints(catalog: Catalog) -> dict[str, str]:
     """Hash of all that a unit's metrics depend on: its records, its checks and products, the text of the metrics."""
     marks: defaultdict[str, set[str]] = defaultdict(set)
-    for unit, mark in catalog.rows("select distinct unit, fingerprint from internal.step_records"):
+    for unit, mark in catalog.rows(_RECORDS):
         marks[unit].add(mark)
     averages = _averaging_times(catalog)
     for own in marks.values() if averages else ():

@@ -66,10 +66,10 @@ class Layout(NamedTuple):
         [0, 0, 1, 2, 1]
         """
         of = np.repeat(np.arange(len(counts)), counts)
-        numbers: dict[tuple[int, Hashable], int] = {}
-        group = [numbers.setdefault(key, len(numbers)) for key in zip(of.tolist(), names, strict=True)]
-        of_group = np.array([test for test, _ in numbers], np.int64)
-        return cls(len(counts), of, np.array(group, np.int64), of_group)
+        numbers: dict[Hashable, int] = {}
+        codes = np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int64)
+        groups, group = np.unique(of * max(len(numbers), 1) + codes, return_inverse=True)
+        return cls(len(counts), of, group, groups // max(len(numbers), 1))
 
     def total(self, weights: FloatArray | None = None) -> FloatArray:
         """Sums of the values of each test, or how many it has."""

@@ -1,6 +1,7 @@
 """Bias repeatability over power-ons: all together, from run to run, from day to day, and its components of variance."""
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -130,10 +131,12 @@ def _remark(durations: Sequence[float], counted_by: Sequence[str]) -> str | None
 
 def _texts(kind: str, shared: Sequence[str], parts: Sequence[FloatArray]) -> list[str]:
     """The parameters of each test as JSON."""
-    scatter_of, noise_of = ([json.dumps(None if np.isnan(each) else each) for each in part.tolist()] for part in parts)
+    scatter_of, noise_of = (
+        json.dumps([None if math.isnan(each) else each for each in part.tolist()])[1:-1].split(", ") for part in parts
+    )
     return [
         f'{{"kind":"{kind}",{own},"scatter":{of_clause},"uncertainty_of_means":{of_means}}}'
-        for own, of_clause, of_means in zip(shared, scatter_of, noise_of, strict=True)
+        for own, of_clause, of_means in zip(shared, scatter_of, noise_of, strict=bool(shared))
     ]
 
 
