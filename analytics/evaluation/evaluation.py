@@ -8,6 +8,7 @@ from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -210,4 +211,4 @@ def row_of(row: Mapping[str, Any]) -> dict[str, Any]:
     """A value as in `gyrofleet metrics --json`."""
     found = {name: row[name] for name in COLUMNS.names if name != "freedom"}
     p = None if row["U"] is None else COVERAGE
-    return found | {"p": p, "parameters": json.loads(row["parameters"] or "{}")}
+    return found | {"p": p, "parameters": msgspec.json.decode(row["parameters"] or "{}")}

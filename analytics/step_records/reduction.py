@@ -117,8 +117,8 @@ _Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 _WITHIN = """
-where run = $run and unit between $lower and $upper and unit in (select unnest($units)) and signal in (select unnest($signals))
-  and t_ns between $first and $last order by unit, signal, t_ns"""
+where run = $run and unit between $lower and $upper and unit in (select unnest($units))
+  and signal in (select unnest($signals)) and t_ns between $first and $last order by unit, signal, t_ns"""
 _RAW = f"select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples {_WITHIN}, seq"  # noqa: S608
 _SECONDS = f"select unit, signal, t_ns, n, mean, m2 from rollup_1s {_WITHIN}"  # noqa: S608
 

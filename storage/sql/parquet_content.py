@@ -1,12 +1,14 @@
 """The content of a Parquet file in memory, as a table of a catalogue."""
 
 from collections.abc import Iterable, Iterator
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
+
+if TYPE_CHECKING:
+    import pyarrow.dataset as ds
 
 ROW_GROUP = 50_000  # rows that are read together
 
@@ -47,8 +49,10 @@ class ParquetContent:
         """The rows in batches, without the metadata."""
         return pa.RecordBatchReader.from_batches(self.schema, self.file.iter_batches(rows))
 
-    def dataset(self) -> ds.Dataset:
+    def dataset(self) -> "ds.Dataset":
         """The rows as a data set of Arrow, whose texts are encoded by dictionaries."""
+        import pyarrow.dataset as ds  # only where a table is put
+
         texts = [field.name for field in self.schema if field.type == pa.string()]
         kind = ds.ParquetFileFormat(read_options=ds.ParquetReadOptions(dictionary_columns=texts))
         fragment = kind.make_fragment(pa.BufferReader(self.content))
