@@ -117,7 +117,7 @@ def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
 
 def keep_scale_factors(catalog: Catalog) -> None:
     """Make the tables that many metrics use of the chosen steps: ``scale_fits``, ``scale_factors``, ``still_steps``."""
-    scripts = _SHARED
+    scripts: tuple[str, ...] = _SHARED
     # planning the lines takes a fifth of a second, in each range of units
     if not catalog.rows(_RATE_POINT) and not catalog.rows(_SCALE_FIT):
         scripts = _SHARED[-1:]  # the others are of a range, or of all, and empty as well

@@ -8,7 +8,7 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
@@ -114,7 +114,8 @@ def _content(catalog: Catalog, found: Iterable[tuple[pa.Table, bool]], marks: Ma
         def write(rows: pa.Table, is_sorted: bool) -> None:
             writer.write_table(rows if is_sorted else in_order(catalog, rows), ROW_GROUP)
 
-        written = beside.submit(int)
+        written: Future[None] = Future()
+        written.set_result(None)
         for rows, is_sorted in found:
             written.result()  # the memory is that of two ranges
             written = beside.submit(write, rows, is_sorted)

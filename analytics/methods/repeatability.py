@@ -188,6 +188,15 @@ def beyond(observed: Variance, known: Variance, least: Variance | None = None) -
     return DeviationEstimate(value, bounds[0], bounds[1], u, left_freedom)
 
 
+def are_none(reasons: Reasons) -> BoolArray:
+    """Where there is no reason.
+
+    >>> are_none(np.array(["no", None], dtype=object)).tolist()
+    [False, True]
+    """
+    return np.array([each is None for each in reasons.tolist()], dtype=bool)
+
+
 def _taken(known: Variance) -> Variance:
     is_known = known.value > 0
     return Variance(np.where(is_known, known.value, 0.0), np.where(is_known, known.freedom, 1e9))
@@ -218,7 +227,7 @@ def deviations_of(
     reasons = np.full(len(found.values), None, dtype=object)
 
     def refuse(where: BoolArray, text: Callable[[int, int, str], str]) -> None:
-        for at in np.flatnonzero(where & np.equal(reasons, None)).tolist():
+        for at in np.flatnonzero(where & are_none(reasons)).tolist():
             reasons[at] = text(int(found.values[at]), int(found.groups[at]), "days" if is_dated[at] else "runs")
 
     of_days = kind in {"day_to_day", "between_day_component"}

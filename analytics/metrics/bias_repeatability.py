@@ -14,6 +14,7 @@ from analytics.methods.repeatability import (
     Reasons,
     Scatter,
     ValuesNoise,
+    are_none,
     deviations_of,
     means_noise,
     pooled,
@@ -52,7 +53,8 @@ def compute(catalog: Catalog, sql: str) -> pa.Table:
     noise = _noise(tests, layout)
     is_dated = tests["is_dated"].to_numpy()
     lacks = np.array(tests["lack"].to_pylist(), dtype=object)
-    few = np.where(found.values > 1, None, f"1 power-on measured, at least 2 are needed, {LEAST_GJB} by GJB 2426A")
+    few = np.full(layout.tests, None, dtype=object)
+    few[found.values < 2] = f"1 power-on measured, at least 2 are needed, {LEAST_GJB} by GJB 2426A"
     repeated = layout.total((layout.group_total() > 1).astype(np.float64)[layout.group])
     compared = {"run_to_run": repeated, "within_day_component": repeated, "all": found.values}
     shared = _shared_parameters(tests, layout, found)
@@ -60,10 +62,10 @@ def compute(catalog: Catalog, sql: str) -> pa.Table:
     for kind in KINDS:
         estimate, reasons = deviations_of(found, kind, "power-ons", is_dated, noise)
         for earlier in (few, lacks):
-            reasons = np.where(np.equal(earlier, None), reasons, earlier)
-        n = np.where(np.equal(lacks, None), compared.get(kind, found.groups), found.values).astype(np.int64)
+            reasons = np.where(are_none(earlier), reasons, earlier)
+        n = np.where(are_none(lacks), compared.get(kind, found.groups), found.values).astype(np.int64)
         parts = scatters(found, noise, kind)
-        texts = _texts(kind, shared, [np.where(np.equal(lacks, None), each, np.nan) for each in parts.values()])
+        texts = _texts(kind, shared, [np.where(are_none(lacks), each, np.nan) for each in parts.values()])
         rows += list(_standards(kind, n, estimate, reasons, texts))
     table = pa.concat_tables(rows)
     # the kinds of a test one after the other
@@ -144,7 +146,7 @@ def _standards(
     kind: str, n: IntArray, value: DeviationEstimate, reasons: Reasons, texts: Sequence[str]
 ) -> Iterator[pa.Table]:
     """The rows, and two, one for each standard, where the number of power-ons satisfies only one of them."""
-    has_value = np.equal(reasons, None)
+    has_value = are_none(reasons)
     is_few = has_value & (n < LEAST_GJB) & ("component" not in kind)
     what = "days" if kind == "day_to_day" else "power-ons"
     short = np.array(
@@ -156,7 +158,7 @@ def _standards(
         (np.flatnonzero(is_few), reasons, ("JJF2014", "7.2.15 (30)")),
     ):
         of_rows = why[rows]
-        lacks = ~np.equal(of_rows, None)
+        lacks = ~are_none(of_rows)
         columns = {"test": pa.array(rows), "n": pa.array(n[rows])}
         columns["parameters"] = pa.array([texts[at] for at in rows.tolist()], pa.string())
         columns |= {name: pa.array(each[rows], mask=lacks) for name, each in value._asdict().items()}
