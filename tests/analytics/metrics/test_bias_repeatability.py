@@ -155,3 +155,27 @@ def test_the_limits_of_the_component_between_days_hold(sigma: float) -> None:
     held = np.count_nonzero((found.lo <= sigma) & (sigma <= found.hi))
     # they hold at least at 95 %: the bound of 2000 trials at 99.9 %, one-sided, three checks together
     assert held >= stats.binom.ppf(0.001 / 3, 2000, 0.95)
+
+
+def test_many_tests_at_once_have_the_sums_of_each_alone() -> None:
+    rng = np.random.default_rng(18)
+    counts = rng.integers(1, 9, 200)
+    days = [f"d{each}" for each in rng.integers(3, size=counts.sum())]
+    values = 1e3 + rng.normal(0, 1, counts.sum())
+    values[: counts[0]] = 0.1
+    found = scatter(values, Layout.of_names(counts, days))
+    assert found.square[0] == 0.0 or counts[0] == 1  # equal values scatter by nothing at all
+    ends = np.cumsum(counts)
+    for at, (end, count) in enumerate(zip(ends, counts, strict=True)):
+        own, names = values[end - count : end], np.array(days[end - count : end])
+        groups = [own[names == day] for day in dict.fromkeys(names.tolist())]
+        free = count - len(groups)
+        within = math.fsum(float(each) for group in groups for each in (group - group.mean()) ** 2)
+        expected = {
+            "values": count, "groups": len(groups), "within_freedom": free,
+            "square": own.var(ddof=1) if count > 1 else math.nan, "within": within / free if free else math.nan,
+            "of_means": np.var([group.mean() for group in groups], ddof=1) if len(groups) > 1 else math.nan,
+            "size": stats.hmean([len(group) for group in groups]),
+        }  # fmt: skip
+        for name, value in expected.items():
+            assert getattr(found, name)[at] == pytest.approx(value, rel=1e-9, abs=1e-18, nan_ok=True), name
