@@ -146,7 +146,10 @@ class Intake:
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
             proven = split(payload)
-            source = None if self._sources is None else self._sources.source_of(key, proven)
+            if self._sources is None:
+                source, _ = None, proven.proof  # one that cannot be read is refused here too
+            else:
+                source = self._sources.source_of(key, proven)
             if isinstance(parsed, SampleKey):
                 if source is not None:
                     check_authority(source, key, parsed, None)

@@ -13,6 +13,7 @@ from analytics.config_kinds import KINDS
 from gyrofleet import main
 from storage.store import writer_endpoint
 from tests.secured_sites import make_site
+from tests.sources import SOURCES
 
 SETTINGS = """
 store = "S"
@@ -95,7 +96,8 @@ def test_every_kind_of_file_is_recognised_and_its_fault_named(kind: str, tmp_pat
 
 def test_files_of_the_program_and_a_site_are_well(tmp_path: Path) -> None:
     make_site(tmp_path / "site")
-    procedures = sorted((Path(__file__).parents[3] / "ingest/procedures").glob("*.toml"))
+    procedures = sorted((SOURCES / "ingest/procedures").glob("*.toml"))
+    assert len(procedures) > 5
     (tmp_path / "units.csv").write_text("serial,product\nFOG-1,FOG-70\n")
     code, found = check(*procedures, tmp_path / "site/recorder/recorder/access.json", tmp_path / "units.csv")
     assert code == 0, found
