@@ -135,6 +135,10 @@ def ask_all(room: Room, door: SqlDoor, statements: list[Hostile]) -> None:
         except QueryError as error:
             is_answered, shown = False, shown + str(error)
         room.check(hostile, is_answered, shown, time.monotonic() - begun)
+        if hostile.outcome == "bounded":
+            assert door.ask("select 1 as one").read_all().to_pylist() == [{"one": 1}], (
+                f"nobody is answered after {hostile}"
+            )
     room.check_unchanged()
 
 
@@ -143,6 +147,13 @@ def test_python(room: Room, landlock: bool) -> None:
     """Without Landlock, as on an older kernel, the other guards refuse the same."""
     with SqlDoor(Store.open(room.store), LIMITS, landlock=landlock) as door:
         ask_all(room, door, sample(2))
+
+
+def test_an_error_within_duckdb_ends_its_process_and_no_other_statement(room: Room) -> None:
+    """It calls its database invalid from then on; who asked next was refused, on pages everybody."""
+    fatal = Hostile("memory", "bounded", "select reservoir_quantile(i, 0.5, 1000000000) from range(1000) t(i)")
+    with SqlDoor(Store.open(room.store), LIMITS) as door:
+        ask_all(room, door, [fatal, fatal])
 
 
 @pytest.mark.long
