@@ -45,7 +45,7 @@ def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: boo
 def values_of(catalog: Catalog, units: Sequence[str]) -> list[Row]:
     """Each value of these units with its verdict."""
     sql = (
-        "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
+        "select * replace (day::varchar as day) from verdicts where unit in (select unnest($units)) "
         "order by unit, metric, signal, t_ns, run, subject, standard, parameters"
     )
     return rows_of(catalog, sql, {"units": list(units)})

@@ -23,7 +23,9 @@ def test_a_note_has_who_has_signed_in(role: str, name: str, identity: str, serve
         document = answer.json()["document"]
         assert (document["author"], document["identity"]) == (name, identity)
         rows = client.get("/api/events", params={"kind": "NoteAdded", "by": name}).json()["events"]
-        assert identity in {each["document"]["identity"] for each in rows}
+        assert identity in {each["identity"] for each in rows}
+        shown = client.get("/events", params={"kind": "NoteAdded", "by": name}).text
+        assert ("(not proved)" in shown) is (identity == UNAUTHENTICATED)
 
 
 def test_a_session_keeps_the_identity(served: Served) -> None:
