@@ -66,8 +66,8 @@ def one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.Sta
 
 
 def plain_message(error: Exception) -> str:
-    """DuckDB's error message on one line, without the position in the statement."""
-    return " ".join(str(error).split("\n\nLINE")[0].split())
+    """DuckDB's error message on one line, without the position in the statement and the places in its own code."""
+    return " ".join(re.split(r"\n\nLINE|\s+Stack Trace:", str(error))[0].split())
 
 
 def refused(what: str) -> QueryError:

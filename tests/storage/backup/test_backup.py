@@ -189,3 +189,18 @@ def test_an_empty_store_has_a_backup(tmp_path: Path) -> None:
     back_up(Store.open(tmp_path / "S"), tmp_path / "B")
     restore(tmp_path / "B", tmp_path / "R")
     assert verify(Store.open(tmp_path / "R"))[0].samples == 0
+
+
+def test_two_restorations_into_one_folder_do_not_mix(store: Store, tmp_path: Path) -> None:
+    """The second would take what the first has written so far for the rest of an interrupted one."""
+    back_up(store, tmp_path / "B")
+    refused = []
+
+    def second(_share: float) -> None:
+        with pytest.raises(StoreError, match="another `gyrofleet restore` is at work"):
+            restore(tmp_path / "B", tmp_path / "R")
+        refused.append(True)
+
+    restore(tmp_path / "B", tmp_path / "R", second)
+    assert refused
+    assert verify(Store.open(tmp_path / "R"))[0].is_sound
