@@ -52,14 +52,15 @@ def restore(
             if path.name != _MARK:
                 path.rename(folder / path.name)
         write_markers(folder, backup.store)
-        shutil.rmtree(fresh)
+        done_here = list(recover(Store.open(folder)))
+        shutil.rmtree(fresh)  # until now the same command begins anew
     except FileNotFoundError as error:
         raise StoreError(f"the backup {source} is incomplete: {error}; restore from another one") from error
     except OSError as error:
         raise StoreError(f"cannot restore into {folder}: {error}; the same command goes on") from error
     finally:
         os.close(held)
-    return backup, list(recover(Store.open(folder)))
+    return backup, done_here
 
 
 def _held(folder: Path) -> int:

@@ -103,7 +103,10 @@ def _tree(connection: duckdb.DuckDBPyConnection, text: str) -> dict[str, Any]:
         ((row,),) = connection.execute("select json_serialize_sql(?::varchar)", [text]).fetchall()
     except duckdb.Error as error:
         raise QueryError(plain_message(error)) from error
-    tree: dict[str, Any] = json.loads(row)
+    try:
+        tree: dict[str, Any] = json.loads(row)
+    except RecursionError:
+        raise QueryError("the statement is nested too deeply; write its inner parts with WITH") from None
     if tree["error"]:
         raise QueryError(f"{tree.get('error_message', 'the statement cannot be parsed')}")
     return tree
