@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -121,13 +122,19 @@ def tried_guided(name: str, arguments: argparse.Namespace) -> Any:
         result = Path(temporary) / "result"
         command = [sys.executable, "-m", "tests.fuzz.guided", name, str(arguments.seconds), str(arguments.seed)]
         command += [str(result), *([] if arguments.keep is None else [str(arguments.keep)])]
+        # numba cannot compile what is instrumented
+        env = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+        seconds = arguments.seconds + 5 * _KILL_S
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=arguments.seconds + 5 * _KILL_S)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=env)
             lines = [line for line in done.stderr.splitlines() if not line.startswith(("INFO: ", "WARNING: Failed"))]
             print("\n".join(lines), file=sys.stderr, end="\n" if lines else "", flush=True)
             what = "" if done.returncode == 0 else f"the process ended with {done.returncode}"
         except subprocess.TimeoutExpired:
             what = "the process had to be killed"
+        for crash in Path(temporary).glob("crash-*") if arguments.keep is not None else ():
+            arguments.keep.mkdir(parents=True, exist_ok=True)
+            shutil.copy(crash, arguments.keep / f"{name}-{crash.name}")
         found: dict[str, Any] = {"format": name, "inputs": 0, "seconds": arguments.seconds, "findings": {}}
         if result.exists():
             found = json.loads(result.read_text())
