@@ -54,7 +54,7 @@ def test_the_two_commands_share_no_option_that_either_refuses() -> None:
     options = [{name for each in command.params for name in each.opts} for command in (run, run_simulated)]
     common = {
         "--run", "--operator", "--lot", "--store", "--connect", "--spool", "--spool-mb", "--end", "--json", "--station",
-        "--status-listen", "--security", "--insecure",
+        "--status-listen", "--security", "--insecure", "--log-format", "--log-level",
     }  # fmt: skip
     assert options[0] & options[1] == common
 
