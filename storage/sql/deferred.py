@@ -4,6 +4,7 @@ With a hundred views this takes most of the time of a short statement, which nee
 """
 
 import re
+import threading
 from collections.abc import Callable, Collection, Iterable
 from functools import cache
 from itertools import count
@@ -24,7 +25,7 @@ class _Statement(NamedTuple):
 
 class _Waiting(NamedTuple):
     order: int
-    sql: str
+    sql: str | Callable[[], str]
     words: frozenset[str]
     is_macro: bool
 
@@ -59,8 +60,13 @@ def _statements(script: str) -> tuple[_Statement, ...]:
     return tuple(found)
 
 
+def defined_names(scripts: Iterable[str]) -> list[str]:
+    """Names of the views, macros and tables that scripts define."""
+    return [each.name for script in scripts for each in _statements(script) if not each.is_comment]
+
+
 class DeferredDefinitions:
-    """Definitions that wait for a statement that names them.
+    """Definitions that wait for a statement that names them; several threads may ask for them at once.
 
     Parameters
     ----------
@@ -81,26 +87,35 @@ class DeferredDefinitions:
         self._run = run
         self._waiting: dict[str, _Waiting] = {}
         self._next = count()
+        self._defining = threading.RLock()
 
     def add(self, script: str) -> None:
         """Add the definitions of a script; what a view or table stands on is added before it."""
         for each in _statements(script):
             before = self._waiting.pop(each.name, None)
-            if each.is_comment and before is not None:
+            if each.is_comment and before is not None and isinstance(before.sql, str):
                 self._waiting[each.name] = before._replace(sql=f"{before.sql};\n{each.sql}")
             else:
                 self._waiting[each.name] = _Waiting(next(self._next), each.sql, each.words, each.is_macro)
 
+    def add_macro(self, name: str, words: Collection[str], make: Callable[[], str]) -> None:
+        """Add a macro whose definition is made when it is first named, of what it stands on."""
+        self._waiting[name] = _Waiting(next(self._next), make, frozenset(words), is_macro=True)
+
     def define(self, words: Iterable[str]) -> None:
         """Run the definitions of what is named, and before each those that it stands on."""
+        with self._defining:
+            self._define(words)
+
+    def _define(self, words: Iterable[str]) -> None:
         for name in self._named(words):
             if (found := self._waiting.pop(name, None)) is None:  # another of them stands on it
                 continue
             try:
-                self.define(word for word in found.words if self._order(word) < found.order)
-                self._run(found.sql)
+                self._define(word for word in found.words if self._order(word) < found.order)
+                self._run(found.sql if isinstance(found.sql, str) else found.sql())
                 if found.is_macro:  # bound where it is used: it may stand on what was added later
-                    self.define(found.words)
+                    self._define(found.words)
             except BaseException:
                 self._waiting[name] = found
                 raise
