@@ -103,7 +103,7 @@ class Catalog(Closing):
             self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
             self._connection.execute(f"create schema {_COMPACT}.internal")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
-        self._deferred = DeferredDefinitions(self._define)
+        self._deferred = DeferredDefinitions(self._run_definition)
         self.source = source_of(store, parts) if source is None else source
         self.parts = self.source.parts
         self.source.attach(self._connection)
@@ -165,7 +165,7 @@ class Catalog(Closing):
         """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
         self._deferred.add(script)
 
-    def _define(self, sql: str) -> None:
+    def _run_definition(self, sql: str) -> None:
         """Run a definition that has waited; other threads ask meanwhile."""
         with reading_lake(self.store), self._connection.cursor() as cursor:
             cursor.execute(sql)

@@ -1,5 +1,6 @@
 """The views of a store, over the tables of the schema `internal` that their statements name."""
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -15,7 +16,7 @@ from stream.quantities import conversion, is_angular_rate
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
-_LISTING = ("describe", "duckdb_", "information_schema", "pg_", "pragma_", "show", "sqlite_")
+_LISTING = re.compile(r"show|describe|information_schema|(duckdb|pragma|sqlite)_\w+|pg_(?!timezone_names)\w+")
 _CONVERSIONS = ("deg_per_h", "deg_c")
 _ALWAYS_CONVERTED = ("deg/s", "deg/h", "rad/s", "degC", "K", "degF")
 
@@ -54,7 +55,7 @@ def define_deferred_views(deferred: DeferredDefinitions) -> None:
 
 def lists_views(words: Iterable[str]) -> bool:
     """Whether a statement with these words may list the tables that there are."""
-    return any(word.startswith(_LISTING) for word in words)
+    return any(_LISTING.fullmatch(word) is not None for word in words)
 
 
 def _stored_conversions(connection: duckdb.DuckDBPyConnection) -> str:
