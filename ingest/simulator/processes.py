@@ -27,7 +27,7 @@ from stream.console import until_stopped
 from stream.errors import BadInput, GyrofleetError
 
 TRUTH = "truth.jsonl"
-_TICK_S = 0.005
+_TICK_S = 0.01
 _LOOK_S = 0.5
 _PARENT = os.getppid()
 
