@@ -206,7 +206,7 @@ class CsvTable:
         if self._places is not None:
             times_ns, wrong = ns_from_decimals(array, self._places)
         else:
-            times_ns, wrong = ns_from_floats(array.to_numpy(), time.ns_per_unit)
+            times_ns, wrong = ns_from_floats(np.from_dlpack(array), time.ns_per_unit)
         return None if wrong.any() else times_ns
 
 
@@ -220,7 +220,7 @@ def _is_text(raw: bytes) -> bool:
 
 def _texts(column: pa.ChunkedArray) -> TextCells:
     array = column.unify_dictionaries().combine_chunks()
-    return TextCells(array.indices.fill_null(-1).to_numpy(), array.dictionary.to_pylist())
+    return TextCells(np.from_dlpack(array.indices.fill_null(-1)), array.dictionary.to_pylist())
 
 
 def _lines(block: bytes) -> int:

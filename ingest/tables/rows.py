@@ -94,8 +94,8 @@ class NumberCells:
     def of(cls, array: pa.Array) -> "NumberCells":
         """Cells of an array of float64, which are empty where it has nulls."""
         if array.null_count == 0:
-            return cls(array.to_numpy(), None)
-        return cls(array.fill_null(0.0).to_numpy(), array.is_valid().to_numpy(zero_copy_only=False))
+            return cls(np.from_dlpack(array), None)  # its own `to_numpy` imports pandas where that is installed
+        return cls(np.from_dlpack(array.fill_null(0.0)), array.is_valid().to_numpy(zero_copy_only=False))
 
     def at(self, rows: npt.NDArray[np.intp] | slice) -> "NumberCells":
         """Cells of some rows."""

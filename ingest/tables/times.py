@@ -139,7 +139,7 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
             return None
     except pa.ArrowInvalid:
         return None
-    times_ns = found.cast(pa.int64()).to_numpy()
+    times_ns = np.from_dlpack(found.cast(pa.int64()))
     return None if (np.abs(times_ns) > MAX_NS).any() else times_ns
 
 
@@ -148,7 +148,7 @@ def ns_from_timestamps(times: pa.Array, zone: str) -> tuple[IntArray, BoolArray]
     written, ns = times, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[times.type.unit]
     if times.type.tz is None:
         times = pc.assume_timezone(times, zone, ambiguous="earliest", nonexistent="latest")
-    times_ns, wrong = ns_from_integers(times.cast(pa.int64()).to_numpy(), ns)
+    times_ns, wrong = ns_from_integers(np.from_dlpack(times.cast(pa.int64())), ns)
     if written is not times:  # the clock was set forward over a time that does not exist
         wrong = wrong | pc.not_equal(pc.local_timestamp(times), written).to_numpy(zero_copy_only=False)
     return times_ns, wrong

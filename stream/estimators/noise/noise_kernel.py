@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import FloatArray
+from stream.compiled import kernel
 
 MOST_ROUNDS = 50
 TOLERANCE = 1e-8
@@ -19,7 +19,7 @@ _EPSILON = float(np.finfo(np.float64).eps)
 Mask = npt.NDArray[np.bool_]
 
 
-@njit(cache=True)
+@kernel
 def _solve(matrix: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray) -> None:
     """Least squares over the chosen columns by modified Gram-Schmidt; a column that depends on others gets 0."""
     rows, columns = matrix.shape
@@ -57,7 +57,7 @@ def _solve(matrix: FloatArray, target: FloatArray, chosen: Mask, found: FloatArr
             found[order[i]] = value / upper[i, i]
 
 
-@njit(cache=True)
+@kernel
 def _steepest(matrix: FloatArray, left: FloatArray, barred: Mask) -> int:
     """Column along which the residual falls most; -1 where rounding is all that is left."""
     largest = 0.0
@@ -72,7 +72,7 @@ def _steepest(matrix: FloatArray, left: FloatArray, barred: Mask) -> int:
     return best
 
 
-@njit(cache=True)
+@kernel
 def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
     """Move from found towards trial as far as no coefficient is negative; False where the whole step is allowed."""
     step, first = 1.0, -1
@@ -91,7 +91,7 @@ def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The x >= 0 of least ``|matrix x - target|`` (Lawson, Hanson, Solving Least Squares Problems, 1974, 23.3).
 
@@ -120,7 +120,7 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
     return found
 
 
-@njit(cache=True)
+@kernel
 def deviance(degrees: FloatArray, model: FloatArray) -> float:
     """D of a model, given relative to the curve; see `noise_likelihood.CurveLikelihood`."""
     total = 0.0
@@ -130,7 +130,7 @@ def deviance(degrees: FloatArray, model: FloatArray) -> float:
     return total
 
 
-@njit(cache=True)
+@kernel
 def weighted_least_squares(
     columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask
 ) -> FloatArray:
@@ -151,7 +151,7 @@ def weighted_least_squares(
     return theta
 
 
-@njit(cache=True)
+@kernel
 def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: Mask) -> tuple[FloatArray, float]:
     """Iterate the weighted least squares from theta, the other coefficients fixed, until the deviance converges."""
     theta = theta.copy()
