@@ -1,6 +1,7 @@
 """Durable end to end: source process -> Zenoh -> recorder process, with live estimates of every signal.
 
-    .venv/bin/python tests/bench/durable_rate.py [--batch 1000] [--signals 1000] [--seconds 15] [--no-spectrum] [--json]
+    .venv/bin/python tests/bench/durable_rate.py [--batch 1000] [--signals 1000] [--seconds 15] [--no-spectrum]
+        [--no-estimates] [--json]
 
 A source sends counts like those of a fibre-optic gyro (Gaussian, standard deviation 50 counts, entropy 0.96 bytes) as
 fast as they are taken. `gyrofleet record` writes them, with fdatasync and acknowledgement every 100 ms. A third process
@@ -164,7 +165,15 @@ def free_endpoint() -> str:
 
 
 def ours(
-    folder: Path, batch: int, signals: int, seconds: float, offer: float, *, with_lake: bool, spectrum: bool
+    folder: Path,
+    batch: int,
+    signals: int,
+    seconds: float,
+    offer: float,
+    *,
+    with_lake: bool,
+    spectrum: bool,
+    estimates: bool = True,
 ) -> dict[str, float]:
     """One run of the whole path."""
     endpoint, store = free_endpoint(), folder / "store"
@@ -175,14 +184,17 @@ def ours(
     )
     atexit.register(recorder.kill)
     line(recorder)
-    worker = role("estimator", endpoint, store, "spectrum" if spectrum else "")
-    line(worker)
+    worker = role("estimator", endpoint, store, "spectrum" if spectrum else "") if estimates else None
+    if worker is not None:
+        line(worker)
     sending = role("source", endpoint, batch, signals, seconds, offer)
     sent = json.loads(line(sending))
-    say(worker, sent["samples"])
-    seen = json.loads(line(worker))
+    seen = {"samples": sent["samples"], "at": sent["at"], "recalled": 0}
+    if worker is not None:
+        say(worker, sent["samples"])
+        seen = json.loads(line(worker))
     source_mb, source_cpu = ended(sending)
-    worker_mb, worker_cpu = ended(worker)
+    worker_mb, worker_cpu = (0.0, 0.0) if worker is None else ended(worker)
     recorder.send_signal(signal.SIGINT)
     done = json.loads(recorder.stdout.read().splitlines()[-1]) if recorder.stdout else {}
     recorder_mb, recorder_cpu = ended(recorder)
@@ -235,6 +247,7 @@ def main() -> None:
     parser.add_argument("--offer", type=float, default=0.0, help="most million samples a second that are sent")
     parser.add_argument("--with-lake", action="store_true", help="the recorder makes the lake as well, meanwhile")
     parser.add_argument("--no-spectrum", action="store_true", help="Allan deviation and bias stability only")
+    parser.add_argument("--no-estimates", action="store_true", help="a source and a recorder only")
     parser.add_argument("--no-peer", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
@@ -249,7 +262,10 @@ def main() -> None:
         case _:
             with tempfile.TemporaryDirectory() as folder:
                 shape = (arguments.batch, arguments.signals, arguments.seconds, arguments.offer * 1e6)
-                found = ours(Path(folder), *shape, with_lake=arguments.with_lake, spectrum=not arguments.no_spectrum)
+                found = ours(
+                    Path(folder), *shape, with_lake=arguments.with_lake, spectrum=not arguments.no_spectrum,
+                    estimates=not arguments.no_estimates,
+                )  # fmt: skip
                 beside = None if arguments.no_peer else theirs(Path(folder), *shape)
             tell(arguments, found, beside)
 

@@ -1,10 +1,10 @@
 """What the estimators cost: time beside a peer in one run, memory, and a month at 1 kHz.
 
-    .venv/bin/python tests/bench/estimators.py [speed] [memory] [month] [--json]
+    .venv/bin/python tests/bench/estimators.py [speed] [memory] [month] [--batch 1000] [--json]
 
-speed   the Allan estimator at 24 octave averaging times in batches of 1000 samples, all through its public `update`,
-        beside allantools' batch `oadev` and its `oadev_realtime` with as many averaging times, and its agreement with
-        the former
+speed   the Allan estimator at 24 octave averaging times in batches of 1000 samples (or `--batch`), all through its own
+        `update`, beside allantools' batch `oadev` and its `oadev_realtime` with as many averaging times, and its
+        agreement with the former
 memory  10,000 signals in one process, each with everything that a signal is given by default
 month   30 days at 1 kHz through one Allan estimator, and through another with a mean of a million standard deviations
         added; CPU time is that of `update` alone, the making of the noise left out
@@ -17,7 +17,7 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -42,13 +42,13 @@ MONTH = 30 * 86_400 * 1000
 MEAN_SIGMA = 1e6
 
 
-def batches(values: FloatArray, first: int, unit: str = "FOG-1") -> list[SampleBatch]:
-    """Values as batches of 1000 samples, the first of them with number `first`."""
+def batches(values: FloatArray, first: int, unit: str = "FOG-1", size: int = BATCH) -> list[SampleBatch]:
+    """Values as batches, the first sample of them with number `first`."""
     return [
         SampleBatch(
-            unit, "rate", "r1", EPOCH, first + i, (first + i) * DT_NS, DT_NS, "deg/h", values=values[i : i + BATCH]
+            unit, "rate", "r1", EPOCH, first + i, (first + i) * DT_NS, DT_NS, "deg/h", values=values[i : i + size]
         )
-        for i in range(0, len(values), BATCH)
+        for i in range(0, len(values), size)
     ]
 
 
@@ -58,12 +58,12 @@ def points_of(estimator: AllanDeviation) -> tuple[EstimatePoint, ...]:
     return points
 
 
-def fed(estimator: Estimator[Any], blocks: Iterator[FloatArray]) -> float:
+def fed(estimator: Estimator[Any], blocks: Iterator[FloatArray], size: int = BATCH) -> float:
     """CPU seconds of the updates. Batches are made in small lots just before, as they come from a bus."""
     seconds = 0.0
     first = 0
     for block in blocks:
-        lot = batches(block, first)
+        lot = batches(block, first, size=size)
         began = time.thread_time()
         for batch in lot:
             estimator.update(batch)
@@ -72,7 +72,7 @@ def fed(estimator: Estimator[Any], blocks: Iterator[FloatArray]) -> float:
     return seconds
 
 
-def speed(repeats: int = 5) -> dict[str, float]:
+def speed(size: int = BATCH, repeats: int = 5) -> dict[str, float]:
     n = (2**OCTAVES + 2 ** (OCTAVES - 4)) // BATCH * BATCH
     values = np.random.default_rng(1).standard_normal(n) + 15.0
     lot = 40 * BATCH
@@ -80,7 +80,7 @@ def speed(repeats: int = 5) -> dict[str, float]:
     batch_s: list[float] = []
     for _ in range(repeats):
         estimator = AllanDeviation()
-        ours_s.append(fed(estimator, (values[i : i + lot] for i in range(0, n, lot))))
+        ours_s.append(fed(estimator, (values[i : i + lot] for i in range(0, n, lot)), size))
         taus_s = np.array([float(2**k) for k in range(OCTAVES)])
         began = time.thread_time()
         peer = allantools.oadev(values, rate=1.0, data_type="freq", taus=taus_s)
@@ -187,10 +187,16 @@ def month() -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", choices=["speed", "memory", "month", []], default=[])
+    parser.add_argument("--batch", type=int, default=BATCH, help="samples a batch of `speed`")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warm_up()
-    found = {name: run() for name, run in RUNS.items() if not arguments.what or name in arguments.what}
+    runs: dict[str, Callable[[], dict[str, float]]] = {
+        "memory": memory,
+        "speed": lambda: speed(arguments.batch),
+        "month": month,
+    }
+    found = {name: run() for name, run in runs.items() if not arguments.what or name in arguments.what}
     if arguments.json:
         print(json.dumps(found))
         return
@@ -199,8 +205,6 @@ def main() -> None:
         for what, number in numbers.items():
             print(f"  {what:52s} {number:,.6g}")
 
-
-RUNS = {"memory": memory, "speed": speed, "month": month}
 
 if __name__ == "__main__":
     main()

@@ -1,6 +1,6 @@
 """End-to-end rate of `gyrofleet import`: file -> Zenoh -> log -> lake and online estimates.
 
-    .venv/bin/python tests/bench/import_rate.py [FILE] [--runs 5] [--rows 1000000]
+    .venv/bin/python tests/bench/import_rate.py [FILE] [--runs 5] [--rows 1000000] [--json]
 
 Without FILE it makes one: three rates and three accelerations at 100 Hz, the rates on a grid of 0.05 deg/s.
 Each run is a process of its own into a fresh store. Reported are the rate from the first pass over the file to
@@ -46,9 +46,11 @@ def main() -> None:
     parser.add_argument("file", type=Path, nargs="?")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--rows", type=int, default=1_000_000)
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        measure(arguments.file or made(Path(folder) / "made.parquet", arguments.rows), arguments.runs)
+        file = arguments.file or made(Path(folder) / "made.parquet", arguments.rows)
+        measure(file, arguments.runs, as_json=arguments.json)
 
 
 def made(path: Path, rows: int) -> Path:
@@ -68,7 +70,7 @@ def made(path: Path, rows: int) -> Path:
     return path
 
 
-def measure(file: Path, runs: int) -> None:
+def measure(file: Path, runs: int, *, as_json: bool) -> None:
     program = str(Path(sys.executable).with_name("gyrofleet"))
     rates, whole, memory, ratios = [], [], [], []
     samples = 0
@@ -85,6 +87,10 @@ def measure(file: Path, runs: int) -> None:
         whole.append(samples / seconds / 1e6)
         memory.append(peak_mb)
         ratios.append(seconds / peer_seconds)
+    if as_json:
+        found = {"samples_per_s": rates, "process_samples_per_s": whole, "memory_mb": memory, "times_peer": ratios}
+        print(json.dumps({name: statistics.median(each) for name, each in found.items()}))
+        return
     print(f"{file.name}: {samples:,} samples, {runs} runs, {os.cpu_count()} cores")
     for name, unit, values in (
         ("import", "M samples/s", rates),

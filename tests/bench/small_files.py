@@ -1,12 +1,13 @@
 """CPU time of `gyrofleet import` of many small files in one command.
 
-    .venv/bin/python tests/bench/small_files.py [--files 200] [--rows 720] [--signals 21]
+    .venv/bin/python tests/bench/small_files.py [--files 200] [--rows 720] [--signals 21] [--json]
 
 Each file holds one rate, and else channels such as a supply voltage. Beside it, in one run, a peer that does less:
 polars reads each file and writes it as Parquet, in one process. Both are whole processes, Python's start included.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -52,6 +53,7 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=200)
     parser.add_argument("--rows", type=int, default=720)
     parser.add_argument("--signals", type=int, default=21)
+    parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     program = str(Path(sys.executable).with_name("gyrofleet"))
     with tempfile.TemporaryDirectory() as folder:
@@ -59,6 +61,16 @@ def main() -> None:
         cpu([program, "import", paths[0], "--unit", "U1", "--store", f"{folder}/first"])  # compiles, once
         ours = cpu([program, "import", *paths, "--unit", "U1", "--store", f"{folder}/store"])
         peer = cpu([sys.executable, "-c", PEER, *paths])
+    if asked.json:
+        found = {
+            "cpu_s": ours[0],
+            "wall_s": ours[1],
+            "memory_mb": ours[2],
+            "peer_cpu_s": peer[0],
+            "peer_wall_s": peer[1],
+        }
+        print(json.dumps(found))
+        return
     for name, (spent_s, wall_s, memory_mb) in (("gyrofleet import", ours), ("polars to Parquet", peer)):
         print(f"{name:18} {spent_s:7.1f} s of CPU, {wall_s:7.1f} s, {memory_mb:6.0f} MB")
     print(

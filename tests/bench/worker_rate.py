@@ -1,6 +1,7 @@
 """What a worker takes: samples a second through all estimators of many signals, alone in a process, and its memory.
 
-    .venv/bin/python tests/bench/worker_rate.py [--signals 1000] [--batch 100,1000] [--samples 2e7] [--limits] [--json]
+    .venv/bin/python tests/bench/worker_rate.py [--signals 1000] [--batch 100,1000] [--samples 2e7] [--limits]
+        [--no-spectrum] [--json]
 
 Messages are encoded beforehand, in lots, of which the first, that begins the signals, is not counted. Timed is from the
 first message of a lot going in until the last is worked off, as wall time and as CPU time of the worker's thread, the
@@ -90,12 +91,13 @@ def lots(signals: int, batch: int, samples: int) -> Iterator[list[tuple[str, byt
         yield lot
 
 
-def rate(signals: int, batch: int, samples: int, *, limits: bool) -> dict[str, float]:
+def rate(signals: int, batch: int, samples: int, *, limits: bool, spectrum: bool = True) -> dict[str, float]:
     bus, sink = LocalBus(), Sink()
     with tempfile.TemporaryDirectory() as folder:
         worker = EstimationWorker(
-            bus, sink, log=EmptyLog(), checkpoint=Path(folder) / "c", checkpoint_every_s=1e6, every_s=60.0
-        )
+            bus, sink, log=EmptyLog(), checkpoint=Path(folder) / "c", checkpoint_every_s=1e6, every_s=60.0,
+            spectrum=spectrum,
+        )  # fmt: skip
         assert worker._thread.ident is not None
         clock = time.pthread_getcpuclockid(worker._thread.ident)
         if limits:
@@ -142,11 +144,15 @@ def main() -> None:
     parser.add_argument("--batch", default="100,1000", help="samples a batch, several with commas")
     parser.add_argument("--samples", type=float, default=2e7)
     parser.add_argument("--limits", action="store_true", help="with limits that are decided early")
+    parser.add_argument("--no-spectrum", action="store_true", help="Allan deviation and bias stability only")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warm_up()
     for batch in (int(each) for each in arguments.batch.split(",")):
-        found = rate(arguments.signals, batch, int(arguments.samples), limits=arguments.limits)
+        found = rate(
+            arguments.signals, batch, int(arguments.samples), limits=arguments.limits,
+            spectrum=not arguments.no_spectrum,
+        )  # fmt: skip
         if arguments.json:
             print(json.dumps(found))
             continue
