@@ -18,8 +18,7 @@ def compile_new_kernels(*, quiet: bool) -> None:
     """The same only where they were not compiled before: else each is loaded for the first sample that needs it."""
     from stream.estimators.kernels import averages_kernel, pyramid_kernel
 
-    for module in (averages_kernel, pyramid_kernel):
-        source = Path(module.__file__)
+    for source in (Path(averages_kernel.__file__), Path(pyramid_kernel.__file__)):
         kept = source.with_name("__pycache__").glob(f"{source.stem}.*.nbi")
         if max((path.stat().st_mtime_ns for path in kept), default=0) < source.stat().st_mtime_ns:
             compile_kernels(quiet=quiet)
