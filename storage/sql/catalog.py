@@ -28,6 +28,7 @@ STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue:
 _ALWAYS_READ = {"channels"}
 _COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
 _PART_ROWS = 122_880  # that DuckDB compresses together
+_SMALL_BYTES = 8 << 20  # of a lake that one thread reads as soon as several
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -81,7 +82,8 @@ class Catalog(Closing):
     is the limit of DuckDB, which then uses no disk either; by default most of the machine's memory. With `live` users'
     statements also see the rows that only the log has, as it is when one first names a table that has some; layers and
     the project's own statements never do. With `units` channels, documents and estimates of other units are left out,
-    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
+    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors,
+    and one for a small lake.
     """
 
     def __init__(
@@ -122,6 +124,8 @@ class Catalog(Closing):
         folders = [self.source.root, *(str((self.kept / layer.folder).resolve()) for layer in layers())]
         allowed = ", ".join("'" + each.replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
+        if threads is None and self._live is None and sum(part.bytes for part in self.parts) < _SMALL_BYTES:
+            self._connection.execute("set threads = 1")
         if memory_bytes is not None:
             self._connection.execute(f"set memory_limit = '{memory_bytes}B'; set temp_directory = ''")
         # a table name is not a Python variable
