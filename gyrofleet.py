@@ -91,11 +91,13 @@ def _add_commands() -> None:
     from analytics.commands.budget import budget
     from analytics.commands.certificate import certificate
     from analytics.commands.compensate import compensate
+    from analytics.commands.config import config, supervise
     from analytics.commands.demo import demo
     from analytics.commands.diagnose import diagnose
     from analytics.commands.limits import limits
     from analytics.commands.metrics import metrics
     from analytics.commands.model import model
+    from analytics.commands.proposal import proposal
     from analytics.commands.serve import serve
     from analytics.commands.spectrum import spectrum
     from analytics.commands.trend import trend
@@ -128,7 +130,8 @@ def _add_commands() -> None:
     main.add_section("Certify", budget, attitude, certificate, audit)
     main.add_section("Close the loop", diagnose, model, compensate)
     main.add_section("Show", serve, users)
-    main.add_section("Secure the bus", site)
+    main.add_section("Secure the bus, and who decides", site, proposal)
+    main.add_section("Keep roles at work", config, supervise)
     main.add_section("Look after the store", lake, rebuild, retain, verify, recover, attest, backup, restore, replicate)
     main.add_section("Give to other programs", export_iceberg)
     main.add_section("Shell", completion)

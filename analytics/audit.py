@@ -27,11 +27,15 @@ select kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, t_
 from internal.lake_documents where {AUDITED} order by arrival_ns, t_ns, uid
 """  # noqa: S608  our own statement
 _BY = ("by", "author", "operator")
-_COLUMNS = ("at", "kind", "event", "run", "station", "by", "what", "limits", "software", "segments", "uid")
+_COLUMNS = ("at", "kind", "event", "run", "station", "by", "identity", "what", "limits", "software", "segments", "uid")
 
 
 class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One document: its time and arrival (UTC), who entered it, what it says, and the log segments that hold it."""
+    """One document: its time and arrival (UTC), who entered it, what it says, and the log segments that hold it.
+
+    `identity` is whom a certificate or a sign-in has proved, ``unauthenticated`` where nobody; empty where the document
+    is no act of a person, or of a version that did not record it.
+    """
 
     at: str
     arrival: str
@@ -39,6 +43,7 @@ class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
     run: str | None
     station: str
     by: str
+    identity: str
     what: str
     limits: str
     software: str
@@ -62,7 +67,8 @@ def _rows(catalog: Catalog, unit: str, sources: dict[str, dict[str, str]]) -> It
         details = document.get("details") or {}
         yield AuditRow(
             at=_moment(t_ns), arrival=_moment(arrival_ns), kind=kind, run=run, station=f"{site}/{station}",
-            by=next((str(document[name]) for name in _BY if document.get(name)), ""), what=summary(document),
+            by=next((str(document[name]) for name in _BY if document.get(name)), ""),
+            identity=str(document.get("identity", "")), what=summary(document),
             limits=str(document.get("revision", "")) if kind == "LimitsApplied" else "",
             software=str(document.get("software") or details.get("software") or ""),
             segments=sources.get(part, {}), uid=uid, document=document,

@@ -9,7 +9,8 @@ from typing import Any
 # what stands in a summary, in this order
 _SUMMARY = (
     "action", "number", "procedure", "step", "specification", "name", "revision", "version", "stage", "product", "lot",
-    "slot", "limit", "metric", "item", "verdict", "outcome", "what", "alert", "target", "text", "note", "reason",
+    "title", "slot", "limit", "metric", "item", "verdict", "outcome", "what", "alert", "target", "text", "note",
+    "reason",
 )  # fmt: skip
 _ENDED = {"RunEnded", "StepEnded"}
 _FREE = {"text", "reason"}

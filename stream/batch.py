@@ -150,7 +150,9 @@ class SampleBatch:
         if self.values is not None:
             return self.values
         assert self.counts is not None
-        return np.asarray(self.counts * self.scale + self.offset, np.float64)
+        values = np.multiply(self.counts, self.scale, dtype=np.float64)
+        values += self.offset
+        return values
 
 
 def is_moment(t_ns: int) -> bool:

@@ -1,9 +1,11 @@
-"""Kernels compiled by numba when they are first called: importing numba takes longer than many commands run."""
+"""Kernels compiled by numba when they are needed: importing numba takes longer than many commands run, and 90 MB."""
 
 import os
+import sys
 import threading
+import time
 from collections.abc import Callable
-from functools import update_wrapper
+from functools import update_wrapper, wraps
 from types import FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -13,6 +15,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # set where nothing can be compiled, as in the process that runs users' statements; numba has the same rule
 _IS_DISABLED = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
+# arrays that take more than a twentieth of the time are worth machine code, which takes a second to import
+_PERIOD_S = 10.0
+_MOST_S = 0.5
+_KEPT = {"cache": True, "nogil": True}
 _making = threading.RLock()
 
 
@@ -25,13 +31,13 @@ class _Kernel:
         self._made: Callable[..., Any] | None = None
         self._is_ready = False
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
         if not self._is_ready:
             with _making:
                 self.made()
                 self._is_ready = True
         assert self._made is not None
-        return self._made(*arguments)
+        return self._made(*arguments, **named)
 
     def made(self) -> Callable[..., Any]:
         """Numba's function, whose module has numba's functions in place of the kernels."""
@@ -61,7 +67,12 @@ def _put_made(names: dict[str, Any]) -> None:
 
 def kernel(function: Function) -> Function:
     """Compile a kernel, which may call others, on its first call; it is kept on disk."""
-    return cast("Function", _Kernel(function, {"cache": True, "nogil": True}))
+    return cast("Function", _Kernel(function, _KEPT))
+
+
+def fast_kernel(*fastmath: str) -> Callable[[Function], Function]:
+    """The same with liberties that the compiler may take with floating-point numbers, such as "reassoc"."""
+    return _decorator({**_KEPT, "fastmath": set(fastmath)})
 
 
 def kernel_part(*fastmath: str) -> Callable[[Function], Function]:
@@ -70,8 +81,10 @@ def kernel_part(*fastmath: str) -> Callable[[Function], Function]:
     It is not kept on disk; the kernels that contain it are. `fastmath` names the liberties that the compiler may take
     with floating-point numbers, such as "reassoc".
     """
-    options = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "fastmath": set(fastmath)}
+    return _decorator({"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "fastmath": set(fastmath)})
 
+
+def _decorator(options: dict[str, Any]) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         return cast("Function", _Kernel(function, options))
 
@@ -81,11 +94,29 @@ def kernel_part(*fastmath: str) -> Callable[[Function], Function]:
 def compiled(
     kernel: Callable[Parameters, Result], *, instead: Callable[Parameters, Result] | None = None
 ) -> Callable[Parameters, Result]:
-    """Compile a kernel that calls no other on its first call.
+    """Compile a kernel on its first call, or once it is called often.
 
-    Where nothing can be compiled, `instead` runs, which gives the same result with arrays; without it the kernel as it
-    is, slowly.
+    `instead` gives the same result with arrays. It runs where nothing can be compiled, and in a process without numba
+    as long as it takes less than half a second in ten; without it the kernel is compiled at once.
     """
     if _IS_DISABLED:
         return instead or kernel
-    return cast("Callable[Parameters, Result]", _Kernel(kernel, {"cache": True, "nogil": True}))
+    made: list[Callable[Parameters, Result]] = []
+    began_s = spent_s = 0.0
+
+    @wraps(kernel)
+    def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
+        nonlocal began_s, spent_s
+        if made:
+            return made[0](*arguments, **named)
+        if instead is None or spent_s > _MOST_S or "numba" in sys.modules:
+            made.append(cast("Callable[Parameters, Result]", _Kernel(kernel, _KEPT)))
+            return made[0](*arguments, **named)
+        at_s = time.monotonic()
+        if at_s - began_s > _PERIOD_S:
+            began_s, spent_s = at_s, 0.0
+        found = instead(*arguments, **named)
+        spent_s += time.monotonic() - at_s
+        return found
+
+    return call

@@ -39,7 +39,7 @@ _EXTRAS = {
     **dict.fromkeys(("pyhanko", "pyhanko_certvalidator", "typst"), "certificate"),
     **dict.fromkeys(("py4j", "pyspark"), "spark"),
     **dict.fromkeys(("pyiceberg", "sqlalchemy"), "iceberg"),
-    "cryptography": "attest",
+    **dict.fromkeys(("cryptography", "rfc3161_client"), "attest"),
     **dict.fromkeys(("authlib", "joserfc", "requests"), "oidc"),
     **dict.fromkeys(("fsspec", "obstore"), "s3"),
     **dict.fromkeys(("starlette", "uvicorn"), "serve"),
@@ -146,6 +146,10 @@ def print_json(value: Any) -> None:
     click.echo(json_text(value))
 
 
+# writes a line (level, event, text) where a role logs as JSON: then nothing else is on standard error
+structured_log: list[Callable[[str, str, str], None]] = []
+
+
 def reporting(command: Callable[P, R]) -> Callable[..., R]:
     """Give a command ``--json`` and report its errors in one line, with their exit code."""
 
@@ -173,7 +177,9 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             kind, message, code = "Interrupted", _INTERRUPTED, 130
         if kwargs.get("as_json", False):
             print_json({"error": {"kind": kind, "message": message}})
-        else:
+        if structured_log:
+            structured_log[-1]("error", "failed", message)
+        elif not kwargs.get("as_json", False):
             with suppress(BrokenPipeError):
                 click.secho(f"error: {shown_text(message)}", err=True, fg="red")
         sys.exit(code)
@@ -231,6 +237,16 @@ class Stop:
         while self.asked_at is None and (left_s := until - time.monotonic()) > 0.0:
             time.sleep(min(left_s, 0.05))
         return self.asked_at is not None
+
+
+@contextmanager
+def interrupted_by_term() -> Iterator[None]:
+    """Have SIGTERM end a command as Ctrl-C does: what it holds is closed, and its exit code is 130."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

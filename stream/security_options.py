@@ -7,7 +7,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import click
 
-from stream.errors import BadInput
+from stream.console import structured_log
+from stream.errors import BadInput, BusError
 from stream.security.credentials import VARIABLE, BusSecurity, load_credentials, secured_process
 from stream.security.endpoint import check_plain_endpoint, secured_endpoint
 from stream.security.rights import Role
@@ -18,13 +19,15 @@ _UNPROTECTED = "the bus has no security: it reaches this computer only; `gyrofle
 
 
 def secured(
-    *roles: Role, listens: bool = False, default: Callable[[dict[str, Any]], Path | None] = lambda _: None
+    *roles: Role, listens: bool = False, default: Callable[[dict[str, Any]], Path | None] = lambda _: None,
+    is_group: bool = False,
 ) -> Callable[[Callable[P, R]], Callable[..., R]]:  # fmt: skip
     """Give a command the options, and its buses the protection that they ask for; it stands below `reporting`.
 
     The certificate is of one of `roles`. Addresses among the command's arguments are checked before it begins, and are
     of TLS with security. `listens`: it listens where it is given no address, and reports that the bus has no security.
-    `default` finds the folder of the certificate in its other arguments.
+    `default` finds the folder of the certificate in its other arguments. A group (`is_group`) with a subcommand called
+    needs none.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[..., R]:
@@ -37,11 +40,18 @@ def secured(
         )
         @functools.wraps(command)
         def run(*args: Any, security: Path | None = None, is_insecure: bool = False, **kwargs: Any) -> R:
+            if is_group and click.get_current_context().invoked_subcommand is not None:
+                return command(*args, **kwargs)
             if security is not None and is_insecure:
                 raise BadInput("give --security or --insecure, not both")
             if security is None and not is_insecure:
                 security = default(kwargs)
             credentials = None if security is None else load_credentials(security, roles or tuple(Role))
+            if credentials is not None and kwargs.get("listen") and not credentials.principal.role.listens:
+                raise BusError(
+                    f"{credentials.principal} may not listen: others would not connect to it; --listen needs the "
+                    f"certificate of a recorder or router"
+                )
             for name in ("listen", "connect"):
                 given = kwargs.get(name)
                 if given and credentials is not None:
@@ -51,7 +61,10 @@ def secured(
             does_listen = kwargs.get("listen") or (listens and not kwargs.get("connect"))
             if credentials is None and does_listen:
                 text = "the bus has no security, and reaches the network" if is_insecure else _UNPROTECTED
-                click.echo(f"note: {text}", err=True)
+                if structured_log:
+                    structured_log[-1]("warning", "no_security", text)
+                else:
+                    click.echo(f"note: {text}", err=True)
             with secured_process(BusSecurity(credentials, is_insecure)):
                 return command(*args, **kwargs)
 

@@ -122,9 +122,9 @@ def check_meanwhile(log: Path, *commands: Command) -> int:
 
 
 def beside_the_wheel(there: Path) -> Path:
-    """A folder with the tests and documents of the checkout, and none of its packages."""
+    """A folder with tests, documents and files of deployment of the checkout, and none of its packages."""
     project = there / "project"
-    for name in ("tests", "docs"):
+    for name in ("tests", "docs", "deploy"):
         shutil.copytree(
             ROOT / name, project / name, ignore=shutil.ignore_patterns("__pycache__", "_build", "_generated")
         )

@@ -1,6 +1,5 @@
 """A store opened for Python: runs, samples, curves, metrics and diagnoses as Polars frames and typed results."""
 
-import json
 import operator
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -168,14 +167,13 @@ class FleetStore:
         """
         import polars as pl
 
-        from analytics.evaluation.evaluation import COLUMNS
-        from analytics.evaluation.selection import Selection, selected
+        from analytics.evaluation.selection import Selection, selected_table
+        from analytics.evaluation.type_b import COVERAGE
 
         asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
-        rows = selected(self._catalog, asked)
-        texts = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
-        names = [*(name for name in COLUMNS.names if name != "freedom"), "p"]
-        return pl.DataFrame(texts, schema=None if texts else names, infer_schema_length=None, strict=False)
+        found = pl.DataFrame(selected_table(self._catalog, asked).drop_columns(["freedom"]))
+        p = pl.when(pl.col("U").is_not_null()).then(COVERAGE).alias("p")
+        return found.with_columns(pl.col("parameters").fill_null("{}"), p)
 
     def diagnose(
         self,

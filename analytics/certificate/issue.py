@@ -2,7 +2,7 @@
 
 import datetime as dt
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,16 @@ import msgspec
 from analytics.certificate.document.digital import digital_certificate
 from analytics.certificate.document.figures import figures_of
 from analytics.certificate.document.layout import certificate_pdf
-from analytics.certificate.record import FOLDER, Certificates, append_certificate, file_of, read_certificates, sha256_of
+from analytics.certificate.record import (
+    FOLDER,
+    Certificates,
+    append_certificate,
+    file_of,
+    proposed_file,
+    read_certificates,
+    sha256_of,
+    waiting_certificates,
+)
 from analytics.certificate.statement.content import Content, Facts, content_of
 from analytics.certificate.statement.departures import departures
 from analytics.certificate.statement.evidence import read_evidence
@@ -22,12 +31,15 @@ from analytics.certificate.statement.standards import Standard
 from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Language, Words
 from analytics.evaluation.inner_page import inner_page
+from storage.recording.proposing import carried_out, check_may_propose, has_to_be_proposed, propose
+from storage.recording.two_persons import Proposal
 from storage.specifications.chain import read_chain
 from storage.sql.catalog import Catalog
-from storage.store import only_one
+from storage.store import Store, only_one
 from stream.atomic_file import write_durably
 from stream.errors import BadInput, StoreError
-from stream.events import CertificateIssued
+from stream.events import CertificateIssued, new_uid
+from stream.security.actor import Actor
 
 _WHO = "gyrofleet certificate"
 
@@ -45,6 +57,7 @@ class Wanted(NamedTuple):
     reason: str = ""
     as_draft: bool = False
     sign: Callable[[bytes], bytes] | None = None
+    by: Actor = Actor("")
 
 
 class Issued(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,12 +71,14 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
     sha256: str
     digital: str  # path of the digital certificate
     valid_until: str | None
+    proposal: str | None = None  # uid of the proposal, where another person has to approve it
 
 
 def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
     """Write a certificate and enter it in the log; a draft, which is not entered, where anything is missing.
 
-    Beside the PDF the digital certificate is written as XML. An issued certificate is also kept in the store. Raises
+    Beside the PDF the digital certificate is written as XML. An issued certificate is also kept in the store. Where two
+    persons are needed it is proposed: its files are kept, and it is issued once another person approves. Raises
     BadInput if the number is taken, or if another certificate rests on the same runs and is not superseded; NotFound if
     the unit is not in the store; StoreError if a file or the log cannot be written.
     """
@@ -78,19 +93,85 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
         pdf, digital = _files(catalog, content, wanted, now)
         return _written(wanted, pdf, digital, content, None)
     with only_one(store.folder / FOLDER / ".lock", _WHO):
+        check_may_propose(store, CertificateIssued, wanted.by)
+        is_proposed = has_to_be_proposed(store, CertificateIssued)
+        waiting = waiting_certificates(store) if is_proposed else []
         issued = read_certificates(store, catalog)
-        number = wanted.number or issued.next_number(wanted.order.number_prefix, now.year)
+        numbered = Certificates([*issued.issued, *waiting])
+        number = wanted.number or numbered.next_number(wanted.order.number_prefix, now.year)
         _check(issued, wanted, number, set(runs))
+        _check_waiting(waiting, wanted, number, set(runs))
         content = content_of(facts._replace(number=number))
         pdf, digital = _files(catalog, content, wanted, now)
         if wanted.sign is not None:
             pdf = wanted.sign(pdf)
         document = _document(content, wanted, pdf, digital, read_chain(store, catalog).head)
+        if is_proposed:
+            uid = _propose(store, wanted, document, pdf, digital)
+            found = _written(wanted, pdf, digital, content, document)
+            return msgspec.structs.replace(found, proposal=uid)
         _write(file_of(store, number), pdf)
         _write(file_of(store, number, ".xml"), digital)
         found = _written(wanted, pdf, digital, content, document)
         append_certificate(store, document)
     return found
+
+
+def _propose(store: Store, wanted: Wanted, document: CertificateIssued, pdf: bytes, digital: bytes) -> str:
+    """Keep the files of a certificate that another person has to approve, and propose it; the uid."""
+    uid = new_uid()
+    for suffix, content in ((".pdf", pdf), (".xml", digital)):
+        path = proposed_file(store, uid, suffix)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write(path, content)
+    title = f"issue certificate {document.number} of unit {document.unit}"
+    if document.supersedes:
+        title += f" in place of {document.supersedes}"
+    propose(store, document, title=title, by=wanted.by, reason=wanted.reason, unit=document.unit, uid=uid)
+    return uid
+
+
+def carry_out(catalog: Catalog, proposal: Proposal, by: Actor) -> CertificateIssued:
+    """Issue a certificate that was proposed, as another person who approves it; BadInput if it cannot be any more."""
+    store, act = catalog.store, proposal.act
+    assert isinstance(act, CertificateIssued)
+    with only_one(store.folder / FOLDER / ".lock", _WHO):
+        _check_free(read_certificates(store, catalog), act)
+        files: dict[str, bytes] = {}
+        for suffix, sha256 in ((".pdf", act.sha256), (".xml", act.digital_sha256)):
+            path = proposed_file(store, proposal.document.uid, suffix)
+            try:
+                files[suffix] = path.read_bytes()
+            except OSError as error:
+                raise StoreError(f"{path} cannot be read: {error.strerror or error}; propose it again") from error
+            if sha256_of(files[suffix]) != sha256:
+                raise StoreError(f"{path} is not the file that was proposed; reject the proposal, and propose it again")
+        document = carried_out(proposal, act, by)
+        for suffix, content in files.items():
+            _write(file_of(store, act.number, suffix), content)
+        append_certificate(store, document)
+    return document
+
+
+def _check_free(issued: Certificates, act: CertificateIssued) -> None:
+    """Refuse a certificate whose number is taken, or that would stand beside or replace another one than proposed."""
+    if issued.by_number(act.number) is not None:
+        raise BadInput(f"certificate {act.number} is issued already; reject the proposal")
+    if act.supersedes and (successor := issued.successor(act.supersedes)) is not None:
+        raise BadInput(f"certificate {act.supersedes} is superseded by {successor.number} already; reject the proposal")
+    for each in issued.in_force(act.unit, act.standard):
+        if each.number != act.supersedes and set(act.runs) & set(each.runs):
+            raise BadInput(f"certificate {each.number} of {act.unit} rests on the same runs; reject the proposal")
+
+
+def _check_waiting(waiting: Sequence[CertificateIssued], wanted: Wanted, number: str, runs: set[str]) -> None:
+    for each in waiting:
+        is_alike = each.unit == wanted.unit and each.standard == wanted.standard.name and runs & set(each.runs)
+        if each.number == number or is_alike:
+            raise BadInput(
+                f"certificate {each.number} of {each.unit} waits for another person to approve it: approve or reject "
+                "it first (`gyrofleet proposal list`)"
+            )
 
 
 def _check(issued: Certificates, wanted: Wanted, number: str, runs: set[str]) -> None:
@@ -139,7 +220,7 @@ def _document(
         runs=tuple(run.run for run in facts.evidence.runs),
         valid_until=later(days[1], wanted.order.valid_months).isoformat(),
         by=Words.of(wanted.order.people.issued_by).en, software=f"gyrofleet {version('gyrofleet')}",
-        specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
+        identity=wanted.by.identity, specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
     )  # fmt: skip
 
 

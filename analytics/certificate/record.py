@@ -10,6 +10,7 @@ import msgspec
 from storage.log.store_documents import is_sealed, sealed
 from storage.log.tail import documents_beyond
 from storage.recording.client import record_documents
+from storage.recording.two_persons import read_proposals
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.events import CertificateIssued
@@ -98,6 +99,17 @@ def file_of(store: Store, number: str, suffix: str = ".pdf") -> Path:
     """
     name = "".join(each if each.isalnum() or each in "-." else "_" for each in number)
     return store.folder / FOLDER / f"{name}{suffix}"
+
+
+def proposed_file(store: Store, proposal: str, suffix: str = ".pdf") -> Path:
+    """Where a store keeps a file of a certificate that waits for another person to approve it."""
+    return store.folder / FOLDER / "proposed" / f"{proposal}{suffix}"
+
+
+def waiting_certificates(store: Store) -> list[CertificateIssued]:
+    """Certificates that are proposed, and neither issued nor rejected."""
+    acts = [each.act for each in read_proposals(store).values() if each.state == "open"]
+    return [each for each in acts if isinstance(each, CertificateIssued)]
 
 
 def append_certificate(store: Store, document: CertificateIssued) -> None:

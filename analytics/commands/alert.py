@@ -7,9 +7,14 @@ from pathlib import Path
 import click
 
 from stream.command_group import CommandGroup
+from stream.config_file import configured
 from stream.console import notes, print_json, reporting, results, status_listen_option, store_option, until_stopped
-from stream.errors import BadInput, GyrofleetError, NotFound
+from stream.errors import GyrofleetError, NotFound
 from stream.result_table import ResultTable
+from stream.role_log import RoleLog, logged
+from stream.security.actor import acting
+from stream.security.rights import Role
+from stream.security_options import secured
 
 _EVERY_S = 1.0
 _LONGEST_TEST_S = 60.0
@@ -27,7 +32,9 @@ def alert() -> None:
 @store_option
 @_rules_option
 @status_listen_option
+@configured("alert")
 @reporting
+@logged("alert")
 def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: bool) -> None:
     """Watch a store and send alerts, until stopped.
 
@@ -40,14 +47,13 @@ def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: b
     from storage.store import Store, only_one
     from stream.status.reporter import StatusReporter, served
 
-    store = Store.open(folder)
+    store, log = Store.open(folder), RoleLog("alert")
     (folder / "alerts").mkdir(exist_ok=True)
 
     def report(text: str) -> None:
         if as_json:
             print_json({"event": "warning", "text": text})
-        else:
-            notes().print(text, soft_wrap=True, markup=False)
+        log.write("warning", "warning", text)
 
     with (
         only_one(folder / "alerts" / "run.lock", "gyrofleet alert run"),
@@ -60,8 +66,7 @@ def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: b
         watching = f"watching {folder}: {len(rules.rules)} rules, {len(rules.targets)} targets; Ctrl-C ends"
         if as_json:
             print_json({"event": "watching", "rules": len(rules.rules), "targets": sorted(rules.targets)})
-        else:
-            notes().print(watching, soft_wrap=True)
+        log.write("info", "watching", watching, rules=len(rules.rules))
         while True:
             service.look()
             if stopped.wait(_EVERY_S):
@@ -98,10 +103,11 @@ def list_alerts(folder: Path, *, is_all: bool, as_json: bool) -> None:
 @alert.command("acknowledge")
 @click.argument("alert_id", metavar="ID")
 @store_option
-@click.option("--by", required=True, help="Who takes note.")
+@click.option("--by", help="Who takes note; with --security whom the certificate names.")
 @click.option("--note", default="", help="What was done.")
 @reporting
-def acknowledge(alert_id: str, folder: Path, by: str, note: str, *, as_json: bool) -> None:
+@secured(Role.APPROVER, Role.RECORDER, Role.STATION)
+def acknowledge(alert_id: str, folder: Path, by: str | None, note: str, *, as_json: bool) -> None:
     """Take note of an alert; it stands in the log who did."""
     from analytics.alerts.kept_alerts import raised_alerts
     from analytics.alerts.service import PLACE
@@ -109,18 +115,19 @@ def acknowledge(alert_id: str, folder: Path, by: str, note: str, *, as_json: boo
     from storage.store import Store
     from stream.events import AlertAcknowledged
 
-    if not by.strip():
-        raise BadInput("--by is empty; say who takes note")
+    actor = acting(by, may_be_user=False)
     store = Store.open(folder)
     known = {each.id for each in raised_alerts(store)}
     if alert_id not in known:
         raise NotFound(f"there is no alert {alert_id!r} in {folder}; `gyrofleet alert list --all` has them")
-    document = AlertAcknowledged(run="", t_ns=time.time_ns(), alert=alert_id, by=by.strip()[:200], note=note[:1000])
+    document = AlertAcknowledged(
+        run="", t_ns=time.time_ns(), alert=alert_id, by=actor.name[:200], identity=actor.identity, note=note[:1000]
+    )
     record_documents(store, [document], role="gyrofleet alert acknowledge", place=PLACE, builds_lake=True)
     if as_json:
-        print_json({"acknowledged": alert_id, "by": by.strip()})
+        print_json({"acknowledged": alert_id, "by": document.by, "identity": document.identity})
     else:
-        results().print(f"alert {alert_id} is acknowledged by {by.strip()}", markup=False)
+        results().print(f"alert {alert_id} is acknowledged by {document.by}", markup=False)
 
 
 @alert.command("check")

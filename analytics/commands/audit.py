@@ -8,8 +8,12 @@ from analytics.commands.metrics import language_option
 from storage.commands.stored_names import UNIT
 from stream.console import counted, notes, print_json, reporting, results, store_option
 from stream.result_table import ResultTable
+from stream.security.actor import UNAUTHENTICATED
 
-_TITLES = {"en": ("when (UTC)", "what", "run", "who", "details"), "zh": ("时间(UTC)", "事件", "试验", "人员", "内容")}
+_TITLES = {
+    "en": ("when (UTC)", "what", "run", "who", "proved", "details"),
+    "zh": ("时间(UTC)", "事件", "试验", "人员", "身份验证", "内容"),
+}
 
 
 @click.command("audit")
@@ -41,5 +45,14 @@ def audit(folder: Path, unit: str, csv_path: Path | None, language: str, *, as_j
         table = ResultTable(*_TITLES[language], title=unit)
         for row in rows:
             what = ", ".join(filter(None, (spoken(row, language), row.limits)))
-            table.add_row(row.at, kind_name(row.kind, language), row.run or "", row.by, what)
+            table.add_row(
+                row.at, kind_name(row.kind, language), row.run or "", row.by, _proof(row.identity, language), what
+            )
         results().print(table)
+
+
+def _proof(identity: str, language: str) -> str:
+    """How an identity is shown: that of a certificate or a sign-in, or that nobody has proved it."""
+    if identity == UNAUTHENTICATED:
+        return {"en": "no", "zh": "未验证"}[language]
+    return identity

@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from analytics.commands.limits import by_option
 from analytics.commands.metrics import opened_catalog
 from storage.commands.stored_names import UNIT
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.security.actor import acting
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from analytics.certificate.issue import Issued
@@ -44,12 +48,14 @@ if TYPE_CHECKING:
     "--key-passphrase", envvar="GYROFLEET_KEY_PASSPHRASE", metavar="TEXT",
     help="Passphrase of the key; better as GYROFLEET_KEY_PASSPHRASE, or asked for.",
 )  # fmt: skip
+@by_option
 @click.pass_context
 @reporting
+@secured(Role.APPROVER, Role.RECORDER, is_group=True)
 def certificate(
     context: click.Context, folder: Path, unit: str | None, standard: str | None, order_path: Path | None,
     out: Path | None, language: "Language", number: str, supersedes: str, reason: str, key: Path | None,
-    key_passphrase: str | None, *, as_draft: bool, as_json: bool,
+    key_passphrase: str | None, by: str | None, *, as_draft: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a calibration certificate of a unit (PDF/A, with a digital certificate), or a draft of what is missing.
 
@@ -74,10 +80,11 @@ def certificate(
         unit=unit, standard=standard_of(standard), order=read_order(order_path), language=language, out=out,
         number=number, supersedes=supersedes, reason=reason, as_draft=as_draft,
         sign=None if key is None else partial(sign, key=key, passphrase=key_passphrase or "", reason="issue"),
+        by=acting(by),
     )  # fmt: skip
     with opened_catalog(folder, quiet=as_json) as catalog:
         issued = issue_certificate(catalog, wanted)
-        if not issued.is_draft:
+        if not issued.is_draft and issued.proposal is None:
             _attest(catalog.store)
     if as_json:
         print_json(issued)
@@ -91,7 +98,7 @@ def _attest(store: "Store") -> None:
     from storage.attestation.signing_key import SigningKey, default_key
 
     if default_key().exists():
-        kept, _ = attest(store, SigningKey(default_key()))
+        kept = attest(store, SigningKey(default_key())).path
         notes().print(f"attested: {kept}", soft_wrap=True)
 
 
@@ -100,6 +107,10 @@ def _print_issued(issued: "Issued", out: Path) -> None:
         notes().print(f"{out}: a draft, not issued; {len(issued.missing)} things are missing", soft_wrap=True)
         for each in issued.missing:
             notes().print(f"  {each}", soft_wrap=True)
+        return
+    if issued.proposal is not None:
+        wait = "it is issued once another person approves"
+        results().print(f"{out}: certificate {issued.number} is proposed as {issued.proposal[:12]}; {wait}")
         return
     results().print(f"{out}: certificate {issued.number}, valid until {issued.valid_until}; SHA-256 {issued.sha256}")
 

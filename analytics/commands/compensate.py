@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, reporting, store_option, until_stopped
+from stream.config_file import configured
+from stream.console import print_json, reporting, store_option, until_stopped
+from stream.role_log import RoleLog, logged
 from stream.security.rights import Role
 from stream.security_options import secured
 
@@ -21,7 +23,9 @@ if TYPE_CHECKING:
     "--watch-every", "watch_every_s", type=click.FloatRange(min=1.0), default=60.0, show_default=True,
     help="Seconds between looks at runs that have been recorded, which may refuse a model.",
 )  # fmt: skip
+@configured("compensate")
 @reporting
+@logged("compensate")
 @secured(Role.ESTIMATOR)
 def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_json: bool) -> None:
     """Take off what the live error models predict, as SIGNAL_compensated beside the raw signal, until stopped.
@@ -45,13 +49,13 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
             f"{connect} is not where the recorder of {folder} listens: compensation reads the log of the store that it "
             "sends to; give --store with that recorder's folder"
         )
-    console, store = notes(), Store.open(folder)
+    log, store = RoleLog("compensate"), Store.open(folder)
 
     def show(document: "AnyDocument") -> None:
         if as_json:
             print_json(document)
         else:
-            console.print(format_document(document), soft_wrap=True)
+            log.write("info", "compensated", format_document(document))
 
     with (
         only_one(folder / "checkpoints" / "compensate.lock", "gyrofleet compensate"),
@@ -60,7 +64,7 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
         until_stopped() as stopped,
     ):
         worker = CompensationWorker(store, publisher, on_document=show)
-        console.print(f"compensating what {folder} records; Ctrl-C ends", soft_wrap=True)
+        log.write("info", "compensating", f"compensating what {folder} records; Ctrl-C ends")
         watch_at = time.monotonic()
         while True:
             worker.look(lambda: stopped.wait(0.0))
@@ -71,8 +75,7 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
             if stopped.wait(worker.pause_s):
                 break
         publisher.drain()
-    if not as_json:
-        console.print(f"{worker.samples:,} compensated samples sent")
+    log.write("info", "ended", f"{worker.samples:,} compensated samples sent", samples=worker.samples)
 
 
 def format_document(document: "AnyDocument") -> str:

@@ -1,6 +1,5 @@
 """The command `gyrofleet diagnose`: effects that a declared error model lacks, their certainty and their gain."""
 
-import getpass
 import re
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.atomic_file import write_durably
 from stream.console import notes, print_json, reporting, status_line, store_option
 from stream.errors import BadInput, GyrofleetError
+from stream.security.actor import acting
 
 if TYPE_CHECKING:
     from analytics.loop.model.declared_noise import GivenNoise
@@ -216,7 +216,7 @@ def _saved(folder: Path, found: "UnitsDiagnosis") -> tuple[dict[str, dict[str, o
                 continue
             use = uses.get((unit, each.diagnosis.signal), InUse())
             try:
-                made = version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save")
+                made = version_of(catalog, each, use, by=acting(None), note="gyrofleet diagnose --save")
                 written = registry.add(made)
             except GyrofleetError as error:
                 unsaved[unit] = str(error)

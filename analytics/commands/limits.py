@@ -1,15 +1,18 @@
 """The command `gyrofleet limits`: the product specifications by which a store judges its units."""
 
-import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
+from analytics.commands.proposal import print_proposed
 from stream.command_group import CommandGroup
 from stream.console import counted, notes, print_json, reporting, results, store_option
 from stream.result_table import ResultTable
+from stream.security.actor import acting
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from storage.specifications.chain import Chain
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
 
 _NONE = "no specification; `gyrofleet limits add FILE` adds one"
 by_option = click.option(
-    "--by", callback=lambda _, __, by: by or getpass.getuser(), help="Who does it; by default the user of the system."
+    "--by", help="Who does it; by default the user of the system, with --security whom the certificate names."
 )
 _rejudge = click.option(
     "--rejudge", "rejudges", is_flag=True, help="Judge what was recorded before anew, by what holds from now on."
@@ -58,7 +61,8 @@ def limits() -> None:
 @by_option
 @_rejudge
 @reporting
-def add(file: Path, folder: Path, reason: str, by: str, *, rejudges: bool, as_json: bool) -> None:
+@secured(Role.APPROVER, Role.RECORDER)
+def add(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
     """Check a specification and enter it into the log as NAME-REVISION; a copy to read is in the folder products."""
     _enter(file, folder, reason, by, is_revision=False, rejudges=rejudges, as_json=as_json)
 
@@ -70,7 +74,8 @@ def add(file: Path, folder: Path, reason: str, by: str, *, rejudges: bool, as_js
 @by_option
 @_rejudge
 @reporting
-def revise(file: Path, folder: Path, reason: str, by: str, *, rejudges: bool, as_json: bool) -> None:
+@secured(Role.APPROVER, Role.RECORDER)
+def revise(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
     """Enter another revision of a specification that is there; it holds from its valid_from on."""
     _enter(file, folder, reason, by, is_revision=True, rejudges=rejudges, as_json=as_json)
 
@@ -82,14 +87,19 @@ def revise(file: Path, folder: Path, reason: str, by: str, *, rejudges: bool, as
 @by_option
 @_rejudge
 @reporting
-def withdraw(label: str, folder: Path, reason: str, by: str, *, rejudges: bool, as_json: bool) -> None:
+@secured(Role.APPROVER, Role.RECORDER)
+def withdraw(label: str, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
     """Take a revision out of force; the one before it holds again. Verdicts given by it stay."""
     from analytics.specifications.entering import withdraw_specification
     from storage.store import Store
+    from stream.events import ActProposed
 
-    document = withdraw_specification(Store.open(folder), label, by=by, reason=reason, rejudges=rejudges)
+    document = withdraw_specification(Store.open(folder), label, by=acting(by), reason=reason, rejudges=rejudges)
     if as_json:
         print_json(document)
+        return
+    if isinstance(document, ActProposed):
+        print_proposed(document)
         return
     results().print(f"{label}: withdrawn by {document.by}: {reason}")
     _print_rejudged(rejudges=rejudges)
@@ -100,14 +110,18 @@ def withdraw(label: str, folder: Path, reason: str, by: str, *, rejudges: bool, 
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
 @by_option
 @reporting
-def settle(folder: Path, reason: str, by: str, *, as_json: bool) -> None:
+@secured(Role.APPROVER, Role.RECORDER)
+def settle(folder: Path, reason: str, by: str | None, *, as_json: bool) -> None:
     """Accept that specification documents are lost (`gyrofleet verify`): units are judged by those that are there."""
     from analytics.specifications.entering import settle_chain
     from storage.store import Store
 
-    breaks = settle_chain(Store.open(folder), by=by, reason=reason)
+    breaks, proposal = settle_chain(Store.open(folder), by=acting(by), reason=reason)
     if as_json:
-        print_json({"settled": breaks})
+        print_json({"settled": breaks} if proposal is None else {"breaks": breaks, "proposal": proposal.uid})
+        return
+    if proposal is not None:
+        print_proposed(proposal)
         return
     for each in breaks:
         results().print(f"settled: {each}")
@@ -201,17 +215,26 @@ def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
         notes().print(f"warning: {each.where}: {each.what}; {each.remedy}", soft_wrap=True)
 
 
-def _enter(file: Path, folder: Path, reason: str, by: str, *, is_revision: bool, rejudges: bool, as_json: bool) -> None:
+def _enter(
+    file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
+) -> None:
     from analytics.specifications.entering import add_specification
     from storage.specifications.validity import stored_specifications
     from storage.store import Store
 
     store = Store.create(folder)
-    found, is_new = add_specification(store, file, by=by, reason=reason, is_revision=is_revision, rejudges=rejudges)
+    found, is_new, proposal = add_specification(
+        store, file, by=acting(by), reason=reason, is_revision=is_revision, rejudges=rejudges
+    )
     if as_json:
+        proposed = {} if proposal is None else {"proposal": proposal.uid}
         print_json(
             {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
+            | proposed
         )
+        return
+    if proposal is not None:
+        print_proposed(proposal)
         return
     what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
     results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}")

@@ -9,10 +9,14 @@ import click
 
 from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
 from analytics.commands.limits import by_option
+from analytics.commands.proposal import print_proposed
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, reporting, results, status_line, store_option
 from stream.errors import BadInput, NotFound
+from stream.security.actor import acting
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from analytics.loop.model.model_registry import ModelVersion
@@ -144,9 +148,10 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 @click.option("--reason", default="", help="Why, in free words.")
 @by_option
 @reporting
+@secured(Role.APPROVER, Role.RECORDER)
 def promote(
     folder: Path, unit: str, number: int | None, text: str | None, signal: str | None, block: str | None,
-    noise: str | None, holdout: str, runs: tuple[str, ...], reason: str, by: str, *, shadow: bool, as_json: bool,
+    noise: str | None, holdout: str, runs: tuple[str, ...], reason: str, by: str | None, *, shadow: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Put an error model to use: what a trace of the unit's runs finds, or a version that is there already.
 
@@ -162,30 +167,35 @@ def promote(
     from analytics.loop.model_promotion import check_usable, confounded_warning, promote_trace
     from analytics.loop.unit_reduction import Question
     from storage.store import Store
+    from stream.events import ActProposed
 
     if (number is None) is (text is None):
         raise BadInput(
             "give either --model 'rate = bias + ...', to trace the unit's runs, or --version N, one of those that "
             f"`gyrofleet model list --unit {unit}` shows"
         )
-    store, stage = Store.open(folder), Stage.SHADOW if shadow else Stage.LIVE
+    store, stage, actor = Store.open(folder), Stage.SHADOW if shadow else Stage.LIVE, acting(by)
     if number is not None:
         version = ModelRegistry(store).version(unit, number)
         check_usable(version, stage)
-        activate(store, version, stage, reason=reason, by=by)
+        done = activate(store, version, stage, reason=reason, by=actor)
     else:
         question = Question(
             model=text or "", signal=signal, block_s=None if block is None else block_seconds(block),
             noise=None if noise is None else noise_of(noise), holdout=holdout_of(holdout), runs=runs or None,
         )  # fmt: skip
         with status_line() as report:
-            version, _ = promote_trace(store, unit, question, stage, by=by, note=reason, on_progress=report)
+            version, done = promote_trace(store, unit, question, stage, by=actor, note=reason, on_progress=report)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
         document = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
-        print_json({**document, "text": version.text, "warnings": [warning] if warning else []})
+        proposed = {"proposal": done.uid} if isinstance(done, ActProposed) else {}
+        print_json({**document, "text": version.text, "warnings": [warning] if warning else [], **proposed})
         return
-    results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}")
+    if isinstance(done, ActProposed):
+        print_proposed(done)
+    else:
+        results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}")
     if warning:
         notes().print(f"warning: {warning}", soft_wrap=True)
 
@@ -198,7 +208,8 @@ def promote(
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
 @by_option
 @reporting
-def rollback(folder: Path, unit: str, signal: str, reason: str, by: str, *, shadow: bool, as_json: bool) -> None:
+@secured(Role.APPROVER, Role.RECORDER)
+def rollback(folder: Path, unit: str, signal: str, reason: str, by: str | None, *, shadow: bool, as_json: bool) -> None:
     """Take the live version of a unit's error model out of use; the one before it takes its place, if there was one."""
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import InUse, Stage, enter_activations, read_uses, rollback_documents
@@ -211,7 +222,7 @@ def rollback(folder: Path, unit: str, signal: str, reason: str, by: str, *, shad
     if (use.shadow if shadow else use.live) is None:
         hint = _rollback_hint(use, uses, unit, signal)
         raise BadInput(f"unit {unit}, signal {signal}: no version of its error model is {stage.value}; {hint}")
-    documents = rollback_documents(ModelRegistry(store), use, stage, reason=reason, by=by)
+    documents = rollback_documents(ModelRegistry(store), use, stage, reason=reason, by=acting(by))
     enter_activations(store, documents)
     if as_json:
         print_json(documents)

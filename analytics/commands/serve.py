@@ -7,7 +7,9 @@ from pathlib import Path
 import click
 
 from analytics.serve.doors.roles import ROLES, Role
-from stream.console import notes, print_json, reporting, results, store_option
+from stream.config_file import configured
+from stream.console import print_json, reporting, results, store_option
+from stream.role_log import RoleLog, logged
 
 
 @click.command("serve")
@@ -46,7 +48,9 @@ from stream.console import notes, print_json, reporting, results, store_option
     help="Address by which browsers call this server, as https://bench7.plant, where it is not the one it listens on.",
 )  # fmt: skip
 @click.option("--trust-network", "trusts_network", is_flag=True, help="Listen beyond loopback without users or TLS.")
+@configured("serve")
 @reporting
+@logged("serve")
 def serve(
     folder: Path, host: str, port: int, token: str | None, token_role: str | None, users_path: Path | None,
     names: tuple[str, ...], certificate: Path | None, key: Path | None, login_path: Path | None, url: str, *,
@@ -85,9 +89,10 @@ def serve(
         else:
             results().print(f"serving {folder}: {login}", soft_wrap=True)
 
+    log = RoleLog("serve")
     faulthandler.enable()  # a crash of a library says where
     serve_store(store, settings, say)
     if as_json:
         print_json({"event": "ended"})
     else:
-        notes().print("server ended")
+        log.write("info", "ended", "server ended")

@@ -2,11 +2,13 @@
 
 import json
 from collections.abc import Collection, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -16,6 +18,7 @@ from analytics.methods.confidence_bounds import chi_square_bounds, deviation_unc
 from analytics.metric_registry.registry import BoundsSource, Metric, parameters_text
 from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
 from storage.sql.catalog import Catalog
+from storage.sql.parquet_content import ParquetContent
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
@@ -31,8 +34,12 @@ COLUMNS = pa.schema({
     "n": pa.int64(), "parameters": _TEXT, "runs": pa.list_(_TEXT), "steps": pa.list_(pa.int64()),
     "standard": _TEXT, "clause": _TEXT, "reason": _TEXT,
 })  # fmt: skip
+# Metrics that are computed at the same time: their statements are planned by one thread each.
+_MOST_THREADS = 2
 # Scripts of tables that many metrics use.
 _SHARED = ("13_scale_fits.sql", "14_measured_scale_factors.sql", "30_static_steps.sql")
+_RATE_POINT = "select 1 from internal.rate_points limit 1"
+_SCALE_FIT = "select 1 from internal.scale_fits limit 1"
 # What metrics ask of all units, also where they are computed for a part of them.
 _OF_RECORDS = """
 create or replace table internal.units_of_runs as select distinct run, unit, "procedure" from internal.step_records;
@@ -41,13 +48,16 @@ create or replace table internal.procedures_of_steps as select distinct "procedu
 
 
 def define_views(
-    catalog: Catalog, steps: pa.Table | pa.RecordBatchReader, of_store: Mapping[str, pa.Table] | None = None
+    catalog: Catalog, steps: pa.Table | ParquetContent, of_store: Mapping[str, pa.Table] | None = None
 ) -> None:
     """Put the records of steps, and define the tables and views that metrics use.
 
     Where `steps` are those of some units, `of_store` has the tables of the whole store, see `tables_of_store`.
     """
-    catalog.put("step_records", steps, is_large=True)
+    if isinstance(steps, ParquetContent):
+        catalog.put_content("step_records", steps)
+    else:
+        catalog.put("step_records", steps, is_large=True)
     choose_steps(catalog)
     catalog.define(_OF_RECORDS)
     if of_store is None:
@@ -73,6 +83,12 @@ def choose_steps(catalog: Catalog, units: Collection[str] = ()) -> None:
     catalog.define(f"create or replace view step_means as from internal.step_records{where}")
 
 
+def choose_records(catalog: Catalog, records: pa.Table) -> None:
+    """Let ``step_means`` have these records of some units."""
+    catalog.put("chosen_records", records)
+    catalog.define("create or replace view step_means as from internal.chosen_records")
+
+
 def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -> None:
     """Define what the SQL scripts of a folder of this package define, or some of them, in the order of their names."""
     scripts = files("analytics.evaluation").joinpath(folder).iterdir()
@@ -82,11 +98,13 @@ def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -
 
 
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
-    """Compute metrics from the ``step_means`` that are in the catalogue; `COLUMNS`."""
+    """Compute metrics from the ``step_means`` that are in the catalogue, several at once; `COLUMNS`."""
     keep_scale_factors(catalog)
     able = _with_rows(catalog, list(chosen))
     type_b = TypeB(catalog) if able else None
-    return pa.concat_tables([COLUMNS.empty_table(), *(_values(catalog, metric, type_b) for metric in able)])
+    with ThreadPoolExecutor(min(catalog.threads, _MOST_THREADS)) as pool:
+        tables = list(pool.map(lambda metric: _values(catalog, metric, type_b), able))
+    return pa.concat_tables([COLUMNS.empty_table(), *tables])
 
 
 def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
@@ -99,7 +117,11 @@ def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
 
 def keep_scale_factors(catalog: Catalog) -> None:
     """Make the tables that many metrics use of the chosen steps: ``scale_fits``, ``scale_factors``, ``still_steps``."""
-    define_scripts(catalog, "views", _SHARED)
+    scripts: tuple[str, ...] = _SHARED
+    # planning the lines takes a fifth of a second, in each range of units
+    if not catalog.rows(_RATE_POINT) and not catalog.rows(_SCALE_FIT):
+        scripts = _SHARED[-1:]  # the others are of a range, or of all, and empty as well
+    define_scripts(catalog, "views", scripts)
     catalog.fill(("scale_fits", "scale_factors", "still_steps"))
 
 
@@ -171,7 +193,8 @@ def _add_bounds(columns: dict[str, pa.Array], source: BoundsSource) -> None:
 
 def of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
     """Rows of some units."""
-    return table.filter(pc.is_in(table["unit"], pa.array(sorted(units), pa.string())))
+    within = pc.is_in(table["unit"], pa.array(sorted(units), pa.string()))
+    return table if pc.all(within, min_count=0).as_py() else table.filter(within)
 
 
 def _rate_units(catalog: Catalog) -> pa.Table:
@@ -188,4 +211,4 @@ def row_of(row: Mapping[str, Any]) -> dict[str, Any]:
     """A value as in `gyrofleet metrics --json`."""
     found = {name: row[name] for name in COLUMNS.names if name != "freedom"}
     p = None if row["U"] is None else COVERAGE
-    return found | {"p": p, "parameters": json.loads(row["parameters"] or "{}")}
+    return found | {"p": p, "parameters": msgspec.json.decode(row["parameters"] or "{}")}

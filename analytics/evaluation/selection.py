@@ -5,12 +5,12 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+import polars as pl
 import pyarrow as pa
 
 from analytics.evaluation.evaluation import define_scripts, row_of
 from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.metric_registry.registry import alike, check_metrics, metrics
-from analytics.specifications.verdicts import rows_of
 from ingest.moment import moment_ns
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, NotFound
@@ -59,6 +59,11 @@ def selected(catalog: Catalog, asked: Selection) -> list[Row]:
     Raises NotFound if a unit, lot or run is not in the store; the message names similar ones; BadInput if there is no
     such metric or standard.
     """
+    return [row_of(row) for row in pl.DataFrame(selected_table(catalog, asked)).to_dicts()]
+
+
+def selected_table(catalog: Catalog, asked: Selection) -> pa.Table:
+    """The same as a table of the columns of ``unit_metrics``."""
     check_metrics(asked.metrics)
     standards = [standard_named(each) for each in asked.standards]
     with evaluated(catalog, asked.metrics):
@@ -75,8 +80,25 @@ def selected(catalog: Catalog, asked: Selection) -> list[Row]:
             )
         sql = f'select m.* exclude ("row") from {_NUMBERED} m where {conditions} '  # noqa: S608
         ordered = f"{sql} order by m.unit, m.metric, m.signal, m.run, m.standard, m.parameters"
-        rows = [row_of(row) for row in rows_of(catalog, ordered, given or None)]
-    return [narrow for row in rows if (narrow := narrowed(row, standards)) is not None]
+        return _narrowed_table(catalog.reader(ordered, given or None).read_all(), standards)
+
+
+def _narrowed_table(table: pa.Table, standards: Sequence[str]) -> pa.Table:
+    """Rows of these standards, of each what is theirs; all without standards. See `narrowed`."""
+    if not standards or not table.num_rows:
+        return table
+    columns = ("metric", "standard", "clause")
+    rows = zip(*(table[name].to_pylist() for name in columns), strict=True)
+    known: dict[tuple[str, ...], Row | None] = {}
+    found = []
+    for key in rows:
+        if key not in known:
+            known[key] = narrowed(dict(zip(columns, key, strict=True)), standards)
+        found.append(known[key])
+    for name in columns[1:]:
+        texts = pa.array([None if row is None else row[name] for row in found], pa.string())
+        table = table.set_column(table.schema.get_field_index(name), name, texts)
+    return table.filter(pa.array([row is not None for row in found], pa.bool_()))
 
 
 def _in_lists(

@@ -12,15 +12,17 @@ from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdi
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
 from analytics.loop.unit_reduction import Progress, Question, silent
+from storage.recording.proposing import check_may_propose
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
-from stream.events import ModelActivated
+from stream.events import ActProposed, ModelActivated
+from stream.security.actor import Actor
 
 EVENTS = (LINE, JUMP, TURN_ON)  # no model predicts them: a line has another phase in each run, a jump occurs once
 
 
-def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, note: str = "") -> ModelVersion:
+def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: Actor, note: str = "") -> ModelVersion:
     """A trace as a version to be written; BadInput if it has no fitted model."""
     diagnosis = found.diagnosis
     if diagnosis.model is None or diagnosis.declared is None or diagnosis.noise is None:
@@ -49,7 +51,7 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
         added=tuple(name for name in diagnosis.names if name not in EVENTS),
         holdout=None if holdout is None else dict(msgspec.to_builtins(holdout)),
         made_ns=time.time_ns(),
-        by=by,
+        by=by.name,
         note=note,
         confounded=tuple(dict.fromkeys(_confounded(found.diagnosis))),
         error=None if error is None else dict(msgspec.to_builtins(error)),
@@ -81,14 +83,15 @@ def promote_trace(
     question: Question,
     stage: Stage,
     *,
-    by: str,
+    by: Actor,
     note: str = "",
     on_progress: Progress = silent,
-) -> tuple[ModelVersion, ModelActivated]:
-    """Trace a unit's residual, write the model with the effects found as a new version, and put it to use.
+) -> tuple[ModelVersion, ModelActivated | ActProposed]:
+    """Trace a unit's residual, write what is found as a new version of its model, and put it to use, or propose that.
 
     BadInput if the trace has no model, or it must not go live; then nothing is written.
     """
+    check_may_propose(store, ModelActivated, by)
     with Catalog(store) as catalog:
         found = diagnose_units(catalog, [unit], question, on_progress=on_progress).units[unit]
         use = read_uses(store).get((unit, question.signal_name), InUse())

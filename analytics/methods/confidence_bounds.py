@@ -20,12 +20,12 @@ def t_bounds(value: FloatArray, standard_uncertainty: FloatArray, freedom: Float
     return value - half, value + half
 
 
-def joint_half_widths(u: FloatArray, freedom: FloatArray, independent: int | None = None) -> FloatArray:
+def joint_half_widths(u: FloatArray, freedom: FloatArray, independent: int | FloatArray | None = None) -> FloatArray:
     """Half widths of bounds that hold for all values together: t at 1 - (1 - confidence)/(2 m), times u.
 
-    m is the number of values, or of those that are `independent` (Bonferroni).
+    m is the number of values, or of those that are `independent` (Bonferroni), of each value if it is an array.
     """
-    tail = (1 - CONFIDENCE) / 2 / (independent or len(u))
+    tail = (1 - CONFIDENCE) / 2 / (len(u) if independent is None else independent)
     return -student_quantile(tail, np.maximum(np.nan_to_num(freedom, nan=1.0), 1.0)) * u
 
 

@@ -5,6 +5,7 @@ narrow. Here every difference has bounds that hold for all together (Bonferroni)
 between the largest of their lower and of their upper bounds.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
@@ -23,32 +24,42 @@ def largest_magnitudes(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     no value. The struct `of_largest` goes into the parameters of a test of several differences; where `is_signed`, a
     single one keeps its sign.
     """
-    for _, group in groupby(catalog.table(sql).to_pylist(), itemgetter("test")):
-        members = list(group)
+    tests = [list(group) for _, group in groupby(catalog.table(sql).to_pylist(), itemgetter("test"))]
+    halves = iter(_half_widths(tests))
+    for members in tests:
+        half = [next(halves) for _ in members]
         row = members[0] | {"freedom": None}
         row["reason"] = next((each["reason"] for each in members if each["reason"] is not None), None)
         if row["reason"] is None and all(each["difference"] is not None for each in members):
-            row |= _largest(members)
+            row |= _largest(members, half)
             if len(members) > 1:
                 row["parameters"] |= max(members, key=lambda each: abs(each["difference"]))["of_largest"]
         yield row
 
 
-def _largest(members: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def _half_widths(tests: Sequence[Sequence[Mapping[str, Any]]]) -> list[float]:
+    """Half widths of the bounds that hold for all differences of each test together; NaN where u is not known."""
+    members = [(len(test), each["u"], each["freedom"]) for test in tests for each in test]
+    count, u, freedom = np.array(members, np.float64).reshape(-1, 3).T
+    found: list[float] = joint_half_widths(u, freedom, count).tolist()
+    return found
+
+
+def _largest(members: Sequence[Mapping[str, Any]], half: Sequence[float]) -> dict[str, float | None]:
     """The largest, with its uncertainty and its bounds.
 
     >>> both = [{"difference": d, "u": 0.1, "freedom": 1e6, "is_signed": False} for d in (1.0, -2.0)]
-    >>> {name: round(each, 3) for name, each in _largest(both).items() if name != "freedom"}
-    {'value': 2.0, 'lo': 1.776, 'hi': 2.224, 'standard_uncertainty': 0.1}
+    >>> _largest(both, [0.25, 0.25])
+    {'value': 2.0, 'lo': 1.75, 'hi': 2.25, 'standard_uncertainty': 0.1, 'freedom': 1000000.0}
     """
-    difference, u, freedom = (
-        np.array([each[name] for each in members], np.float64) for name in ("difference", "u", "freedom")
-    )
-    half = joint_half_widths(u, freedom)
-    size = np.abs(difference)
-    at = int(np.argmax(size))
-    value, lo, hi = size[at], np.max(np.maximum(size - half, 0.0)), np.max(size + half)
+    size = [abs(each["difference"]) for each in members]
+    at = size.index(max(size))
+    value, lo, hi = size[at], math.nan, math.nan
+    if not any(map(math.isnan, half)):
+        lo = max(max(each - off, 0.0) for each, off in zip(size, half, strict=True))
+        hi = max(each + off for each, off in zip(size, half, strict=True))
     if members[0]["is_signed"] and len(members) == 1:
-        value, lo, hi = difference[0], difference[0] - half[0], difference[0] + half[0]
-    found = {"value": value, "lo": lo, "hi": hi, "standard_uncertainty": u[at], "freedom": freedom[at]}
-    return {name: float(each) for name, each in found.items()}
+        value = members[0]["difference"]
+        lo, hi = value - half[0], value + half[0]
+    own = {"standard_uncertainty": members[at]["u"], "freedom": members[at]["freedom"]}
+    return {"value": value, "lo": lo, "hi": hi, **own}

@@ -1,127 +1,161 @@
-"""Repeatability over days: standard deviations and components of variance, less the noise of what was measured."""
+"""Repeatability over days: standard deviations and components of variance, less the noise of what was measured.
 
-import math
-from collections import Counter
-from collections.abc import Hashable, Sequence
-from typing import Any, NamedTuple
+All functions are of many tests at once: unless said otherwise an array has an element for each test.
+"""
 
+from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 from scipy import special
 
 from analytics.methods.confidence_bounds import CONFIDENCE
+from stream.batch import BoolArray, FloatArray, IntArray
 
 KINDS = ("all", "run_to_run", "day_to_day", "within_day_component", "between_day_component")
 _TAIL = (1 - CONFIDENCE) / 2
-_Numbers = Sequence[float | None]
+Reasons = npt.NDArray[np.object_]  # texts, None where there is a value
 
 
 class DeviationEstimate(NamedTuple):
-    """A standard deviation with its bounds, standard uncertainty and degrees of freedom."""
+    """Standard deviations with their bounds, standard uncertainties and degrees of freedom."""
 
-    value: float
-    lo: float
-    hi: float
-    standard_uncertainty: float
-    freedom: float
+    value: FloatArray
+    lo: FloatArray
+    hi: FloatArray
+    standard_uncertainty: FloatArray
+    freedom: FloatArray
 
 
 class Variance(NamedTuple):
-    """An estimate of a variance and its degrees of freedom; NaN where it is not known."""
+    """Estimates of variances and their degrees of freedom; NaN where one is not known."""
 
-    value: float
-    freedom: float
-
-
-_NOTHING, _UNKNOWN = Variance(0.0, 1e9), Variance(math.nan, math.nan)
+    value: FloatArray
+    freedom: FloatArray
 
 
 class MeansNoise(NamedTuple):
     """What the values' own uncertainty adds to the variances of a one-way layout."""
 
-    square: Variance = _UNKNOWN  # to the variance of all values
-    within: Variance = _UNKNOWN  # to that within the groups
-    of_means: Variance = _UNKNOWN  # to that of the groups' means
+    square: Variance  # to the variance of all values
+    within: Variance  # to that within the groups
+    of_means: Variance  # to that of the groups' means
 
 
 class ValuesNoise(NamedTuple):
     """What the noise of values adds to their scatter: as estimated, and the least that it can be."""
 
-    likely: MeansNoise = MeansNoise()
-    least: MeansNoise = MeansNoise()
+    likely: MeansNoise
+    least: MeansNoise
 
 
-_NO_NOISE = ValuesNoise()
+class Layout(NamedTuple):
+    """Values of tests in groups, as of days."""
+
+    tests: int
+    of: IntArray  # test of each value
+    group: IntArray  # group of each value, numbered over all tests
+    of_group: IntArray  # test of each group
+
+    @classmethod
+    def of_names(cls, counts: Sequence[int] | IntArray, names: Sequence[Hashable]) -> "Layout":
+        """`counts`: how many values each test has; `names`: the group of each value, test after test.
+
+        >>> Layout.of_names([2, 3], ["mon", "mon", "mon", "tue", "mon"]).group.tolist()
+        [0, 0, 1, 2, 1]
+        """
+        of = np.repeat(np.arange(len(counts)), counts)
+        numbers: dict[Hashable, int] = {}
+        codes = np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int64)
+        groups, group = np.unique(of * max(len(numbers), 1) + codes, return_inverse=True)
+        return cls(len(counts), of, group, groups // max(len(numbers), 1))
+
+    def total(self, weights: FloatArray | None = None) -> FloatArray:
+        """Sums of the values of each test, or how many it has."""
+        return np.bincount(self.of, weights, self.tests).astype(np.float64)
+
+    def group_total(self, weights: FloatArray | None = None) -> FloatArray:
+        """The same of each group."""
+        return np.bincount(self.group, weights, len(self.of_group)).astype(np.float64)
+
+    def over_groups(self, weights: FloatArray | None = None) -> FloatArray:
+        """Sums over the groups of each test of what there is of each group, or how many groups it has."""
+        return np.bincount(self.of_group, weights, self.tests).astype(np.float64)
 
 
 class Scatter(NamedTuple):
-    """Sums of a one-way layout."""
+    """Sums of one-way layouts."""
 
-    values: int
-    square: float  # variance of all of them, NaN for one
-    within: float  # variance within the groups, pooled; NaN where no group has two
-    within_freedom: int
-    groups: int
-    of_means: float  # variance of the groups' means, NaN for one
-    size: float  # harmonic mean of the groups' sizes, NaN where there is none
+    values: FloatArray  # how many
+    square: FloatArray  # variance of all of them, NaN for one
+    within: FloatArray  # variance within the groups, pooled; NaN where no group has two
+    within_freedom: FloatArray
+    groups: FloatArray  # how many
+    of_means: FloatArray  # variance of the groups' means, NaN for one
+    size: FloatArray  # harmonic mean of the groups' sizes, NaN where there is none
 
 
-def scatter(values: Sequence[float], groups: Sequence[Hashable]) -> Scatter:
-    """Sums of values in groups."""
-    by_group: dict[Hashable, list[float]] = {}
-    for value, group in zip(values, groups, strict=True):
-        by_group.setdefault(group, []).append(value)
-    parts = list(by_group.values())
-    means = [math.fsum(part) / len(part) for part in parts]
-    freedom = len(values) - len(parts)
-    inside = math.fsum((value - mean) ** 2 for part, mean in zip(parts, means, strict=True) for value in part)
+def scatter(values: FloatArray, layout: Layout) -> Scatter:
+    """Sums of values (one for each value of the layout) in groups."""
+    n, sizes, groups = layout.total(), layout.group_total(), layout.over_groups()
+    # from the first value of each test on, so that the variance of equal values is 0
+    first = np.zeros(layout.tests)
+    first[layout.of[::-1]] = values[::-1]
+    off = values - first[layout.of]
+    means = layout.group_total(off) / sizes
+    freedom = n - groups
+    with np.errstate(divide="ignore", invalid="ignore"):
+        square = layout.total((off - (layout.total(off) / n)[layout.of]) ** 2) / (n - 1)
+        within = layout.total((off - means[layout.group]) ** 2) / freedom
+        of_means = layout.over_groups((means - (layout.over_groups(means) / groups)[layout.of_group]) ** 2) / (
+            groups - 1
+        )
+        size = groups / layout.over_groups(1 / sizes)
     return Scatter(
-        values=len(values), square=_variance(values), within=inside / freedom if freedom else math.nan,
-        within_freedom=freedom, groups=len(parts), of_means=_variance(means),
-        size=len(parts) / math.fsum(1 / len(part) for part in parts) if parts else math.nan,
+        n, np.where(n < 2, np.nan, square), np.where(freedom > 0, within, np.nan), freedom, groups,
+        np.where(groups < 2, np.nan, of_means), size,
     )  # fmt: skip
 
 
-def _variance(values: Sequence[float]) -> float:
-    if len(values) < 2:
-        return math.nan
-    mean = math.fsum(values) / len(values)
-    return math.fsum((value - mean) ** 2 for value in values) / (len(values) - 1)
+def pooled(uncertainties: FloatArray, freedoms: FloatArray, layout: Layout) -> FloatArray:
+    """Uncertainties (of each value) of equivalent records replaced by the pooled one of their test.
 
+    Each is weighted; where one is NaN they stay as they are.
 
-def pooled(uncertainties: _Numbers, freedoms: _Numbers) -> list[float | None]:
-    """Uncertainties of equivalent records replaced by their pooled one, each weighted; unchanged where one is None.
-
-    >>> [round(each, 3) for each in pooled([1.0, 3.0], [99, 1])]
+    >>> found = pooled(np.array([1.0, 3.0]), np.array([99.0, 1.0]), Layout.of_names([2], "aa"))
+    >>> found.round(3).tolist()
     [1.039, 1.039]
     """
-    known = [(u, max(freedom or 1.0, 1.0)) for u, freedom in zip(uncertainties, freedoms, strict=True) if u is not None]
-    if len(known) < len(uncertainties):
-        return list(uncertainties)
-    weight = math.fsum(freedom for _, freedom in known)
-    return [math.sqrt(math.fsum(freedom * u * u for u, freedom in known) / weight)] * len(known)
+    weights = _at_least_one(freedoms)
+    with np.errstate(invalid="ignore"):
+        together = np.sqrt(layout.total(weights * uncertainties**2) / layout.total(weights))[layout.of]
+    return np.where(np.isnan(together), uncertainties, together)
 
 
-def means_noise(uncertainties: _Numbers, freedoms: _Numbers, groups: Sequence[Hashable]) -> MeansNoise:
+def _at_least_one(freedoms: FloatArray) -> FloatArray:
+    return np.maximum(np.nan_to_num(freedoms, nan=1.0), 1.0)
+
+
+def means_noise(uncertainties: FloatArray, freedoms: FloatArray, layout: Layout) -> MeansNoise:
     """What values with these standard uncertainties add to the variances of their groups, on average."""
-    sizes = Counter(groups)
-    own = [sizes[group] for group in groups]
-    n, free = len(own), len(own) - len(sizes)
+    n, groups, own = layout.total(), layout.over_groups(), layout.group_total()[layout.group]
+    degrees = _at_least_one(freedoms)
 
-    def mean_square(weights: Sequence[float]) -> Variance:
-        known = zip(weights, uncertainties, freedoms, strict=True)
-        parts = [(weight * u * u, freedom or 1.0) for weight, u, freedom in known if u is not None]
-        if len(parts) < n or not n:
-            return _UNKNOWN
-        total = math.fsum(part for part, _ in parts)
-        fourth = math.fsum(part * part / max(freedom, 1.0) for part, freedom in parts)
-        return Variance(total, total * total / fourth if fourth else 1e9)
+    def mean_square(weights: FloatArray) -> Variance:
+        parts = weights * uncertainties**2
+        total, fourth = layout.total(parts), layout.total(parts**2 / degrees)
+        return Variance(total, np.where(fourth == 0, 1e9, total**2 / fourth))
 
-    square = mean_square([1 / n] * n) if n else _UNKNOWN
-    within = mean_square([(1 - 1 / size) / free for size in own]) if free else _UNKNOWN
-    return MeansNoise(square, within, mean_square([1 / (size * size * len(sizes)) for size in own]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        within = (1 - 1 / own) / (n - groups)[layout.of]  # NaN where no group has two
+        return MeansNoise(
+            mean_square(1 / n[layout.of]), mean_square(within), mean_square(1 / (own**2 * groups[layout.of]))
+        )
 
 
 def beyond(observed: Variance, known: Variance, least: Variance | None = None) -> DeviationEstimate:
-    """Root of what a variance holds beyond a part that was estimated elsewhere, 0 where that is all of it.
+    """Root of what variances hold beyond a part that was estimated elsewhere, 0 where that is all of it.
 
     `observed`: sum of both parts; its estimate follows chi-square. `known`: the part that is subtracted; NaN subtracts
     nothing. `least`: the least that this part can be, for the upper bound; the same if omitted.
@@ -130,26 +164,42 @@ def beyond(observed: Variance, known: Variance, least: Variance | None = None) -
     where what is left is nearly 0, and are those of chi-square where nothing is subtracted. Degrees of freedom by
     Satterthwaite.
 
-    >>> [round(each, 3) for each in beyond(Variance(1.0, 5), Variance(0.0, 1e9))]
+    >>> def one(*numbers): return Variance(*(np.array([each]) for each in numbers))
+    >>> [round(float(each[0]), 3) for each in beyond(one(1.0, 5.0), one(0.0, 1e9))]
     [1.0, 0.624, 2.453, 0.316, 5.0]
-    >>> beyond(Variance(8.4, 6), Variance(9.1, 40)).lo
+    >>> float(beyond(one(8.4, 6.0), one(9.1, 40.0)).lo[0])
     0.0
     """
-    part, part_freedom = known if known.value > 0 else _NOTHING
-    variance = max(observed.value - part, 0.0)
     freedom = observed.freedom
-    bounds = []
-    for tail, off in ((_TAIL, known), (1 - _TAIL, known if least is None else least)):
-        taken, taken_freedom = off if off.value > 0 else _NOTHING
-        left = observed.value - taken * special.fdtri(freedom, taken_freedom, 1 - tail)
-        bounds.append(math.sqrt(max(freedom * left / special.chdtri(freedom, tail), 0.0)))
-    spread = 2 * (observed.value**2 / freedom + part**2 / part_freedom)
-    value = math.sqrt(variance)
-    # near 0 the root has no slope: a quarter of the interval stands for its uncertainty
-    quarter = (bounds[1] - bounds[0]) / 4
-    u = min(math.sqrt(spread) / (2 * value), quarter) if value else quarter
-    left_freedom = max(2 * variance**2 / spread, 1.0) if spread else float(freedom)
+    part, part_freedom = _taken(known)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        variance = np.maximum(observed.value - part, 0.0)
+        bounds = []
+        for tail, off in ((_TAIL, known), (1 - _TAIL, known if least is None else least)):
+            taken, taken_freedom = _taken(off)
+            left = observed.value - taken * special.fdtri(freedom, taken_freedom, 1 - tail)
+            bounds.append(np.sqrt(np.maximum(freedom * left / special.chdtri(freedom, tail), 0.0)))
+        spread = 2 * (observed.value**2 / freedom + part**2 / part_freedom)
+        value = np.sqrt(variance)
+        # near 0 the root has no slope: a quarter of the interval stands for its uncertainty
+        quarter = (bounds[1] - bounds[0]) / 4
+        u = np.where(value > 0, np.minimum(np.sqrt(spread) / (2 * value), quarter), quarter)
+        left_freedom = np.where(spread > 0, np.maximum(2 * variance**2 / spread, 1.0), freedom)
     return DeviationEstimate(value, bounds[0], bounds[1], u, left_freedom)
+
+
+def are_none(reasons: Reasons) -> BoolArray:
+    """Where there is no reason.
+
+    >>> are_none(np.array(["no", None], dtype=object)).tolist()
+    [False, True]
+    """
+    return np.array([each is None for each in reasons.tolist()], dtype=bool)
+
+
+def _taken(known: Variance) -> Variance:
+    is_known = known.value > 0
+    return Variance(np.where(is_known, known.value, 0.0), np.where(is_known, known.freedom, 1e9))
 
 
 def between(found: Scatter) -> DeviationEstimate:
@@ -163,39 +213,46 @@ def between(found: Scatter) -> DeviationEstimate:
     return beyond(of_means, Variance(found.within / found.size, found.within_freedom))
 
 
-def deviation_of(
-    found: Scatter, kind: str, what: str, noise: ValuesNoise = _NO_NOISE, *, is_dated: bool
-) -> dict[str, Any]:
-    """One of the `KINDS` of deviations: the columns of a `DeviationEstimate`, or a `reason`.
+def deviations_of(
+    found: Scatter, kind: str, what: str, is_dated: BoolArray, noise: ValuesNoise | None = None
+) -> tuple[DeviationEstimate, Reasons]:
+    """One of the `KINDS` of deviations of tests of at least 2 values, and the reasons where there is none.
 
-    Of at least 2 values in groups of days; in groups of runs where the days are not known. `what`: what was measured,
-    in the plural, as ``power-ons``. What the values' own `noise` adds is subtracted.
+    In groups of days; in groups of runs where the days are not known. `what`: what was measured, in the plural, as
+    ``power-ons``. What the values' own `noise` adds is subtracted.
     """
-    days = "days" if is_dated else "runs"
-    likely, least = noise
-    of_days = kind in {"day_to_day", "between_day_component"} or (kind != "all" and not found.within_freedom)
-    if of_days and not is_dated:
-        return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
+    no_noise = Variance(np.zeros_like(found.square), np.full_like(found.square, 1e9))
+    likely, least = noise or ValuesNoise(*(MeansNoise(no_noise, no_noise, no_noise),) * 2)
+    unrepeated = found.within_freedom == 0
+    reasons = np.full(len(found.values), None, dtype=object)
+
+    def refuse(where: BoolArray, text: Callable[[int, int, str], str]) -> None:
+        for at in np.flatnonzero(where & are_none(reasons)).tolist():
+            reasons[at] = text(int(found.values[at]), int(found.groups[at]), "days" if is_dated[at] else "runs")
+
+    of_days = kind in {"day_to_day", "between_day_component"}
+    refuse(~is_dated & (unrepeated if not of_days and kind != "all" else of_days), lambda *_: (
+        "the date is unknown, so the day is: import with the moment of the start"
+    ))  # fmt: skip
     if kind == "all":
-        if found.groups > 1 and found.within_freedom:
-            several = f"{found.values} {what} of {found.groups} {days}, several of one, which share its effect"
-            other = "one deviation of all says neither; see run_to_run, day_to_day and their components"
-            return {"reason": f"{several}: {other}"}
-        return beyond(Variance(found.square, found.values - 1), likely.square, least.square)._asdict()
-    if kind != "day_to_day" and not found.within_freedom:
-        return {"reason": f"each of the {found.values} {what} is of another day, 2 of one day are needed"}
+        refuse((found.groups > 1) & ~unrepeated, lambda n, groups, days: (
+            f"{n} {what} of {groups} {days}, several of one, which share its effect: one deviation of all says "
+            "neither; see run_to_run, day_to_day and their components"
+        ))  # fmt: skip
+        return beyond(Variance(found.square, found.values - 1), likely.square, least.square), reasons
+    if kind != "day_to_day":
+        refuse(unrepeated, lambda n, *_: f"each of the {n} {what} is of another day, 2 of one day are needed")
     if kind in {"run_to_run", "within_day_component"}:
-        return beyond(Variance(found.within, found.within_freedom), likely.within, least.within)._asdict()
-    if found.groups < 2:
-        return {"reason": f"all {found.values} {what} are of one day, 2 days are needed"}
+        return beyond(Variance(found.within, found.within_freedom), likely.within, least.within), reasons
+    refuse(found.groups < 2, lambda n, *_: f"all {n} {what} are of one day, 2 days are needed")
     if kind == "day_to_day":
-        return beyond(Variance(found.of_means, found.groups - 1), likely.of_means, least.of_means)._asdict()
+        return beyond(Variance(found.of_means, found.groups - 1), likely.of_means, least.of_means), reasons
     # the scatter within the days contains the noise of the values
-    return between(found)._asdict()
+    return between(found), reasons
 
 
-def scatters(found: Scatter, noise: ValuesNoise, kind: str) -> dict[str, float | None]:
+def scatters(found: Scatter, noise: ValuesNoise, kind: str) -> dict[str, FloatArray]:
     """The parts of a deviation: the scatter by the equation of the clauses, and the noise of the values in it."""
     part = {"all": "square", "run_to_run": "within", "within_day_component": "within"}.get(kind, "of_means")
     parts = {"scatter": getattr(found, part), "uncertainty_of_means": getattr(noise.likely, part).value}
-    return {name: math.sqrt(each) if each >= 0 else None for name, each in parts.items()}
+    return {name: np.sqrt(each) for name, each in parts.items()}

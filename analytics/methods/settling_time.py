@@ -19,7 +19,7 @@ _TAIL = 0.25
 
 _SAMPLES = """
 select w.which, list(s.t_ns order by s.t_ns, s.seq) as t_ns, list(s.value order by s.t_ns, s.seq) as values
-from internal.power_on_windows w
+from given_rows w
 join samples s on s.run = w.run and s.unit = w.unit and s.signal = w.signal and s.t_ns between w.on_ns and w.t_to_ns
 where s.run = $run
 group by w.which
@@ -58,10 +58,10 @@ def _series(catalog: Catalog, run: str, tests: list[dict[str, Any]]) -> dict[int
     """Times and values of the samples of each test, from power-on to its end."""
     names = ("run", "unit", "signal", "on_ns", "t_to_ns")
     rows = [{"which": which, **{name: test[name] for name in names}} for which, test in enumerate(tests)]
-    catalog.put("power_on_windows", pa.Table.from_pylist(rows))
+    samples = catalog.table(_SAMPLES, pa.Table.from_pylist(rows), {"run": run})
     return {
         row["which"]: (np.array(row["t_ns"], np.int64), np.array(row["values"], np.float64))
-        for row in catalog.reader(_SAMPLES, {"run": run}).read_all().to_pylist()
+        for row in samples.to_pylist()
     }
 
 

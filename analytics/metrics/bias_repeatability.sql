@@ -22,19 +22,22 @@ with counted as (
   select *, run as scope from counted where is_test or in_run > 1
   union all
   select *, null as scope from counted
+), listed as (
+  select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
+    list({
+      bias: bias, u: u, u_white: u_white, freedom: freedom, duration_s: duration_s, counted_by: counted_by,
+      day: coalesce(day::varchar, 'run ' || run)
+    } order by t_from_ns, run, power_on) as powered,
+    bool_and(day is not null) as is_dated,
+    list(distinct run order by run) as runs,
+    flatten(list(steps order by run, t_from_ns, power_on)) as steps
+  from scoped
+  group by unit, signal, position, earth_rate, scope
+  having scope is not null or count(distinct run) > 1
 )
-select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
-  list(bias order by t_from_ns, run, power_on) as biases,
-  list(u order by t_from_ns, run, power_on) as uncertainties,
-  list(u_white order by t_from_ns, run, power_on) as of_white_noise,
-  list(freedom order by t_from_ns, run, power_on) as freedoms,
-  list(duration_s order by t_from_ns, run, power_on) as durations,
-  list(counted_by order by t_from_ns, run, power_on) as counted_by,
-  list(coalesce(day::varchar, 'run ' || run) order by t_from_ns, run, power_on) as days,
-  bool_and(day is not null) as is_dated,
-  list(distinct run order by run) as runs,
-  flatten(list(steps order by run, t_from_ns, power_on)) as steps
-from scoped
-group by unit, signal, position, earth_rate, scope
-having scope is not null or count(distinct run) > 1
-order by unit, signal, position, earth_rate, scope
+select * exclude (powered), [p.bias for p in powered] as biases, [p.u for p in powered] as uncertainties,
+  [p.u_white for p in powered] as of_white_noise, [p.freedom for p in powered] as freedoms,
+  [p.duration_s for p in powered] as durations, [p.counted_by for p in powered] as counted_by,
+  [p.day for p in powered] as days
+from listed
+order by unit, signal, position, earth_rate, run

@@ -3,7 +3,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from analytics.methods.repeatability import KINDS, Scatter, deviation_of, scatter
+import numpy as np
+
+from analytics.methods.repeatability import KINDS, Layout, deviations_of, scatter
 from storage.sql.catalog import Catalog
 
 # GJB asks for 6 measurements, JJF 2014 leaves Q open
@@ -17,14 +19,35 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     deviation within a day, pooled over days; ``day_to_day`` that of the means of days. The uncertainty of the K_i is
     not subtracted: most of it is nonlinearity, which is the same in all.
     """
-    for row in catalog.reader(sql).read_all().to_pylist():
-        scales, days = row["scales"] or [], row["days"] or []
-        mean = sum(scales) / len(scales) if scales else 1.0
-        found = scatter([each / mean * 1e6 for each in scales] if mean else [], days if mean else [])
-        parameters = {"scale_factors": len(scales), "mean": mean if scales else None}
-        parameters["days"] = len(set(days)) if row["is_dated"] else None
-        for kind in KINDS:
-            yield row | {"n": len(scales), "parameters": {"kind": kind} | parameters} | _value(row, found, kind)
+    rows = catalog.reader(sql).read_all().to_pylist()
+    means = [sum(row["scales"]) / len(row["scales"]) if row["scales"] else None for row in rows]
+    relative = [
+        [each / mean * 1e6 for each in row["scales"]] if mean else [] for row, mean in zip(rows, means, strict=True)
+    ]
+    days = [day for row, scales in zip(rows, relative, strict=True) if scales for day in row["days"]]
+    layout = Layout.of_names([len(scales) for scales in relative], days)
+    found = scatter(np.array([each for scales in relative for each in scales], np.float64), layout)
+    is_dated = np.array([bool(row["is_dated"]) for row in rows], dtype=bool)
+    of_kinds = {kind: deviations_of(found, kind, "scale factors", is_dated) for kind in KINDS}
+    for at, (row, mean) in enumerate(zip(rows, means, strict=True)):
+        parameters = {"scale_factors": len(row["scales"] or []), "mean": mean}
+        parameters["days"] = len(set(row["days"] or [])) if row["is_dated"] else None
+        for kind, (estimates, reasons) in of_kinds.items():
+            reason = _lack(row, int(found.values[at]), kind) or reasons[at]
+            value = {name: float(each[at]) for name, each in estimates._asdict().items()} if reason is None else {}
+            common = {"n": parameters["scale_factors"], "parameters": {"kind": kind} | parameters, "reason": reason}
+            yield row | common | value
+
+
+def _lack(row: Mapping[str, Any], values: int, kind: str) -> str | None:
+    """Why there is no value, but for what `deviations_of` finds."""
+    least = _LEAST[row["standard"]]
+    if row["scales"] and not values:
+        return "the mean of the scale factors is 0: the output does not answer to the rate"
+    if values < least:
+        short = f"{values} scale factors measured, {least} or more are asked for"
+        return short if row["lack"] is None else f"{short}; {row['lack']}"
+    return _lack_of_repeats(row["days"] or [], kind, least, is_dated=row["is_dated"])
 
 
 def _lack_of_repeats(days: Sequence[str], kind: str, least: int, *, is_dated: bool) -> str | None:
@@ -37,16 +60,3 @@ def _lack_of_repeats(days: Sequence[str], kind: str, least: int, *, is_dated: bo
     if kind == "run_to_run" and 0 < repeated < least:
         return f"{repeated} scale factors on days with more than one, {least} or more are asked for"
     return None
-
-
-def _value(row: Mapping[str, Any], found: Scatter, kind: str) -> dict[str, Any]:
-    """Value with its limits, or the reason why there is none."""
-    least = _LEAST[row["standard"]]
-    if row["scales"] and not found.values:
-        return {"reason": "the mean of the scale factors is 0: the output does not answer to the rate"}
-    if found.values < least:
-        short = f"{found.values} scale factors measured, {least} or more are asked for"
-        return {"reason": short if row["lack"] is None else f"{short}; {row['lack']}"}
-    if (lack := _lack_of_repeats(row["days"] or [], kind, least, is_dated=row["is_dated"])) is not None:
-        return {"reason": lack}
-    return deviation_of(found, kind, "scale factors", is_dated=row["is_dated"])

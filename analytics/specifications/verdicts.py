@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
+import polars as pl
+
 from analytics.metric_registry.registry import alike
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound
@@ -45,7 +47,7 @@ def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: boo
 def values_of(catalog: Catalog, units: Sequence[str]) -> list[Row]:
     """Each value of these units with its verdict."""
     sql = (
-        "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
+        "select * replace (day::varchar as day) from verdicts where unit in (select unnest($units)) "
         "order by unit, metric, signal, t_ns, run, subject, standard, parameters"
     )
     return rows_of(catalog, sql, {"units": list(units)})
@@ -58,4 +60,4 @@ def yield_by(catalog: Catalog, group: Group) -> list[Row]:
 
 def rows_of(catalog: Catalog, sql: str, parameters: object = None) -> list[Row]:
     """Rows of a statement, as dictionaries."""
-    return [row for batch in catalog.batches(sql, parameters) for row in batch.to_pylist()]
+    return [row for batch in catalog.batches(sql, parameters) for row in pl.DataFrame(batch).to_dicts()]

@@ -117,8 +117,8 @@ _Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 _WITHIN = """
-where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
-  and t_ns between $first and $last order by unit, signal, t_ns"""
+where run = $run and unit between $lower and $upper and unit in (select unnest($units))
+  and signal in (select unnest($signals)) and t_ns between $first and $last order by unit, signal, t_ns"""
 _RAW = f"select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples {_WITHIN}, seq"  # noqa: S608
 _SECONDS = f"select unit, signal, t_ns, n, mean, m2 from rollup_1s {_WITHIN}"  # noqa: S608
 
@@ -126,9 +126,13 @@ _SECONDS = f"select unit, signal, t_ns, n, mean, m2 from rollup_1s {_WITHIN}"  #
 def _fetched(
     catalog: Catalog, sql: str, run: str, group: list[_EvaluatedSignal], margin_ns: int
 ) -> dict[tuple[str, str], _Blocks]:
+    units = sorted({each.unit for each in group})
     parameters = {
         "run": run,
-        "units": sorted({each.unit for each in group}),
+        "units": units,
+        # by which row groups of other units are not read
+        "lower": units[0],
+        "upper": units[-1],
         "signals": sorted({each.signal for each in group}),
         "first": min(each.windows[0][0] for each in group) - margin_ns,
         "last": max(end for each in group for _, end in each.windows),

@@ -8,12 +8,12 @@ from importlib.resources import files
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from analytics.step_records import FOLDER
 from analytics.step_records.reduction import COLUMNS, reduce_run
 from storage.sql.catalog import Catalog, NotKept
 from storage.sql.columns import distinct_pairs
+from storage.sql.parquet_content import ParquetContent
 from stream.atomic_file import replacement
 
 FILE = "steps.parquet"
@@ -23,7 +23,6 @@ _PRINT = "fingerprint"
 _SQL = files("analytics.step_records").joinpath("step_means.sql").read_text()
 _INPUTS = files("analytics.step_records").joinpath("run_inputs.sql").read_text()
 _MARK = b"gyrofleet.written"
-_BATCH_ROWS = 50_000
 
 Progress = Callable[[int, int], None]
 # records of some runs, see `records_of`
@@ -36,37 +35,36 @@ def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
     `progress` is called with how many of how many runs have been reduced. The columns are those of ``step_means.sql``
     and `fingerprint`, the hash of what a run's records were made from.
     """
-    return step_records(catalog, progress).read_all()
+    return step_records(catalog, progress).reader().read_all()
 
 
-def step_records(
-    catalog: Catalog, progress: Progress | None = None, reduce: Reduce | None = None
-) -> pa.RecordBatchReader:
-    """The same batch by batch: all records of a fleet take much more memory than their file.
+def step_records(catalog: Catalog, progress: Progress | None = None, reduce: Reduce | None = None) -> ParquetContent:
+    """The same as the content of the kept file: all records of a fleet take much more memory.
 
     Those of changed runs are made by `reduce`, by default `records_of`.
     """
     reduce = reduce or records_of
     prints = run_fingerprints(catalog)
-    kept = _kept_file(catalog.kept)
-    known = {} if kept is None else kept_prints(kept.read(columns=["run", _PRINT]))
+    kept = kept_steps(catalog.kept)
+    known = {} if kept is None else kept_prints(kept)
     fresh = {run for run, mark in known.items() if prints.get(run) == mark}
     stale = [run for run in prints if run not in fresh]
     if kept is not None and not stale and len(fresh) == len(known):
-        return pa.RecordBatchReader.from_batches(_schema_of(kept), kept.iter_batches(_BATCH_ROWS))
+        return kept
     if catalog.frozen and (prints or kept is not None):
         raise NotKept
     tables = []
     if kept is not None and fresh:
-        table = kept.read().replace_schema_metadata(None)
+        table = kept.reader().read_all()
         tables.append(table.filter(pa.compute.is_in(table["run"], value_set=pa.array(sorted(fresh), pa.string()))))
     if stale:
         tables.append(reduce(catalog, stale, prints, progress))
     table = pa.concat_tables(tables, promote_options="default") if tables else records_of(catalog, [], {}, None)
     table = table.sort_by([(name, "ascending") for name in ("unit", "run", "signal", "index")]).combine_chunks()
+    content = ParquetContent.of(table.replace_schema_metadata({_MARK: _mark(table.schema)}))
     if not catalog.frozen:
-        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))
-    return table.to_reader(_BATCH_ROWS)
+        write_kept_content(catalog.kept / FOLDER / FILE, content.content)
+    return content
 
 
 def run_fingerprints(catalog: Catalog) -> dict[str, str]:
@@ -77,9 +75,9 @@ def run_fingerprints(catalog: Catalog) -> dict[str, str]:
     }
 
 
-def kept_prints(table: pa.Table) -> dict[str, str]:
-    """Fingerprints of the runs in a table of records."""
-    return dict(distinct_pairs(table, "run", _PRINT))
+def kept_prints(kept: ParquetContent) -> dict[str, str]:
+    """Fingerprints of the runs in kept records."""
+    return dict(distinct_pairs(kept.file.read(columns=["run", _PRINT]), "run", _PRINT))
 
 
 def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None) -> pa.Table:
@@ -96,22 +94,10 @@ def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str],
     return table.append_column(_PRINT, marks)
 
 
-def kept_steps(folder: Path) -> pa.Table | None:
+def kept_steps(folder: Path) -> ParquetContent | None:
     """Records kept below a folder; None where there are none of this version."""
-    file = _kept_file(folder)
-    return None if file is None else file.read().replace_schema_metadata(None)
-
-
-def _kept_file(folder: Path) -> pq.ParquetFile | None:
-    file = open_kept(folder / FOLDER / FILE)
-    with suppress(pa.ArrowException):
-        if file is not None and (file.schema_arrow.metadata or {}).get(_MARK) == _mark(_schema_of(file)):
-            return file
-    return None
-
-
-def _schema_of(file: pq.ParquetFile) -> pa.Schema:
-    return file.schema_arrow.remove_metadata()
+    kept = open_kept(folder / FOLDER / FILE)
+    return kept if kept is not None and kept.metadata.get(_MARK) == _mark(kept.schema) else None
 
 
 def _mark(schema: pa.Schema) -> bytes:
@@ -125,26 +111,24 @@ def hash_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.sha256")
 
 
-def open_kept(path: Path) -> pq.ParquetFile | None:
+def open_kept(path: Path) -> ParquetContent | None:
     """A derived table kept in the store; None where there is none, or it disagrees with its hash."""
     with suppress(OSError, pa.ArrowException):
         content = path.read_bytes()
         if hash_path(path).read_text() == hashlib.sha256(content).hexdigest():
-            return pq.ParquetFile(pa.BufferReader(content))  # read_table imports pandas
+            return ParquetContent(pa.py_buffer(content))
     return None
 
 
 def read_kept(path: Path) -> pa.Table | None:
     """The same as a table, with its metadata."""
-    file = open_kept(path)
-    return None if file is None else file.read()
+    kept = open_kept(path)
+    return None if kept is None else kept.file.read()
 
 
 def write_kept(path: Path, table: pa.Table) -> None:
     """Keep a table; if that fails it is recomputed the next time."""
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd")
-    write_kept_content(path, sink.getvalue())
+    write_kept_content(path, ParquetContent.of(table).content)
 
 
 def write_kept_content(path: Path, content: pa.Buffer) -> None:

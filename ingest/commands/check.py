@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from storage.commands.stored_names import RUN, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.security.actor import acting
+from stream.security.rights import Role
+from stream.security_options import secured
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
@@ -19,7 +23,7 @@ if TYPE_CHECKING:
 @store_option
 @click.option("--unit", type=UNIT, required=True, help="Which unit.")
 @click.option("--item", required=True, help="What was checked: visual, electrical, or another word.")
-@click.option("--by", required=True, help="Who did.")
+@click.option("--by", help="Who did; with --security whom the certificate names.")
 @click.option("--verdict", type=click.Choice(["PASS", "FAIL"], case_sensitive=False), help="How it was judged.")
 @click.option("--value", type=float, help="What was measured; judged by its limits where it has some.")
 @click.option("--unit-of-measure", default="", help="Of the value and its limits, as megaohm.")
@@ -29,7 +33,10 @@ if TYPE_CHECKING:
 @click.option("--run", type=RUN, default="", help="The run that it belongs to, if any.")
 @click.option("--at", "moment", help="When, if not now: 2026-11-21T18:00:00+08:00.")
 @reporting
-def check(folder: Path, verdict: str | None, moment: str | None, *, as_json: bool, **given: Any) -> None:
+@secured(Role.APPROVER, Role.RECORDER, Role.STATION)
+def check(
+    folder: Path, verdict: str | None, moment: str | None, by: str | None, *, as_json: bool, **given: Any
+) -> None:
     """Enter a check that was made by eye or by hand (GJB 2426A-2004 5.2, 5.3): it stands in the log beside the samples.
 
     A recorder that is at work on the store gets it over its bus. A check can fail a unit; it does not pass a unit of
@@ -48,12 +55,14 @@ def check(folder: Path, verdict: str | None, moment: str | None, *, as_json: boo
     t_ns = time.time_ns() if moment is None else moment_ns(moment, "--at")
     if t_ns > time.time_ns() + 60 * 10**9:
         raise BadInput(f"--at {moment} lies in the future; a check is entered when it has been made")
-    document = check_entered(Entry(verdict=judged, **given), t_ns)
+    actor = acting(by, may_be_user=False)
+    entered = check_entered(Entry(verdict=judged, by=actor.name, **given), t_ns)
+    document = msgspec.structs.replace(entered, identity=actor.identity)
     unknown = _unknown_unit(folder, document.unit)
     is_seen = enter(folder, [document], role="gyrofleet check")
     if as_json:
-        entered = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
-        print_json({**entered, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
+        answer = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
+        print_json({**answer, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
         return
     results().print(f"{document.verdict}: {document.item} of unit {document.unit}, entered by {document.by}")
     if unknown is not None:

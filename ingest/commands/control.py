@@ -1,6 +1,5 @@
 """The command `gyrofleet control`."""
 
-import getpass
 import sys
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import click
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput, NotFound
 from stream.events import CommandOutcome, RunAction
+from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.security_options import secured
 
@@ -19,7 +19,7 @@ _ACTIONS = tuple(each.value for each in RunAction)
 @click.argument("run")
 @click.argument("action", type=click.Choice(_ACTIONS), metavar="|".join(_ACTIONS))
 @click.option("--reason", required=True, help="Why; it is in the log with your name.")
-@click.option("--by", help="Who; by default the name of the user.")
+@click.option("--by", help="Who; by default the name of the user, with --security whom the certificate names.")
 @store_option
 @reporting
 @secured(Role.APPROVER, Role.STATION, Role.RECORDER)
@@ -43,9 +43,7 @@ def control(run: str, action: str, reason: str, by: str | None, folder: Path, *,
         if not found:
             raise NotFound(f"run {run!r} is not in {folder}; `gyrofleet status` has the runs that are at work")
         ended_as = None if found[0][0] == "open" else str(found[0][0])
-    given = give_command(
-        store, run, RunAction(action), by=by or getpass.getuser(), reason=reason.strip(), ended_as=ended_as
-    )
+    given = give_command(store, run, RunAction(action), by=acting(by).name, reason=reason.strip(), ended_as=ended_as)
     answer = given.answer
     is_obeyed = answer.outcome in {CommandOutcome.ACCEPTED, CommandOutcome.DONE}
     if as_json:

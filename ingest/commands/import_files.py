@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ingest.commands.import_report import LISTED_FILES, report_files
-from stream.console import estimates_option, notes, print_json, progress_bar, reporting, store_option
+from stream.console import (
+    estimates_option,
+    interrupted_by_term,
+    notes,
+    print_json,
+    progress_bar,
+    reporting,
+    store_option,
+)
 from stream.errors import BadInput
 from stream.security.rights import Role
 from stream.security_options import secured
@@ -120,7 +128,7 @@ def import_files(
             checked.append(CheckedFile(path, file, summary, time.monotonic() - began))
     if connect is None:
         compile_new_kernels(quiet=as_json)
-    with progress_bar(hidden=as_json) as progress:
+    with interrupted_by_term(), progress_bar(hidden=as_json) as progress:
         tasks = {each.path: progress.add_task(f"importing {each.path.name}", total=1.0) for each in checked}
 
         def show(path: Path, done: float) -> None:

@@ -12,6 +12,7 @@ from ingest.commands.procedure import PROCEDURE
 from ingest.station.station_security import station_security
 from stream.console import estimates_option, reporting, status_listen_option, store_option
 from stream.errors import BadInput
+from stream.role_log import logged
 from stream.security.rights import Role
 from stream.security_options import secured
 
@@ -74,6 +75,7 @@ def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @destination_options
 @click.option("--check", "is_check", is_flag=True, help="Check whether the run could begin, and end.")
 @reporting
+@logged("run")
 @secured(Role.STATION, default=lambda given: station_security(given["station"]))
 def run(
     station: Path | None, units: Path | None, parameters: tuple[str, ...], run_id: str | None, settle_timeout_h: float,
@@ -131,6 +133,7 @@ def run(
 @status_listen_option
 @destination_options
 @reporting
+@logged("run")
 @secured(Role.STATION)
 def run_simulated(
     run_id: str, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int,

@@ -32,7 +32,7 @@ from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, mounted_documents, read_units
 from ingest.station_clock import StationClock
-from stream.console import Stop, notes, print_json, results, until_stopped
+from stream.console import Stop, notes, print_json, results, structured_log, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
 from stream.status.reporter import StatusReporter, served
 from stream.worker.compile_kernels import compile_kernels
@@ -284,7 +284,11 @@ def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark:
         return
     ended, console = (f" ({state.outcome})", results()) if event == "ended" else ("", notes())
     progress = f"{state.steps_done} of {steps} steps, {log.samples:,} samples"
-    console.print(f"run {state.run} {event}{ended}: {progress}; {remark}", soft_wrap=True)
+    text = f"run {state.run} {event}{ended}: {progress}; {remark}"
+    if structured_log:
+        structured_log[-1]("info", event, text)
+        return
+    console.print(text, soft_wrap=True)
 
 
 def _release(release: Release) -> dict[str, object]:

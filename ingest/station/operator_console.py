@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from ingest.procedures.plan import PlannedStep
 from ingest.station.run import RunStopped
 from ingest.station.run_commands import RunCommands
-from stream.console import Stop
+from stream.console import Stop, structured_log
 
 _REPORT_EVERY_S = 5.0
 _WORDS = {"p": "pause", "pause": "pause", "c": "continue", "continue": "continue", "a": "abort", "abort": "abort"}
@@ -64,7 +64,10 @@ class ConsoleOperator:
             self.report("the run was paused when its process ended, and stays so until it is told to go on")
 
     def report(self, text: str) -> None:
-        """Print what has happened."""
+        """Print what has happened, or log it where the log is structured."""
+        if structured_log:
+            structured_log[-1]("info", "report", text)
+            return
         self._console.print(text, soft_wrap=True, markup=False)
 
     def ready(self, prompt: str) -> bool:

@@ -26,6 +26,8 @@ from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput
 from stream.identity import sample_key
+from stream.security.actor import UNAUTHENTICATED
+from stream.security.credentials import process_security
 from stream.wire.acknowledgement import StreamId
 
 STATE_FILE = "procedure.json"
@@ -229,7 +231,9 @@ class RunLog(RunRecord[StationRunState]):
 
     def enter_note(self, note: events.NoteAdded) -> None:
         """Enter a person's note, with the station's time; entered twice, it is the same."""
-        self._send(msgspec.structs.replace(note, t_ns=self._clock.now_ns()))
+        # the station's certificate proves that it had the note, not whose it is
+        identity = UNAUTHENTICATED if process_security().credentials is not None else note.identity
+        self._send(msgspec.structs.replace(note, t_ns=self._clock.now_ns(), identity=identity))
 
     def begin_step(self, step: PlannedStep) -> int:
         """Start a recorded step of all units now; the time, nanoseconds."""

@@ -12,13 +12,15 @@ import time
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
 from storage.attestation.signing_key import SigningKey, is_signed
+from storage.attestation.time_stamp import request_stamp
+from storage.carried_names import is_carried
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import read_log_manifest
-from storage.replication.sources.source import is_carried
 from storage.segments.disk import sha256_of
 from storage.specifications.copies import FOLDER as SPECIFICATIONS
 from storage.store import Store, only_one
@@ -66,6 +68,7 @@ class Attestation(msgspec.Struct, frozen=True, kw_only=True):
     public_key: str
     signature: str
     algorithm: str = "Ed25519"
+    time_stamp: str = ""  # of the signature, by an authority (RFC 3161); base64
 
     @property
     def stated(self) -> Statement:
@@ -87,13 +90,17 @@ class Attestation(msgspec.Struct, frozen=True, kw_only=True):
             return b""
 
     @property
+    def signature_bytes(self) -> bytes:
+        """The signature; empty if it cannot be read."""
+        try:
+            return base64.b64decode(self.signature, validate=True)
+        except binascii.Error:
+            return b""
+
+    @property
     def is_genuine(self) -> bool:
         """Whether its signature is that of its key."""
-        try:
-            signature = base64.b64decode(self.signature, validate=True)
-        except binascii.Error:
-            return False
-        return self.algorithm == "Ed25519" and is_signed(self.public, signature, self.statement.encode())
+        return self.algorithm == "Ed25519" and is_signed(self.public, self.signature_bytes, self.statement.encode())
 
 
 def entry_digest(entry: SegmentEntry) -> str:
@@ -124,8 +131,19 @@ def read_attestation(path: Path) -> Attestation:
         raise StoreError(f"{path} is no attestation: {error}; `gyrofleet attest --out FILE` writes one") from error
 
 
-def attest(store: Store, key: SigningKey) -> tuple[Path, Attestation]:
-    """Sign what the store is now, and keep it there; StoreError if its manifest is damaged."""
+class Attested(NamedTuple):
+    """An attestation, where it is kept, and why it has no time stamp though one was asked for."""
+
+    path: Path
+    attestation: Attestation
+    unstamped: str = ""
+
+
+def attest(store: Store, key: SigningKey, *, timestamp_url: str = "") -> Attested:
+    """Sign what the store is now, have it stamped by an authority if one is given, and keep it there.
+
+    Without an answer of the authority it is kept without a stamp. StoreError if the log's manifest is damaged.
+    """
     with only_one(store.folder / FOLDER / ".lock", "gyrofleet attest"):
         found = read_log_manifest(store, whole=True)
         if found.damage:
@@ -148,13 +166,20 @@ def attest(store: Store, key: SigningKey) -> tuple[Path, Attestation]:
             previous=sha256_of(before[-1]) if before else "",
         )  # fmt: skip
         text = msgspec.json.encode(statement).decode()
+        signature, stamp, unstamped = key.sign(text.encode()), "", ""
+        if timestamp_url:
+            try:
+                stamp = request_stamp(timestamp_url, signature)
+            except StoreError as error:  # the anchor counts more than the proof of its time
+                unstamped = str(error)
         signed = Attestation(
-            statement=text, public_key=key.public.hex(), signature=base64.b64encode(key.sign(text.encode())).decode()
-        )
+            statement=text, public_key=key.public.hex(), signature=base64.b64encode(signature).decode(),
+            time_stamp=stamp,
+        )  # fmt: skip
         number = int(before[-1].stem) + 1 if before else 1
         path = store.folder / FOLDER / f"{number:08d}.json"
         try:
             write_durably(path, msgspec.json.encode(signed), overwrite=False)
         except OSError as error:
             raise StoreError(f"{path} cannot be written: {error}; free or repair the disk") from error
-    return path, signed
+    return Attested(path, signed, unstamped)

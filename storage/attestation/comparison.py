@@ -2,23 +2,34 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 from storage.attestation.attestation import Attestation, Statement, entry_digest, kept_attestations, read_attestation
 from storage.attestation.signing_key import fingerprint
+from storage.attestation.time_stamp import check_stamp
+from storage.carried_names import is_carried
 from storage.findings import Finding, Severity
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store
+from storage.store_marker import is_replica
 from stream.errors import StoreError
 
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
+_CLOCKS_S = 60.0
 _ASK = "what changed it is not known; restore it from a backup or a replica that agrees with the attestation"
 
 
-def against(store: Store, attestation: Attestation, where: str, signer: str = "") -> list[Finding]:
+def against(
+    store: Store, attestation: Attestation, where: str, signer: str = "", roots: "list[Certificate] | None" = None
+) -> list[Finding]:
     """What differs from an attestation; `signer` is the fingerprint of the key that must have signed it.
 
     The bytes of the segments are compared with the manifest by `gyrofleet verify`, the manifest with the attestation
-    here.
+    here. With `roots` of time stamp authorities it needs a stamp that ends at one of them. A fleet store's copy of a
+    plant may lack segments that have not arrived yet, and copies of specifications, which do not travel.
     """
     if not attestation.is_genuine:
         what = "its signature is not that of its key and text: it was changed, or never signed"
@@ -35,7 +46,28 @@ def against(store: Store, attestation: Attestation, where: str, signer: str = ""
         what = f"it is of the store {stated.store}, this one is {store.identity}"
         return [Finding("attestation_foreign", Severity.DAMAGE, where, what, "give the attestation of this store")]
     found = read_log_manifest(store, whole=True)
-    return [*_segments(store, stated, found), *_order(store, stated, found), *_files(store, stated)]
+    stamped = _stamp(attestation, stated, where, roots)
+    return [*stamped, *_segments(store, stated, found), *_order(store, stated, found), *_files(store, stated)]
+
+
+def _stamp(
+    attestation: Attestation, stated: Statement, where: str, roots: "list[Certificate] | None"
+) -> Iterator[Finding]:
+    """What is wrong with the time stamp: it is not of this attestation, of no trusted authority, or of another time."""
+    ask = "use the attestation that was kept; its signature still holds"
+    if not attestation.time_stamp:
+        if roots is not None:
+            yield Finding("attestation_unstamped", Severity.DAMAGE, where, "it has no time stamp", ask)
+        return
+    found = check_stamp(attestation.time_stamp, attestation.signature_bytes, roots)
+    if found.why_not:
+        what = f"its time stamp does not hold: {found.why_not}"
+        yield Finding("attestation_stamp_invalid", Severity.DAMAGE, where, what, ask)
+        return
+    apart_s = stated.at_ns / 1e9 - found.at.timestamp()
+    if apart_s > _CLOCKS_S:
+        what = f"it states a time {apart_s:,.0f} s after its time stamp: the clock of the store was ahead then"
+        yield Finding("attestation_clock", Severity.NOTE, where, what, "the time stamp counts")
 
 
 def own_findings(store: Store) -> Iterator[Finding]:
@@ -62,8 +94,11 @@ def own_findings(store: Store) -> Iterator[Finding]:
 
 
 def _segments(store: Store, stated: Statement, found: LogManifest) -> Iterator[Finding]:
+    is_copy = is_replica(store.folder)
     for each in stated.segments:
         where, entry = str(store.log / each.name), found.entries.get(each.name)
+        if entry is None and is_copy and each.name not in found.lost:
+            continue  # it has not arrived yet
         if entry is None:
             gone = "listed as lost" if each.name in found.lost else "not listed any more"
             what = f"segment {each.name} was attested with SHA-256 {each.sha256[:12]}; it is {gone}"
@@ -96,7 +131,10 @@ def _order(store: Store, stated: Statement, found: LogManifest) -> Iterator[Find
 
 
 def _files(store: Store, stated: Statement) -> Iterator[Finding]:
+    is_copy = is_replica(store.folder)
     for each in stated.files:
+        if is_copy and not is_carried(each.path):
+            continue  # it does not travel
         path = store.folder / each.path
         if not path.is_file():
             what = f"{each.path} was attested with SHA-256 {each.sha256[:12]}; it is missing"

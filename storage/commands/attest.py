@@ -1,11 +1,14 @@
 """The command `gyrofleet attest`."""
 
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import click
 
+from stream.config_file import configured
 from stream.console import counted, notes, print_json, reporting, results, store_option, until_stopped
+from stream.role_log import RoleLog, logged
 
 _SECONDS_PER_H = 3600.0
 
@@ -19,20 +22,32 @@ _SECONDS_PER_H = 3600.0
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="Also write it here; keep it away from the store."
 )
+@click.option(
+    "--timestamp-url", default="", metavar="URL",
+    help="Have each one stamped by this time stamp authority (RFC 3161), as http://timestamp.digicert.com.",
+)  # fmt: skip
 @click.option("--every-h", type=click.FloatRange(min=0.01), help="Again each so many hours, until stopped.")
+@configured("attest")
 @reporting
-def attest(folder: Path, key: Path | None, out: Path | None, every_h: float | None, *, as_json: bool) -> None:
+@logged("attest")
+def attest(
+    folder: Path, key: Path | None, out: Path | None, every_h: float | None, timestamp_url: str, *, as_json: bool
+) -> None:
     """Sign what the store's history is now, so that nothing before can change unseen.
 
     The signature is over every sealed segment with its SHA-256, their order, and the certificates, error models and
     specifications that were issued. `gyrofleet verify --against FILE` compares a store with it. Keep the file, and the
-    fingerprint of the key, where those who write the store cannot change them.
+    fingerprint of the key, where those who write the store cannot change them. With --timestamp-url an authority
+    proves that it existed at its time; if it does not answer, the exit code is 1 though the attestation is kept.
     """
     from storage.attestation.attestation import attest as attest_store
     from storage.attestation.signing_key import SigningKey, create_key, default_key, fingerprint
+    from storage.attestation.time_stamp import check_url
     from storage.store import Store, check_outside
     from stream.atomic_file import write_durably
 
+    if timestamp_url:
+        check_url(timestamp_url)
     store = Store.open(folder)
     if out is not None:
         check_outside(store, out)
@@ -43,7 +58,9 @@ def attest(folder: Path, key: Path | None, out: Path | None, every_h: float | No
     signing = SigningKey(path)
     with until_stopped() as stopped:
         while True:
-            kept, signed = attest_store(store, signing)
+            kept, signed, unstamped = attest_store(store, signing, timestamp_url=timestamp_url)
+            if unstamped:
+                RoleLog("attest").write("warning", "unstamped", f"attested without a time stamp: {unstamped}")
             if out is not None:
                 write_durably(out, kept.read_bytes())
             stated, by = signed.stated, fingerprint(signing.public)
@@ -52,13 +69,17 @@ def attest(folder: Path, key: Path | None, out: Path | None, every_h: float | No
                     {
                         "attestation": str(kept), "at_ns": stated.at_ns, "store": stated.store, "head": stated.head,
                         "segments": len(stated.segments), "files": len(stated.files), "signed_by": by,
+                        "is_stamped": bool(signed.time_stamp),
                     }
                 )  # fmt: skip
-            else:
+            RoleLog("attest").write("debug", "attested", f"attested as {kept}", segments=len(stated.segments))
+            if not as_json:
                 at = datetime.fromtimestamp(stated.at_ns / 1e9, UTC)
                 results().print(
                     f"{kept}: {counted(len(stated.segments), 'segment')} and {counted(len(stated.files), 'file')} at "
                     f"{at:%Y-%m-%d %H:%M:%S} UTC, head {stated.head[:12]}, signed by {by}"
                 )
+            if every_h is None and unstamped:
+                sys.exit(1)
             if every_h is None or stopped.wait(every_h * _SECONDS_PER_H):
                 break

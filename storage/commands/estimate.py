@@ -9,15 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import (
-    estimates_option,
-    notes,
-    print_json,
-    reporting,
-    status_listen_option,
-    store_option,
-    until_stopped,
-)
+from stream.config_file import configured
+from stream.console import estimates_option, print_json, reporting, status_listen_option, store_option, until_stopped
+from stream.role_log import RoleLog, logged
 from stream.security.rights import Role
 from stream.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
@@ -44,7 +38,9 @@ if TYPE_CHECKING:
 @click.option("--no-spectrum", is_flag=True, help="Omit the spectral density and its lines, a third of the work.")
 @estimates_option
 @status_listen_option
+@configured("estimate")
 @reporting
+@logged("estimate")
 @secured(Role.ESTIMATOR)
 def estimate(
     folder: Path, connect: str | None, every_s: float, averages_s: tuple[float, ...], checkpoint_every_s: float,
@@ -71,7 +67,7 @@ def estimate(
     connect = connect or writer_endpoint(folder)
     if connect is None:
         raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
-    console = notes()
+    log_of_role = RoleLog("estimate")
     printing = threading.Lock()
     shown: set[str] = set()
 
@@ -85,7 +81,7 @@ def estimate(
             line = describe(document)
             if line and line not in shown:
                 shown.add(line)
-                console.print(line, soft_wrap=True, markup=False)
+                log_of_role.write("info", "estimate", line)
 
     compile_kernels(quiet=as_json)
     with ExitStack() as stack:
@@ -106,26 +102,28 @@ def estimate(
         )  # fmt: skip
         with worker, served(status_listen, worker.status):
             resumed = f", resumed from {checkpoint}" if worker.resumed else ""
-            console.print(f"estimating what arrives on {connect}{resumed}; Ctrl-C ends", soft_wrap=True)
+            log_of_role.write("info", "estimating", f"estimating what arrives on {connect}{resumed}; Ctrl-C ends")
             if log is None:
-                console.print(
+                log_of_role.write(
+                    "warning",
+                    "no_checkpoint",
                     f"without a checkpoint, and missed samples are not read again: {folder} is not the store that is "
                     "recorded to; give --store with the recorder's folder",
-                    soft_wrap=True,
                 )
             reported_at, reported_samples = time.monotonic(), 0
             warned = 0
             while not stopped.wait(0.2) and worker.failure is None:
                 for warning in worker.warnings[warned:]:
                     warned += 1
-                    console.print(f"warning: {warning}", soft_wrap=True, markup=False)
-                if time.monotonic() - reported_at >= 5.0 and worker.counts.samples != reported_samples and not as_json:
+                    log_of_role.write("warning", "warning", warning)
+                if time.monotonic() - reported_at >= 5.0 and worker.counts.samples != reported_samples:
                     reported_at, reported_samples = time.monotonic(), worker.counts.samples
-                    console.print(f"{reported_samples:,} samples, {worker.counts.estimates:,} estimates published")
+                    text = f"{reported_samples:,} samples, {worker.counts.estimates:,} estimates published"
+                    log_of_role.write("info", "progress", text, samples=reported_samples)
         publisher.drain()
-    if not as_json:
-        counts = worker.counts
-        console.print(f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed")
+    counts = worker.counts
+    text = f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed"
+    log_of_role.write("info", "ended", text, samples=counts.samples, estimates=counts.estimates, missed=counts.lost)
 
 
 def describe(document: "AnyDocument") -> str | None:

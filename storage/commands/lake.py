@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from storage.commands.lake_address import endpoint_option
+from stream.config_file import configured
 from stream.console import notes, print_json, progress_bar, reporting, status_listen_option, store_option, until_stopped
+from stream.role_log import RoleLog, logged
 
 if TYPE_CHECKING:
     from storage.store import Store
@@ -38,7 +40,9 @@ _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw
 @endpoint_option
 @click.option("--repair", is_flag=True, help="Verify what is published first, and publish damaged parts anew.")
 @status_listen_option
+@configured("lake")
 @reporting
+@logged("lake")
 def lake(
     folder: Path, grace_s: float, older_than: str | None, max_size: str | None, url: str | None,
     endpoint_url: str | None, status_listen: str | None, *, once: bool, repair: bool,
@@ -58,15 +62,14 @@ def lake(
     from stream.errors import BadInput, StoreError
     from stream.status.reporter import StatusReporter, served
 
-    console = notes()
+    log = RoleLog("lake")
     store = Store.open(folder)
     rule = None if older_than is None and max_size is None else _rule(older_than, max_size)
 
     def report(event: str, text: str, **numbers: object) -> None:
         if as_json:
             print_json({"event": event, "text": text, **numbers})
-        else:
-            console.print(text, soft_wrap=True, markup=False)
+        log.write("info", event, text, **numbers)
 
     publisher = None
     if url is not None:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, reporting, status_listen_option, store_option, until_stopped
+from stream.config_file import configured
+from stream.console import print_json, reporting, status_listen_option, store_option, until_stopped
+from stream.role_log import RoleLog, logged
 from stream.security.rights import Role
 from stream.security_options import secured
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from storage.recording.recorder import Recorder
 
 _SHOWN_REJECTIONS = 5
+_REFUSALS_LOGGED = 10  # between two reports
 _REPORT_EVERY_S = 5.0
 _SILENCE_S = 30.0
 
@@ -41,7 +44,9 @@ _SILENCE_S = 30.0
 )  # fmt: skip
 @click.option("--no-lake", is_flag=True, help="Leave the lake to a separate `gyrofleet lake`.")
 @status_listen_option
+@configured("record")
 @reporting
+@logged("record")
 @secured(Role.RECORDER, listens=True)
 def record(
     folder: Path, listen: str | None, connect: str | None, rotate_mb: int, rotate_s: float, sync_ms: int,
@@ -62,7 +67,7 @@ def record(
     credentials = process_security().credentials
     default = DEFAULT_ENDPOINT if credentials is None else secured_endpoint(DEFAULT_ENDPOINT)
     endpoint = connect or listen or default
-    console = notes()
+    log_of_role = RoleLog("record")
     printing = threading.Lock()
 
     def warn(text: str) -> None:
@@ -70,7 +75,7 @@ def record(
             if as_json:
                 with suppress(BrokenPipeError):  # the next progress line ends the command, not the writer's thread
                     print_json({"event": "warning", "at": _now(), "text": text})
-            console.print(f"{_now()} warning: {text}", soft_wrap=True, markup=False)
+            log_of_role.write("warning", "warning", text)
 
     store = Store.create(folder)
     reached = str(parse_endpoint(endpoint).local)
@@ -84,7 +89,7 @@ def record(
             warn(warning)
         for recovery in log.recovered:
             original = "" if recovery.kept_aside is None else f"; the original file: {recovery.kept_aside}"
-            console.print(f"{recovery}, left open by an earlier process{original}", soft_wrap=True, markup=False)
+            log_of_role.write("info", "recovered", f"{recovery}, left open by an earlier process{original}")
         with (
             ZenohBus(listen=[] if connect else [endpoint], connect=[connect] if connect else []) as bus,
             Recorder(
@@ -94,24 +99,24 @@ def record(
         ):
             if as_json:
                 print_json({"event": "recording", "store": str(folder), "listen": endpoint})
-            else:
-                console.print(f"recording from {endpoint} to {folder}; Ctrl-C ends")
-            progress = _Progress(recorder, as_json=as_json)
+            text = f"recording from {endpoint} to {folder}; Ctrl-C ends"
+            log_of_role.write("info", "recording", text, listen=endpoint)
+            progress = _Progress(recorder, log_of_role, as_json=as_json)
             while not stopped.wait(0.2) and recorder.failure is None:
                 progress.report()
-            if not as_json:
-                console.print("stopping: writing what has arrived, sources keep the rest")
+            log_of_role.write("info", "stopping", "stopping: writing what has arrived, sources keep the rest")
             recorder.end()
-            if not as_json and not no_lake and recorder.failure is None:
-                console.print(
-                    "the log is complete; the lake follows. Ctrl-C again leaves it to the next command", soft_wrap=True
-                )
-    _print_counts(recorder, as_json=as_json)
+            if not no_lake and recorder.failure is None:
+                text = "the log is complete; the lake follows. Ctrl-C again leaves it to the next command"
+                log_of_role.write("info", "log_complete", text)
+    _print_counts(recorder, log_of_role, as_json=as_json)
 
 
 @click.command("router")
 @click.option("--listen", default="tcp/127.0.0.1:7447", show_default=True, help="Address that all others connect to.")
+@configured("router")
 @reporting
+@logged("router")
 @secured(Role.ROUTER, listens=True)
 def router(listen: str, *, as_json: bool) -> None:
     """Pass messages between sources, recorder and estimators that connect here, until stopped.
@@ -123,8 +128,7 @@ def router(listen: str, *, as_json: bool) -> None:
     with until_stopped() as stopped, ZenohBus(listen=[listen]):
         if as_json:
             print_json({"event": "routing", "listen": listen})
-        else:
-            notes().print(f"routing messages at {listen}; Ctrl-C ends")
+        RoleLog("router").write("info", "routing", f"routing messages at {listen}; Ctrl-C ends", listen=listen)
         while not stopped.wait(1.0):
             pass
 
@@ -132,50 +136,67 @@ def router(listen: str, *, as_json: bool) -> None:
 class _Progress:
     """Reports the progress of recording, and when nothing arrives any more."""
 
-    def __init__(self, recorder: "Recorder", *, as_json: bool) -> None:
-        self._recorder, self._as_json = recorder, as_json
+    def __init__(self, recorder: "Recorder", log: RoleLog, *, as_json: bool) -> None:
+        self._recorder, self._log, self._as_json = recorder, log, as_json
         self._reported_at = self._moved_at = time.monotonic()
-        self._messages = self._samples = 0
+        self._messages = self._samples = self._refused = 0
+        self._room = _REFUSALS_LOGGED
         self._is_silent = False
 
     def report(self) -> None:
         """Report now and then."""
         now, counts = time.monotonic(), self._recorder.counts
+        self._log_refusals()
         if counts.messages != self._messages:
             self._messages, self._moved_at, self._is_silent = counts.messages, now, False
         elif self._messages and not self._is_silent and now - self._moved_at >= _SILENCE_S:
             self._is_silent = True
             self._print("silent", f"nothing has arrived for {_SILENCE_S:g} s", samples=counts.samples)
+        if now - self._reported_at >= _REPORT_EVERY_S:
+            self._room = _REFUSALS_LOGGED
         if now - self._reported_at >= _REPORT_EVERY_S and counts.samples != self._samples:
             rate = (counts.samples - self._samples) / (now - self._reported_at)
             self._reported_at, self._samples = now, counts.samples
             self._print("progress", f"{counts.samples:,} samples, {rate:,.0f}/s", samples=counts.samples, per_s=rate)
 
+    def _log_refusals(self) -> None:
+        """Log what is refused as it comes, up to a number; all of it is counted."""
+        counts = self._recorder.counts
+        total = counts.rejected + counts.conflicts
+        fresh = min(total - self._refused, self._room, len(counts.rejections))
+        self._refused = total
+        self._room -= fresh
+        for rejection in list(counts.rejections)[len(counts.rejections) - fresh :]:
+            self._log.write("warning", "refused", f"refused and quarantined: {rejection}", refused=total)
+
     def _print(self, event: str, text: str, **numbers: float) -> None:
         if self._as_json:
             print_json({"event": event, "at": _now(), "text": text, **numbers})
-        else:
-            notes().print(f"{_now()} {text}")
+        self._log.write("info", event, text, **numbers)
 
 
 def _now() -> str:
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
-def _print_counts(recorder: "Recorder", *, as_json: bool) -> None:
+def _print_counts(recorder: "Recorder", log: RoleLog, *, as_json: bool) -> None:
     counts = recorder.counts
     if as_json:
         totals = {("clock_steps_back" if name == "backwards" else name): each for name, each in vars(counts).items()}
         print_json({"event": "ended", **totals, "rejections": list(counts.rejections)})
-        return
-    console = notes()
-    console.print(
+    text = (
         f"{counts.samples:,} samples in {counts.segments} segments; {counts.duplicates} messages came twice, "
-        f"{counts.rejected} could not be read"
+        f"{counts.rejected} were refused"
     )
+    log.write("info", "ended", text, samples=counts.samples, segments=counts.segments, rejected=counts.rejected)
     if counts.conflicts:
-        console.print(f"{counts.conflicts} messages have numbers that are recorded with other content; see the events")
+        text = f"{counts.conflicts} messages have numbers that are recorded with other content; see the events"
+        log.write("warning", "conflicts", text)
     if counts.rejected_not_kept:
-        console.print(f"{counts.rejected_not_kept} of the rejected messages were not kept: too many at once")
+        log.write(
+            "warning",
+            "not_kept",
+            f"{counts.rejected_not_kept} of the rejected messages were not kept: too many at once",
+        )
     for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
-        console.print(f"  quarantined, among the last: {rejection}", markup=False, soft_wrap=True)
+        log.write("warning", "quarantined", f"quarantined, among the last: {rejection}")

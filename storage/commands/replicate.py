@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from stream.config_file import configured
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
 from stream.errors import BadInput
 from stream.result_table import ResultTable
+from stream.role_log import RoleLog, logged
 from stream.security.rights import Role
 from stream.security_options import secured
 
@@ -43,7 +45,9 @@ _ENDPOINT = "tcp/127.0.0.1:7448"
 @click.option("--connect", metavar="ENDPOINT", help="With --serve: a `gyrofleet router` instead of --listen.")
 @click.option("--recall", "recalls", is_flag=True, help="Read all of --to; fetch what is lost or damaged.")
 @click.option("--no-lake", is_flag=True, help="Leave the lakes to `gyrofleet rebuild`, or to a later pass.")
+@configured("replicate")
 @reporting
+@logged("replicate")
 @secured(Role.FLEET, Role.RECORDER)
 def replicate(
     sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None,
@@ -98,6 +102,7 @@ def replicate(
                     )
                 else:
                     _print(found)
+                _log(found)
             if not is_watch or stopped.wait(_EVERY_S):
                 break
     sys.exit(0 if found.is_well or is_watch else 1)
@@ -126,8 +131,8 @@ def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | N
         ]
         if as_json:
             print_json({"event": "serving", "plants": names, "listen": endpoint})
-        else:
-            notes().print(f"serving {', '.join(names)} at {endpoint}; Ctrl-C ends")
+        text = f"serving {', '.join(names)} at {endpoint}; Ctrl-C ends"
+        RoleLog("replicate").write("info", "serving", text, listen=endpoint)
         while not stopped.wait(1.0):
             pass
 
@@ -192,15 +197,20 @@ def _print(found: "Pass") -> None:
             lag,
         )
     results().print(table)
+
+
+def _log(found: "Pass") -> None:
+    """Log what was noted, refused, or went wrong in a pass."""
+    log = RoleLog("replicate")
     for each in found.plants:
         for note in each.notes:
-            notes().print(f"note: {each.plant}: {note}", soft_wrap=True, markup=False)
+            log.write("info", "note", f"note: {each.plant}: {note}", plant=each.plant)
         for refusal in each.refused:
             where = f" {refusal.segment}" if refusal.segment else ""
-            notes().print(f"refused: {each.plant}{where}: {refusal.what}", soft_wrap=True, markup=False)
+            log.write("warning", "refused", f"refused: {each.plant}{where}: {refusal.what}", plant=each.plant)
         if each.trouble:
-            notes().print(f"trouble: {each.plant}: {each.trouble}", soft_wrap=True, markup=False)
+            log.write("warning", "trouble", f"trouble: {each.plant}: {each.trouble}", plant=each.plant)
     for plant, why in found.lakes.items():
-        notes().print(f"trouble: the lake of {plant}: {why}", soft_wrap=True, markup=False)
+        log.write("warning", "trouble", f"trouble: the lake of {plant}: {why}", plant=plant)
     for conflict in found.conflicts:
-        notes().print(f"conflict: {conflict}", soft_wrap=True, markup=False)
+        log.write("warning", "conflict", f"conflict: {conflict}")

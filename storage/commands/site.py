@@ -153,6 +153,26 @@ def revoke(folder: Path, who: str, *, as_json: bool) -> None:
     notes().print("copy the new access.json to every recorder and router, and restart them now", soft_wrap=True)
 
 
+@site.command("rules")
+@_FOLDER
+@reporting
+def rules(folder: Path, *, as_json: bool) -> None:
+    """Sign the rules of FOLDER/site.toml into the access lists, and show them.
+
+    \b
+    two_persons = ["models", "specifications", "certificates"]
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from stream.security.certificate_authority import Site
+
+    found = Site(folder).publish()
+    if as_json:
+        print_json(found)
+        return
+    named = ", ".join(found.two_persons) or "nothing"
+    results().print(f"two persons are needed for {named}")
+    notes().print("copy the new access.json to every folder of recorders and approvers, and restart recorders")
+
+
 @site.command("list")
 @_FOLDER
 @reporting

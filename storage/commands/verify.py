@@ -16,6 +16,9 @@ from stream.errors import BadInput
 from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
+    from storage.attestation.attestation import Attestation
     from storage.findings import Finding, Verification
 
 _SHOWN_OF_A_KIND = 8
@@ -28,6 +31,10 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
     "--against", type=click.Path(path_type=Path, dir_okay=False, exists=True),
     help="Also compare with this attestation: nothing before it may have changed.",
 )  # fmt: skip
+@click.option(
+    "--timestamp-root", type=click.Path(path_type=Path, dir_okay=False),
+    help="It needs a time stamp whose authority ends at one of these certificates (PEM).",
+)  # fmt: skip
 @click.option("--signed-by", default="", metavar="FINGERPRINT", help="Only of this key the attestation counts.")
 @click.option(
     "--lake", "url", metavar="s3://BUCKET/PREFIX", help="Verify the lake published there; with --store by its log too."
@@ -35,7 +42,14 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 @endpoint_option
 @reporting
 def verify(
-    folder: Path, against: Path | None, signed_by: str, url: str | None, endpoint_url: str | None, *, as_json: bool
+    folder: Path,
+    against: Path | None,
+    timestamp_root: Path | None,
+    signed_by: str,
+    url: str | None,
+    endpoint_url: str | None,
+    *,
+    as_json: bool,
 ) -> None:
     """Read everything in the store and report what is wrong, where, and the remedy; nothing is changed.
 
@@ -50,10 +64,13 @@ def verify(
         _verify_lake(url, endpoint_url, folder if is_given else None, as_json=as_json)
     from storage.attestation.attestation import read_attestation
     from storage.attestation.comparison import against as compared
+    from storage.attestation.time_stamp import read_roots
     from storage.check.verify import verify as verify_store
     from storage.fleet_store import is_fleet
     from storage.store import Store
 
+    if timestamp_root is not None and against is None:
+        raise BadInput("--timestamp-root is of the time stamp of an attestation; give it by --against FILE")
     if signed_by and against is None:
         raise BadInput("--signed-by names the key of an attestation; give it by --against FILE")
     if is_fleet(folder):
@@ -61,18 +78,38 @@ def verify(
             raise BadInput(f"an attestation is of one plant: give --store {folder}/plants/NAME")
         _verify_fleet(folder, as_json=as_json)
     store = Store.open(folder)
+    stamp: dict[str, object] | None = None
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {folder}", total=1.0)
         found, _ = verify_store(store, lambda done: progress.update(task, completed=done))
     if against is not None:
-        more = compared(store, read_attestation(against), str(against), signed_by)
+        attestation = read_attestation(against)
+        roots = None if timestamp_root is None else read_roots(timestamp_root)
+        more = compared(store, attestation, str(against), signed_by, roots)
         found = msgspec.structs.replace(found, findings=(*found.findings, *more))
+        stamp = _stamp_of(attestation, roots)
     if as_json:
-        print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
+        content = {name: getattr(found, name) for name in found.__struct_fields__}
+        print_json({"sound": found.is_sound, **content} | ({"time_stamp": stamp} if stamp is not None else {}))
         sys.exit(0 if found.is_sound else 1)
     _print_findings(found.findings)
+    if stamp is not None:
+        known = "" if stamp["is_trusted"] else "; whether to trust it, --timestamp-root says"
+        results().print(f"time stamp {stamp['at']} by {stamp['by']}{known}", soft_wrap=True)
     _print_counts(found)
     sys.exit(0 if found.is_sound else 1)
+
+
+def _stamp_of(attestation: "Attestation", roots: "list[Certificate] | None") -> dict[str, object] | None:
+    """The time stamp of an attestation; None if it has none that holds."""
+    from storage.attestation.time_stamp import check_stamp
+
+    if not attestation.time_stamp or not attestation.is_genuine:
+        return None
+    found = check_stamp(attestation.time_stamp, attestation.signature_bytes, roots)
+    if found.why_not:
+        return None
+    return {"at": f"{found.at:%Y-%m-%dT%H:%M:%SZ}", "by": found.by, "is_trusted": found.is_trusted}
 
 
 def _print_findings(findings: "Sequence[Finding]") -> None:

@@ -15,7 +15,8 @@ from storage.lake.tables import MESSAGE_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
 from stream.wire.batches import RawBatch
-from stream.wire.count_planes import join_batches, planes_of
+from stream.wire.count_planes import residuals_of
+from stream.wire.count_residuals import join_batches
 
 ByteArray = npt.NDArray[np.uint8]
 
@@ -60,7 +61,8 @@ class ChannelBuffer:
         message, last_ns = batch
         n, at = message.samples, len(self._data)
         self.samples += n
-        self._data.append(message.values or message.count_planes or planes_of(message.counts))
+        data = message.values or message.count_residuals
+        self._data.append(data or residuals_of(message.count_planes, message.counts, n))
         if times_ns := message.times_ns:
             self._times[at] = times_ns
         if flags := message.flags:

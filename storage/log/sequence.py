@@ -1,6 +1,7 @@
 """Positions of messages in their streams: gaps, repetitions, and what a segment holds of each stream."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 from storage.manifests.entries import SegmentEntry
@@ -28,7 +29,12 @@ class LogPlace(NamedTuple):
     @property
     def samples(self) -> int:
         """How many samples it has."""
-        return self.next_seq - self.seq if isinstance(parse_key(self.stream.key), SampleKey) else 0
+        return self.next_seq - self.seq if _is_of_samples(self.stream.key) else 0
+
+
+@lru_cache(maxsize=200_000)
+def _is_of_samples(key: str) -> bool:
+    return isinstance(parse_key(key), SampleKey)
 
 
 class ParsedRecord(NamedTuple):

@@ -19,7 +19,16 @@ from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
 from storage.store_marker import is_replica
 from stream.errors import StoreError
-from stream.events import AnyDocument, CertificateIssued, SpecificationEntered, StoreNoted, encode_event
+from stream.events import (
+    ActProposed,
+    AnyDocument,
+    CertificateIssued,
+    ModelActivated,
+    ProposalRejected,
+    SpecificationEntered,
+    StoreNoted,
+    encode_event,
+)
 from stream.identity import Place
 from stream.wire.acknowledgement import StreamId
 
@@ -28,8 +37,13 @@ _SECRET = "seal.key"  # noqa: S105  a file name
 _SEAL = "seal"
 _BYTES = 32
 # documents that only the store itself enters
-SEALED = (SpecificationEntered, CertificateIssued)
-Sealed = TypeVar("Sealed", bound=SpecificationEntered | CertificateIssued)
+SEALED = (SpecificationEntered, CertificateIssued, ActProposed, ProposalRejected)
+_WHAT = {
+    SpecificationEntered: "specification", CertificateIssued: "certificate", ActProposed: "proposal",
+    ProposalRejected: "decision on a proposal",
+}  # fmt: skip
+CanBeSealed = ModelActivated | SpecificationEntered | CertificateIssued | ActProposed | ProposalRejected
+Sealed = TypeVar("Sealed", bound=CanBeSealed)
 
 
 def store_document(store: str, what: str, text: str, details: dict[str, Any]) -> StoreNoted:
@@ -74,7 +88,7 @@ def sealed(store: Store, document: Sealed) -> Sealed:
     return msgspec.structs.replace(plain, seal=_digest(_secret(store), plain))
 
 
-def is_sealed(store: Store, document: SpecificationEntered | CertificateIssued) -> bool:
+def is_sealed(store: Store, document: CanBeSealed) -> bool:
     """Whether a document has the signature of a store.
 
     The secret stays at the plant: a fleet store's copy relies on the plant's recorder, which accepts no other.
@@ -87,13 +101,12 @@ def is_sealed(store: Store, document: SpecificationEntered | CertificateIssued) 
 def forgery(store: Store, document: AnyDocument) -> str | None:
     """Why a document that came over the bus must not be recorded; None if it may be.
 
-    Documents of this store, its specifications and certificates need its signature. Documents of other stores are
-    recorded, their specifications and certificates are not.
+    Documents of this store, its specifications, certificates and proposals need its signature. Documents of other
+    stores are recorded, their specifications, certificates and proposals are not.
     """
     if isinstance(document, SEALED):
         if document.store != store.identity:
-            what = "specification" if isinstance(document, SpecificationEntered) else "certificate"
-            return f"it is a {what} of another store"
+            return f"it is a {_WHAT[type(document)]} of another store"
         seal: object = document.seal
         wanted = sealed(store, document).seal
     elif isinstance(document, StoreNoted) and not is_foreign(document, store.identity):
@@ -104,7 +117,7 @@ def forgery(store: Store, document: AnyDocument) -> str | None:
     return None if is_valid else "it claims to be of the store that is recorded to, and lacks its seal"
 
 
-def _digest(secret: bytes, document: StoreNoted | SpecificationEntered | CertificateIssued) -> str:
+def _digest(secret: bytes, document: StoreNoted | CanBeSealed) -> str:
     return hmac.new(secret, msgspec.json.encode(document, order="deterministic"), sha256).hexdigest()
 
 

@@ -19,7 +19,7 @@ from stream.batch import FloatArray, IntArray
 from stream.closing import Closing
 from stream.delivery.publisher import DurablePublisher
 from stream.errors import BusError, DeliveryError, GyrofleetError, StoreError, WireError
-from stream.events import AnyDocument
+from stream.events import Act, AnyDocument
 from stream.identity import Place, event_key
 from stream.security.credentials import BusSecurity, load_credentials, process_security
 from stream.security.rights import Role
@@ -189,7 +189,7 @@ def record_documents(
     if endpoint is not None:
         from stream.transport.zenoh_bus import ZenohBus
 
-        with ZenohBus(connect=[endpoint], security=_as_writer(store.folder)) as remote:
+        with ZenohBus(connect=[endpoint], security=_as_writer(store.folder, documents)) as remote:
             _send(remote, documents, place, store)
         return
     from storage.log.event_log import EventLog
@@ -204,8 +204,10 @@ def record_documents(
         _send(bus, documents, place, store)
 
 
-def _as_writer(folder: Path) -> BusSecurity:
+def _as_writer(folder: Path, documents: Sequence[AnyDocument]) -> BusSecurity:
     """As whom documents are sent to the recorder of a store: as this process, else with the recorder's certificate.
+
+    As this process only if they name nobody else: a server sends what its users do.
 
     Who can read that certificate's key writes the store anyway. A recorder that is not secured was started so.
     """
@@ -213,7 +215,9 @@ def _as_writer(folder: Path) -> BusSecurity:
     if certificate is None:
         return BusSecurity(is_insecure=True)
     if own.credentials is not None and own.credentials.principal.role in {Role.APPROVER, Role.RECORDER}:
-        return own
+        name = own.credentials.principal.common_name
+        if all(each.identity == name for each in documents if isinstance(each, Act)):
+            return own
     try:
         return BusSecurity(load_credentials(certificate))
     except BusError as error:

@@ -8,11 +8,12 @@ from functools import lru_cache
 from storage.log.event_log import EventLog
 from storage.log.sequence import LogPlace
 from storage.log.store_documents import forgery
+from storage.recording.two_persons import reason_against
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
-from stream.events import StoreNoted
+from stream.events import ApprovedAct, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
 from stream.security.authority import check_authority
 from stream.security.proof import SourceVerifier, split
@@ -133,13 +134,16 @@ class Intake:
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
             proven = split(payload)
-            source = None if self._sources is None else self._sources.source_of(key, proven)
+            if self._sources is None:
+                source, _ = None, proven.proof  # one that cannot be read is refused here too
+            else:
+                source = self._sources.source_of(key, proven)
             if isinstance(parsed, SampleKey):
                 if source is not None:
                     check_authority(source, key, parsed, None)
-                self._add_samples(key, parsed, payload, arrival_ns)
+                self._add_samples(key, parsed, payload, proven.body, arrival_ns)
             else:
-                self._add_document(key, parsed, payload, arrival_ns, source)
+                self._add_document(key, parsed, payload, proven.body, arrival_ns, source)
         except GyrofleetError as error:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key[:200]}: {str(error)[:500]}")
@@ -167,13 +171,13 @@ class Intake:
         self._log.append_aside(LogRecord(key[:1000], REJECTED, arrival_ns, arrival_ns, kept))
         return True
 
-    def _add_samples(self, key: str, parsed: SampleKey, payload: bytes, arrival_ns: int) -> None:
+    def _add_samples(self, key: str, parsed: SampleKey, payload: bytes, body: bytes, arrival_ns: int) -> None:
         unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
         stream = StreamId(key, epoch)
         place = LogPlace(stream, seq, next_seq, t0_ns, last_ns, run)
-        if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload)):
+        if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload), body):
             return
         self.counts.samples += next_seq - seq
         before_ns = self._last_ns.get(stream)
@@ -189,7 +193,8 @@ class Intake:
             self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
 
     def _add_document(
-        self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int, source: Principal | None
+        self, key: str, parsed: EventKey | EstimateKey, payload: bytes, body: bytes, arrival_ns: int,
+        source: Principal | None,
     ) -> None:  # fmt: skip
         message = decode_received(payload)
         document = message.document
@@ -198,28 +203,34 @@ class Intake:
         if (reason := forgery(self._store, document)) is not None:
             what = document.what if isinstance(document, StoreNoted) else ""
             raise WireError(f"{type(document).__name__} {what[:80]}".strip() + f": {reason}")
+        if isinstance(document, ApprovedAct):
+            self._log.sync()  # what it rests on may have come just before
+        access = None if self._sources is None else self._sources.access
+        if (reason := reason_against(self._store, access, document)) is not None:
+            raise WireError(f"{type(document).__name__}: {reason}")
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)
         place = LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
-        if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload)) and is_end:
+        if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload), body) and is_end:
             self.ended_runs += 1
             self._ended[document.run] = None
             if len(self._ended) > _MOST_ENDED:
                 del self._ended[next(iter(self._ended))]
 
-    def _append(self, place: LogPlace, record: LogRecord) -> bool:
+    def _append(self, place: LogPlace, record: LogRecord, body: bytes) -> bool:
+        """Append a message if it is the next of its stream; `body` is it without its proof, which differs each time."""
         stream, seq, next_seq = place.stream, place.seq, place.next_seq
         expected = self._log.marks.get(stream, 0)
         if next_seq > self.received.get(stream, 0):
             self.received[stream] = next_seq
         if seq == expected:
             self._log.append(place, record)
-            self._recent.add(stream, seq, split(record.data).body)
+            self._recent.add(stream, seq, body)
             self.moved.add(stream)
             self.late += place.run in self._ended
             return True
         if next_seq <= expected:
-            if self._recent.differs(stream, seq, split(record.data).body):
+            if self._recent.differs(stream, seq, body):
                 self._keep_conflict(place, record)
             else:
                 self.counts.duplicates += 1

@@ -1,18 +1,12 @@
-"""Issued certificates and error models, which travel beside the segments; one that has arrived is never replaced."""
+"""Files that travel beside the segments: certificates, error models, attestations; none that is here is replaced."""
 
 from collections.abc import Callable
 from pathlib import Path
 
+from storage.carried_names import is_carried
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.sources.folder_source import kept_sha256
-from storage.replication.sources.source import (
-    MAX_FILE_BYTES,
-    MAX_FILES,
-    CarriedFile,
-    SegmentMissing,
-    SegmentSource,
-    is_carried,
-)
+from storage.replication.sources.source import MAX_FILE_BYTES, MAX_FILES, CarriedFile, SegmentMissing, SegmentSource
 
 _MAX_REFUSED = 1_000
 

@@ -11,6 +11,8 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LOST, ManifestWriter, manifest_path, rewrite_manifest
 from storage.plant import checked
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
+from storage.replication.attestation_check import KIND as DISAGREES
+from storage.replication.attestation_check import AttestationCheck
 from storage.replication.bandwidth import Bandwidth
 from storage.replication.carried_files import CarriedFiles, Stopped
 from storage.replication.lines_ahead import LinesAhead
@@ -61,6 +63,7 @@ class Receiver:
         self._bandwidth, self._report, self._stopped = bandwidth or Bandwidth(), report, stopped
         self._name = ""  # of the plant, once it is known
         self._seen: tuple[object, ...] = ()
+        self._attestations = AttestationCheck()
         self._begin()
 
     def _begin(self) -> None:
@@ -106,6 +109,7 @@ class Receiver:
                 self._reread()
             self._fetch_pending()
             self._files.fetch(self._source, self._store.folder, self._arrivals, self._refuse, self._stopped)
+            self._check_attestations()
         except Stopped:
             trouble = "stopped; the next pass resumes"
         except ListRefused as error:
@@ -247,6 +251,14 @@ class Receiver:
         if mine is None or mine.sha256 != entry.sha256:
             self._manifest.add(entry)
         return True
+
+    def _check_attestations(self) -> None:
+        """Compare what is here with what the plant has signed."""
+        has_changed = bool(self._added or self._files.added)
+        found = self._attestations.check(self._store, len(self._manifest.found.entries), has_changed)
+        for each in found.disagreements:
+            self._refuse(DISAGREES, each.file, each.what)
+        self._notes += found.notes
 
     def _lines(self, after: int) -> Iterator[bytes]:
         for raw in self._source.segments(after):

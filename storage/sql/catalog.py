@@ -1,5 +1,7 @@
 """SQL over a store: read-only DuckDB views on the lake."""
 
+import os
+import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -17,6 +19,8 @@ from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.lake_source import LakeSource, source_of
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
+from storage.sql.parquet_content import ParquetContent
+from storage.sql.put_tables import PutTables
 from storage.sql.sandbox.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.views import VIEWS, defer_views, define_deferred_views, lists_views, reading_lake
 from storage.store import Store
@@ -26,8 +30,6 @@ from stream.errors import QueryError
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
 _ALWAYS_READ = {"channels"}
-_COMPACT = "compact"  # a database in memory whose tables take a tenth of the memory, and longer to write
-_PART_ROWS = 122_880  # that DuckDB compresses together
 _SMALL_BYTES = 8 << 20  # of a lake that one thread reads as soon as several
 Progress = Callable[[int, int], None]
 
@@ -95,17 +97,18 @@ class Catalog(Closing):
         self.store, self.progress = store, progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
+        self.threads = threads or os.cpu_count() or 1
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
         if threads is not None:
             config["threads"] = threads
         self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
-        self._is_in_memory = file is None
-        if self._is_in_memory:
-            self._connection.execute(f"attach ':memory:' as {_COMPACT} (compress)")
-            self._connection.execute(f"create schema {_COMPACT}.internal")
         self._connection.execute("set timezone = 'UTC'; create schema internal")
         self._deferred = DeferredDefinitions(self._run_definition)
+        self._tables = PutTables(
+            self._connection, self._execute, self._deferred, known_tables, is_in_memory=file is None
+        )
+        self._defining = threading.RLock()  # statements of several threads may need the same definitions
         self.source = source_of(store, parts) if source is None else source
         self.parts = self.source.parts
         self.source.attach(self._connection)
@@ -157,17 +160,20 @@ class Catalog(Closing):
 
     def define_views(self) -> None:
         """Define the views on the lake now."""
-        self._add_views()
-        define_deferred_views(self._deferred)
+        with self._defining:
+            self._add_views()
+            define_deferred_views(self._deferred)
 
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
-        self._deferred.define(words_of(sql))
-        self._execute(sql)
+        with self._defining:
+            self._deferred.define(words_of(sql))
+            self._execute(sql)
 
     def defer(self, script: str) -> None:
         """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
-        self._deferred.add(script)
+        with self._defining:
+            self._deferred.add(script)
 
     def _run_definition(self, sql: str) -> None:
         """Run a definition that has waited; other threads ask meanwhile."""
@@ -185,40 +191,17 @@ class Catalog(Closing):
 
         One that a layer lists is a view on a table that takes little memory, as is a large one.
         """
-        self._deferred.discard(name)
-        place, view = self._place_of(name, is_large=is_large)
-        parts = _parts(table) if isinstance(table, pa.RecordBatchReader) else iter([table])
-        self._write(f"create or replace table {place} as from put_rows", next(parts))
-        for part in parts:
-            self._write(f"insert into {place} from put_rows", part)
-        if view is not None:
-            self._execute(f"create or replace view {view} as from {place}")
+        with self._defining:
+            self._tables.put(name, table, is_large=is_large)
 
-    def append(self, name: str, table: pa.Table, *, is_large: bool = False) -> None:
-        """Append rows to a table that was put."""
-        self._write(f"insert into {self._place_of(name, is_large=is_large)[0]} from put_rows", table)
-
-    def _place_of(self, name: str, *, is_large: bool) -> tuple[str, str | None]:
-        """Where a table is, and the view on it if there is one."""
-        is_listed = name in known_tables()
-        view = f'{"main" if is_listed else "internal"}."{name}"'
-        if not (is_listed or is_large):
-            return view, None
-        return (f'{_COMPACT}.internal."{name}"' if self._is_in_memory else f'internal."{name}_rows"'), view
-
-    def _write(self, sql: str, table: pa.Table) -> None:
-        self._connection.register("put_rows", table)
-        try:
-            self._execute(sql)
-        finally:
-            self._connection.unregister("put_rows")
-        if f" {_COMPACT}." in sql:
-            self._execute(f"checkpoint {_COMPACT}")  # compresses what was written
+    def put_content(self, name: str, file: ParquetContent) -> None:
+        """The same, but the rows stay in the content of a Parquet file and are read on demand."""
+        with self._defining:
+            self._tables.put_content(name, file)
 
     def stored(self, name: str) -> pa.Table:
         """The rows of a table that was put."""
-        schema = "main" if name in known_tables() else "internal"
-        return self._connection.sql(f'from {schema}."{name}"').to_arrow_table()
+        return self._tables.stored(name)
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
@@ -232,7 +215,8 @@ class Catalog(Closing):
         """Compute the tables of all layers now, and define all views; only these tables if some are given."""
         self._fill(" ".join(tables or (table for layer in layers() for table in layer.tables)))
         if not tables:
-            self._deferred.define_all()
+            with self._defining:
+                self._deferred.define_all()
 
     @contextmanager
     def suspended_layers(self) -> Iterator[tuple[Layer, ...]]:
@@ -253,9 +237,10 @@ class Catalog(Closing):
             except BaseException:
                 self._unfilled.append(layer)
                 raise
-        if self._has_views and lists_views(words):
-            self.define_views()
-        self._deferred.define(words)
+        with self._defining:
+            if self._has_views and lists_views(words):
+                self.define_views()
+            self._deferred.define(words)
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """Result of one of the project's own reading statements; users' statements go through `user_reader`.
@@ -322,7 +307,7 @@ class Catalog(Closing):
         """The batches of a statement's result."""
         yield from self.guarded(self.reader(sql, parameters, rows))
 
-    def table(self, sql: str, given: pa.Table | None = None) -> pa.Table:
+    def table(self, sql: str, given: pa.Table | None = None, parameters: object = None) -> pa.Table:
         """The whole result of a statement of many views and macros: it is planned once, a reader's twice.
 
         The rows `given` are its table ``given_rows``.
@@ -332,7 +317,7 @@ class Catalog(Closing):
             with self._connection.cursor() as cursor:
                 if given is not None:
                     cursor.register("given_rows", given)
-                cursor.execute(f"create temporary table whole as {sql}")
+                cursor.execute(f"create temporary table whole as {sql}", parameters)
                 return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
             raise _failed(error) from error
@@ -348,17 +333,6 @@ class Catalog(Closing):
 
 def _quoted(texts: Iterable[str]) -> str:
     return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
-
-
-def _parts(reader: pa.RecordBatchReader) -> Iterator[pa.Table]:
-    """The rows that a reader gives, in tables that fit into memory; one without rows at least."""
-    batches: list[pa.RecordBatch] = []
-    for batch in reader:
-        batches.append(batch)
-        if sum(each.num_rows for each in batches) >= _PART_ROWS:
-            yield pa.Table.from_batches(batches)
-            batches = []
-    yield pa.Table.from_batches(batches, reader.schema)
 
 
 def _failed(error: duckdb.Error) -> QueryError:

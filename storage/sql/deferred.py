@@ -4,7 +4,6 @@ With a hundred views this takes most of the time of a short statement, which nee
 """
 
 import re
-import threading
 from collections.abc import Callable, Collection, Iterable
 from functools import cache
 from itertools import count
@@ -66,7 +65,7 @@ def defined_names(scripts: Iterable[str]) -> list[str]:
 
 
 class DeferredDefinitions:
-    """Definitions that wait for a statement that names them; several threads may ask for them at once.
+    """Definitions that wait for a statement that names them.
 
     Parameters
     ----------
@@ -87,7 +86,6 @@ class DeferredDefinitions:
         self._run = run
         self._waiting: dict[str, _Waiting] = {}
         self._next = count()
-        self._defining = threading.RLock()
 
     def add(self, script: str) -> None:
         """Add the definitions of a script; what a view or table stands on is added before it."""
@@ -104,18 +102,14 @@ class DeferredDefinitions:
 
     def define(self, words: Iterable[str]) -> None:
         """Run the definitions of what is named, and before each those that it stands on."""
-        with self._defining:
-            self._define(words)
-
-    def _define(self, words: Iterable[str]) -> None:
         for name in self._named(words):
             if (found := self._waiting.pop(name, None)) is None:  # another of them stands on it
                 continue
             try:
-                self._define(word for word in found.words if self._order(word) < found.order)
+                self.define(word for word in found.words if self._order(word) < found.order)
                 self._run(found.sql if isinstance(found.sql, str) else found.sql())
                 if found.is_macro:  # bound where it is used: it may stand on what was added later
-                    self._define(found.words)
+                    self.define(found.words)
             except BaseException:
                 self._waiting[name] = found
                 raise

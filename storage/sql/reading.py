@@ -51,11 +51,7 @@ def find_signal(catalog: Asked, unit: str, signal: str, run: str | None = None) 
 
     A run of unknown date counts as measured when it was recorded. NotFound lists what the store holds.
     """
-    _check_held(catalog, "unit", unit, "", {})
-    _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
-    if run is not None:
-        _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
-    row = catalog.rows(
+    rows = catalog.rows(
         "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () "
         "from signals s left join runs r on r.run = s.run "
         "where s.unit = $unit and s.signal = $signal and (s.run = $run or $run is null) "
@@ -63,7 +59,15 @@ def find_signal(catalog: Asked, unit: str, signal: str, run: str | None = None) 
         "case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc, "
         "s.arrival_first_ns desc, s.t_first_ns desc limit 1",
         {"unit": unit, "signal": signal, "run": run},
-    )[0]
+    )
+    if not rows:
+        _check_held(catalog, "unit", unit, "", {})
+        _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
+        of = f" of unit {unit}, signal {signal}"
+        if run is not None:
+            _check_held(catalog, "run", run, of, {"unit": unit, "signal": signal})
+        raise NotFound(f"a record{of} came to {catalog.store.label} at this moment; ask again")
+    row = rows[0]
     return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]), int(row[5]))
 
 

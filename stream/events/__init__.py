@@ -10,17 +10,21 @@ from typing import Annotated, Any
 import msgspec
 
 from stream.errors import NewerSchema, WireError
+from stream.events.document import Act as Act
+from stream.events.document import ApprovedAct as ApprovedAct
 from stream.events.document import Document as Document
 from stream.events.document import Moment as Moment
 from stream.events.document import Verdict as Verdict
 from stream.events.document import new_uid as new_uid
 from stream.events.store_events import RAW_ROWS_DROPPED as RAW_ROWS_DROPPED
 from stream.events.store_events import RAW_ROWS_RESTORED as RAW_ROWS_RESTORED
+from stream.events.store_events import ActProposed as ActProposed
 from stream.events.store_events import AlertAcknowledged as AlertAcknowledged
 from stream.events.store_events import AlertCleared as AlertCleared
 from stream.events.store_events import AlertRaised as AlertRaised
 from stream.events.store_events import AlertSent as AlertSent
 from stream.events.store_events import CertificateIssued as CertificateIssued
+from stream.events.store_events import ProposalRejected as ProposalRejected
 from stream.events.store_events import SpecificationAction as SpecificationAction
 from stream.events.store_events import SpecificationEntered as SpecificationEntered
 from stream.events.store_events import StoreNoted as StoreNoted
@@ -117,7 +121,7 @@ class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
     details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
+class NoteAdded(Act, frozen=True, kw_only=True, tag=True):
     """A note of a person or a program."""
 
     text: str
@@ -131,7 +135,7 @@ class StationStated(Document, frozen=True, kw_only=True, tag=True):
     details: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
+class CheckEntered(Act, frozen=True, kw_only=True, tag=True):
     """A manual check of a unit without an instrument of the station, with its verdict (GJB 2426A 5.2, 5.3).
 
     `run` is empty where it belongs to none. `item` is ``visual``, ``electrical``, or another check.
@@ -269,10 +273,11 @@ class VerdictGiven(Document, frozen=True, kw_only=True, tag=True):
     checks: tuple[Check, ...] = ()
 
 
-class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
+class ModelActivated(ApprovedAct, frozen=True, kw_only=True, tag=True):
     """A version of the error model of a unit's signal is activated or deactivated.
 
     `model` is the hash of the version. `stage` is ``live``, ``shadow`` (only monitored) or ``off``. `run` is empty.
+    Where two persons are needed, `store` is the identity of its store, `seal` the seal.
     """
 
     unit: str
@@ -282,6 +287,8 @@ class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
     stage: str = "live"
     reason: str = ""
     by: str = ""
+    store: str = ""
+    seal: str = ""
 
 
 class CompensationStarted(Document, frozen=True, kw_only=True, tag=True):
@@ -393,7 +400,7 @@ AnyDocument = (
     | CheckEntered | SpecificationEntered | CertificateIssued | LimitsApplied | EstimatePublished | NoiseFitted
     | SpectralLinesFound | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched
     | RunResumed | StoreNoted | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged | RunCommandGiven
-    | RunCommandAnswered
+    | RunCommandAnswered | ActProposed | ProposalRejected
 )  # fmt: skip
 
 

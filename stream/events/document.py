@@ -30,3 +30,24 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit
     run: str
     t_ns: Moment
     uid: str = msgspec.field(default_factory=new_uid)
+
+
+class Act(Document, frozen=True, kw_only=True):
+    """Base class of what people and programs do on record.
+
+    `identity` is whom a certificate or a sign-in has proved, ``unauthenticated`` where nobody; empty in documents of
+    before, and in those that a program makes by itself.
+    """
+
+    identity: str = ""
+
+
+class ApprovedAct(Act, frozen=True, kw_only=True):
+    """Base class of acts that two persons may be needed for.
+
+    `proposal` is the uid of the `ActProposed` that it carries out, `proposed_by` the identity of who proposed it; empty
+    where one person was enough.
+    """
+
+    proposal: str = ""
+    proposed_by: str = ""

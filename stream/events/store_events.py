@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from stream.events.document import Document
+from stream.events.document import Act, ApprovedAct, Document
 
 RAW_ROWS_DROPPED = "raw_rows_dropped"  # `what` of a StoreNoted: raw rows that the lake no longer has
 RAW_ROWS_RESTORED = "raw_rows_restored"  # and: raw rows that were restored, with the documents that this cancels
@@ -20,7 +20,7 @@ class SpecificationAction(StrEnum):
     SETTLED = "settled"  # a person accepts that documents before it are lost
 
 
-class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
+class SpecificationEntered(ApprovedAct, frozen=True, kw_only=True, tag=True):
     """A revision of a product specification is added or withdrawn, or a loss accepted; `run` is empty.
 
     `content` is the TOML, empty where it is withdrawn. `previous` is the SHA-256 of the specification document before
@@ -42,7 +42,7 @@ class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
     seal: str = ""
 
 
-class CertificateIssued(Document, frozen=True, kw_only=True, tag=True):
+class CertificateIssued(ApprovedAct, frozen=True, kw_only=True, tag=True):
     """A calibration certificate of a unit is issued; `run` is empty.
 
     `sha256` is that of the PDF, `digital_sha256` that of the XML in it, `data_sha256` that of the results, which are in
@@ -66,6 +66,34 @@ class CertificateIssued(Document, frozen=True, kw_only=True, tag=True):
     specification: str = ""
     supersedes: str = ""
     reason: str = ""
+    store: str = ""
+    seal: str = ""
+
+
+class ActProposed(Act, frozen=True, kw_only=True):
+    """An act that two persons are needed for: nothing of it is active before another one approves it; `run` is empty.
+
+    `subject` is ``models``, ``specifications`` or ``certificates``, `title` the act in words, `content` its document as
+    JSON. `store` is the identity of its store, `seal` the seal.
+    """
+
+    subject: str
+    title: str
+    content: str
+    by: str
+    reason: str = ""
+    unit: str | None = None
+    store: str = ""
+    seal: str = ""
+
+
+class ProposalRejected(Act, frozen=True, kw_only=True):
+    """The `ActProposed` with the uid `proposal` is rejected, or withdrawn by who proposed it; `run` is empty."""
+
+    proposal: str
+    by: str
+    reason: str
+    unit: str | None = None
     store: str = ""
     seal: str = ""
 
@@ -106,7 +134,7 @@ class AlertSent(Document, frozen=True, kw_only=True, tag=True):
     attempts: int = 1
 
 
-class AlertAcknowledged(Document, frozen=True, kw_only=True, tag=True):
+class AlertAcknowledged(Act, frozen=True, kw_only=True, tag=True):
     """A person has taken note of an alert."""
 
     alert: str

@@ -8,6 +8,7 @@ import msgspec
 
 from stream.errors import BusError, GyrofleetError
 from stream.security.rights import Principal, principal_of
+from stream.security.site_rules import SiteRules, Subject
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
@@ -24,6 +25,7 @@ class _Content(msgspec.Struct, frozen=True):
     at_ns: int
     admitted: list[_Entry]
     revoked: list[str]
+    two_persons: list[str] = []  # subjects
 
 
 class _File(msgspec.Struct, frozen=True):
@@ -32,10 +34,15 @@ class _File(msgspec.Struct, frozen=True):
 
 
 class AccessList:
-    """The public key of everybody who is admitted; `revoked` are those who are not any more."""
+    """The public key of everybody who is admitted; `revoked` are those who are not any more.
 
-    def __init__(self, admitted: dict[Principal, bytes], revoked: frozenset[Principal], at_ns: int) -> None:
-        self.admitted, self.revoked, self.at_ns = admitted, revoked, at_ns
+    `rules` are those of the site, signed by it like the list.
+    """
+
+    def __init__(
+        self, admitted: dict[Principal, bytes], revoked: frozenset[Principal], at_ns: int, rules: SiteRules
+    ) -> None:
+        self.admitted, self.revoked, self.at_ns, self.rules = admitted, revoked, at_ns, rules
         self._loaded: dict[Principal, EllipticCurvePublicKey] = {}
 
     def key_of(self, principal: Principal) -> "EllipticCurvePublicKey | None":
@@ -64,7 +71,8 @@ class AccessList:
         from cryptography.hazmat.primitives.hashes import SHA256
 
         entries = [_Entry(each.common_name, b64encode(key).decode()) for each, key in sorted(self.admitted.items())]
-        content = msgspec.json.encode(_Content(self.at_ns, entries, sorted(each.common_name for each in self.revoked)))
+        revoked = sorted(each.common_name for each in self.revoked)
+        content = msgspec.json.encode(_Content(self.at_ns, entries, revoked, list(self.rules.two_persons)))
         signature = b64encode(site_key.sign(content, ECDSA(SHA256()))).decode()
         return msgspec.json.encode(_File(msgspec.Raw(content), signature))
 
@@ -81,7 +89,8 @@ def read_access_list(path: Path, site_key: "EllipticCurvePublicKey") -> AccessLi
         site_key.verify(b64decode(file.signature), bytes(file.content), ECDSA(SHA256()))
         content = msgspec.json.decode(file.content, type=_Content)
         admitted = {principal_of(each.common_name): b64decode(each.public_key) for each in content.admitted}
-        return AccessList(admitted, frozenset(map(principal_of, content.revoked)), content.at_ns)
+        rules = SiteRules(tuple(map(Subject, content.two_persons)))
+        return AccessList(admitted, frozenset(map(principal_of, content.revoked)), content.at_ns, rules)
     except InvalidSignature:
         raise BusError(f"{path} is not signed by the site; {again}") from None
     except OSError as error:

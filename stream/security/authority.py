@@ -5,6 +5,7 @@ from functools import lru_cache
 from stream import events
 from stream.errors import WireError
 from stream.identity import EstimateKey, EventKey, SampleKey
+from stream.security.actor import UNAUTHENTICATED
 from stream.security.rights import Principal, Role, includes, rights_of
 
 _COMPENSATED = "_compensated"
@@ -18,9 +19,14 @@ _OF_STATIONS = (
 )  # fmt: skip
 _OF_APPROVERS = (
     events.ModelActivated, events.SpecificationEntered, events.CertificateIssued, events.NoteAdded, events.CheckEntered,
-    events.AlertAcknowledged, events.RunCommandGiven, events.RunCommandAnswered,
+    events.ActProposed, events.ProposalRejected, events.AlertAcknowledged, events.RunCommandGiven,
+    events.RunCommandAnswered,
 )  # fmt: skip
 _OF_ESTIMATORS = (events.CompensationStarted, events.NoteAdded)
+_NAMED_BY = (
+    events.ModelActivated, events.SpecificationEntered, events.CheckEntered, events.AlertAcknowledged,
+    events.ActProposed, events.ProposalRejected,
+)  # fmt: skip
 
 
 class NotAuthorised(WireError):
@@ -52,3 +58,16 @@ def check_authority(
         }.get(source.role, ())  # fmt: skip
     if not isinstance(document, allowed):
         raise NotAuthorised(f"{source} may not send a {type(document).__name__}")
+    if isinstance(document, events.Act):
+        _check_identity(source, document)
+
+
+def _check_identity(source: Principal, document: events.Act) -> None:
+    """Raise NotAuthorised if a document names another person than its source; an approver acts as nobody else."""
+    own = source.common_name
+    is_person = source.role is Role.APPROVER
+    if document.identity != own and (is_person or document.identity not in {"", UNAUTHENTICATED}):
+        claimed = document.identity or "nobody"
+        raise NotAuthorised(f"{source} may not act as {claimed[:80]}: the identity of a document is that of its source")
+    if is_person and isinstance(document, _NAMED_BY) and document.by != own:
+        raise NotAuthorised(f"{source} may not act in the name of {document.by[:80]!r}")

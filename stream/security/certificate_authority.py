@@ -22,6 +22,7 @@ from stream.errors import BadInput
 from stream.security.access import ACCESS_FILE, AccessList
 from stream.security.credentials import CERTIFICATE, KEY, SITE_CERTIFICATE
 from stream.security.rights import Principal, Role, principal_named, principal_of
+from stream.security.site_rules import RULES_FILE, SiteRules, read_site_rules
 
 _CA_KEY, _INDEX = "ca.key", "site.json"
 _CA_DAYS = 3650
@@ -177,6 +178,17 @@ class Site:
         self._write()
         return issued
 
+    @property
+    def rules_file(self) -> Path:
+        """Where the rules of the site are."""
+        return self.folder / RULES_FILE
+
+    def publish(self) -> SiteRules:
+        """Sign the rules of the site into every access list; BadInput if their file is wrong."""
+        rules = read_site_rules(self.rules_file)
+        self._write()
+        return rules
+
     def _write(self) -> None:
         """Write the index, and the access list into the folder of everybody."""
         write_durably(self.folder / _INDEX, msgspec.json.encode(_Index(tuple(self.issued))))
@@ -189,7 +201,7 @@ class Site:
                     serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo
                 )
         revoked = frozenset(each.principal for each in self.issued if each.revoked_ns is not None)
-        content = AccessList(admitted, revoked, time.time_ns()).encode(self._key)
+        content = AccessList(admitted, revoked, time.time_ns(), read_site_rules(self.rules_file)).encode(self._key)
         for principal in self._issued:
             with suppress(FileNotFoundError):  # moved away
                 write_durably(self.folder_of(principal) / ACCESS_FILE, content)

@@ -9,6 +9,7 @@ A proof is the last field of a message: field 19 of a batch, `proof` of a docume
 
 import struct
 from base64 import b64decode, b64encode
+from functools import lru_cache
 from hashlib import blake2b
 from hmac import compare_digest
 from typing import NamedTuple
@@ -16,11 +17,15 @@ from typing import NamedTuple
 import msgspec
 
 from stream.errors import GyrofleetError, WireError
+from stream.security.access import AccessList
 from stream.security.credentials import Credentials
 from stream.security.rights import Principal, Role, principal_of
 
 PROOF_BYTES = 1024  # room for a proof in a message
 _MAC_BYTES = 16
+_TAIL = b"\xc4\x00"  # no signature
+_AFTER = _MAC_BYTES + len(_TAIL)
+_MOST_BEGUN = 50_000  # key expressions, about 500 bytes each
 _MESSAGE, _ACKNOWLEDGEMENT = b"gyrofleet message\0", b"gyrofleet acknowledgement\0"
 _JSON_FIELD = b',"proof":"'
 _FIELD = b"\x9a\x01"  # number 19, bytes
@@ -43,10 +48,20 @@ _decoder = msgspec.msgpack.Decoder(Proof)
 
 
 class Proven(NamedTuple):
-    """A message without its proof, and the proof; None if it has none."""
+    """A message without its proof, and the proof as it is in the message; None if it has none."""
 
     body: bytes
-    proof: Proof | None
+    packed: bytes | None
+
+    @property
+    def proof(self) -> Proof | None:
+        """The proof; raises Forged if it cannot be read."""
+        if self.packed is None:
+            return None
+        try:
+            return _decoder.decode(self.packed)
+        except (msgspec.MsgspecError, ValueError) as error:
+            raise Forged(f"its proof of origin cannot be read: {error}") from error
 
 
 def credentials_of(bus: object) -> Credentials | None:
@@ -76,7 +91,7 @@ def split(payload: bytes) -> Proven:
             packed = payload[at + len(_JSON_FIELD) : -2]
             if at < 0 or not payload.endswith(b'"}') or b'"' in packed:
                 return Proven(payload, None)
-            return Proven(payload[:at] + b"}", _decoder.decode(b64decode(packed, validate=True)))
+            return Proven(payload[:at] + b"}", b64decode(packed, validate=True))
         if len(payload) < _LENGTH.size:
             return Proven(payload, None)
         (size,) = _LENGTH.unpack_from(payload, len(payload) - _LENGTH.size)
@@ -84,14 +99,34 @@ def split(payload: bytes) -> Proven:
         at = len(payload) - size - len(head)
         if size < _LENGTH.size or at < 0 or payload[at : at + len(head)] != head:
             return Proven(payload, None)
-        return Proven(payload[:at], _decoder.decode(payload[at + len(head) : -_LENGTH.size]))
-    except (msgspec.MsgspecError, ValueError) as error:
+        return Proven(payload[:at], payload[at + len(head) : -_LENGTH.size])
+    except ValueError as error:
         raise Forged(f"its proof of origin cannot be read: {error}") from error
 
 
+@lru_cache(maxsize=1024)
 def _field_head(size: int) -> bytes:
     """Number and length of the field; the length in three bytes, which protobuf allows."""
     return _FIELD + bytes((size & 0x7F | 0x80, size >> 7 & 0x7F | 0x80, size >> 14))
+
+
+class _Macs:
+    """MACs under one secret; what they have in common for a key expression is hashed once."""
+
+    def __init__(self, secret: bytes) -> None:
+        self._secret = secret
+        self._begun: dict[str, blake2b] = {}
+
+    def of(self, key: str, body: bytes) -> bytes:
+        """The MAC of a message."""
+        begun = self._begun.get(key)
+        if begun is None:
+            if len(self._begun) >= _MOST_BEGUN:
+                self._begun.clear()
+            begun = self._begun[key] = blake2b(_context(key), digest_size=_MAC_BYTES, key=self._secret)
+        state = begun.copy()
+        state.update(body)
+        return state.digest()
 
 
 class SourceProver:
@@ -100,16 +135,23 @@ class SourceProver:
     def __init__(self, credentials: Credentials) -> None:
         self._own, self._by = credentials, credentials.principal.common_name
         recorders = [each for each in credentials.access.admitted if each.role is Role.RECORDER]
-        self._macs = [(each.common_name, shared_key(credentials, each, credentials.principal, each))
+        self._macs = [(each.common_name, _Macs(shared_key(credentials, each, credentials.principal, each)))
                       for each in sorted(recorders)]  # fmt: skip
+        # of a proof for one recorder all is the same but the MAC
+        self._frame: tuple[bytes, bytes] | None = None
+        if len(self._macs) == 1:
+            packed = msgspec.msgpack.encode(Proof(self._by, {self._macs[0][0]: bytes(_MAC_BYTES)}))
+            size = len(packed) + _LENGTH.size
+            self._frame = _field_head(size) + packed[:-_AFTER], packed[-len(_TAIL) :] + _LENGTH.pack(size)
 
     def prove(self, key: str, body: bytes) -> bytes:
         """The message with its proof."""
         if key.endswith("/event") or not self._macs:
             return joined(body, Proof(self._by, signature=_signature(self._own, _context(key), body)))
-        context = _context(key)
-        macs = {name: _mac(secret, context, body) for name, secret in self._macs}
-        return joined(body, Proof(self._by, macs))
+        if self._frame is not None and not body.startswith(b"{"):
+            before, after = self._frame
+            return b"".join((body, before, self._macs[0][1].of(key, body), after))
+        return joined(body, Proof(self._by, {name: macs.of(key, body) for name, macs in self._macs}))
 
 
 class SourceVerifier:
@@ -117,37 +159,55 @@ class SourceVerifier:
 
     def __init__(self, credentials: Credentials) -> None:
         self._own = credentials
-        self._secrets: dict[str, tuple[Principal, bytes]] = {}
+        self._name = credentials.principal.common_name
+        self._known: dict[str, tuple[Principal, _Macs]] = {}
+        # by what is the same in every proof of a source for this recorder alone
+        self._frames: dict[bytes, tuple[Principal, _Macs]] = {}
+
+    @property
+    def access(self) -> AccessList:
+        """Who is admitted, and the site's rules."""
+        return self._own.access
 
     def source_of(self, key: str, message: Proven) -> Principal:
         """Who sent a message; raises Forged if its proof is not that of an admitted principal."""
-        body, proof = message
-        if proof is None:
+        body, packed = message
+        if packed is None:
             raise Forged("it has no proof of its source")
-        found = self._secrets.get(proof.by)
+        frame = packed[:-_AFTER]
+        found = self._frames.get(frame)
+        if found is not None and packed.endswith(_TAIL):
+            principal, macs = found
+            if not compare_digest(packed[-_AFTER : -len(_TAIL)], macs.of(key, body)):
+                raise Forged(f"its proof is not that of {principal}")
+            return principal
+        proof = message.proof
+        assert proof is not None
+        found = self._known.get(proof.by)
         if found is None:
-            found = self._secrets[proof.by] = self._admitted(proof.by)
-        principal, secret = found
-        context = _context(key)
+            found = self._known[proof.by] = self._admitted(proof.by)
+        principal, macs = found
         if proof.signature:
-            is_valid = _is_signed(self._own, principal, proof.signature, context, body)
+            is_valid = _is_signed(self._own, principal, proof.signature, _context(key), body)
         else:
-            mac = proof.macs.get(self._own.principal.common_name, b"")
+            mac = proof.macs.get(self._name, b"")
             if not mac:
                 raise Forged(f"{principal} does not know {self._own.principal}: copy the newest access.json there")
-            is_valid = compare_digest(mac, _mac(secret, context, body))
+            is_valid = compare_digest(mac, macs.of(key, body))
+            if is_valid and len(proof.macs) == 1 and packed == frame + mac + _TAIL:
+                self._frames[frame] = principal, macs
         if not is_valid:
             raise Forged(f"its proof is not that of {principal}")
         return principal
 
-    def _admitted(self, common_name: str) -> tuple[Principal, bytes]:
+    def _admitted(self, common_name: str) -> tuple[Principal, _Macs]:
         try:
             principal = principal_of(common_name)
         except GyrofleetError as error:
             raise Forged(str(error)) from error
         if (reason := self._own.access.reason_against(principal)) is not None:
             raise Forged(reason)
-        return principal, shared_key(self._own, principal, principal, self._own.principal)
+        return principal, _Macs(shared_key(self._own, principal, principal, self._own.principal))
 
 
 def signed_acknowledgement(credentials: Credentials, content: bytes) -> bytes:
@@ -183,10 +243,6 @@ def shared_key(own: Credentials, other: Principal, source: Principal, recorder: 
 
 def _context(key: str) -> bytes:
     return _MESSAGE + key.encode() + b"\0"
-
-
-def _mac(secret: bytes, context: bytes, body: bytes) -> bytes:
-    return blake2b(context + body, digest_size=_MAC_BYTES, key=secret).digest()
 
 
 def _signature(own: Credentials, context: bytes, body: bytes) -> bytes:

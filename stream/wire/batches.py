@@ -14,9 +14,11 @@ from stream.batch import INT64_MAX, CountArray, SampleBatch, are_moments, checke
 from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
 from stream.errors import NewerSchema, WireError
 from stream.wire import samples_pb2
-from stream.wire.count_planes import join_counts, split_counts
+from stream.wire.count_planes import join_planes
+from stream.wire.count_residuals import MEAN_BYTES, join_counts, split_counts
 
-SAMPLE_SCHEMA = 2
+SAMPLE_SCHEMA = 3
+VALUES_SCHEMA = 2  # of batches without counts, which older readers understand
 MAX_SAMPLES_PER_BATCH = 1_000_000
 
 _ITEM_BYTES = {"counts": (4,), "count_planes": (1, 2, 3, 4), "values": (8,), "times_ns": (8,), "flags": (1,)}
@@ -31,13 +33,18 @@ def encode_batch(batch: SampleBatch) -> bytes:
     True
     """
     message = samples_pb2.SampleBatch(
-        schema=SAMPLE_SCHEMA, unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch.bytes,
+        schema=schema_of(batch), unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch.bytes,
         seq=batch.seq, samples=len(batch), t0_ns=batch.t0_ns, dt_ns=batch.dt_ns, irregular=batch.irregular,
         unit_of_measure=batch.unit_of_measure, scale=batch.scale, offset=batch.offset,
         times_ns=_bytes(batch.times_ns, "<i8"), values=_bytes(batch.values, "<f8"), flags=_bytes(batch.flags, "u1"),
-        count_planes=b"" if batch.counts is None else split_counts(batch.counts),
+        count_residuals=b"" if batch.counts is None else split_counts(batch.counts),
     )  # fmt: skip
     return bytes(message.SerializeToString())
+
+
+def schema_of(batch: SampleBatch) -> int:
+    """The schema that a reader of the batch must know."""
+    return VALUES_SCHEMA if batch.counts is None else SAMPLE_SCHEMA
 
 
 class WireBatchHead(NamedTuple):
@@ -147,8 +154,10 @@ def epoch_of(raw: bytes) -> UUID:
 
 
 def _counts(message: samples_pb2.SampleBatch) -> CountArray | None:
+    if residuals := message.count_residuals:
+        return join_counts(residuals, message.samples)
     if planes := message.count_planes:
-        return join_counts(planes, message.samples)
+        return join_planes(planes, message.samples)
     return np.frombuffer(message.counts, "<i4") if message.counts else None
 
 
@@ -166,10 +175,10 @@ def _checked(payload: bytes, *, bounded: bool = True) -> tuple[samples_pb2.Sampl
     n = message.samples
     if schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
         raise WireError(f"not a sample batch: schema {schema}, {n} samples, epoch {len(message.epoch)} bytes")
-    planes, values, times_ns = len(message.count_planes), len(message.values), message.times_ns
-    # nearly every batch has nothing but planes, or nothing but values
-    is_plain = planes in (n, 2 * n, 3 * n, 4 * n) if not values else values == 8 * n and not planes
-    if not is_plain or times_ns or message.counts or message.flags:
+    planes, values, times_ns = len(message.count_residuals) - MEAN_BYTES, len(message.values), message.times_ns
+    # nearly every batch has nothing but residuals, or nothing but values
+    is_plain = planes in (n, 2 * n, 3 * n, 4 * n) if not values else values == 8 * n and planes < 0
+    if not is_plain or times_ns or message.counts or message.count_planes or message.flags:
         _check_lengths(message)
     t0_ns, dt_ns = message.t0_ns, message.dt_ns
     last_ns = int.from_bytes(times_ns[-8:], "little", signed=True) if times_ns else t0_ns + (n - 1) * dt_ns
@@ -204,7 +213,10 @@ def _check_lengths(message: samples_pb2.SampleBatch) -> None:
         length = len(getattr(message, name))
         if length and length not in {n * each for each in item_bytes}:
             raise WireError(f"not a whole sample batch: {length} bytes of {name} for {n} samples")
-    if sum(map(bool, (message.counts, message.count_planes, message.values))) != 1:
+    length = len(message.count_residuals)
+    if length and length - MEAN_BYTES not in {n, 2 * n, 3 * n, 4 * n}:
+        raise WireError(f"not a whole sample batch: {length} bytes of count_residuals for {n} samples")
+    if sum(map(bool, (message.counts, message.count_planes, message.count_residuals, message.values))) != 1:
         raise _wrong(message, "a batch holds either counts or values, exactly one of them")
 
 

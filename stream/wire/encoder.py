@@ -4,8 +4,8 @@ import functools
 
 from stream.batch import SampleBatch
 from stream.wire import samples_pb2
-from stream.wire.batches import SAMPLE_SCHEMA
-from stream.wire.count_planes import split_counts
+from stream.wire.batches import schema_of
+from stream.wire.count_residuals import split_counts
 
 
 class BatchEncoder:
@@ -35,12 +35,12 @@ class BatchEncoder:
         if batch.flags is not None:
             parts += _field(17, batch.flags.tobytes())
         if batch.counts is not None:
-            parts += _field(18, split_counts(batch.counts))
+            parts += _field(20, split_counts(batch.counts))
         return b"".join(parts)
 
     def _encode_common(self, batch: SampleBatch) -> None:
         head = samples_pb2.SampleBatch(
-            schema=SAMPLE_SCHEMA, unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch.bytes
+            schema=schema_of(batch), unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch.bytes
         )
         interval = samples_pb2.SampleBatch(dt_ns=batch.dt_ns, irregular=batch.irregular)
         measure = samples_pb2.SampleBatch(unit_of_measure=batch.unit_of_measure)
@@ -55,8 +55,8 @@ def _is_like(a: SampleBatch, b: SampleBatch) -> bool:
     # floats by identity: 0.0 and -0.0 are equal, and differ on the wire
     return (
         (a.epoch is b.epoch or a.epoch == b.epoch) and a.scale is b.scale and a.offset is b.offset
-        and a.dt_ns == b.dt_ns and a.irregular == b.irregular and a.run == b.run and a.unit == b.unit
-        and a.signal == b.signal and a.unit_of_measure == b.unit_of_measure
+        and (a.counts is None) == (b.counts is None) and a.dt_ns == b.dt_ns and a.irregular == b.irregular
+        and a.run == b.run and a.unit == b.unit and a.signal == b.signal and a.unit_of_measure == b.unit_of_measure
     )  # fmt: skip
 
 

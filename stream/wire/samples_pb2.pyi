@@ -5,7 +5,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class SampleBatch(_message.Message):
-    __slots__ = ("schema", "unit", "signal", "run", "epoch", "seq", "samples", "t0_ns", "dt_ns", "irregular", "times_ns", "unit_of_measure", "counts", "scale", "offset", "values", "flags", "count_planes")
+    __slots__ = ("schema", "unit", "signal", "run", "epoch", "seq", "samples", "t0_ns", "dt_ns", "irregular", "times_ns", "unit_of_measure", "counts", "scale", "offset", "values", "flags", "count_planes", "count_residuals")
     SCHEMA_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     SIGNAL_FIELD_NUMBER: _ClassVar[int]
@@ -24,6 +24,7 @@ class SampleBatch(_message.Message):
     VALUES_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
     COUNT_PLANES_FIELD_NUMBER: _ClassVar[int]
+    COUNT_RESIDUALS_FIELD_NUMBER: _ClassVar[int]
     schema: int
     unit: str
     signal: str
@@ -42,7 +43,8 @@ class SampleBatch(_message.Message):
     values: bytes
     flags: bytes
     count_planes: bytes
-    def __init__(self, schema: _Optional[int] = ..., unit: _Optional[str] = ..., signal: _Optional[str] = ..., run: _Optional[str] = ..., epoch: _Optional[bytes] = ..., seq: _Optional[int] = ..., samples: _Optional[int] = ..., t0_ns: _Optional[int] = ..., dt_ns: _Optional[int] = ..., irregular: _Optional[bool] = ..., times_ns: _Optional[bytes] = ..., unit_of_measure: _Optional[str] = ..., counts: _Optional[bytes] = ..., scale: _Optional[float] = ..., offset: _Optional[float] = ..., values: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., count_planes: _Optional[bytes] = ...) -> None: ...
+    count_residuals: bytes
+    def __init__(self, schema: _Optional[int] = ..., unit: _Optional[str] = ..., signal: _Optional[str] = ..., run: _Optional[str] = ..., epoch: _Optional[bytes] = ..., seq: _Optional[int] = ..., samples: _Optional[int] = ..., t0_ns: _Optional[int] = ..., dt_ns: _Optional[int] = ..., irregular: _Optional[bool] = ..., times_ns: _Optional[bytes] = ..., unit_of_measure: _Optional[str] = ..., counts: _Optional[bytes] = ..., scale: _Optional[float] = ..., offset: _Optional[float] = ..., values: _Optional[bytes] = ..., flags: _Optional[bytes] = ..., count_planes: _Optional[bytes] = ..., count_residuals: _Optional[bytes] = ...) -> None: ...
 
 class Preview(_message.Message):
     __slots__ = ("value", "unit_of_measure")

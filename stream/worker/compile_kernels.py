@@ -36,7 +36,9 @@ def warm_up() -> None:
     from stream.batch import SampleBatch
     from stream.estimators.base import all_estimators
     from stream.estimators.block_means import BlockMeans
-    from stream.estimators.noise.noise_kernel import descend, weighted_least_squares
+    from stream.estimators.noise.noise_kernel import descend, least_deviances, weighted_least_squares
+    from stream.wire.batches import encode_batch
+    from stream.wire.continued_batches import JoinedMessages, StreamStates
 
     values = np.array([1.0, np.nan, 2.0, 4.0])
     times_ns = np.array([0, 1, 5, 6], np.int64) * 10**9
@@ -44,6 +46,10 @@ def warm_up() -> None:
     irregular = SampleBatch(
         "unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values, times_ns=times_ns, irregular=True
     )
+    counts = SampleBatch("unit", "signal", "run", UUID(int=0), 1, 1, 1, "1", counts=np.array([1, 2], np.int32))
+    states, message = StreamStates(), encode_batch(counts)
+    states.expect(states.add(), message, 1, 1, 1, 10, 10)
+    states.read(JoinedMessages([message], [0]), 0)
     for batch in (regular, irregular):
         for factory in all_estimators().values():
             estimator = factory()
@@ -52,4 +58,5 @@ def warm_up() -> None:
             estimator.estimate()
         BlockMeans(1.0).push(batch)
     descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
+    least_deviances(np.ones((2, 1)), np.ones(2), np.ones((2, 1)))
     weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))

@@ -1,7 +1,7 @@
 """Estimation of all signals: numbered messages in, documents out; independent of threads and transport."""
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from stream.errors import BadInput, WireError
@@ -10,8 +10,10 @@ from stream.events import AnyDocument, CompensationStarted, EventMessage, Limits
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import WireBatch, read_wire_batch
+from stream.wire.continued_batches import JoinedMessages
 from stream.wire.event_validation import decode_received
 from stream.worker.checkpoint import Checkpoint
+from stream.worker.continued_streams import ContinuedStreams
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.limit_checks import VERDICT, unit_verdicts
 from stream.worker.pending_ends import PendingEnds, streams_of
@@ -61,17 +63,35 @@ class Estimation:
         self._compensated: dict[str, list[CompensationStarted]] = {}
         self._released: dict[str, dict[str, UnitReleased]] = {}  # by run and unit
         self._pending = PendingEnds()
+        self._continued = ContinuedStreams()
         self.positions: dict[StreamId, int] = {}
         self.catching_up = self.left_out = False
         self.ended: frozenset[str] = frozenset()
         self.counts = EstimationCounts()
+
+    def take_all(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Process messages in their order, as `take` does; those that continue their streams many at a time."""
+        continued = self._continued
+        joined = JoinedMessages([payload for _, payload in messages], continued.numbers(key for key, _ in messages))
+        at = 0
+        while at < len(messages):
+            taken = continued.take(joined, at, self.positions)
+            self.counts.samples += taken.samples
+            at += taken.messages
+            if taken.completing is not None:
+                analysis, batch = taken.completing
+                self._publish_all(analysis, analysis.take(batch))
+                continued.resume(analysis)
+            elif at < len(messages):
+                self.take(*messages[at])
+                at += 1
 
     def take(self, key: str, payload: bytes) -> None:
         """Process a message if it is the next of its stream; invalid ones are counted, and left to the recorder."""
         try:
             parsed = _parse(key)
             if isinstance(parsed, SampleKey):
-                self._take_samples(key, parsed, read_wire_batch(payload))
+                self._take_samples(key, parsed, read_wire_batch(payload), payload)
             else:
                 self._take_document(key, parsed, decode_received(payload))
         except (BadInput, WireError):
@@ -92,6 +112,7 @@ class Estimation:
     def resume(self, checkpoint: Checkpoint) -> None:
         """Resume from a checkpoint; an EstimatorError, and no change, if a snapshot in it is damaged."""
         analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
+        self._continued = ContinuedStreams()
         self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
         self._limits = {(limits.run, limits.unit): limits for limits in checkpoint.limits}
         self._compensated = {}
@@ -117,7 +138,7 @@ class Estimation:
                 if message.document.run not in self.ended:
                     self._process(place, message.document)
 
-    def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
+    def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch, payload: bytes) -> None:
         if batch.unit != parsed.unit or batch.signal != parsed.signal:
             raise WireError("it holds samples of another unit or signal")
         stream = StreamId(key, batch.meaning[0].hex())
@@ -143,6 +164,7 @@ class Estimation:
             self._not_estimated.add(name)
             return
         documents = analysis.take(batch)
+        self._continued.expect(stream, analysis, payload)
         if documents:
             self._publish_all(analysis, documents)
 
@@ -210,6 +232,7 @@ class Estimation:
             self._compensated.pop(document.run, None)
             finished = [self._signals.pop(name) for name in [each for each in self._signals if each[0] == document.run]]
             for analysis in finished:
+                self._continued.forget(analysis)
                 self._publish_all(analysis, analysis.finish())
             applied = [self._limits.pop(each) for each in [each for each in self._limits if each[0] == document.run]]
             final = [estimate for analysis in finished for estimate in analysis.judged]

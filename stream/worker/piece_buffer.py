@@ -17,6 +17,7 @@ from stream.wire.batches import WireBatch, epoch_of
 PIECE_SAMPLES = 8192
 
 _COUNTS, _VALUES = "<i4", "<f8"
+_COUNT_BYTES = 4
 
 
 class BufferedPiece(NamedTuple):
@@ -76,6 +77,39 @@ class PieceBuffer(msgspec.Struct, dict=True):
             self.next_ns = last_ns + meaning[1]
             return []
         return self._cut(batch)
+
+    @property
+    def border(self) -> int:
+        """Number before which the piece ends."""
+        return self._border
+
+    @property
+    def interval_ns(self) -> int:
+        """Nominal interval of the samples, 0 before the first."""
+        return 0 if self.meaning is None else self.meaning[1]
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether exact continuations can be appended as they are: it holds counts on a grid."""
+        is_regular = self.meaning is not None and not self.meaning[3]
+        return is_regular and self.times is None and self._item_bytes == _COUNT_BYTES
+
+    def append(self, counts: memoryview, next_seq: int, next_ns: int) -> None:
+        """Append counts that continue a plain piece exactly and end before its border and the time that is due."""
+        if not self.data:
+            self.t0_ns = self.next_ns
+        self.data += counts
+        self.next_seq = next_seq
+        self.next_ns = next_ns
+
+    def continuation(self, counts: bytes) -> WireBatch:
+        """The batch of counts that continue a plain piece exactly."""
+        assert self.meaning is not None
+        n = len(counts) // _COUNT_BYTES
+        last_ns = self.next_ns + (n - 1) * self.meaning[1]
+        ends = self.next_seq, self.next_seq + n, self.next_ns, last_ns
+        unit, signal, run = self.name
+        return WireBatch(unit, signal, run, *ends, self.meaning, counts, b"", b"")
 
     def rest(self) -> list[BufferedPiece]:
         """The samples after the last border as a piece; none if there are none."""

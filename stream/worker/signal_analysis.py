@@ -55,13 +55,18 @@ class SignalAnalysis:
         self.unit, self.signal, self.run = name
         self._every_ns = every_ns
         self._estimators = list(estimators)
-        self._pieces = PieceBuffer(name, every_ns)
+        self.pieces = PieceBuffer(name, every_ns)
         self._decisions = EarlyDecisions(self.signal)
         self._refusal: str | None = None
         self._first_ns: int | None = None
         self._last_ns = 0
         self.judged: tuple[EstimatePublished, ...] = ()  # once finished: the estimates that limits are compared with
         self.decided: tuple[EarlyDecision, ...] = ()  # once finished: the last look at each limit
+
+    @property
+    def name(self) -> tuple[str, str, str]:
+        """Unit, signal and run."""
+        return self.pieces.name
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
@@ -70,7 +75,7 @@ class SignalAnalysis:
     def take(self, batch: WireBatch) -> Documents:
         """Take in the next batch; returns the documents that are due, with the names under which they are published."""
         found: Documents = []
-        for piece in self._pieces.take(batch):
+        for piece in self.pieces.take(batch):
             self._take_piece(piece)
             if piece.is_due:
                 found += self._documents(final=False)
@@ -78,7 +83,7 @@ class SignalAnalysis:
 
     def finish(self) -> Documents:
         """Take in the remaining samples of a run that has ended; returns its last documents, marked final."""
-        for piece in self._pieces.rest():
+        for piece in self.pieces.rest():
             self._take_piece(piece)
         return self._documents(final=True)
 
@@ -167,7 +172,7 @@ class SignalAnalysis:
     def export_state(self) -> SignalState:
         """The state, for a checkpoint."""
         return SignalState(
-            place=(self.place.site, self.place.station), buffer=self._pieces, first_ns=self._first_ns,
+            place=(self.place.site, self.place.station), buffer=self.pieces, first_ns=self._first_ns,
             last_ns=self._last_ns, refusal=self._refusal,
             snapshots=tuple(take_snapshot(estimator) for estimator in self._estimators),
             decisions=self._decisions.export_state(),
@@ -178,7 +183,7 @@ class SignalAnalysis:
         """Resume from a checkpoint; an EstimatorError if a snapshot in it is damaged or of another version."""
         estimators = [restore(snapshot) for snapshot in state.snapshots]
         analysis = cls(Place(*state.place), state.buffer.name, state.buffer.every_ns, estimators)
-        analysis._pieces = state.buffer
+        analysis.pieces = state.buffer
         analysis._decisions = EarlyDecisions.from_state(analysis.signal, state.decisions)
         analysis._refusal = state.refusal
         analysis._first_ns, analysis._last_ns = state.first_ns, state.last_ns

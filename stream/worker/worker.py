@@ -4,6 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 
 from stream.closing import Closing
@@ -28,6 +29,7 @@ _MOST_BYTES = 48 << 20
 # again later
 _PATIENCE_S = 2.0
 _RETRY_S = 0.2
+_MESSAGES_AT_ONCE = 512
 _READ_AGAIN_S = 2.0
 _LONGEST_READ_AGAIN_S = 60.0
 # how long samples wait so that the documents before a checkpoint reach the log, and when it is tried again
@@ -191,11 +193,13 @@ class EstimationWorker(Closing):
         if taken and not self._estimation.left_out:
             self._read_wait_s = _READ_AGAIN_S
             self._read_at = time.monotonic() + _READ_AGAIN_S
-        take = self._estimation.take
-        for key, payload, self._taken_at in taken:
+        messages = list(taken)
+        for begin in range(0, len(messages), _MESSAGES_AT_ONCE):
             if self._killed:
                 return False
-            take(key, payload)
+            part = messages[begin : begin + _MESSAGES_AT_ONCE]
+            self._taken_at = part[0][2]
+            self._estimation.take_all([(key, payload) for key, payload, _ in part])
             if time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
         with self._state:
@@ -259,10 +263,11 @@ class EstimationWorker(Closing):
         estimation = self._estimation
         before = self.counts.samples
         estimation.catching_up = True
-        for message in self._log.since(dict(estimation.positions)):
+        messages = self._log.since(dict(estimation.positions))
+        while part := [(each.stream.key, each.payload) for each in islice(messages, _MESSAGES_AT_ONCE)]:
             if self._killed:
                 break
-            estimation.take(message.stream.key, message.payload)
+            estimation.take_all(part)
             if saving and time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
         estimation.catching_up = False

@@ -136,7 +136,7 @@ class Forge:
         """One field of a batch has a value that it cannot have."""
         message = samples_pb2.SampleBatch.FromString(self.batches[0])
         wrong: dict[str, list[Any]] = {
-            "schema": [0, 3, 2**32 - 1],
+            "schema": [0, 4, 2**32 - 1],
             "samples": [0, 1, 99, 101, 2**32 - 1],
             "epoch": [b"", bytes(15), bytes(17)],
             "seq": [-1, -(2**63), 2**63 - 1, 2**53],
@@ -145,7 +145,8 @@ class Forge:
             "scale": [float("nan"), float("inf"), float("-inf")],
             "offset": [float("nan"), float("inf"), float("-inf")],
             "counts": [bytes(4 * BATCH), bytes(3)],
-            "count_planes": [b"", bytes(1), bytes(BATCH - 1), bytes(5 * BATCH)],
+            "count_planes": [bytes(1), bytes(BATCH - 1), bytes(5 * BATCH)],
+            "count_residuals": [b"", bytes(1), bytes(BATCH + 3), bytes(5 * BATCH + 4)],
             "values": [bytes(3), bytes(8 * BATCH - 8)],
             "times_ns": [
                 bytes(7),

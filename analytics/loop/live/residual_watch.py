@@ -26,11 +26,12 @@ from storage.store import Store
 from stream.batch import FloatArray
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument, ModelActivated, ResidualWatched
+from stream.security.actor import Actor
 
 THRESHOLD = math.log(200.0)  # loss of log-likelihood beyond which a model is refused: odds of 200 to 1 against it
 STRETCH_S = 6 * 3600.0  # length of the stretches into which long runs are divided, seconds
 
-_BY = "residual watch"
+_BY = Actor("residual watch", identity="")
 _FEWEST_BLOCKS = 8
 
 

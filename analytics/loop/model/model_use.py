@@ -9,12 +9,16 @@ import msgspec
 
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from ingest.importing.entered import enter
+from storage.log.store_documents import sealed
 from storage.log.tail import documents_beyond
 from storage.manifests.lake import read_manifest
+from storage.recording.proposing import carried_out, has_to_be_proposed, propose
+from storage.recording.two_persons import Proposal
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError, StoreError
-from stream.events import AnyDocument, ModelActivated, new_uid
+from stream.events import ActProposed, AnyDocument, ModelActivated, new_uid
+from stream.security.actor import Actor
 
 _ROLE = "gyrofleet model"
 _SQL = "select document from events where list_contains($kinds, kind) order by t_ns"
@@ -107,7 +111,7 @@ def read_uses(store: Store) -> Uses:
     return uses_of(logged_documents(store, (ModelActivated,)))
 
 
-def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, after_ns: int | None) -> ModelActivated:
+def activation(version: ModelVersion, stage: Stage, reason: str, by: Actor, *, after_ns: int | None) -> ModelActivated:
     """The document that puts a version to use, later than the one before it; BadInput if it must not go live."""
     if stage is Stage.LIVE and not version.is_confirmed:
         raise BadInput(
@@ -124,18 +128,39 @@ def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, aft
         signal=version.signal,
         stage=stage.value,
         reason=reason,
-        by=by,
+        by=by.name,
+        identity=by.identity,
     )
 
 
-def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, by: str) -> ModelActivated:
-    """Put a version to use; the log has it when this returns. BadInput if it must not, or is in that use already."""
+def activate(
+    store: Store, version: ModelVersion, stage: Stage, *, reason: str, by: Actor, approved: Proposal | None = None
+) -> ModelActivated | ActProposed:
+    """Put a version to use, or propose it where another person has to approve; the log has it when this returns.
+
+    `approved` is the proposal that is carried out. BadInput if it must not be used, or is in that use already.
+    """
     use = read_uses(store).get((version.unit, version.signal), InUse())
     if use.stage(version.hash) is stage:
         raise BadInput(f"unit {version.unit}: version {version.version} of its error model is {stage.value} already")
     document = activation(version, stage, reason, by, after_ns=_last_ns(use))
+    if approved is not None:
+        document = sealed(store, carried_out(approved, document, by, not_before_ns=document.t_ns))
+    elif has_to_be_proposed(store, ModelActivated):
+        title = f"unit {version.unit}, {version.signal}: version {version.version} of its error model {stage.value}"
+        return propose(store, document, title=title, by=by, reason=reason, unit=version.unit)
     enter_activations(store, [document])
     return document
+
+
+def carry_out(store: Store, proposal: Proposal, by: Actor) -> ModelActivated:
+    """Put the version that was proposed to use, as another person who approves it."""
+    act = proposal.act
+    assert isinstance(act, ModelActivated)
+    version = ModelRegistry(store).by_hash(act.unit, act.model)
+    done = activate(store, version, Stage(act.stage), reason=act.reason, by=by, approved=proposal)
+    assert isinstance(done, ModelActivated)
+    return done
 
 
 def enter_activations(store: Store, documents: Sequence[AnyDocument]) -> None:
@@ -144,14 +169,16 @@ def enter_activations(store: Store, documents: Sequence[AnyDocument]) -> None:
 
 
 def rollback_documents(
-    registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: str
+    registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: Actor
 ) -> list[ModelActivated]:
     """The documents that end the use of the live or shadow version; the previous live version replaces a live one."""
     taken = use.live if stage is Stage.LIVE else use.shadow
     if taken is None:
         raise BadInput(f"no version of the error model is {stage.value}: there is nothing to roll back")
     off_ns = max(time.time_ns(), (_last_ns(use) or 0) + 1)
-    off = msgspec.structs.replace(taken, uid=new_uid(), t_ns=off_ns, stage=Stage.OFF.value, reason=reason, by=by)
+    off = msgspec.structs.replace(
+        taken, uid=new_uid(), t_ns=off_ns, stage=Stage.OFF.value, reason=reason, by=by.name, identity=by.identity
+    )
     if stage is not Stage.LIVE or not use.before:
         return [off]
     earlier = use.before[-1]

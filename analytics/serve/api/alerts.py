@@ -92,6 +92,9 @@ def acknowledge_alert(call: Call, asked: AcknowledgementAsked) -> Acknowledgemen
     name = call.path["alert"]
     if name not in {each.id for each in raised_alerts(call.store)}:
         raise NotFound(f"there is no alert {name!r}; /api/alerts?which=all lists them")
-    document = AlertAcknowledged(run="", t_ns=time.time_ns(), alert=name, by=call.person.name, note=asked.note)
+    by = call.person.actor
+    document = AlertAcknowledged(
+        run="", t_ns=time.time_ns(), alert=name, by=by.name, identity=by.identity, note=asked.note
+    )
     record_documents(call.store, [document], role=_ROLE, place=PLACE, builds_lake=True)
     return Acknowledgement(document=msgspec.to_builtins(document))

@@ -13,7 +13,8 @@ from stream.errors import BadInput
 
 _ROWS = """
 select uid, arrival_ns, t_ns, kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station,
-  coalesce(document->>'$.by', document->>'$.author', document->>'$.operator', '') as "by", document
+  coalesce(document->>'$.by', document->>'$.author', document->>'$.operator', '') as "by",
+  coalesce(document->>'$.identity', '') as identity, document
 from internal.lake_documents
 """
 _PAGE = f"""
@@ -52,7 +53,10 @@ class EventsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class EventRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A document: when it arrived, its time on the source's clock, who entered it, its content."""
+    """A document: when it arrived, its time on the source's clock, who entered it, its content.
+
+    `identity` is whom a certificate or a sign-in has proved, ``unauthenticated`` where nobody, empty if it is no act.
+    """
 
     uid: str
     arrival_ns: int
@@ -66,6 +70,7 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
     site: str
     station: str
     by: str
+    identity: str
     document: dict[str, Any]
 
 

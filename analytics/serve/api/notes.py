@@ -39,9 +39,11 @@ def add_note(call: Call, asked: NoteAsked) -> Noted:
         run_row(call.fresh, asked.run)  # NotFound names similar ones
     if asked.unit and asked.unit not in call.service.live.floor.units:
         unit_row(call, asked.unit)
+    by = call.person.actor
     note = NoteAdded(
-        run=asked.run, t_ns=time.time_ns(), text=asked.text.strip(), author=call.person.name, unit=asked.unit or None
-    )
+        run=asked.run, t_ns=time.time_ns(), text=asked.text.strip(), author=by.name, identity=by.identity,
+        unit=asked.unit or None,
+    )  # fmt: skip
     try:
         is_visible = enter(call.store.folder, [note], role=_ROLE)
     except StoreError:  # a run writes the log alone: its process enters the note

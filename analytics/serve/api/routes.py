@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from analytics.serve.api import alerts, events, health, jobs, live, notes, store
+from analytics.serve.api import alerts, events, health, jobs, live, notes, proposals, store
 from analytics.serve.api.endpoint import route
 from analytics.serve.api.openapi import openapi_document
 from analytics.serve.api.operation import Operation
@@ -57,6 +57,9 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     diagnosis.diagnose_unit,
     diagnosis.promote_model,
     diagnosis.roll_back_model,
+    proposals.list_proposals,
+    proposals.approve_proposal,
+    proposals.reject_proposal,
     jobs.list_jobs,
     jobs.job,
     jobs.job_picture,

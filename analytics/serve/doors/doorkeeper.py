@@ -4,7 +4,7 @@ import hmac
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from starlette.datastructures import Headers
@@ -68,7 +68,7 @@ class Doorkeeper:
         if session is None:
             return None
         person = self._holder(session)
-        return None if person is None else Person(person.name, person.role, session.csrf)
+        return None if person is None else replace(person, csrf=session.csrf)
 
     def begin_by_token(self, token: str, address: str) -> str | None:
         """Open a session for the holder of a token; its cookie, None if the token is wrong."""
@@ -146,7 +146,7 @@ class Doorkeeper:
         if (wait_s := self.wrong_tokens.left_s(address)) > 0.0:
             raise TooMany("too many wrong tokens from this address", wait_s)
         if self._is_token(given):
-            return Person(_BY_TOKEN, self.token_role)
+            return Person(_BY_TOKEN, self.token_role, is_named=False)
         if self.users is not None and (found := self.users.with_token(given)) is not None:
             name, user = found
             return user.person(name)
@@ -174,6 +174,6 @@ class Doorkeeper:
         if session.role is not None:
             return Person(session.name, session.role)
         if not session.fingerprint:
-            return Person(_BY_TOKEN, self.token_role)
+            return Person(_BY_TOKEN, self.token_role, is_named=False)
         user = None if self.users is None else self.users.users().get(session.name)
         return user.person(session.name) if user is not None and user.fingerprint == session.fingerprint else None

@@ -5,6 +5,7 @@ from enum import IntEnum
 from typing import Self
 
 from stream.errors import BadInput
+from stream.security.actor import Actor, signed_in
 
 
 class Role(IntEnum):
@@ -38,8 +39,17 @@ ROLES = tuple(role.word for role in Role)
 
 @dataclass(frozen=True)
 class Person:
-    """Who asks; `csrf` is the secret that changes from a browser must carry, None for programs with a token."""
+    """Who asks; `csrf` is the secret that changes from a browser must carry, None for programs with a token.
+
+    The holder of the server's own token is nobody by name (`is_named`).
+    """
 
     name: str
     role: Role
     csrf: str | None = None
+    is_named: bool = True
+
+    @property
+    def actor(self) -> Actor:
+        """Who acts, for the log."""
+        return signed_in(self.name) if self.is_named else Actor(self.name)

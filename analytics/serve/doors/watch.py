@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import TextIO
 
 from analytics.serve.doors.rate_limit import RateLimit
+from stream.console import structured_log
 
 _MOST_CHARACTERS = 500
 
@@ -36,14 +37,21 @@ class Watch:
                 return
             more = f" ({count} before it left out)" if (count := self._left_out.pop(kind, 0)) else ""
             now = self._clock() if callable(self._clock) else datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-            line = f"{now} {kind} from {_plain(address)}: {_plain(detail)}{more}"
-            print(line, file=self._file or sys.stderr, flush=True)
+            text = f"{kind} from {_plain(address)}: {_plain(detail)}{more}"
+            if structured_log and self._file is None:
+                structured_log[-1]("warning" if "refused" in kind else "info", kind.replace(" ", "_"), text)
+            else:
+                print(f"{now} {text}", file=self._file or sys.stderr, flush=True)
 
     def failed(self, text: str) -> None:
         """Report a fault of the program itself, with all its lines."""
         with self._lock:
             self.counts["failed"] += 1
-            if self._limit.wait_s("failed") <= 0.0:
+            if self._limit.wait_s("failed") > 0.0:
+                return
+            if structured_log and self._file is None:
+                structured_log[-1]("error", "failed", text)
+            else:
                 print(text, file=self._file or sys.stderr, flush=True)
 
 

@@ -7,6 +7,7 @@ import msgspec
 from analytics.plots.picture import Picture
 from analytics.serve.api import jobs as jobs_api
 from analytics.serve.api.operation import Call, Nothing, link
+from analytics.serve.api.proposals import ProposalsAsked, list_proposals
 from analytics.serve.api.rows import Name
 from analytics.serve.api.unit import diagnosis as api
 from analytics.serve.pages.frame.page import shown
@@ -41,6 +42,7 @@ def diagnosis(call: Call, asked: DiagnosisPageAsked) -> dict[str, Any]:
         "found": found,
         "shown": shown_job,
         "reports": {} if shown_job is None else _reports(shown_job),
+        "proposals": [each for each in list_proposals(call, ProposalsAsked()).proposals if each.unit == found.unit],
         "data": link("api", "diagnosis", found.unit),
     }
 

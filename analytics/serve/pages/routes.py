@@ -5,7 +5,7 @@ import functools
 from starlette.routing import Route
 
 from analytics.serve.doors.login_file import DONE_PATH
-from analytics.serve.pages import at_work, diagnosis, events, floor, runs, signal, sql, store, trends, units
+from analytics.serve.pages import at_work, diagnosis, events, floor, proposals, runs, signal, sql, store, trends, units
 from analytics.serve.pages.frame import actions
 from analytics.serve.pages.sign_in import login, single_sign_on
 from analytics.serve.service import Service
@@ -22,6 +22,7 @@ PAGES = (
     diagnosis.list_diagnoses,
     diagnosis.diagnosis,
     diagnosis.job,
+    proposals.proposals,
     events.events,
     store.store,
     at_work.at_work,

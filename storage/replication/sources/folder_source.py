@@ -6,23 +6,17 @@ from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 
+from storage.carried_names import is_carried
 from storage.manifests.log import FIRST, manifest_path
 from storage.plant import Plant, plant_of
 from storage.replication.plant_list import checked_line
-from storage.replication.sources.source import (
-    MAX_FILE_BYTES,
-    CarriedFile,
-    SegmentMissing,
-    SourceGone,
-    is_carried,
-    is_segment,
-)
+from storage.replication.sources.source import MAX_FILE_BYTES, CarriedFile, SegmentMissing, SourceGone, is_segment
 from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.closing import Closing
 from stream.errors import StoreError
 
-_FOLDERS = ("certificates", "models")
+_FOLDERS = ("certificates", "models", "attestations")  # those that attest come after what they attest
 
 
 class FolderSource(Closing):
@@ -50,9 +44,9 @@ class FolderSource(Closing):
         yield from self._lines(after)
 
     def files(self) -> Iterator[CarriedFile]:
-        """Issued certificates and error models."""
+        """Issued certificates, error models and attestations."""
         root = self.store.folder
-        for path in sorted(path for folder in _FOLDERS for path in (root / folder).rglob("*")):
+        for path in (path for folder in _FOLDERS for path in sorted((root / folder).rglob("*"))):
             name = path.relative_to(root).as_posix()
             if is_carried(name) and path.is_file() and not path.is_symlink():
                 status = path.stat()

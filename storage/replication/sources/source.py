@@ -18,8 +18,6 @@ MAX_FILE_BYTES = 256 << 20
 MAX_FILES = 1_000_000
 CHUNK_BYTES = 1 << 20
 _SEGMENT = re.compile(r"\d{8}\.mcap")
-_PART = r"[^\s/\\\x00-\x1f\x7f.][^\s/\\\x00-\x1f\x7f]{0,199}"
-_FILE = re.compile(rf"(?:certificates/{_PART}\.(?:pdf|xml)|models/{_PART}/\d{{4,}}-[0-9a-f]{{8,64}}\.json)")
 
 
 class SourceGone(GyrofleetError):
@@ -31,7 +29,7 @@ class SegmentMissing(GyrofleetError):
 
 
 class CarriedFile(msgspec.Struct, frozen=True):
-    """A file of a store that is no segment and is never changed once written: an issued certificate, an error model."""
+    """A file of a store that is no segment and is never changed once written: as an error model."""
 
     name: str
     size: int
@@ -65,12 +63,3 @@ class SegmentSource(Protocol):
 def is_segment(name: str) -> bool:
     """Whether a name is that of a sealed segment."""
     return _SEGMENT.fullmatch(name) is not None
-
-
-def is_carried(name: str) -> bool:
-    """Whether a name is that of a file that travels.
-
-    >>> is_carried("models/FOG-1/0001-0123456789abcdef.json"), is_carried("models/../store.json")
-    (True, False)
-    """
-    return _FILE.fullmatch(name) is not None

@@ -5,6 +5,7 @@ as tables in the schema `fleet`. So nothing that is computed for one plant sees 
 and runs in two plants stay apart. (A view of an attached file would look for tables without a schema here first.)
 """
 
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -57,7 +58,7 @@ class FleetCatalog(Catalog):
     ) -> None:  # fmt: skip
         self.store, self.progress, self.kept, self.frozen = Store(folder, ""), None, folder, True
         self.parts, self._unfilled, self._live, self._has_views = (), [], None, True
-        self._is_in_memory, self._deferred = True, DeferredDefinitions(self._run_definition)
+        self._deferred, self._defining = DeferredDefinitions(self._run_definition), threading.RLock()
         self._notes = tuple(note for each in plants for note in each.notes)
         self._connection = duckdb.connect(":memory:")
         try:

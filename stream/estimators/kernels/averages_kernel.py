@@ -93,6 +93,33 @@ def _close(
     numbers[SUM] = 0.0
 
 
+@kernel_part("reassoc")
+def _sum_of_all(values: FloatArray, reference: float) -> tuple[float, float]:
+    """Sum of values - reference, and a number that is 0 if all are finite, else NaN."""
+    total = zero = 0.0
+    for i in range(values.shape[0]):
+        difference = values[i] - reference
+        total += difference
+        zero += difference * 0.0
+    return total, zero
+
+
+@kernel_part()
+def _sum(values: FloatArray, reference: float) -> tuple[float, int]:
+    """Sum of values - reference over those that are finite, and how many those are."""
+    total, zero = _sum_of_all(values, reference)
+    if zero == 0.0:
+        return total, values.shape[0]
+    total = 0.0
+    count = 0
+    for i in range(values.shape[0]):
+        difference = values[i] - reference
+        if difference - difference == 0.0:
+            total += difference
+            count += 1
+    return total, count
+
+
 @kernel
 def first_slot_of(block: int, average_ns: int, dt_ns: int) -> int:
     """First slot of a block."""
@@ -116,14 +143,8 @@ def average_grid(
             places[BLOCK] = block
         end = first_slot_of(block + 1, average_ns, dt_ns)
         until = min(end, stop)
-        total = numbers[SUM]
-        count = 0
-        for i in range(slot - first_slot, until - first_slot):
-            difference = values[i] - reference
-            if difference - difference == 0.0:
-                total += difference
-                count += 1
-        numbers[SUM] = total
+        total, count = _sum(values[slot - first_slot : until - first_slot], reference)
+        numbers[SUM] += total
         places[COUNT] += count
         if until == end:
             _close(places, numbers, ring, ring_blocks, end - first_slot_of(block, average_ns, dt_ns), share)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stream.batch import FloatArray
-from stream.compiled import kernel
+from stream.compiled import fast_kernel, kernel
 
 MOST_ROUNDS = 50
 TOLERANCE = 1e-8
@@ -19,54 +19,82 @@ _EPSILON = float(np.finfo(np.float64).eps)
 Mask = npt.NDArray[np.bool_]
 
 
+@fast_kernel("reassoc", "contract")
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
 @kernel
-def _solve(matrix: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray) -> None:
-    """Least squares over the chosen columns by modified Gram-Schmidt; a column that depends on others gets 0."""
-    rows, columns = matrix.shape
-    order = np.flatnonzero(chosen)
-    size = len(order)
-    basis = np.empty((size, rows))
+def _orthogonalise(basis: FloatArray, k: int, is_used: Mask, upper: FloatArray) -> bool:
+    """Subtract from column k its shares of the used ones before it, and normalise it; False where nothing is left."""
+    column = basis[k]
+    before = math.sqrt(_dot(column, column))
+    for _ in range(2):  # once more, so that nearly dependent columns stay orthogonal
+        for j in range(k):
+            if is_used[j]:
+                share = _dot(basis[j], column)
+                upper[j, k] += share
+                for i in range(column.shape[0]):
+                    column[i] -= share * basis[j, i]
+    norm = math.sqrt(_dot(column, column))
+    if norm <= _DEPENDENT * before:
+        return False
+    upper[k, k] = norm
+    for i in range(column.shape[0]):
+        column[i] /= norm
+    return True
+
+
+@kernel
+def _solve(rows: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray, basis: FloatArray) -> None:
+    """Least squares over the chosen columns by modified Gram-Schmidt; a column that depends on others gets 0.
+
+    `rows`, shape (p, n), are the columns of the matrix; `basis`, shape (p + 1, n), is room for the orthogonal ones.
+    """
+    size, n = rows.shape
     upper = np.zeros((size, size))
     projected = np.zeros(size)
-    left = target.copy()
     is_used = np.zeros(size, np.bool_)
-    for i in range(size):
-        column = matrix[:, order[i]].copy()
-        before = math.sqrt(np.dot(column, column))
-        for _ in range(2):  # once more, so that nearly dependent columns stay orthogonal
-            for j in range(i):
-                if is_used[j]:
-                    share = np.dot(basis[j], column)
-                    upper[j, i] += share
-                    column -= share * basis[j]
-        norm = math.sqrt(np.dot(column, column))
-        if norm <= _DEPENDENT * before:
-            continue
-        is_used[i] = True
-        upper[i, i] = norm
-        basis[i] = column / norm
-        projected[i] = np.dot(basis[i], left)
-        left -= projected[i] * basis[i]
-    for k in range(columns):
+    left = basis[size]
+    left[:] = target
+    for k in range(size):
         found[k] = 0.0
-    for i in range(size - 1, -1, -1):
-        if is_used[i]:
-            value = projected[i]
-            for j in range(i + 1, size):
-                value -= upper[i, j] * found[order[j]]
-            found[order[i]] = value / upper[i, i]
+        if not chosen[k]:
+            continue
+        column = basis[k]
+        column[:] = rows[k]
+        is_used[k] = _orthogonalise(basis, k, is_used, upper)
+        if not is_used[k]:
+            continue
+        projected[k] = _dot(column, left)
+        for i in range(n):
+            left[i] -= projected[k] * column[i]
+    for k in range(size - 1, -1, -1):
+        if is_used[k]:
+            value = projected[k]
+            for j in range(k + 1, size):
+                value -= upper[k, j] * found[j]
+            found[k] = value / upper[k, k]
 
 
 @kernel
-def _steepest(matrix: FloatArray, left: FloatArray, barred: Mask) -> int:
+def _steepest(rows: FloatArray, left: FloatArray, barred: Mask) -> int:
     """Column along which the residual falls most; -1 where rounding is all that is left."""
-    largest = 0.0
-    for k in range(matrix.shape[1]):
-        largest = max(largest, np.abs(matrix[:, k]).sum())
-    best, gain = -1, _EPSILON * largest * np.abs(left).max()
-    for k in range(matrix.shape[1]):
+    largest = most = 0.0
+    for k in range(rows.shape[0]):
+        total = 0.0
+        for i in range(rows.shape[1]):
+            total += abs(rows[k, i])
+        largest = max(largest, total)
+    for i in range(left.shape[0]):
+        most = max(most, abs(left[i]))
+    best, gain = -1, _EPSILON * largest * most
+    for k in range(rows.shape[0]):
         if not barred[k]:
-            slope = np.dot(matrix[:, k].copy(), left)
+            slope = _dot(rows[k], left)
             if slope > gain:
                 best, gain = k, slope
     return best
@@ -92,6 +120,40 @@ def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
 
 
 @kernel
+def _improve(rows: FloatArray, target: FloatArray, found: FloatArray) -> None:
+    """Solve non-negative least squares from coefficients >= 0, which the solution replaces."""
+    size, n = rows.shape
+    trial, left, basis = np.zeros(size), np.empty(n), np.empty((size + 1, n))
+    passive, rejected = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
+    for k in range(size):
+        passive[k] = found[k] > 0.0
+    if passive.any():
+        _solve(rows, target, passive, trial, basis)
+        while _step_inside(found, trial, passive):
+            _solve(rows, target, passive, trial, basis)
+        found[:] = trial
+    for _ in range(_MOST_CHANGES * size):
+        left[:] = target
+        for k in range(size):
+            if found[k] != 0.0:
+                for i in range(n):
+                    left[i] -= found[k] * rows[k, i]
+        best = _steepest(rows, left, passive | rejected)
+        if best < 0:
+            break
+        passive[best] = True
+        _solve(rows, target, passive, trial, basis)
+        if trial[best] <= 0.0:  # its slope was rounding
+            passive[best] = False
+            rejected[best] = True
+            continue
+        rejected[:] = False
+        while _step_inside(found, trial, passive):
+            _solve(rows, target, passive, trial, basis)
+        found[:] = trial
+
+
+@kernel
 def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The x >= 0 of least ``|matrix x - target|`` (Lawson, Hanson, Solving Least Squares Problems, 1974, 23.3).
 
@@ -100,23 +162,8 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
     >>> nonnegative_least_squares(np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([2.0, -1.0])).tolist()
     [2.0, 0.0]
     """
-    columns = matrix.shape[1]
-    found, trial = np.zeros(columns), np.zeros(columns)
-    passive, rejected = np.zeros(columns, np.bool_), np.zeros(columns, np.bool_)
-    for _ in range(_MOST_CHANGES * columns):
-        best = _steepest(matrix, target - matrix @ found, passive | rejected)
-        if best < 0:
-            break
-        passive[best] = True
-        _solve(matrix, target, passive, trial)
-        if trial[best] <= 0.0:  # its slope was rounding
-            passive[best] = False
-            rejected[best] = True
-            continue
-        rejected[:] = False
-        while _step_inside(found, trial, passive):
-            _solve(matrix, target, passive, trial)
-        found[:] = trial
+    found = np.zeros(matrix.shape[1])
+    _improve(np.ascontiguousarray(matrix.T), target, found)
     return found
 
 
@@ -131,55 +178,107 @@ def deviance(degrees: FloatArray, model: FloatArray) -> float:
 
 
 @kernel
+def _weighted(
+    columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask, theta: FloatArray,
+    rows: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Coefficients of the free columns, searched from theta; `rows`, shape (p, n), is room for weighted columns."""
+    n, terms = columns.shape
+    weights, target = np.empty(n), np.empty(n)
+    for i in range(n):
+        weights[i] = math.sqrt(degrees[i]) / model[i]
+        target[i] = (1.0 - fixed[i]) * weights[i]
+    norms, found = np.ones(terms), np.zeros(terms)
+    size = 0
+    for k in range(terms):
+        if not free[k]:
+            continue
+        row = rows[size]
+        for i in range(n):
+            row[i] = columns[i, k] * weights[i]
+        norm = math.sqrt(_dot(row, row))
+        norms[size] = norm if norm > 0.0 else 1.0  # a term so far below the others that its squares vanish stays 0
+        for i in range(n):
+            row[i] /= norms[size]
+        found[size] = theta[k] * norms[size]
+        size += 1
+    _improve(rows[:size], target, found[:size])
+    reached = np.zeros(terms)
+    size = 0
+    for k in range(terms):
+        if free[k]:
+            reached[k] = found[size] / norms[size]
+            size += 1
+    return reached
+
+
+@kernel
 def weighted_least_squares(
     columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask
 ) -> FloatArray:
     """Non-negative coefficients of the free columns, weighted by the scatter expected by the model; others are 0."""
-    order = np.flatnonzero(free)
-    weights = np.sqrt(degrees) / model
-    weighted = np.empty((len(weights), len(order)))
-    norms = np.empty(len(order))
-    for j in range(len(order)):
-        weighted[:, j] = columns[:, order[j]] * weights
-        norm = math.sqrt((weighted[:, j] ** 2).sum())
-        norms[j] = norm if norm > 0.0 else 1.0  # a term so far below the others that its squares vanish stays 0
-        weighted[:, j] /= norms[j]
-    found = nonnegative_least_squares(weighted, (1.0 - fixed) * weights)
-    theta = np.zeros(len(free))
-    for j in range(len(order)):
-        theta[order[j]] = found[j] / norms[j]
-    return theta
+    return _weighted(columns, degrees, model, fixed, free, np.zeros(len(free)), np.empty(columns.T.shape))
+
+
+@kernel
+def _fill_model(columns: FloatArray, theta: FloatArray, step: FloatArray, model: FloatArray) -> float:
+    """Write the model of theta + step; its least value."""
+    least = math.inf
+    for i in range(columns.shape[0]):
+        total = 0.0
+        for k in range(columns.shape[1]):
+            total += columns[i, k] * (theta[k] + step[k])
+        model[i] = total
+        least = min(least, total)
+    return least
 
 
 @kernel
 def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: Mask) -> tuple[FloatArray, float]:
     """Iterate the weighted least squares from theta, the other coefficients fixed, until the deviance converges."""
+    n, terms = columns.shape
     theta = theta.copy()
-    fixed = np.zeros(len(degrees))
-    for k in range(len(theta)):
+    fixed, model, rows, step = np.zeros(n), np.empty(n), np.empty((terms, n)), np.zeros(terms)
+    for k in range(terms):
         if not free[k]:
-            fixed += columns[:, k] * theta[k]
-    model = np.maximum(columns @ theta, LEAST_MODEL)
+            for i in range(n):
+                fixed[i] += columns[i, k] * theta[k]
+    _fill_model(columns, theta, step, model)
+    for i in range(n):
+        model[i] = max(model[i], LEAST_MODEL)
     least = deviance(degrees, model)
     for _ in range(MOST_ROUNDS):
-        aim = weighted_least_squares(columns, degrees, model, fixed, free)
-        step = np.zeros(len(theta))
-        for k in range(len(theta)):
-            if free[k]:
-                step[k] = aim[k] - theta[k]
+        aim = _weighted(columns, degrees, model, fixed, free, theta, rows)
+        for k in range(terms):
+            step[k] = aim[k] - theta[k] if free[k] else 0.0
         reached, is_lower = math.inf, False
         for _ in range(_HALVINGS):
-            model = columns @ (theta + step)
-            reached = deviance(degrees, model) if model.min() > LEAST_MODEL else math.inf
+            lowest = _fill_model(columns, theta, step, model)
+            reached = deviance(degrees, model) if lowest > LEAST_MODEL else math.inf
             if reached <= least:
                 is_lower = True
                 break
             step /= 2.0
         if not is_lower:
             return theta, least
-        theta = theta + step
+        theta += step
         gain = least - reached
         least = reached
         if gain < TOLERANCE:
             break
     return theta, least
+
+
+@kernel
+def least_deviances(columns: FloatArray, degrees: FloatArray, more: FloatArray) -> FloatArray:
+    """Least deviance with one more column, for each column of `more`, shape (n, m); shape (m,)."""
+    n, terms = columns.shape
+    beside = np.empty((n, terms + 1))
+    beside[:, :terms] = columns
+    found = np.empty(more.shape[1])
+    every, ones, nothing = np.ones(terms + 1, np.bool_), np.ones(n), np.zeros(n)
+    for j in range(more.shape[1]):
+        beside[:, terms] = more[:, j] / more[:, j].max()
+        start = weighted_least_squares(beside, degrees, ones, nothing, every)
+        found[j] = descend(beside, degrees, start, every)[1]
+    return found

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stream.batch import FloatArray
-from stream.estimators.noise.noise_kernel import descend, deviance, weighted_least_squares
+from stream.estimators.noise.noise_kernel import descend, deviance, least_deviances, weighted_least_squares
 
 _ROOT_TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9
@@ -44,6 +44,7 @@ class CurveLikelihood:
         self.degrees: FloatArray = np.ascontiguousarray(degrees)
         self.excess: FloatArray = np.zeros(len(variances)) if excess is None else excess
         self._correlation = correlation
+        self._minimum: tuple[FloatArray, float] | None = None
 
     def _with(self, relative: FloatArray) -> "CurveLikelihood":
         return CurveLikelihood(relative, np.ones(len(relative)), self.degrees, self._correlation, self.excess)
@@ -51,6 +52,11 @@ class CurveLikelihood:
     def beside(self, relative: FloatArray) -> "CurveLikelihood":
         """The same with one more term, given relative to the curve."""
         return self._with(np.column_stack([self.columns * self.sizes, relative]))
+
+    def deviances_beside(self, relative: FloatArray) -> FloatArray:
+        """Least deviance with one more term, for each column of terms given relative to the curve."""
+        found: FloatArray = least_deviances(self.columns, self.degrees, relative)
+        return found
 
     def instead(self, relative: FloatArray) -> "CurveLikelihood":
         """The same with another last term, given relative to the curve."""
@@ -86,7 +92,12 @@ class CurveLikelihood:
         return self.minimum()[1] + self.constant()
 
     def minimum(self) -> tuple[FloatArray, float]:
-        """Coefficients of least deviance, and that deviance."""
+        """Coefficients of least deviance, not to be changed, and that deviance."""
+        if self._minimum is None:
+            self._minimum = self._descended()
+        return self._minimum
+
+    def _descended(self) -> tuple[FloatArray, float]:
         terms = self.columns.shape[1]
         every, nothing = np.ones(terms, np.bool_), np.zeros(len(self.columns))
         start = weighted_least_squares(self.columns, self.degrees, np.ones(len(self.columns)), nothing, every)

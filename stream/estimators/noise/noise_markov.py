@@ -61,8 +61,7 @@ def best_markov(
         return None
     times_s = np.geomspace(shortest_s, longest_s, round(octaves * _TIMES_PER_OCTAVE) + 1)
     theta, least = likelihood.minimum()
-    columns = np.stack([markov_column(taus_s, float(time)) for time in times_s], 1)
-    relative = columns / variances[:, np.newaxis]
+    relative = _relative(taus_s, variances, times_s)
     left = likelihood.residual(theta, relative / relative.max(axis=0))
     information = np.sum(left**2, axis=0)
     tells = information > _LEAST_LEFT
@@ -71,10 +70,10 @@ def best_markov(
     times_s, left, information = times_s[tells], left[:, tells], information[tells]
     covariance = likelihood.covariance(left)
     inflation = np.maximum(1.0, np.diag(covariance) / information)
-    deviances = np.array([_deviance(likelihood, taus_s, variances, float(time)) for time in times_s])
+    deviances = likelihood.deviances_beside(relative[:, tells])
     best = int(np.argmax((least - deviances) / inflation))
     around = np.geomspace(times_s[max(0, best - 1)], times_s[min(len(times_s) - 1, best + 1)], 2 * _REFINED + 1)
-    refined = np.array([_deviance(likelihood, taus_s, variances, float(time)) for time in around])
+    refined = likelihood.deviances_beside(_relative(taus_s, variances, around))
     every, order = np.unique(np.concatenate([times_s, around]), return_index=True)
     rise = np.concatenate([deviances, refined])[order]
     rise = (rise - rise.min()) / inflation[best] - likelihood.spread(theta, quantile)
@@ -86,8 +85,9 @@ def best_markov(
     )  # fmt: skip
 
 
-def _deviance(likelihood: CurveLikelihood, taus_s: FloatArray, variances: FloatArray, correlation_s: float) -> float:
-    return likelihood.beside(markov_column(taus_s, correlation_s) / variances).minimum()[1]
+def _relative(taus_s: FloatArray, variances: FloatArray, times_s: FloatArray) -> FloatArray:
+    """Markov noise of each correlation time, relative to the curve, a column each."""
+    return markov_column(taus_s[:, np.newaxis], times_s) / variances[:, np.newaxis]
 
 
 def _crossings(times_s: FloatArray, rise: FloatArray) -> tuple[float, float, float]:

@@ -60,7 +60,7 @@ def term_columns(taus_s: FloatArray) -> FloatArray:
     return np.stack([3.0 / taus_s**2, 1.0 / taus_s, np.full_like(taus_s, FLICKER), taus_s / 3.0, taus_s**2 / 2.0], 1)
 
 
-def markov_column(taus_s: FloatArray, correlation_s: float) -> FloatArray:
+def markov_column(taus_s: FloatArray, correlation_s: float | FloatArray) -> FloatArray:
     """Allan variance of Markov noise of q = 1, IEEE 952-2020 annex C, exponentially correlated noise.
 
     With c the correlation time and u = tau/c,
@@ -77,7 +77,12 @@ def markov_column(taus_s: FloatArray, correlation_s: float) -> FloatArray:
     small = u < 0.02
     safe = np.where(small, 1.0, u)
     closed = (1.0 - (3.0 - 4.0 * np.exp(-safe) + np.exp(-2.0 * safe)) / (2.0 * safe)) / safe
-    shape: FloatArray = np.where(small, np.polynomial.polynomial.polyval(np.where(small, u, 0.0), _SMALL), closed)
+    if not small.any():
+        return correlation_s * closed
+    series = np.zeros_like(u)
+    for coefficient in reversed(_SMALL):
+        series = series * np.where(small, u, 0.0) + coefficient
+    shape: FloatArray = np.where(small, series, closed)
     return correlation_s * shape
 
 

@@ -15,6 +15,7 @@ from stream.batch import SampleBatch
 from stream.delivery.publisher import DurablePublisher
 from stream.events import AnyDocument, RunEnded
 from stream.identity import event_key, sample_key
+from stream.security.actor import Actor
 from stream.transport.bus import LocalBus
 from stream.wire.batches import decode_batch
 from tests.live_runs import (
@@ -37,7 +38,7 @@ from tests.live_runs import (
 def recording(store: Store) -> Iterator[tuple[LocalBus, DurablePublisher]]:
     """A recorder of a store in which a model is live, and a source that sends to it."""
     written = ModelRegistry(store).add(version(TEXT, COEFFICIENTS))
-    activate(store, written, Stage.LIVE, reason="", by="Li")
+    activate(store, written, Stage.LIVE, reason="", by=Actor("Li"))
     with (
         LocalBus() as bus,
         WriterLock(store, "a test"),

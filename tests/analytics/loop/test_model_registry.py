@@ -17,6 +17,7 @@ from analytics.loop.model.model_use import Stage, activate, enter_activations, r
 from storage.check.verify import verify
 from storage.store import Store
 from stream.errors import BadInput, NotFound, StoreError
+from stream.security.actor import Actor
 
 MODEL = ErrorModel.parse("rate = bias + temperature").fitted(
     [10.0, 0.5], [[0.01, 0.0], [0.0, 0.0001]], unit_of_measure="deg/h", units=("deg/h", "deg/h/degC")
@@ -57,7 +58,7 @@ def test_a_version_that_was_changed_is_not_read(store: Store) -> None:
 def test_verify_sees_a_model_that_was_changed_and_one_in_use_that_is_gone(store: Store) -> None:
     registry = ModelRegistry(store)
     one, two = registry.add(version()), registry.add(version(note="again"))
-    activate(store, one, Stage.LIVE, reason="first", by="Li")
+    activate(store, one, Stage.LIVE, reason="first", by=Actor("Li"))
     assert not [each for each in verify(store)[0].findings if each.kind.startswith("model")]
     old, used = (store.folder / "models" / "U1" / f"{each.version:04d}-{each.hash}.json" for each in (two, one))
     content = old.read_text()
@@ -107,24 +108,24 @@ def test_a_half_written_file_does_not_count(store: Store) -> None:
 def test_what_is_in_use_is_the_last_word_of_the_log(store: Store) -> None:
     registry = ModelRegistry(store)
     one = registry.add(version())
-    activate(store, one, Stage.LIVE, reason="first", by="Li")
+    activate(store, one, Stage.LIVE, reason="first", by=Actor("Li"))
     two = registry.add(version(parent=one.hash, note="two"))
-    activate(store, two, Stage.SHADOW, reason="try", by="Li")
+    activate(store, two, Stage.SHADOW, reason="try", by=Actor("Li"))
     use = read_uses(store)["U1", "rate"]
     assert (use.stage(one.hash), use.stage(two.hash)) == (Stage.LIVE, Stage.SHADOW)
 
-    activate(store, two, Stage.LIVE, reason="good", by="Li")
+    activate(store, two, Stage.LIVE, reason="good", by=Actor("Li"))
     use = read_uses(store)["U1", "rate"]
     assert (use.stage(one.hash), use.stage(two.hash), use.shadow) == (Stage.OFF, Stage.LIVE, None)
     with pytest.raises(BadInput, match="live already"):
-        activate(store, two, Stage.LIVE, reason="", by="Li")
+        activate(store, two, Stage.LIVE, reason="", by=Actor("Li"))
 
-    documents = rollback_documents(registry, use, Stage.LIVE, reason="worse", by="Li")
+    documents = rollback_documents(registry, use, Stage.LIVE, reason="worse", by=Actor("Li"))
     assert [(each.version, each.stage) for each in documents] == [(2, "off"), (1, "live")]
     enter_activations(store, documents)
     use = read_uses(store)["U1", "rate"]
     assert use.stage(one.hash) is Stage.LIVE
-    enter_activations(store, rollback_documents(registry, use, Stage.LIVE, reason="worse", by="Li"))
+    enter_activations(store, rollback_documents(registry, use, Stage.LIVE, reason="worse", by=Actor("Li")))
     assert read_uses(store)["U1", "rate"].activations == ()
 
 
@@ -135,26 +136,26 @@ def test_what_comes_back_is_what_was_live_before(store: Store) -> None:
 
     def rolled_back() -> list[tuple[int, str]]:
         use = read_uses(store)["U1", "rate"]
-        documents = rollback_documents(registry, use, Stage.LIVE, reason="worse", by="Li")
+        documents = rollback_documents(registry, use, Stage.LIVE, reason="worse", by=Actor("Li"))
         enter_activations(store, documents)
         return [(each.version, each.stage) for each in documents]
 
-    activate(store, one, Stage.LIVE, reason="", by="Li")
-    activate(store, two, Stage.LIVE, reason="", by="Li")
+    activate(store, one, Stage.LIVE, reason="", by=Actor("Li"))
+    activate(store, two, Stage.LIVE, reason="", by=Actor("Li"))
     three = registry.add(version(parent=two.hash, note="three"))
     assert rolled_back() == [(2, "off"), (1, "live")]
     assert rolled_back() == [(1, "off")]
-    activate(store, three, Stage.LIVE, reason="", by="Li")
+    activate(store, three, Stage.LIVE, reason="", by=Actor("Li"))
     assert rolled_back() == [(3, "off")]
 
 
 def test_a_version_goes_out_of_use_though_the_one_before_is_damaged(store: Store) -> None:
     registry = ModelRegistry(store)
     one, two = registry.add(version()), registry.add(version(note="two"))
-    activate(store, one, Stage.LIVE, reason="", by="Li")
-    activate(store, two, Stage.LIVE, reason="", by="Li")
+    activate(store, one, Stage.LIVE, reason="", by=Actor("Li"))
+    activate(store, two, Stage.LIVE, reason="", by=Actor("Li"))
     (store.folder / "models" / "U1" / f"0001-{one.hash}.json").write_text("{")
-    (document,) = rollback_documents(registry, read_uses(store)["U1", "rate"], Stage.LIVE, reason="bad", by="Li")
+    (document,) = rollback_documents(registry, read_uses(store)["U1", "rate"], Stage.LIVE, reason="bad", by=Actor("Li"))
     assert (document.version, document.stage) == (2, "off")
     assert "version 1, live before it, cannot be read" in document.reason
 
@@ -174,17 +175,20 @@ def test_a_damaged_version_does_not_hide_the_others(store: Store) -> None:
 def test_a_lost_version_can_be_taken_out_of_use(store: Store) -> None:
     registry = ModelRegistry(store)
     written = registry.add(version())
-    activate(store, written, Stage.LIVE, reason="", by="Li")
+    activate(store, written, Stage.LIVE, reason="", by=Actor("Li"))
     (store.folder / "models" / "U1" / f"0001-{written.hash}.json").unlink()
-    (document,) = rollback_documents(registry, read_uses(store)["U1", "rate"], Stage.LIVE, reason="lost", by="Li")
+    (document,) = rollback_documents(
+        registry, read_uses(store)["U1", "rate"], Stage.LIVE, reason="lost", by=Actor("Li")
+    )
     assert document.stage == "off"
 
 
 def test_what_the_held_out_set_did_not_confirm_does_not_go_live(store: Store) -> None:
     written = ModelRegistry(store).add(version(holdout={"accepted": False}))
     with pytest.raises(BadInput, match="not confirmed"):
-        activate(store, written, Stage.LIVE, reason="", by="Li")
-    assert activate(store, written, Stage.SHADOW, reason="", by="Li").stage == "shadow"
+        activate(store, written, Stage.LIVE, reason="", by=Actor("Li"))
+    activate(store, written, Stage.SHADOW, reason="", by=Actor("Li"))
+    assert read_uses(store)["U1", "rate"].stage(written.hash) is Stage.SHADOW
 
 
 def test_commands_list_show_promote_and_roll_back(store: Store) -> None:

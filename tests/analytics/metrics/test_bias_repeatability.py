@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analytics.methods.repeatability import Variance, between, beyond, means_noise, scatter
+from analytics.methods.repeatability import Layout, Variance, between, beyond, means_noise, scatter
 from tests.analytics.conftest import SECOND_NS, START_NS, Recorded
 from tests.analytics.metrics.metric_rows import DAY_NS, Rows, exact, one
 
@@ -136,13 +136,12 @@ def test_the_scatter_of_short_records_is_their_noise(recorded: Recorded) -> None
 def test_the_limits_of_what_is_left_of_a_scatter_hold(sigma: float) -> None:
     rng = np.random.default_rng(17)
     trials, n, u, freedom = 2000, 8, 1.0, 9
-    held = 0
-    for _ in range(trials):
-        values = rng.normal(0, math.hypot(sigma, u), n)
-        reported = u * np.sqrt(rng.chisquare(freedom, n) / freedom)
-        noise = means_noise(reported.tolist(), [freedom] * n, ["a"] * n)
-        found = beyond(Variance(values.var(ddof=1), n - 1), noise.square)
-        held += found.lo <= sigma <= found.hi
+    values = rng.normal(0, math.hypot(sigma, u), (trials, n))
+    reported = u * np.sqrt(rng.chisquare(freedom, (trials, n)) / freedom)
+    layout = Layout.of_names([n] * trials, ["a"] * (n * trials))
+    noise = means_noise(reported.ravel(), np.full(n * trials, float(freedom)), layout)
+    found = beyond(Variance(values.var(axis=1, ddof=1), np.full(trials, n - 1.0)), noise.square)
+    held = np.count_nonzero((found.lo <= sigma) & (sigma <= found.hi))
     assert held >= stats.binom.ppf(0.001 / 4, trials, 0.95)
 
 
@@ -151,10 +150,32 @@ def test_the_limits_of_the_component_between_days_hold(sigma: float) -> None:
     rng = np.random.default_rng(13)
     sizes = (3, 5, 2, 6, 4, 3)
     days = [day for day, size in enumerate(sizes) for _ in range(size)]
-    held = 0
-    for _ in range(2000):
-        values = rng.normal(0, sigma, len(sizes))[days] + rng.normal(0, 0.3, len(days))
-        found = between(scatter(values.tolist(), days))
-        held += found.lo <= sigma <= found.hi
+    values = rng.normal(0, sigma, (2000, len(sizes)))[:, days] + rng.normal(0, 0.3, (2000, len(days)))
+    found = between(scatter(values.ravel(), Layout.of_names([len(days)] * 2000, days * 2000)))
+    held = np.count_nonzero((found.lo <= sigma) & (sigma <= found.hi))
     # they hold at least at 95 %: the bound of 2000 trials at 99.9 %, one-sided, three checks together
     assert held >= stats.binom.ppf(0.001 / 3, 2000, 0.95)
+
+
+def test_many_tests_at_once_have_the_sums_of_each_alone() -> None:
+    rng = np.random.default_rng(18)
+    counts = rng.integers(1, 9, 200)
+    days = [f"d{each}" for each in rng.integers(3, size=counts.sum())]
+    values = 1e3 + rng.normal(0, 1, counts.sum())
+    values[: counts[0]] = 0.1
+    found = scatter(values, Layout.of_names(counts, days))
+    assert found.square[0] == 0.0 or counts[0] == 1  # equal values scatter by nothing at all
+    ends = np.cumsum(counts)
+    for at, (end, count) in enumerate(zip(ends, counts, strict=True)):
+        own, names = values[end - count : end], np.array(days[end - count : end])
+        groups = [own[names == day] for day in dict.fromkeys(names.tolist())]
+        free = count - len(groups)
+        within = math.fsum(float(each) for group in groups for each in (group - group.mean()) ** 2)
+        expected = {
+            "values": count, "groups": len(groups), "within_freedom": free,
+            "square": own.var(ddof=1) if count > 1 else math.nan, "within": within / free if free else math.nan,
+            "of_means": np.var([group.mean() for group in groups], ddof=1) if len(groups) > 1 else math.nan,
+            "size": stats.hmean([len(group) for group in groups]),
+        }  # fmt: skip
+        for name, value in expected.items():
+            assert getattr(found, name)[at] == pytest.approx(value, rel=1e-9, abs=1e-18, nan_ok=True), name

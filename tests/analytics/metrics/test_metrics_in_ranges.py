@@ -8,7 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.evaluation import kept_metrics
+from analytics.evaluation import kept_metrics, ranges
+from analytics.evaluation.evaluation import COLUMNS
+from analytics.evaluation.ranges import in_order
 from analytics.metric_registry.registry import metrics
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -52,7 +54,7 @@ def test_ranges_of_units_have_the_rows_of_one_pass(
         steps = catalog.table("from step_means order by all")
         static = catalog.table("from static_steps order by all")
     assert len(set(every["unit"].to_pylist())) == 3
-    monkeypatch.setattr(kept_metrics, "RANGE_RECORDS", 1)  # each unit is a range
+    monkeypatch.setattr(ranges, "RANGE_RECORDS", 1)  # each unit is a range
     with Catalog(store, kept=tmp_path) as catalog:
         assert catalog.table("from unit_metrics").equals(every)
         assert catalog.table("from step_means order by all").equals(steps)
@@ -81,3 +83,31 @@ def test_a_metric_alone_is_the_one_among_all(whole: tuple[Store, pa.Table], tmp_
     with Catalog(store, kept=tmp_path) as catalog, catalog.suspended_layers():
         kept_metrics.unit_metrics(catalog, wanted=[metric])
         assert catalog.table("from unit_metrics").equals(expected)
+
+
+def test_rows_are_sorted_by_all_keys_also_where_the_first_ones_are_equal(filled: Any) -> None:
+    rng = np.random.default_rng(21)
+    n = 3000
+
+    def some(texts: list[str | None]) -> list[str | None]:
+        return [texts[at] for at in rng.integers(len(texts), size=n)]
+
+    columns = {
+        "unit": some(["U1", "U10", "U2", "é"]), "metric": some(["bias", "power"]), "signal": some([None, "rate", "a"]),
+        "run": some([None, "r1", "R1"]), "parameters": some([None, "{}", '{"a":1}']),
+        "standard": some(["JJF2014", "A"]),
+        "clause": some(["1", "2", "10"]), "reason": some([None, "few"]),
+        "steps": [[int(each)] for each in rng.integers(3, size=n)], "runs": [[], ["r1"], ["r1", "r2"]] * (n // 3),
+        "value": rng.normal(size=n),
+    }  # fmt: skip
+    rows = pa.table({field.name: pa.array(columns.get(field.name, [None] * n), field.type) for field in COLUMNS})
+    with filled.catalog() as catalog, catalog.suspended_layers():
+        found = in_order(catalog, rows)
+        statement = "select * from given_rows order by {}, value"
+        keys = (
+            "unit, metric, signal nulls first, run nulls first, parameters nulls first, standard, clause, steps, runs"
+        )
+        expected = catalog.table(statement.format(f"{keys}, reason"), rows)
+    places = [name for name in COLUMNS.names if name != "value"]  # equal in all keys, rows may come in either order
+    assert found.select(places).equals(expected.select(places).cast(found.select(places).schema))
+    assert sorted(found["value"].to_pylist()) == sorted(rows["value"].to_pylist())

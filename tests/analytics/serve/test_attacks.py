@@ -24,6 +24,8 @@ CHANGES = [
     ("/api/jobs/x/cancel", {}),
     ("/api/alerts/x/acknowledge", {"reason": "planted"}),
     ("/api/runs/run-1/commands", {"action": "abort", "reason": "planted"}),
+    ("/api/proposals/x/approve", {}),
+    ("/api/proposals/x/reject", {"reason": "planted"}),
 ]
 FORMS = ["application/json", "text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", ""]
 

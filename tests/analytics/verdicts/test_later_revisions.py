@@ -16,6 +16,7 @@ from storage.specifications.chain import append_document, hash_of, read_chain
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
+from stream.security.actor import Actor
 from tests.analytics.conftest import START_NS, TestedUnits
 from tests.analytics.verdicts.specification_documents import Specify, entered, limit
 
@@ -60,7 +61,7 @@ def test_a_later_revision_changes_no_verdict_given_before(measured_store: Store,
     specify(measured_store, "B", limit(1.0, head))
     assert judged(measured_store) == PASSED
     specify(measured_store, "1", limit(1e-6, metric="bias_stability_averaged"), "more")
-    withdraw_specification(measured_store, "fog-A", by="Li", reason="x")
+    withdraw_specification(measured_store, "fog-A", by=Actor("Li"), reason="x")
     assert judged(measured_store) == PASSED
 
 
@@ -82,7 +83,7 @@ def test_what_holds_now_judges_what_was_recorded_before_where_that_is_asked_for(
     specify(measured_store, "A", limit(2.0))
     specify(measured_store, "B", limit(1.0, "valid_from = 2025-01-01"), rejudges=True)
     assert judged(measured_store) == FAILED
-    withdraw_specification(measured_store, "fog-B", by="Li", reason="wrong", rejudges=True)
+    withdraw_specification(measured_store, "fog-B", by=Actor("Li"), reason="wrong", rejudges=True)
     assert judged(measured_store) == PASSED
 
 
@@ -135,13 +136,13 @@ def test_a_lost_document_leaves_no_verdict_until_a_person_accepts_it(measured_st
     assert (found.kind, found.severity) == ("specification_chain_broken", Severity.DAMAGE)
     with pytest.raises(BadInput, match="gyrofleet limits settle"):
         specify(measured_store, "C", limit(1.0))
-    assert settle_chain(measured_store, by="Li", reason="the disk failed") == [
+    assert settle_chain(measured_store, by=Actor("Li"), reason="the disk failed")[0] == [
         "the document before it is not in the log"
     ]
     assert _units(measured_store)[0]["verdict"] == "PASS"
     assert verify(measured_store)[0].is_sound
     with pytest.raises(BadInput, match="nothing to settle"):
-        settle_chain(measured_store, by="Li", reason="again")
+        settle_chain(measured_store, by=Actor("Li"), reason="again")
 
 
 def _units(store: Store) -> list[dict[str, Any]]:

@@ -7,7 +7,8 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import define_views
-from analytics.specifications.entering import add_specification, checked_specification
+from analytics.specifications.checking import checked_specification
+from analytics.specifications.entering import add_specification
 from analytics.step_records.step_table import step_means
 from storage.check.verify import verify
 from storage.findings import Severity

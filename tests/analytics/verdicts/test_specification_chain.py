@@ -23,6 +23,7 @@ from storage.store import Store, WriterLock
 from stream.errors import BadInput, NotFound
 from stream.events import SpecificationAction, SpecificationEntered, encode_event
 from stream.identity import event_key
+from stream.security.actor import Actor
 from stream.transport.bus import LocalBus
 from tests.analytics.conftest import PLACE, START_NS
 from tests.analytics.verdicts.specification_documents import Specify, entered, limit
@@ -31,9 +32,9 @@ SECOND_NS = 10**9
 
 
 def test_each_document_names_the_one_before_it_and_who_when_and_why(store: Store, specify: Specify) -> None:
-    specify(store, "A", limit(1.0), by="Li", reason="order 7")
-    specify(store, "B", limit(2.0, "valid_from = 2030-01-01"), by="Wang", reason="too tight", is_revision=True)
-    withdraw_specification(store, "fog-B", by="Li", reason="cancelled")
+    specify(store, "A", limit(1.0), by=Actor("Li"), reason="order 7")
+    specify(store, "B", limit(2.0, "valid_from = 2030-01-01"), by=Actor("Wang"), reason="too tight", is_revision=True)
+    withdraw_specification(store, "fog-B", by=Actor("Li"), reason="cancelled")
     chain = read_chain(store)
     documents = [link.document for link in chain.links]
     assert [(each.action, each.revision, each.by, each.reason) for each in documents] == [
@@ -53,7 +54,7 @@ def test_what_is_not_there_is_neither_revised_nor_withdrawn(store: Store, specif
     with pytest.raises(BadInput, match=r"no 'fgo' to revise; did you mean fog\?"):
         specify(store, "B", limit(1.0, metric="bias_stability_averaged"), "fgo", is_revision=True)
     with pytest.raises(NotFound, match=r"'fog-B' is in force; did you mean fog-A\?"):
-        withdraw_specification(store, "fog-B", by="Li", reason="x")
+        withdraw_specification(store, "fog-B", by=Actor("Li"), reason="x")
     assert len(read_chain(store).links) == 1
 
 
@@ -62,15 +63,15 @@ def test_a_revision_that_keeps_others_apart_is_not_withdrawn(store: Store, speci
     specify(store, "B", limit(1.0, "valid_from = 2026-01-01", "bias_stability_averaged"))
     specify(store, "A", limit(2.0, "valid_from = 2026-01-01"), "other")
     with pytest.raises(BadInput, match=r"fog-B cannot be withdrawn.* fog-A and other-A hold at one time"):
-        withdraw_specification(store, "fog-B", by="Li", reason="x")
-    withdraw_specification(store, "other-A", by="Li", reason="x")
-    withdraw_specification(store, "fog-B", by="Li", reason="x")
+        withdraw_specification(store, "fog-B", by=Actor("Li"), reason="x")
+    withdraw_specification(store, "other-A", by=Actor("Li"), reason="x")
+    withdraw_specification(store, "fog-B", by=Actor("Li"), reason="x")
     assert [each.label for each in stored_specifications(store)] == ["fog-A"]
 
 
 def test_a_withdrawn_revision_can_be_entered_again_but_not_with_other_content(store: Store, specify: Specify) -> None:
     specify(store, "A", limit(1.0))
-    withdraw_specification(store, "fog-A", by="Li", reason="x")
+    withdraw_specification(store, "fog-A", by=Actor("Li"), reason="x")
     assert stored_specifications(store) == []
     with pytest.raises(BadInput, match="with other content"):
         specify(store, "A", limit(2.0))

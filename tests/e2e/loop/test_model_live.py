@@ -35,6 +35,7 @@ from stream.batch import SampleBatch
 from stream.delivery.publisher import DurablePublisher
 from stream.events import AnyDocument, ModelActivated, ResidualWatched, RunEnded, RunStarted, StreamTotal
 from stream.identity import Place, event_key, sample_key
+from stream.security.actor import Actor
 from stream.transport.zenoh_bus import ZenohBus
 from stream.wire.batches import decode_batch
 
@@ -192,7 +193,7 @@ def test_a_killed_process_goes_on_and_nothing_is_lost_or_twice(
             training_runs=(), verdict="nothing_missing", added=(), holdout=None, made_ns=1, by="Li",
         )
     )  # fmt: skip
-    activate(store, version, Stage.LIVE, reason="", by="Li")
+    activate(store, version, Stage.LIVE, reason="", by=Actor("Li"))
     recorder = spawn("record", "--store", "S", "--listen", endpoint, "--json")
     assert recorder.stdout is not None
     assert "recording" in recorder.stdout.readline()

@@ -54,7 +54,7 @@ def rechain(store: Store, **changes: Any) -> None:
 
 
 def test_an_unchanged_store_agrees_and_so_does_what_comes_later(store: Store, key: SigningKey) -> None:
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     assert what(store, kept) == []
     fill(store, range(8, 10))
     rewrite_manifest(store, read_log_manifest(store).entries.values())  # as `gyrofleet recover` does
@@ -67,7 +67,7 @@ def test_an_unchanged_store_agrees_and_so_does_what_comes_later(store: Store, ke
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_replaced_segment_is_named_though_the_chain_is_whole(store: Store, key: SigningKey, name: str) -> None:
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     path = store.log / name
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
@@ -78,7 +78,7 @@ def test_a_replaced_segment_is_named_though_the_chain_is_whole(store: Store, key
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_removed_segment_is_named_though_the_chain_is_whole(store: Store, key: SigningKey, name: str) -> None:
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     (store.log / name).unlink()
     entries = read_log_manifest(store).entries
     rewrite_manifest(store, [entry for each, entry in entries.items() if each != name])
@@ -86,7 +86,7 @@ def test_a_removed_segment_is_named_though_the_chain_is_whole(store: Store, key:
 
 
 def test_a_changed_line_and_another_order_are_named(store: Store, key: SigningKey) -> None:
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     whole = manifest_path(store).read_bytes()
     rechain(store, _00000003={"samples": 7})
     assert what(store, kept) == [("attested_changed", NAMES[2])]
@@ -99,14 +99,14 @@ def test_a_changed_line_and_another_order_are_named(store: Store, key: SigningKe
 def test_a_segment_put_in_before_the_anchor_is_named(store: Store, key: SigningKey) -> None:
     entries = list(read_log_manifest(store).entries.values())
     rewrite_manifest(store, [entries[0], entries[2], entries[3]])
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     rewrite_manifest(store, entries)
     assert what(store, kept) == [("attested_changed", NAMES[1])]
 
 
 @pytest.mark.parametrize("name", ["certificates/C-1.pdf", "models/U1/0001-0123456789abcdef.json"])
 def test_changed_and_removed_files_are_named(store: Store, key: SigningKey, name: str) -> None:
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     path = store.folder / name
     path.write_bytes(b"%PDG")
     assert what(store, kept) == [("attested_changed", path.name)]
@@ -115,11 +115,11 @@ def test_changed_and_removed_files_are_named(store: Store, key: SigningKey, name
 
 
 def test_a_forged_attestation_is_none(store: Store, key: SigningKey, tmp_path: Path) -> None:
-    _, kept = attest(store, key)
+    kept = attest(store, key).attestation
     changed = msgspec.structs.replace(kept, statement=kept.statement.replace("C-1", "C-9"))
     assert what(store, changed) == [("attestation_forged", "kept.json")]
     create_key(tmp_path / "other.pem")
-    _, other = attest(store, SigningKey(tmp_path / "other.pem"))
+    other = attest(store, SigningKey(tmp_path / "other.pem")).attestation
     found = against(store, other, "kept.json", fingerprint(key.public))
     assert [each.kind for each in found] == ["attestation_foreign"]
     assert against(store, kept, "kept.json", fingerprint(key.public)) == []
@@ -131,7 +131,7 @@ def test_a_forged_attestation_is_none(store: Store, key: SigningKey, tmp_path: P
 
 
 def test_the_stores_own_attestations_are_a_chain(store: Store, key: SigningKey) -> None:
-    paths = [attest(store, key)[0] for _ in range(3)]
+    paths = [attest(store, key).path for _ in range(3)]
     assert not [each for each in verify(store)[0].findings if "attest" in each.kind]
     second = json.loads(paths[1].read_text())
     paths[1].write_text(json.dumps(second, indent=1))

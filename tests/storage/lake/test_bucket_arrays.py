@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from storage.lake import rollups
 from stream.batch import CountArray, FloatArray, IntArray
-from stream.wire.count_planes import join_batches, split_counts
+from stream.wire.count_residuals import join_batches, split_counts
 
 _values = st.one_of(st.floats(), st.floats(-1e3, 1e3))
 _counts = hnp.arrays(np.int32, st.integers(1, 60), elements=st.integers(-(2**31), 2**31 - 1))
@@ -21,7 +21,7 @@ _BOTH = """
 import json, numpy as np
 from storage.lake.rollups import roll_up
 from stream.batch import count_finite
-from stream.wire.count_planes import join_counts, split_counts
+from stream.wire.count_residuals import join_counts, split_counts
 rng = np.random.default_rng(7)
 t_ns = np.cumsum(rng.integers(-10**8, 9 * 10**8, 500))
 found = [*roll_up(t_ns, rng.normal(0, 50, 500)), *roll_up(t_ns, rng.integers(-9, 9, 500).astype(np.int32), -0.5, 3.0)]

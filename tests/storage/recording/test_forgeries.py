@@ -41,7 +41,12 @@ BATCH = SampleBatch("U1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, "deg/s", 
 NEXT = replace(BATCH, seq=10, t0_ns=100_000_000)
 STEPS = StoreNoted(run="", t_ns=0, what="disk_low", text="")
 VERDICT = VerdictGiven(run="r1", t_ns=0, unit="U1", verdict=Verdict.PASS)
-MODEL = ModelActivated(run="", t_ns=0, unit="U1", model="a", version=1)
+LEAD = "approver:lead"
+MODEL = ModelActivated(run="", t_ns=0, unit="U1", model="a", version=1, by=LEAD, identity=LEAD)
+IN_ANOTHERS_NAME = msgspec.structs.replace(MODEL, by="approver:chief")
+AS_ANOTHER = msgspec.structs.replace(MODEL, identity="user:chief")
+AS_NOBODY = msgspec.structs.replace(MODEL, identity="unauthenticated")
+STATIONS_NOTE = NoteAdded(run="r1", t_ns=0, text="let it pass", author="chief", identity="approver:lead")
 STARTED = CompensationStarted(
     run="r1", t_ns=0, unit="U1", signal="rate", epoch="e", model="a", version=1, compensated="rate_compensated",
     compensated_epoch="f",
@@ -118,6 +123,10 @@ def test_nothing_that_a_router_makes_up_is_recorded(between: Between) -> None:
         (EVENTS, prove(between, "station:c1", EVENTS, MODEL), "station c1 may not send a ModelActivated"),
         (EVENTS, prove(between, "estimator:e1", EVENTS, MODEL), "estimator e1 may not send a ModelActivated"),
         (STORE_KEY, encode_event(MODEL, "forged", 0), "no proof of its source"),
+        (STORE_KEY, prove(between, LEAD, STORE_KEY, IN_ANOTHERS_NAME), "may not act in the name of 'approver:chief'"),
+        (STORE_KEY, prove(between, LEAD, STORE_KEY, AS_ANOTHER), "approver lead may not act as user:chief"),
+        (STORE_KEY, prove(between, LEAD, STORE_KEY, AS_NOBODY), "approver lead may not act as unauthenticated"),
+        (EVENTS, prove(between, "station:c1", EVENTS, STATIONS_NOTE), "station c1 may not act as approver:lead"),
     ]  # fmt: skip
     counts = between.recorder.counts
     for number, (key, payload, reason) in enumerate(cases, 1):

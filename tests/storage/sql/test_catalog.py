@@ -39,7 +39,7 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     """A store with two power-ons of one signal over several segments, a step, and times that jitter."""
     store = Store.create(tmp_path / "store")
     bus = LocalBus()
-    log = EventLog(store, rotate_bytes=1500)
+    log = EventLog(store, rotate_bytes=1000)
     key = sample_key(PLACE, "U1", "rate")
     with Recorder(store, bus, log, sync_interval_s=0.001), DurablePublisher(bus) as publisher:
         started = RunStarted(run="r1", t_ns=T0_NS, operator="李", lot="L'7", procedure="static_bias")

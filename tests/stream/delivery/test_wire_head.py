@@ -35,6 +35,7 @@ def messages(draw: st.DrawFn) -> bytes:
         scale=draw(st.floats()),
         counts=bytes(draw(few) * draw(sizes)),
         count_planes=draw(st.binary(max_size=13)) if draw(few) else b"",
+        count_residuals=draw(st.binary(max_size=17)) if draw(few) else b"",
         values=bytes(8 * draw(sizes)),
         times_ns=draw(hnp.arrays(np.int64, draw(sizes), elements=int64s)).tobytes(),
         flags=bytes(draw(sizes)),
@@ -108,7 +109,7 @@ def test_counts_of_the_first_schema_are_read_as_those_of_now() -> None:
     batch = SampleBatch("U1", "rate", "r1", UUID(int=7), 0, 0, 10, "deg/s", counts=counts, scale=0.5)
     message = samples_pb2.SampleBatch.FromString(encode_batch(batch))
     message.schema, message.counts = 1, counts.tobytes()
-    message.ClearField("count_planes")
+    message.ClearField("count_residuals")
     payload = message.SerializeToString()
     assert decode_batch(payload) == batch
     assert read_wire_batch(payload) == read_wire_batch(encode_batch(batch))

@@ -145,7 +145,10 @@ def diagnose_unit(call: Call, asked: DiagnosisAsked) -> JobDocument:
 
 @post("/api/models/{unit}/promote", role=Role.ENGINEER)
 def promote_model(call: Call, asked: PromotionAsked) -> Activation:
-    """Put a version of a unit's error model to use; the log has who, when and why."""
+    """Put a version of a unit's error model to use, or propose it where the site needs two persons.
+
+    The log has who, when and why; a document of the kind ActProposed waits at /api/proposals.
+    """
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
     from analytics.loop.model_promotion import check_usable, confounded_warning
@@ -156,7 +159,7 @@ def promote_model(call: Call, asked: PromotionAsked) -> Activation:
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if warning is not None and not asked.accept_confounded:
         raise Conflict(f"{warning}; to use it all the same, accept that it is confounded (accept_confounded)")
-    document = activate(call.store, version, stage, reason=asked.reason, by=call.person.name)
+    document = activate(call.store, version, stage, reason=asked.reason, by=call.person.actor)
     return Activation(documents=[msgspec.to_builtins(document)], warning=warning)
 
 
@@ -170,6 +173,6 @@ def roll_back_model(call: Call, asked: RollbackAsked) -> Activation:
     use = read_uses(call.store).get((unit, asked.signal), InUse())
     if (use.live if stage is Stage.LIVE else use.shadow) is None:
         raise BadInput(f"unit {unit}, signal {asked.signal}: no version of its error model is {stage.value}")
-    documents = rollback_documents(ModelRegistry(call.store), use, stage, reason=asked.reason, by=call.person.name)
+    documents = rollback_documents(ModelRegistry(call.store), use, stage, reason=asked.reason, by=call.person.actor)
     enter_activations(call.store, documents)
     return Activation(documents=[msgspec.to_builtins(each) for each in documents])

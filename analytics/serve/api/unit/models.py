@@ -56,7 +56,7 @@ def model_row(version: "ModelVersion", use: "InUse") -> ModelRow:
     """A version with its use."""
     model = version.model
     terms = [
-        {"term": label, "coefficient": value, "standard_uncertainty": error, "unit_of_measure": per}
+        {"term": label, "coefficient": value, "standard_uncertainty": float(error), "unit_of_measure": per}
         for label, value, error, per in zip(model.labels(), model.coefficients, model.errors, model.units, strict=False)
     ]
     return ModelRow(

@@ -9,7 +9,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from analytics.serve.api import alerts, jobs, notes
+from analytics.serve.api import alerts, jobs, notes, proposals
 from analytics.serve.api.endpoint import limited_body
 from analytics.serve.api.operation import Call, Operation
 from analytics.serve.api.run import run_commands
@@ -29,6 +29,8 @@ ACTIONS: dict[str, Operation[Any, Any]] = {
         jobs.verify_store,
         notes.add_note,
         alerts.acknowledge_alert,
+        proposals.approve_proposal,
+        proposals.reject_proposal,
         run_commands.command_run,
     )
 }

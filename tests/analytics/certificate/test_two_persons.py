@@ -1,0 +1,62 @@
+"""A certificate that two persons are needed for is none before another one approves it."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from stream.security.rights import Role
+from tests.analytics.certificate.conftest import UNIT
+from tests.secured_sites import make_site
+
+ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
+
+
+def test_a_certificate_is_issued_by_another_person(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(laboratory, folder)
+    make_site(folder / "site").add(Role.APPROVER, "chief", days=1.0)
+    (folder / "lab/site.toml").write_text('two_persons = ["certificates"]\n')
+    lead, chief = ("--security", "site/approver/lead"), ("--security", "site/approver/chief")
+
+    def run(*words: object) -> Any:
+        return run_command(*words, cwd=folder)
+
+    def is_genuine(name: str) -> bool:
+        genuine: bool = run("certificate", "verify", name, "--store", "lab", "--json").json["genuine"]
+        return genuine
+
+    nobody = run(*ORDERED, "--out", "a.pdf", "--lang", "en")
+    assert nobody.code == 1
+    assert "two persons are needed for certificates here" in nobody.out
+    asked = run(*ORDERED, "--out", "a.pdf", "--lang", "en", *lead)
+    assert asked.code == 0, asked.err
+    number, uid = asked.json["number"], asked.json["proposal"]
+    assert not is_genuine("a.pdf")
+    assert not (folder / "lab/certificates" / f"{number}.pdf").exists()
+    again = run(*ORDERED, "--out", "b.pdf", "--lang", "en", *chief)
+    assert again.code == 1
+    assert f"certificate {number} of {UNIT} waits for another person" in again.out
+    same = run("proposal", "approve", uid, "--store", "lab", *lead)
+    assert same.code == 1
+    assert "another person has to approve" in same.err
+    kept = folder / "lab/certificates/proposed" / f"{uid}.pdf"
+    content = kept.read_bytes()
+    kept.write_bytes(content + b"x")
+    changed = run("proposal", "approve", uid, "--store", "lab", *chief)
+    assert changed.code == 1
+    assert "is not the file that was proposed" in changed.err
+    kept.write_bytes(content)
+    done = run("proposal", "approve", uid, "--store", "lab", *chief)
+    assert done.code == 0, done.err
+    assert is_genuine("a.pdf")
+    assert (folder / "lab/certificates" / f"{number}.pdf").read_bytes() == content
+    shown = run("audit", "--unit", UNIT, "--store", "lab", "--json").json
+    kinds = ("ActProposed", "CertificateIssued")
+    of_certificate = [(each["kind"], each["identity"]) for each in shown if each["kind"] in kinds]
+    assert of_certificate == [("ActProposed", "approver:lead"), ("CertificateIssued", "approver:chief")]
+    assert run("verify", "--store", "lab").code == 0
+    station = run("certificate", "--security", "site/station/c1", "verify", "a.pdf", "--store", "lab", "--json")
+    assert station.json["genuine"]  # who only looks needs no certificate of a role

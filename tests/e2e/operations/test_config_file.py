@@ -1,0 +1,139 @@
+"""One TOML file for roles, and the check of every kind of file: file, key, and what is expected."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from analytics.config_kinds import KINDS
+from gyrofleet import main
+from storage.store import writer_endpoint
+from tests.secured_sites import make_site
+from tests.sources import SOURCES
+
+SETTINGS = """
+store = "S"
+log_level = "warning"
+[record]
+listen = "tcp/127.0.0.1:7999"
+rotate_mb = 4
+no_lake = true
+[serve]
+port = 0
+name = ["bench-7"]
+"""
+
+
+def check(*words: object) -> tuple[int, list[dict[str, Any]]]:
+    done = CliRunner().invoke(main, ["config", "check", *map(str, words), "--json"])
+    return done.exit_code, json.loads(done.output)["files"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("rotate_mb = 4", 'rotate_mb = "4"', "record.rotate_mb is '4'; a number is expected, 1 or more"),
+        ("rotate_mb = 4", "rotate_mb = 0", "record.rotate_mb: 0 is not in the range x>=1"),
+        ("rotate_mb = 4", "rotate = 4", "record.rotate is not an option of `gyrofleet record`"),
+        ("rotate_mb = 4", "rotate_md = 4", "did you mean rotate_mb?"),
+        ("no_lake = true", 'no_lake = "yes"', "record.no_lake is 'yes'; true or false is expected"),
+        ('name = ["bench-7"]', 'name = "bench-7"', "serve.name is 'bench-7'; a list is expected"),
+        ('log_level = "warning"', 'log_level = "loud"', "log_level: 'loud' is not one of"),
+        ("[record]", "[recorder]", "recorder is not a role, did you mean record?"),
+        ('store = "S"', 'stores = "S"', "stores is not an option of a role, did you mean store?"),
+        ("tcp/127.0.0.1:7999", "127.0.0.1", "record.listen: '127.0.0.1' is no address"),
+        ('store = "S"', 'store = "S', "roles.toml: "),
+        ("[serve]", "[record]", "roles.toml: "),
+    ],
+)  # fmt: skip
+def test_a_wrong_setting_is_named(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "roles.toml"
+    path.write_text(SETTINGS)
+    code, (right,) = check(path)
+    assert (code, right["kind"], right["text"]) == (0, "settings", "record, serve")
+    assert old in SETTINGS
+    path.write_text(SETTINGS.replace(old, new))
+    code, (wrong,) = check(path, "--as", "settings")
+    assert code == 1
+    assert expected in wrong["problem"]
+    assert str(path) in wrong["problem"]
+
+
+FILES = {
+    "station": ('[station]\nsite = "a"\nname = "b"\ntime_zone = "UTC"\nlatitude_deg = 300.0\n', "latitude_deg"),
+    "specification": ('revision = "A"\n[[limit]]\nmetric = "biass"\nupper = 1\nunit_of_measure = "deg/h"\n', "biass"),
+    "alerts": ('[[rules]]\nname = "x"\nkind = "disc"\n', "disk"),
+    "procedure": ('name = "a"\nnames = {en = "A", zh = "甲"}\n[[step]]\nname = "s"\nrecrod_s = 1\n', "record_s"),
+    "fleet": ('[fleet]\nseed = -1\nunits = ["U1"]\n', "seed"),
+    "mapping": ("[[message]]\nname = 3\n", "name"),
+    "frame": ('sync = "zz"\ninterval_s = 0.1\nlength = 7\n[[fields]]\nsignal = "r"\nat = 3\ntype = "i24"\nunit = "V"\n',
+              "sync"),
+    "order": ('[laboratory]\nnam = "x"\n', "nam"),
+    "users": ('[users.li]\nrole = "boss"\n', "role"),
+    "login": ("[oidc]\nissuer = 3\n", "oidc"),
+    "site": ('two_persons = ["everything"]\n', "two_persons"),
+    "units": ("serial,slot\nFOG 1/2,A1\nFOG-2,A1\n", "line"),
+    "access": ('{"content": {}, "signature": ""}', "access.json"),
+    "settings": ("[record]\nrotate_mb = 0\n", "record.rotate_mb"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_file_is_recognised_and_its_fault_named(kind: str, tmp_path: Path) -> None:
+    content, key = FILES[kind]
+    name = {"units": "units.csv", "access": "access.json"}.get(kind, f"{kind}.toml")
+    path = tmp_path / name
+    path.write_text(content)
+    code, (found,) = check(path)
+    assert (code, found["kind"]) == (1, kind)
+    assert key in found["problem"]
+    assert name in found["problem"]
+
+
+def test_files_of_the_program_and_a_site_are_well(tmp_path: Path) -> None:
+    make_site(tmp_path / "site")
+    procedures = sorted((SOURCES / "ingest/procedures").glob("*.toml"))
+    assert len(procedures) > 5
+    (tmp_path / "units.csv").write_text("serial,product\nFOG-1,FOG-70\n")
+    code, found = check(*procedures, tmp_path / "site/recorder/recorder/access.json", tmp_path / "units.csv")
+    assert code == 0, found
+    assert len(found) == len(procedures) + 2
+
+
+def test_a_recorder_takes_its_settings_and_its_certificate_from_the_file(
+    tmp_path: Path, spawn: Callable[..., subprocess.Popen[str]], gyrofleet: Callable[..., Any], endpoint: str
+) -> None:
+    """Paths count from the file; what the command line gives counts more."""
+    make_site(tmp_path / "etc/site")
+    (tmp_path / "etc/roles.toml").write_text(
+        f'[record]\nstore = "../S"\nlisten = "{endpoint}"\nsecurity = "site/recorder/recorder"\nrotate_mb = 4\n'
+    )
+    recorder = spawn("record", "--config", "etc/roles.toml", "--json", "--log-level", "error")
+    assert recorder.stdout is not None
+    started = json.loads(recorder.stdout.readline())
+    assert started == {"event": "recording", "store": str(Path("etc/../S")), "listen": endpoint.replace("tcp/", "tls/")}
+    assert writer_endpoint(tmp_path / "S") == endpoint.replace("tcp/", "tls/")
+    station = ("import", "a.csv", "--unit", "U1", "--run", "r1", "--station", "c1", "--connect", endpoint)
+    (tmp_path / "a.csv").write_text("time[s],rate[deg/s]\n" + "".join(f"{i / 10},{i % 3}\n" for i in range(100)))
+    refused = gyrofleet(*station)
+    assert refused.code != 0
+    sent = gyrofleet(*station, "--security", "etc/site/station/c1")
+    assert sent.code == 0, sent.err
+    recorder.terminate()
+    _, err = recorder.communicate(timeout=60)
+    assert recorder.returncode == 0
+    assert err == ""  # its level is error
+    wrong = gyrofleet("record", "--config", "etc/roles.toml", "--rotate-mb", "0")
+    assert wrong.code == 2
+
+
+def test_a_file_of_settings_that_is_wrong_ends_the_command(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    (tmp_path / "roles.toml").write_text("[record]\nrotate = 4\n")
+    done = gyrofleet("record", "--config", "roles.toml")
+    assert done.code == 2
+    assert "roles.toml: record.rotate is not an option of `gyrofleet record`" in done.err
+    assert not (tmp_path / "gyrofleet-data").exists()
