@@ -131,9 +131,9 @@ def test_a_command_imports_no_slow_library_that_it_does_not_need(tmp_path: Path)
     needed = {
         ("import", "r.csv", "--unit", "U"): {"zenoh"},
         ("sql", "select count(*) from samples", "--json"): set(),
-        ("metrics", "--metric", "bias", "--json"): {"pandas", "scipy.special"},  # computed
-        ("metrics", "--metric", "bias", "--json", "--lang", "en"): {"pandas", "scipy.special"},  # kept
-        ("trend", "bias", "--json"): {"pandas", "scipy.optimize", "scipy.special"},
+        ("metrics", "--metric", "bias", "--json"): {"pandas", "polars", "scipy.special"},  # computed
+        ("metrics", "--metric", "bias", "--json", "--lang", "en"): {"pandas", "polars", "scipy.special"},  # kept
+        ("trend", "bias", "--json"): {"pandas", "polars", "scipy.optimize", "scipy.special"},
     }
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     for words, libraries in needed.items():
