@@ -8,6 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
 from stream.errors import StoreError
@@ -25,7 +26,7 @@ recorder has everything."""
 def read_state(path: Path, kind: type[State]) -> State | None:
     """The state that a file keeps, None without a file; raises StoreError if it cannot be read as this kind."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
+        return decode_json(path.read_bytes(), kind)
     except FileNotFoundError:
         return None
     except (OSError, msgspec.MsgspecError) as error:

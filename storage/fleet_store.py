@@ -24,6 +24,7 @@ from storage.store_marker import (
     write_markers,
 )
 from stream.atomic_file import sync_folder, write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 _FORMAT = 1
@@ -57,12 +58,15 @@ class FleetStore:
     @classmethod
     def open(cls, folder: Path) -> Self:
         """Open an existing fleet store; StoreError if the folder is none."""
+        marker = folder / FLEET_MARKER
         try:
-            found = json.loads((folder / FLEET_MARKER).read_text())
+            found = json.loads(marker.read_text())
             if int(found["format"]) > _FORMAT:
-                raise StoreError(f"{folder} has a newer format than this gyrofleet reads: upgrade gyrofleet")
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise StoreError(f"{folder} is not a fleet store ({error}); `gyrofleet replicate` creates one") from error
+                raise StoreError(f"{marker} has a newer format than this gyrofleet reads: upgrade gyrofleet")
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise StoreError(
+                f"{folder} is not a fleet store ({marker}: {error}); `gyrofleet replicate` creates one"
+            ) from error
         return cls(folder)
 
     @classmethod
@@ -153,7 +157,7 @@ class FleetStore:
     def refusals(self) -> list[tuple[Plant, str]]:
         """Plants that were not admitted, the last 1000, and why; delete ``refused.json`` to forget them."""
         try:
-            return msgspec.json.decode((self.folder / _REFUSED).read_bytes(), type=list[tuple[Plant, str]])
+            return decode_json((self.folder / _REFUSED).read_bytes(), list[tuple[Plant, str]])
         except (OSError, msgspec.MsgspecError):
             return []
 

@@ -74,7 +74,9 @@ def read_plant(folder: Path) -> Plant | None:
         return checked(msgspec.convert(written["plant"], type=Plant))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError, BadInput) as error:
+    except (
+        OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, msgspec.ValidationError, BadInput,
+    ) as error:  # fmt: skip
         raise StoreError(
             f"{path} is damaged ({error}); restore it from a copy, or delete it and name the plant again by --plant"
         ) from error

@@ -258,7 +258,7 @@ def _locked(descriptor: int) -> bool:
 def _holder(folder: Path) -> dict[str, str]:
     try:
         return {name: str(value) for name, value in json.loads((folder / _LOCK).read_text()).items()}
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return {}
 
 

@@ -28,7 +28,10 @@ _WITHOUT_CHECKSUM = {"format", "id", "created_ns"}  # of the oldest stores
 
 def read_marker(marker: Path) -> str:
     """Identity of a store."""
-    written = json.loads(marker.read_text())
+    try:
+        written = json.loads(marker.read_text())
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
     if not isinstance(written, dict):
         raise ValueError("it is not a JSON object")
     checksum = written.pop(_CHECKSUM, None)
@@ -37,7 +40,7 @@ def read_marker(marker: Path) -> str:
     found, identity = written.get("format"), written.get("id")
     if isinstance(found, int) and found > STORE_FORMAT:
         raise StoreError(
-            f"{marker.parent} has store format {found}, this gyrofleet reads up to {STORE_FORMAT}: upgrade gyrofleet"
+            f"{marker} has store format {found}, this gyrofleet reads up to {STORE_FORMAT}: upgrade gyrofleet"
         )
     if checksum is None and written.keys() != _WITHOUT_CHECKSUM:
         raise ValueError("it has no checksum")

@@ -129,10 +129,12 @@ def _value(path: Path, where: str, value: Any, option: click.Option) -> Any:
 def _single(path: Path, where: str, value: Any, option: click.Option) -> Any:
     kind = option.type
     is_number = isinstance(kind, click.types.IntParamType | click.types.FloatParamType)
-    if isinstance(value, bool) or not isinstance(value, _TEXTS) or (isinstance(value, str) and is_number):
+    is_text = isinstance(value, str)
+    is_path = isinstance(kind, click.Path)
+    if isinstance(value, bool) or not isinstance(value, _TEXTS) or (is_text and is_number) or (is_path and not is_text):
         what = "a number" if is_number else "a text"
         raise BadInput(f"{path}: {where} is {value!r}; {what} is expected{_range(kind)}")
-    if isinstance(kind, click.Path) and isinstance(value, str):
+    if is_path and isinstance(value, str):
         value = str(path.parent / value)
     try:
         kind.convert(value, option, None)
@@ -140,7 +142,7 @@ def _single(path: Path, where: str, value: Any, option: click.Option) -> Any:
             parse_endpoint(str(value))
     except click.BadParameter as error:
         raise BadInput(f"{path}: {where}: {error.message.rstrip('.')}{_range(kind)}") from error
-    except BusError as error:
+    except (BusError, OSError, OverflowError, ValueError) as error:  # a path with a null, a number beyond all
         raise BadInput(f"{path}: {where}: {error}") from error
     return value
 

@@ -30,9 +30,13 @@ _json = msgspec.json.Encoder(decimal_format="number")
 DEFAULT_STORE = "gyrofleet-data"
 _PATIENCE_S = 3.0
 _STATUS_EVERY_S = 5.0
-# C0 but tab and line feed, delete, C1, and Unicode's marks of direction
-_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+# C0 but tab and line feed, delete, C1, and what Unicode has of marks of direction, separators and signs without width
+_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
 _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
+_PATH_REFUSES = {
+    errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
+    errno.ENOTEMPTY, errno.ENXIO, errno.EPERM,
+}  # fmt: skip
 _EXTRAS = {
     "asammdf": "mf4",
     "sklearn": "explain",
@@ -162,11 +166,15 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             kind = next(each.__name__ for each in type(error).__mro__ if not each.__name__.startswith("_"))
             message, code = str(error), error.exit_code
         except OSError as error:
-            if error.errno not in _DISK_REFUSES:
-                raise
             where = f"{error.filename}: " if error.filename else ""
-            message = f"{where}{error.strerror or error}; free or repair the disk, then repeat the command"
-            kind, code = "DiskError", 1
+            if error.errno in _DISK_REFUSES:
+                message = f"{where}{error.strerror or error}; free or repair the disk, then repeat the command"
+                kind, code = "DiskError", 1
+            elif error.errno in _PATH_REFUSES and where:
+                message = f"{where}{error.strerror}; give another path, or correct what is there"
+                kind, code = "PathError", 1
+            else:
+                raise
         except ModuleNotFoundError as error:
             extra = _EXTRAS.get((error.name or "").split(".")[0])
             if extra is None:

@@ -4,11 +4,26 @@ Every message is a sentence a test engineer can act on: what happened (unit, run
 expected, and what to do next.
 """
 
+_MOST_CHARS = 2000  # of a message; more is of a file that is none, and would hide what is wrong
+_HEAD_CHARS, _TAIL_CHARS = 1400, 400
+
 
 class GyrofleetError(Exception):
-    """Base class of all errors that gyrofleet raises on purpose; the text is for people."""
+    """Base class of all errors that gyrofleet raises on purpose; the text is for people.
+
+    >>> len(str(BadInput("x" * 100_000))) < 2000
+    True
+    """
 
     exit_code = 1  # exit code of a command that fails with it
+
+    def __str__(self) -> str:
+        """The message; the middle of an overlong one is left out."""
+        text = super().__str__()
+        if len(text) <= _MOST_CHARS:
+            return text
+        left_out = len(text) - _HEAD_CHARS - _TAIL_CHARS
+        return f"{text[:_HEAD_CHARS]} ... ({left_out:,} characters left out) ... {text[-_TAIL_CHARS:]}"
 
 
 class BadInput(GyrofleetError):

@@ -7,6 +7,7 @@ Control     ``gyrofleet/@<topic>`` (a chunk that starts with ``@`` is matched by
 """
 
 import re
+from functools import lru_cache
 from typing import NamedTuple
 
 from stream.bounds import MAX_KEY_CHARS, MAX_NAME_CHARS
@@ -17,7 +18,11 @@ EVERYTHING = f"{ROOT}/**"
 ACKNOWLEDGEMENT_KEY = f"{ROOT}/@acknowledgement"
 
 # A chunk of a Zenoh key expression contains none of / * $ ? #; white space and a leading @ or . confuse people.
-_NAME = re.compile(rf"[^\s/*$?#@.\x00-\x1f][^\s/*$?#\x00-\x1f]{{0,{MAX_NAME_CHARS - 1}}}")
+_NAME = re.compile(rf"[^\s/\\*$?#@.][^\s/\\*$?#]{{0,{MAX_NAME_CHARS - 1}}}")
+_RULE = (
+    f"1 to {MAX_NAME_CHARS} characters without white space, / \\ * $ ? #, and characters that nobody sees, not "
+    "starting with @ or a dot"
+)
 
 
 class Place(NamedTuple):
@@ -53,17 +58,39 @@ class EventKey(NamedTuple):
 def check_name(kind: str, name: str) -> str:
     """Return `name` if it can be part of a key expression; `kind`, such as ``unit``, is for the message.
 
-    Raises a BadInput if the name is empty, longer than 128 characters, or holds white space or one of ``/ * $ ? #``.
+    Raises a BadInput if it is no name, see `is_name`. Names are identities, and nothing else: whatever shows or keeps
+    one treats it as text, since ``=1+1`` and ``<b>`` are names too.
 
     >>> check_name("unit", "FOG-0231")
     'FOG-0231'
     """
-    if _NAME.fullmatch(name) is None:
-        raise BadInput(
-            f"{kind} {name!r} cannot be used as a name: 1 to 128 characters without white space or / * $ ? #, "
-            f"not starting with @ or a dot; rename it, for example FOG-0231"
-        )
+    if not is_name(name):
+        shown = name if len(name) <= MAX_NAME_CHARS else f"{name[:MAX_NAME_CHARS]}..."
+        raise BadInput(f"{kind} {shown!r} cannot be used as a name: {_RULE}; rename it, for example FOG-0231")
     return name
+
+
+@lru_cache(maxsize=200_000)
+def is_name(text: str) -> bool:
+    r"""Whether a text can be the name of a unit, signal, run, site, station or procedure.
+
+    It has 1 to 128 characters: no white space, none of ``/ \ * $ ? #``, no control characters, no marks of writing
+    direction or others that nobody sees, no halves of characters; the first is not ``@`` or a dot.
+
+    >>> [is_name(each) for each in ("FOG-0231", "零偏", "..", "a/b", "a b", "a\x1b[31m", "a\u202eb", "")]
+    [True, True, False, False, False, False, False, False]
+    """
+    return text.isprintable() and _NAME.fullmatch(text) is not None
+
+
+def cleaned_name(text: str) -> str:
+    """A text with an underscore for each stretch of characters that no name has; empty if nothing is left.
+
+    >>> cleaned_name("Yaw Rate/2")
+    'Yaw_Rate_2'
+    """
+    kept = "".join(each if is_name(f"x{each}") else "\0" for each in text)
+    return re.sub("\0+", "_", kept).lstrip(".@")
 
 
 def sample_key(place: Place, unit: str, signal: str) -> str:

@@ -82,7 +82,7 @@ def read_alerts(store: Store) -> Kept:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=_PATIENCE_S)) as base:
             return _kept(base)
-    except (sqlite3.Error, msgspec.MsgspecError, OSError) as error:
+    except (sqlite3.Error, msgspec.MsgspecError, OSError, RecursionError, UnicodeDecodeError) as error:
         raise _unreadable(path, error) from error
 
 
@@ -108,7 +108,7 @@ class AlertFile(Closing):
         try:
             self._base.executescript(f"pragma synchronous = full; {_TABLES} pragma user_version = {_FORMAT};")
             self.kept = _kept(self._base)
-        except (sqlite3.Error, msgspec.MsgspecError) as error:
+        except (sqlite3.Error, msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
             self._base.close()
             raise _unreadable(self._path, error) from error
 

@@ -101,7 +101,7 @@ def load_rules(path: Path) -> Rules:
             _check_hours(where, quiet[name])
         kinds: dict[str, type[Target]] = {"email": EmailTarget, "webhook": WebhookTarget}
         kind = table.pop("kind", None)
-        if kind not in kinds:
+        if not isinstance(kind, str) or kind not in kinds:
             raise BadInput(f"{where}.kind is {kind!r}; there are {', '.join(kinds)}")
         targets[name] = _converted(where, table, kinds[kind])
     rules = tuple(_rule(path, number, table, targets) for number, table in enumerate(file.rules, start=1))
@@ -115,7 +115,7 @@ def _rule(path: Path, number: int, table: dict[str, Any], targets: dict[str, Tar
     kinds = condition_kinds()
     kind = table.pop("kind", None)
     where = f"{path}: rule {number} ({kind})"
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         raise BadInput(f"{path}: rule {number}: kind is {kind!r}; there are {', '.join(sorted(kinds))}")
     own = {name: table.pop(name) for name in _OWN if name in table}
     condition = _converted(where, {"kind": kind, **table}, kinds[kind])

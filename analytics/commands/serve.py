@@ -71,6 +71,7 @@ def serve(
 
     from analytics.serve.server import serve as serve_store
     from analytics.serve.settings import Settings
+    from storage.sql.sandbox.landlock import WITHOUT_LANDLOCK, landlock_version
     from storage.store import Store
 
     store = Store.open(folder)
@@ -90,6 +91,8 @@ def serve(
             results().print(f"serving {folder}: {login}", soft_wrap=True)
 
     log = RoleLog("serve")
+    if landlock_version() == 0:
+        log.write("warning", "no_landlock", WITHOUT_LANDLOCK)
     faulthandler.enable()  # a crash of a library says where
     serve_store(store, settings, say)
     if as_json:

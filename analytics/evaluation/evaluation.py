@@ -100,18 +100,24 @@ def define_scripts(catalog: Catalog, folder: str, names: Collection[str] = ()) -
 def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue, several at once; `COLUMNS`."""
     keep_scale_factors(catalog)
-    able = _with_rows(catalog, list(chosen))
-    type_b = TypeB(catalog) if able else None
     with ThreadPoolExecutor(min(catalog.threads, _MOST_THREADS)) as pool:
+        able = _with_rows(catalog, list(chosen), pool)
+        type_b = TypeB(catalog) if able else None
         tables = list(pool.map(lambda metric: _values(catalog, metric, type_b), able))
     return pa.concat_tables([COLUMNS.empty_table(), *tables])
 
 
-def _with_rows(catalog: Catalog, chosen: list[Metric]) -> list[Metric]:
+def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor) -> list[Metric]:
     """Those with rows in what they are made of: planning a statement takes much longer than running it."""
-    sources = {metric.header.of for metric in chosen} - {""}
-    sql = ", ".join(f'exists (from {source}) as "{source}"' for source in sorted(sources))
-    found = catalog.table(f"select {sql}").to_pylist()[0] if sources else {}
+    sources = sorted({metric.header.of for metric in chosen} - {""})
+
+    def found_in(some: Collection[str]) -> dict[str, bool]:
+        sql = ", ".join(f'exists (from {source}) as "{source}"' for source in some)
+        return dict(catalog.table(f"select {sql}").to_pylist()[0]) if some else {}
+
+    found: dict[str, bool] = {}
+    for each in pool.map(found_in, [sources[at::_MOST_THREADS] for at in range(_MOST_THREADS)]):
+        found |= each
     return [metric for metric in chosen if found.get(metric.header.of, True)]
 
 

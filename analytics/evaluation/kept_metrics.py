@@ -113,6 +113,8 @@ def _content(catalog: Catalog, found: Iterable[tuple[pa.Table, bool]], marks: Ma
 
         def write(rows: pa.Table, is_sorted: bool) -> None:
             writer.write_table(rows if is_sorted else in_order(catalog, rows), ROW_GROUP)
+            del rows
+            pa.default_memory_pool().release_unused()
 
         written: Future[None] = Future()
         written.set_result(None)

@@ -16,7 +16,7 @@ from storage.sql.parquet_content import ParquetContent
 from stream.batch import IntArray
 
 # Step records in one range.
-RANGE_RECORDS = 60_000
+RANGE_RECORDS = 50_000
 # A total order, so that kept and recomputed rows make the same table.
 _CODED, _TEXTS = ("unit", "metric", "signal", "run"), ("parameters", "standard", "clause")
 _TIED = """

@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import polars as pl
 import pyarrow as pa
 
 from analytics.evaluation.evaluation import define_scripts, row_of
@@ -59,7 +58,7 @@ def selected(catalog: Catalog, asked: Selection) -> list[Row]:
     Raises NotFound if a unit, lot or run is not in the store; the message names similar ones; BadInput if there is no
     such metric or standard.
     """
-    return [row_of(row) for row in pl.DataFrame(selected_table(catalog, asked)).to_dicts()]
+    return [row_of(row) for batch in selected_table(catalog, asked).to_batches() for row in batch.to_pylist()]
 
 
 def selected_table(catalog: Catalog, asked: Selection) -> pa.Table:

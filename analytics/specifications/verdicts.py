@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-import polars as pl
-
 from analytics.metric_registry.registry import alike
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound
@@ -60,4 +58,4 @@ def yield_by(catalog: Catalog, group: Group) -> list[Row]:
 
 def rows_of(catalog: Catalog, sql: str, parameters: object = None) -> list[Row]:
     """Rows of a statement, as dictionaries."""
-    return [row for batch in catalog.batches(sql, parameters) for row in pl.DataFrame(batch).to_dicts()]
+    return [row for batch in catalog.batches(sql, parameters) for row in batch.to_pylist()]

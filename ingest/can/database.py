@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ingest.can.frames import EXTENDED, arbitration_id, pgn_key
+from ingest.can.summary import logged_by
+from stream.bounds import MAX_NAME_CHARS
 from stream.errors import BadInput
+from stream.identity import cleaned_name
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
-
-_REFUSED = re.compile(r"[\s/*$?#@\x00-\x1f]+")
 
 
 def load_database(path: Path) -> "list[Message]":
@@ -21,7 +22,8 @@ def load_database(path: Path) -> "list[Message]":
 
     try:
         # real databases overlap signals and overrun messages here and there; that spoils no other signal
-        database = cantools.database.load_file(path, strict=False, encoding=_encoding(path))
+        with logged_by("cantools"):  # of names that occur twice, which are told apart here
+            database = cantools.database.load_file(path, strict=False, encoding=_encoding(path))
     except FileNotFoundError as error:
         raise BadInput(f"{path}: no such file; give a CAN database (.dbc)") from error
     except Exception as error:  # parsers raise whatever bad text leads to
@@ -105,4 +107,4 @@ def own_names(messages: "Sequence[Message]") -> dict[tuple[str, str], str]:
 
 
 def _clean(name: str) -> str:
-    return _REFUSED.sub("_", name).lstrip(".")
+    return cleaned_name(name)[:MAX_NAME_CHARS]

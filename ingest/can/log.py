@@ -6,6 +6,7 @@ Its times of day are float seconds with a resolution of a quarter of a microseco
 import importlib.util
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,25 +14,19 @@ import can
 from can.io.generic import MessageReader
 
 from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_block
+from ingest.can.log_bounds import check_bounds, check_objects
 from ingest.can.log_structure import LEAST_BYTES, MAGIC, find_damage
-from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts
+from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts, logged_by
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
 
 _UTC_FROM_S = 1e8
-_MOST_S = 9e9  # what nanoseconds of 64 bits hold, rounded down
+_MOST_S = 4.6e9  # in 2115; later moments are beyond stream.bounds
 _MOST_CHANNEL = 2**15 - 1
 _MOST_DIGITS = 9
 _HELD_BYTES = 64 << 20
 Progress = Callable[[float], None]
-_READERS: dict[str, Callable[[Path], MessageReader]] = {
-    ".blf": can.BLFReader,
-    ".trc": can.TRCReader,
-    ".log": can.CanutilsLogReader,
-    ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
-    ".mf4": lambda path: can.MF4Reader(str(path)),
-}
 
 
 class CanLog:
@@ -54,7 +49,8 @@ class CanLog:
         self._channels: dict[str, int] = {}
         self._held: list[FrameBlock] | None = None
         _check_kind(path)
-        self._open().stop()
+        check_bounds(path)
+        _stop(self._open())
 
     def blocks(self, progress: Progress | None = None) -> Iterator[FrameBlock]:
         """Frames in the file's order, up to damage; after a complete read up to 64 MB stay in memory for the next."""
@@ -69,7 +65,7 @@ class CanLog:
         held_bytes, size = 0, max(self.path.stat().st_size, 1)
         reader = self._open()
         try:
-            for frames, place in self._frames(reader):
+            for frames, place in self._with_reports(self._frames(reader)):
                 block = frame_block(frames)
                 yield block
                 held_bytes += block.data.nbytes + 16 * len(block)
@@ -80,8 +76,19 @@ class CanLog:
                 if progress is not None:
                     progress(min(place / size, 1.0))
         finally:
-            reader.stop()
+            _stop(reader)
         self._held = held
+
+    def _with_reports(self, found: Iterator[tuple[list[CanFrame], int]]) -> Iterator[tuple[list[CanFrame], int]]:
+        """What is found, and as damage what the reader logs of parts that it leaves out."""
+        with logged_by("asammdf", "can") as logged:
+            yield from found
+        self._add_damage(logged)
+
+    def _add_damage(self, logged: list[str]) -> None:
+        if logged:
+            more = f", and {len(logged) - 1} more" if len(logged) > 1 else ""
+            self.damage = self.damage or f"left out what cannot be read: {logged[0]}{more}"
 
     def _frames(self, reader: MessageReader) -> Iterator[tuple[list[CanFrame], int]]:
         """Lists of frames, with the position in the file behind them."""
@@ -141,16 +148,54 @@ class CanLog:
 
     def _open(self) -> MessageReader:
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), logged_by("asammdf", "can") as logged:
                 # asammdf warns of what it repairs in an unfinished file; `find_damage` reports it
                 warnings.simplefilter("ignore")
-                return _READERS[self.path.suffix.lower()](self.path)
+                reader = _READERS[self.path.suffix.lower()](self.path)
+            self._add_damage(logged)
+            return reader
         except BadInput:
             raise
         except Exception as error:  # readers raise whatever bad bytes lead to
             stated = " ".join(str(error).split()) or type(error).__name__
             what = f"{self.path.suffix} log of CAN frames"
             raise BadInput(f"{self.path}: cannot be read as a {what}: {stated}") from error
+
+
+class _BlfReader(can.BLFReader):
+    """python-can's, which repeats an object that states fewer bytes than its head has for ever."""
+
+    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        check_objects(self._tail + data)
+        yield from super()._parse_container(data)
+
+
+def _stop(reader: MessageReader) -> None:
+    with suppress(AttributeError):  # asammdf's, of a damaged file
+        reader.stop()
+
+
+def _mf4_reader(path: Path) -> MessageReader:
+    from asammdf.blocks import mdf_v4
+
+    # its destructor fails, and Python prints that, where the constructor did not come to its end
+    kind: Any = mdf_v4.MDF4
+    kind.__del__ = lambda mdf: _closed(mdf.close)
+    return can.MF4Reader(str(path))
+
+
+def _closed(close: Callable[[], None]) -> None:
+    with suppress(AttributeError):
+        close()
+
+
+_READERS: dict[str, Callable[[Path], MessageReader]] = {
+    ".blf": _BlfReader,
+    ".trc": can.TRCReader,
+    ".log": can.CanutilsLogReader,
+    ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
+    ".mf4": _mf4_reader,
+}
 
 
 def _check_kind(path: Path) -> None:
@@ -160,6 +205,8 @@ def _check_kind(path: Path) -> None:
     try:
         if path.is_dir():
             raise BadInput(f"{path}: a directory; give a file")
+        if not path.is_file() and path.exists():
+            raise BadInput(f"{path}: a pipe or a device, and it is read twice; give a file")
         if path.stat().st_size == 0:
             raise BadInput(f"{path}: the file is empty")
         with path.open("rb") as file:

@@ -96,6 +96,14 @@ class CanLogFile:
         self, epoch_of: Callable[[str, str], UUID], keep: Keep | None = None, progress: Progress | None = None
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         """Batches, numbered from 0 per signal, and the step of each unit around them; runs `check` first."""
+        try:
+            yield from self._batches(epoch_of, keep, progress)
+        except BadInput as error:
+            raise error if str(self._path) in str(error) else BadInput(f"{self._path}: {error}") from error
+
+    def _batches(
+        self, epoch_of: Callable[[str, str], UUID], keep: Keep | None, progress: Progress | None
+    ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         summary = self._summary if self._summary is not None else self.check()
         found = {(each.unit, each.signal): each for each in summary.signals}
         batchers: dict[_Name, Batcher] = {}

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from ingest.can.log_bounds import BLF_OBJECT, MF4_BLOCK, MOST_UNPACKED_BYTES
+
 _BLF_HEADER = struct.Struct("<4sLBBBBBBBBQQLL")
-_BLF_OBJECT = struct.Struct("<4sHHLL")
 _MF4_UNFINISHED = b"UnFinMF "
 MAGIC: dict[str, tuple[bytes, ...]] = {".blf": (b"LOGG",), ".mf4": (b"MDF ", _MF4_UNFINISHED)}
 LEAST_BYTES = {".blf": 144, ".mf4": 8}
 
-_BLOCK = struct.Struct("<4s4xQQ")
 _FLAGS_AT, _HEADER_AT = 60, 64
 _COUNTERS_STALE, _LAST_LENGTH_STALE, _LISTS_STALE = 1, 4, 16
 _VARIABLE_LENGTH = 1
@@ -49,13 +49,13 @@ def _blf_damage(path: Path) -> str:
         place = header_size
         while place < size:
             file.seek(place)
-            base = file.read(_BLF_OBJECT.size)
+            base = file.read(BLF_OBJECT.size)
             if not base.strip(b"\0"):
                 break
-            if len(base) < _BLF_OBJECT.size:
+            if len(base) < BLF_OBJECT.size:
                 return f"cut short at byte {size}, inside the head of a container"
-            signature, _, _, object_size, _ = _BLF_OBJECT.unpack(base)
-            if signature != b"LOBJ" or object_size < _BLF_OBJECT.size:
+            signature, _, _, object_size, _ = BLF_OBJECT.unpack(base)
+            if signature != b"LOBJ" or object_size < BLF_OBJECT.size:
                 return f"damaged at byte {place}: no container begins there"
             if place + object_size > size:
                 return f"cut short at byte {size}, inside a container of {object_size} bytes"
@@ -107,9 +107,9 @@ def _is_whole(file: BinaryIO, group: tuple[list[int], bytes], flags: int) -> boo
 
 def _block(file: BinaryIO, at: int) -> tuple[list[int], bytes]:
     file.seek(at)
-    _, length, count = _BLOCK.unpack(file.read(_BLOCK.size))
+    _, length, count = MF4_BLOCK.unpack(file.read(MF4_BLOCK.size))
     links = list(struct.unpack(f"<{count}Q", file.read(8 * count)))
-    return links, file.read(max(0, length - _BLOCK.size - 8 * count))
+    return links, file.read(max(0, length - MF4_BLOCK.size - 8 * count))
 
 
 def _chain(file: BinaryIO, at: int) -> Iterator[tuple[list[int], bytes]]:
@@ -127,7 +127,7 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
     if not at:
         return
     file.seek(at)
-    kind, length, _ = _BLOCK.unpack(file.read(_BLOCK.size))
+    kind, length, _ = MF4_BLOCK.unpack(file.read(MF4_BLOCK.size))
     if kind == b"##HL":
         yield from _data(file, _block(file, at)[0][0], is_last_open=is_last_open)
     elif kind == b"##DL":
@@ -136,7 +136,8 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
             yield from _data(file, part, is_last_open=is_last_open and part == parts[-1])
     elif kind == b"##DZ":
         zip_type, parameter, size, zipped = struct.unpack("<2xBxLQQ", file.read(24))
-        data = zlib.decompress(file.read(zipped))
+        unpacker = zlib.decompressobj()
+        data = unpacker.decompress(file.read(zipped), min(size, MOST_UNPACKED_BYTES) + 1)
         if len(data) != size or zip_type not in {0, 1} or (zip_type and not parameter):
             raise ValueError("a compressed block is damaged")
         if zip_type:  # it was transposed before it was compressed
@@ -145,8 +146,8 @@ def _data(file: BinaryIO, at: int, *, is_last_open: bool) -> Iterator[bytes]:
             data = b"".join(data[i:whole:rows] for i in range(rows)) + data[whole:]
         yield data
     elif kind == b"##DT":
-        data = file.read() if is_last_open and length <= _BLOCK.size else file.read(length - _BLOCK.size)
-        if not is_last_open and len(data) < length - _BLOCK.size:
+        data = file.read() if is_last_open and length <= MF4_BLOCK.size else file.read(length - MF4_BLOCK.size)
+        if not is_last_open and len(data) < length - MF4_BLOCK.size:
             raise ValueError("a block is cut short")
         yield data
     else:

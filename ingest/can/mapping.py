@@ -174,7 +174,7 @@ class CanMapping:
         measure, is_known = database_unit(text, name)
         if not is_known:
             self._remarks.append(f"message {layout.name}, signal {name}: unit of measure {text!r} is not known")
-        return SignalPlan(found, check_name("signal", entry.signal), measure)
+        return SignalPlan(found, _named(where, "signal", entry.signal), measure)
 
     def _routes(self, entry: MessageEntry, message: "Message", plan: MessagePlan, where: str) -> Iterator[Route]:
         ways = [entry.unit, entry.ids, entry.channels, entry.sources, entry.units]
@@ -189,7 +189,7 @@ class CanMapping:
         if (entry.sources or entry.source is not None) and not is_j1939(message):
             raise BadInput(f"{where}: it is no J1939 message in the CAN database, and has no source address")
         for unit in [mine] if mine else [*entry.ids, *entry.channels, *entry.sources, *entry.units]:
-            check_name("unit", unit)
+            _named(where, "unit", unit)
             identifier = own_id(message)
             if unit in entry.ids:
                 if not 0 <= entry.ids[unit] <= _LARGEST_ID:
@@ -259,3 +259,10 @@ def _refuse_twins(place: str, routes: Sequence[Route]) -> None:
         names = [signal.signal for signal in route.message.signals]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise BadInput(f"{place}: message {route.message.layout.name} makes signal {twice[0]} twice; rename one")
+
+
+def _named(where: str, kind: str, name: str) -> str:
+    try:
+        return check_name(kind, name)
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from error

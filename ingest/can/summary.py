@@ -1,6 +1,8 @@
 """Result of the first pass over a CAN log, and the account of its frames in words."""
 
+import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from ingest.can.frames import id_text, ids_text
@@ -92,3 +94,30 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
         text = ", ".join(f"{number} {what}" for name, what in _COUNTED.items() if (number := getattr(count, name)))
         if text:
             yield f"message {count.message} of unit {count.unit}: {text}"
+
+
+@contextmanager
+def logged_by(*libraries: str) -> Iterator[list[str]]:
+    """What libraries log as warnings and errors within it, a line each; it is not printed.
+
+    >>> with logged_by("can") as logged:
+    ...     logging.getLogger("can.io.trc").warning("Failed to parse message")
+    >>> logged
+    ['Failed to parse message']
+    """
+    found: list[str] = []
+
+    class Collecting(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            lines = record.getMessage().strip().splitlines()
+            found.append(lines[-1][:200] if lines else "an error without a text")
+
+    loggers = [logging.getLogger(name) for name in libraries]
+    before = [(each.handlers, each.propagate) for each in loggers]
+    for each in loggers:
+        each.handlers, each.propagate = [Collecting(logging.WARNING)], False
+    try:
+        yield found
+    finally:
+        for each, (handlers, propagates) in zip(loggers, before, strict=True):
+            each.handlers, each.propagate = handlers, propagates

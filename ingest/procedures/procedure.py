@@ -112,7 +112,10 @@ def _with_used(
         if item.use is None:
             continue
         where = f"{source}: {key}.use"
-        other, other_source, other_folder = read_procedure(item.use, folder)
+        try:
+            other, other_source, other_folder = read_procedure(item.use, folder)
+        except BadInput as error:
+            raise BadInput(f"{where}: {error}") from error
         if other_source in chain or len(chain) > _MOST_NESTED:
             raise BadInput(f"{where}: {' uses '.join((*chain, other_source))}: a procedure cannot use itself")
         inner, parameters = _with_used(other, other_source, other_folder, (*chain, other_source))

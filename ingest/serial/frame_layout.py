@@ -136,7 +136,10 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             if not is_kept:
                 raise BadInput(f"{where}: {complaint}")
         for each in self.fields:
-            check_name("signal", each.signal)
+            try:
+                check_name("signal", each.signal)
+            except BadInput as error:
+                raise BadInput(f"{where}: {error}") from error
 
     def order(self, part: FrameField | FrameNumber | FrameChecksum) -> ByteOrder:
         """Byte order of a part."""

@@ -24,6 +24,7 @@ from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.station_files import FIRST_ID, MULTICAST, PLAN, Device, Simulation, read_simulation
 from ingest.station_clock import StationClock
 from stream.console import until_stopped
+from stream.decoding import decode_json
 from stream.errors import BadInput, GyrofleetError
 
 TRUTH = "truth.jsonl"
@@ -184,7 +185,7 @@ def power_ons_so_far(path: Path) -> dict[str, int]:
     found: dict[str, int] = {}
     for line in path.read_bytes().splitlines() if path.exists() else ():
         with suppress(msgspec.DecodeError):
-            each = msgspec.json.decode(line, type=_PowerOn)
+            each = decode_json(line, _PowerOn)
             found[each.unit] = max(found.get(each.unit, 0), each.power_on)
     return found
 

@@ -12,6 +12,7 @@ import msgspec
 
 from ingest.simulator.can_frames import MESSAGES_OF_IMU
 from ingest.simulator.physics.positions import POSITION_NAMES
+from stream.decoding import decode_json
 from stream.errors import BadInput
 from stream.identity import check_name
 
@@ -112,7 +113,7 @@ def read_simulation(folder: Path) -> Simulation:
     """Read `simulation.json` of a folder."""
     path = folder / SIMULATION
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Simulation)
+        return decode_json(path.read_bytes(), Simulation)
     except (OSError, msgspec.DecodeError) as error:
         raise BadInput(f"{path} is no simulated station: {error}; `gyrofleet simulate FOLDER` makes one") from error
 

@@ -176,7 +176,10 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
     def make_instruments(self, clock: StationClock) -> dict[str, Instrument]:
         """Every instrument by its name, not opened yet."""
         kinds = instrument_kinds()
-        return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
+        try:
+            return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
+        except BadInput as error:
+            raise BadInput(f"{self.path}: {error}") from error
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -221,7 +224,7 @@ def load_station(path: Path) -> Station:
     except msgspec.MsgspecError as error:
         raise BadInput(f"{path}: {error}") from error
     for what, name in (("site", file.station.site), ("station", file.station.name)):
-        check_name(what, name)
+        _check_name(path, what, name)
     file.station.check(lambda field: f"{path}: station.{field}")
     _check_clock(path, file.clock)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
@@ -232,6 +235,13 @@ def load_station(path: Path) -> Station:
         path=path, table=file.station, clock=file.clock, instruments=instruments, standards=standards, buses=file.buses,
         lines=file.lines, slots=file.slots, settings=_settings(path, file.settings, instruments),
     )  # fmt: skip
+
+
+def _check_name(path: Path, what: str, name: str) -> None:
+    try:
+        check_name(what, name)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
 
 
 def _check_clock(path: Path, clock: ClockTable) -> None:
@@ -245,10 +255,10 @@ def _check_clock(path: Path, clock: ClockTable) -> None:
 
 
 def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options]:
-    check_name("instrument", name)
+    _check_name(path, "instrument", name)
     kinds = instrument_kinds()
     kind = table.get("kind")
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         known = ", ".join(sorted(kinds))
         raise BadInput(f"{path}: instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
     rest = _plain(table)
@@ -274,7 +284,7 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _standard(path: Path, name: str, table: dict[str, Any], instruments: Mapping[str, object]) -> StandardTable:
-    check_name("standard", name)
+    _check_name(path, "standard", name)
     if name in instruments:
         raise BadInput(f"{path}: standards.{name} has the name of an instrument; state its uncertainty there")
     try:

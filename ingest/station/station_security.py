@@ -1,9 +1,12 @@
 """Where a station's file says that its certificate is."""
 
-import tomllib
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from stream.errors import BadInput
+from stream.toml_text import decode_toml
 
 _BESIDE = "security"
 
@@ -16,8 +19,8 @@ def station_security(path: Path | None) -> Path | None:
     if path is None:
         return None
     try:
-        file = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+        file = decode_toml(path.read_bytes(), dict[str, Any])
+    except (OSError, msgspec.DecodeError):
         return None
     station = file.get("station")
     named = (station.get("security") if isinstance(station, dict) else None) or file.get("security")

@@ -112,6 +112,14 @@ class TableFile:
         `check`, which runs first if it has not run; and if the file has changed since. `keep` makes a mask of the
         samples to deliver of unit, run, signal and times in nanoseconds; steps are always delivered.
         """
+        try:
+            yield from self._delivered(epoch_of, keep, progress)
+        except BadInput as error:
+            raise error if str(self._path) in str(error) else BadInput(f"{self._path}: {error}") from error
+
+    def _delivered(
+        self, epoch_of: Callable[[str, str], UUID], keep: Keep | None, progress: Progress | None
+    ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         counts = self._counts()
         batchers = self._batchers(epoch_of)
         tracker = StepTracker()
@@ -169,6 +177,8 @@ def _open(path: Path) -> CsvTable | ParquetTable:
         size = path.stat().st_size
         if path.is_dir():
             raise BadInput(f"{path}: a directory; give a file")
+        if not path.is_file():
+            raise BadInput(f"{path}: a pipe or a device, and it is read twice; give a file")
         if suffix not in CSV_SUFFIXES | PARQUET_SUFFIXES:
             known = " ".join(sorted(CSV_SUFFIXES | PARQUET_SUFFIXES))
             raise BadInput(f"{path}: unknown kind of file {suffix!r}; tables are {known}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stream.batch import IntArray
+from stream.bounds import MAX_INTERVAL_NS
 
 MEDIAN_INTERVALS = 10_000
 _GRID_TOLERANCE = 0.1
@@ -85,7 +86,7 @@ class SamplingGrid:
         dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
         if self._from_measured is not None:
             dt_ns = self._from_measured(intervals_ns, dt_ns)
-        self._dt_ns = dt_ns
+        self._dt_ns = dt_ns = min(dt_ns, MAX_INTERVAL_NS)  # two samples decades apart have a gap between them
         self._judge(intervals_ns, dt_ns)
         return dt_ns
 

@@ -142,7 +142,10 @@ class ParquetTable:
 
     def _refuse(self, sieve: Sieve, first: int, title: str, wrong: BoolArray, array: pa.Array, expected: str) -> None:
         def why(row: int) -> BadRow:
-            value = array[row].as_py()
+            try:
+                value = array[row].as_py()
+            except (OverflowError, ValueError):  # beyond what Python's dates hold
+                value = f"{array[row].cast(pa.int64()).as_py()} ({array.type})"
             return BadRow("row", first + row + 1, title, "null" if value is None else str(value), expected)
 
         sieve.refuse(np.flatnonzero(wrong), why)

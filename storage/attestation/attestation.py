@@ -5,7 +5,6 @@ manifest's chain, the files that are never changed once written, and the SHA-256
 """
 
 import base64
-import binascii
 import hashlib
 import re
 import time
@@ -25,6 +24,7 @@ from storage.segments.disk import sha256_of
 from storage.specifications.copies import FOLDER as SPECIFICATIONS
 from storage.store import Store, only_one
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 FOLDER = "attestations"
@@ -74,7 +74,7 @@ class Attestation(msgspec.Struct, frozen=True, kw_only=True):
     def stated(self) -> Statement:
         """What it states; StoreError if it cannot be read."""
         try:
-            found = msgspec.json.decode(self.statement, type=Statement)
+            found = decode_json(self.statement, Statement)
         except msgspec.MsgspecError as error:
             raise StoreError(f"the attestation's statement cannot be read: {error}") from error
         if found.format > _FORMAT:
@@ -94,7 +94,7 @@ class Attestation(msgspec.Struct, frozen=True, kw_only=True):
         """The signature; empty if it cannot be read."""
         try:
             return base64.b64decode(self.signature, validate=True)
-        except binascii.Error:
+        except ValueError:  # binascii.Error, and text that is not ASCII
             return b""
 
     @property
@@ -125,8 +125,10 @@ def kept_attestations(store: Store) -> list[Path]:
 
 def read_attestation(path: Path) -> Attestation:
     """Read an attestation; StoreError if the file is none."""
+    if path.exists() and not path.is_file():
+        raise StoreError(f"{path} is no file; give the one that `gyrofleet attest --out FILE` has written")
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Attestation)
+        return decode_json(path.read_bytes(), Attestation)
     except (OSError, msgspec.MsgspecError) as error:
         raise StoreError(f"{path} is no attestation: {error}; `gyrofleet attest --out FILE` writes one") from error
 

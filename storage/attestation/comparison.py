@@ -115,7 +115,7 @@ def _segments(store: Store, stated: Statement, found: LogManifest) -> Iterator[F
 
 
 def _order(store: Store, stated: Statement, found: LogManifest) -> Iterator[Finding]:
-    attested = [each.name for each in stated.segments if each.name in found.entries]
+    attested = list(dict.fromkeys(each.name for each in stated.segments if each.name in found.entries))
     known = set(attested)
     listed = [name for name in found.entries if name in known]
     for mine, theirs in zip(listed, attested, strict=True):

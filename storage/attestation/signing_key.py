@@ -30,6 +30,8 @@ class SigningKey:
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
         from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
+        if path.exists() and not path.is_file():
+            raise BadInput(f"--key {path}: it is no file; give another path, where a key is made if there is none")
         try:
             mode = path.stat().st_mode & 0o777
             content = path.read_bytes()

@@ -16,6 +16,7 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
 from storage.store import Store, only_one
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 BACKUP = "backup.json"
@@ -54,7 +55,7 @@ class Written(NamedTuple):
 def read_backup(folder: Path) -> Backup:
     """Read what a folder holds; StoreError if it is no backup."""
     try:
-        found = msgspec.json.decode((folder / BACKUP).read_bytes(), type=Backup)
+        found = decode_json((folder / BACKUP).read_bytes(), Backup)
     except FileNotFoundError:
         raise StoreError(f"{folder} is no backup: it holds no {BACKUP}; `gyrofleet backup` writes one") from None
     except (OSError, msgspec.MsgspecError) as error:

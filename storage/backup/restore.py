@@ -1,5 +1,7 @@
 """Restoration of a backup into a new folder: verified, repaired as after a kill, its lake built from the log."""
 
+import fcntl
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +30,11 @@ def restore(
     total = max(1, sum(each.size for each in copies))
     fresh = folder / _RESTORING  # not yet where a store's log is: what is incomplete is no store
     try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held = _held(folder)
+    except OSError as error:
+        raise StoreError(f"cannot restore into {folder}: {error}; give a new folder") from error
+    try:
         _check_empty(folder, backup)
         done = 0
         for each in copies:
@@ -45,12 +52,26 @@ def restore(
             if path.name != _MARK:
                 path.rename(folder / path.name)
         write_markers(folder, backup.store)
-        shutil.rmtree(fresh)
+        done_here = list(recover(Store.open(folder)))
+        shutil.rmtree(fresh)  # until now the same command begins anew
     except FileNotFoundError as error:
         raise StoreError(f"the backup {source} is incomplete: {error}; restore from another one") from error
     except OSError as error:
         raise StoreError(f"cannot restore into {folder}: {error}; the same command goes on") from error
-    return backup, list(recover(Store.open(folder)))
+    finally:
+        os.close(held)
+    return backup, done_here
+
+
+def _held(folder: Path) -> int:
+    """Hold a folder for one restoration; the system frees it if the process is killed."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise StoreError(f"another `gyrofleet restore` is at work in {folder}; wait for it") from None
+    return descriptor
 
 
 def _of_log(backup: Backup) -> Iterator[CopiedFile]:

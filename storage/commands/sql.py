@@ -76,6 +76,7 @@ def sql(
         return
     assert statement is not None
     from storage.sql.door import QueryLimits
+    from storage.sql.sandbox.landlock import WITHOUT_LANDLOCK
 
     memory_bytes = None if memory_gib is None else int(memory_gib * 2**30)
     given: dict[str, Any] = {"time_s": time_s, "memory_bytes": memory_bytes, "rows": max_rows}
@@ -83,9 +84,7 @@ def sql(
     with asked.door(limits) as door:
         result = door.ask(statement)
         if not door.is_enforced:
-            notes().print(
-                "note: this kernel has no Landlock; only DuckDB's own settings keep the statement from writing files"
-            )
+            notes().print(f"note: {WITHOUT_LANDLOCK}", soft_wrap=True)
         for note in result.notes:
             notes().print(f"note: {note}", soft_wrap=True, markup=False)
         if parquet_path is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from storage.log.files import highest_number, sealed_segments, unknown_files
 from storage.log.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, unlisted_entry
-from storage.log.sequence import LogPlace, SegmentTally, place_of, positions_of, raise_positions
+from storage.log.sequence import LogPlace, SegmentTally, placed, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import ManifestWriter
@@ -186,8 +186,7 @@ class EventLog:
         except StoreError as error:
             self.warnings.append(str(error))
             found = reached_in(sealed)
-            for record in SegmentScan(sealed, sealed=True):
-                place = place_of(record)
+            for _, place in placed(sealed, SegmentScan(sealed, sealed=True)):
                 if place is not None:
                     raise_positions(found, {place.stream: place.next_seq})
         raise_positions(self.marks, found)

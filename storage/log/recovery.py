@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from storage.log.files import is_own, next_free
-from storage.log.sequence import LostStretch, SegmentTally, SequenceCheck, place_of, positions_of, raise_positions
+from storage.log.sequence import LostStretch, SegmentTally, SequenceCheck, placed, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
 from storage.manifests.entries import SegmentEntry
 from storage.segments.disk import DISK, Disk, sha256_of
@@ -72,7 +72,7 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
     limit, sealed = int(match[2]) if match[2] else None, store.log / match[1]
     if sealed.exists():
         reached = reached_in(sealed)
-        places = (place_of(record) for record in SegmentScan(path, limit))
+        places = (place for _, place in placed(path, SegmentScan(path, limit)))
         if all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places):
             # it was copied by a process that ended before it could remove this one
             return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
@@ -96,8 +96,7 @@ def examine_segment(path: Path, known: dict[StreamId, int]) -> Recovery:
     scan = SegmentScan(path, sealed=True)
     tally, check = SegmentTally(), SequenceCheck()
     check.next_seq.update(known)
-    for record in scan:
-        place = place_of(record)
+    for record, place in placed(path, scan):
         if place is None or check.follow(place):
             tally.add(record, place)
     for stream, next_seq in reached_in(path).items():
@@ -116,8 +115,8 @@ def reached_in(sealed: Path) -> dict[StreamId, int]:
 def unlisted_entry(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamId, int]]:
     """The entry and positions of a sealed segment that the manifest does not list."""
     tally = SegmentTally()
-    for record in read_segment(path):
-        tally.add(record, place_of(record))
+    for record, place in placed(path, read_segment(path)):
+        tally.add(record, place)
     # a quarantined original beside it means that it is a salvaged copy
     beside = [*store.log.glob(f"{path.name}.*"), *store.aside.glob(f"{path.name}.*")]
     is_copy = any(".tail." not in each.name and not each.name.endswith(_COPY) for each in beside)
@@ -131,8 +130,8 @@ def _seal(
     store: Store, path: Path, sealed: Path, scan: SegmentScan, known: dict[StreamId, int], disk: Disk
 ) -> Recovery:
     tally = SegmentTally()
-    for record in scan:
-        tally.add(record, place_of(record))
+    for record, place in placed(path, scan):
+        tally.add(record, place)
     if scan.damaged:
         recovery = _copy(store, sealed, SegmentScan(path, scan.limit), known, {}, disk)
         return replace(recovery, segment=path.name, kept_aside=_quarantine(store, path, disk))
@@ -165,8 +164,7 @@ def _copy(
     check = SequenceCheck()
     check.next_seq.update(known)
     writer: SegmentWriter | None = None
-    for record in scan:
-        place = place_of(record)
+    for record, place in placed(scan.path, scan):
         if place is not None and not check.follow(place):
             continue
         if writer is None:

@@ -1,12 +1,14 @@
 """Positions of messages in their streams: gaps, repetitions, and what a segment holds of each stream."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 from storage.manifests.entries import SegmentEntry
 from storage.segments.records import EVENTS, SAMPLES, LogRecord, SealedSegment
-from stream.errors import StoreError
+from stream.errors import GyrofleetError, StoreError
 from stream.events import AnyDocument, RunEnded, decode_event
 from stream.identity import SampleKey, parse_key
 from stream.wire.acknowledgement import StreamId
@@ -176,6 +178,18 @@ def place_of(record: LogRecord) -> LogPlace | None:
     """Position of a message of the log in its stream; None if it is not numbered."""
     parsed = parse_record(record)
     return None if parsed is None else parsed.place
+
+
+def placed(path: Path, records: Iterable[LogRecord]) -> Iterator[tuple[LogRecord, LogPlace | None]]:
+    """Messages of a segment with their positions; an error of one that cannot be read names the segment."""
+    for record in records:
+        try:
+            place = place_of(record)
+            if place is not None:
+                parse_key(place.stream.key)
+        except GyrofleetError as error:
+            raise type(error)(f"segment {path} holds a message that cannot be read: {error}") from error
+        yield record, place
 
 
 def positions_of(marks: dict[str, str]) -> dict[StreamId, int]:

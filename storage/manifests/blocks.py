@@ -15,6 +15,7 @@ from storage.manifests.part import Part, check_names
 SPAN = 4096  # segments
 _LEVEL = 3
 _MOST_BYTES = 1 << 30
+_MOST_NAMES = 10_000_000
 
 
 class _Block(msgspec.Struct, frozen=True):
@@ -51,11 +52,15 @@ def encode_block(parts: Iterable[Part]) -> bytes:
 def decode_block(content: bytes, *, with_sources: bool = False) -> list[Part]:
     """The parts in a block, `with_sources` with the SHA-256 of their segments; ValueError if it is damaged."""
     try:
+        if (stated := zstandard.frame_content_size(content)) > _MOST_BYTES:  # which is allocated as it is stated
+            raise ValueError(f"it states {stated:,} bytes, a block has at most {_MOST_BYTES:,}")
         text = zstandard.ZstdDecompressor().decompress(content, max_output_size=_MOST_BYTES)
         block = _decoder.decode(text)
         sources: Mapping[str, str] = _sources.decode(block.sources) if with_sources else {}
-    except (zstandard.ZstdError, msgspec.MsgspecError) as error:
+    except (zstandard.ZstdError, msgspec.MsgspecError, RecursionError) as error:
         raise ValueError(str(error)) from error
+    except MemoryError as error:
+        raise ValueError("it takes more memory than there is") from error
     for part in block.parts:
         check_names(part)
     if not with_sources:
@@ -86,14 +91,16 @@ def packed(segments: Iterable[str]) -> list[str]:
 
 
 def unpacked(ranges: Iterable[str]) -> list[str]:
-    """The names of `packed`.
+    """The names of `packed`; ValueError if they are more than any log has.
 
     >>> unpacked(["00000001-00000003", "00000007"])
     ['00000001', '00000002', '00000003', '00000007']
     """
-    found = []
+    found: list[str] = []
     for each in ranges:
         first, _, last = each.partition("-")
         is_run = first.isdecimal() and last.isdecimal()
+        if is_run and int(last) - int(first) + len(found) > _MOST_NAMES:
+            raise ValueError(f"{each[:80]!r} names more than {_MOST_NAMES:,} segments")
         found += [f"{n:0{len(first)}d}" for n in range(int(first), int(last) + 1)] if is_run else [each]
     return found

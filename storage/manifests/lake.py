@@ -28,6 +28,7 @@ from storage.manifests.part import (
 )
 from storage.store import Store
 from stream.atomic_file import sync_folder, write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 LAKE_FORMAT = 2
@@ -141,7 +142,7 @@ def _content(store: Store, path: Path) -> bytes | None:
 
 
 def _decoded(path: Path, content: bytes, *, with_sources: bool) -> Manifest:
-    written = msgspec.json.decode(unsealed(content), type=_Written)
+    written = decode_json(unsealed(content), _Written)
     if written.format > LAKE_FORMAT:
         raise StoreError(
             f"{path} has lake format {written.format}, this gyrofleet reads up to {LAKE_FORMAT}: upgrade gyrofleet"

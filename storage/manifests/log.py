@@ -103,7 +103,15 @@ def _take_line(found: LogManifest, line: bytes) -> None:
         found.last = chained.decode(errors="replace")
         return
     found.last = chained.decode()
-    entry = _decoder.decode(text)
+    try:
+        entry = _decoder.decode(text)
+    except (
+        msgspec.MsgspecError,
+        UnicodeDecodeError,
+        RecursionError,
+    ) as error:  # its hash is right: somebody has computed it
+        found.damage.append(ManifestDamage(found.lines, f"it is no entry of a segment: {error}"))
+        return
     if _SEGMENT.fullmatch(entry.segment) is None:
         found.damage.append(ManifestDamage(found.lines, f"{entry.segment!r} is not the name of a segment"))
         return

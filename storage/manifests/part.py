@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 PART = "part.json"
@@ -132,6 +133,8 @@ def check_names(part: Part) -> None:
     """Refuse, by a ValueError, names that lead out of the lake."""
     if _NAMES.fullmatch("\n".join((part.name, *part.segments, *part.files))) is None:
         raise ValueError(f"a name of part {part.name!r} is not a path within the lake")
+    if not part.segments:
+        raise ValueError(f"part {part.name!r} is of no segment")
 
 
 def check_within(names: list[str]) -> None:
@@ -164,7 +167,7 @@ def write_sealed(path: Path, value: msgspec.Struct) -> None:
 def decoded_part(content: bytes) -> Part:
     """The part that the content of a ``part.json`` describes; ValueError if that is damaged."""
     try:
-        part = msgspec.json.decode(unsealed(content), type=Part)
+        part = decode_json(unsealed(content), Part)
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from error
     check_names(part)

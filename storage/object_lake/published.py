@@ -19,6 +19,7 @@ from storage.manifests.blocks import decode_block, encode_block, in_blocks, pack
 from storage.manifests.lake import Replaced
 from storage.manifests.part import Part, in_order
 from storage.object_lake.bucket import AT_ONCE, Bucket, Outdated, Unanswered
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 PUBLISHED_FORMAT = 1
@@ -81,7 +82,7 @@ def read_head(bucket: Bucket) -> tuple[Head, str] | None:
         return None
     content, etag = found
     try:
-        head = msgspec.json.decode(content, type=Head)
+        head = decode_json(content, Head)
     except msgspec.MsgspecError as error:
         raise StoreError(f"{bucket.url}/{HEAD} is damaged ({error}); restore an earlier version of it") from error
     if head.format > PUBLISHED_FORMAT:

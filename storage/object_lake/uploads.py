@@ -18,6 +18,7 @@ from storage.object_lake.bucket import Bucket, file_digests
 from storage.object_lake.published import PARTS
 from storage.store import Store
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 FOLDER = "published"
@@ -43,7 +44,7 @@ class Uploads:
         self._path = store.folder / FOLDER / f"{hashlib.sha256(bucket.url.encode()).hexdigest()[:16]}.json"
         self._begun: dict[str, Upload] = {}
         try:
-            self._begun = msgspec.json.decode(self._path.read_bytes(), type=dict[str, Upload])
+            self._begun = decode_json(self._path.read_bytes(), dict[str, Upload])
         except (FileNotFoundError, msgspec.MsgspecError):
             self._begun = {}  # uploads begin anew; what is there is removed as abandoned
 

@@ -21,6 +21,7 @@ from uuid import uuid4
 import msgspec
 
 from stream.closing import Closing
+from stream.decoding import decode_json
 from stream.errors import StoreError
 from stream.events import CommandOutcome, NoteAdded, RunAction
 from stream.status.role_status import boot, uptime_ns
@@ -156,7 +157,7 @@ class CommandFolder(Closing):
             if about.st_size > _MOST_BYTES:
                 return BadCommand(name, f"has {about.st_size:,} bytes")
             try:
-                return msgspec.json.decode(file.read(), type=kind)
+                return decode_json(file.read(), kind)
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
                 return BadCommand(name, f"cannot be read: {error}")
 

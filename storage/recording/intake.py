@@ -14,7 +14,7 @@ from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
 from stream.events import ApprovedAct, StoreNoted
-from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
 from stream.security.proof import SourceVerifier, split
 from stream.security.rights import Principal
@@ -30,6 +30,18 @@ _REWIND_INTERVAL_S = 0.2
 _MOST_ENDED = 10_000
 _MOST_RECENT = 250_000  # of each generation, about 100 bytes each
 _parse_key = lru_cache(maxsize=200_000)(parse_key)
+
+
+@lru_cache(maxsize=200_000)
+def _checked_key(key: str) -> SampleKey | EstimateKey | EventKey:
+    """The parts of a key of which each is a name."""
+    parsed = parse_key(key)
+    named = {"site": parsed.place.site, "station": parsed.place.station}
+    if not isinstance(parsed, EventKey):
+        named |= {"unit": parsed.unit, "signal": parsed.signal}
+    for kind, name in named.items():
+        check_name(kind, name)
+    return parsed
 
 
 @dataclass
@@ -130,7 +142,7 @@ class Intake:
         """Append or answer one message; OSError if it cannot be written."""
         self.counts.messages += 1
         try:
-            parsed = _parse_key(key)
+            parsed = _checked_key(key)
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
             proven = split(payload)
@@ -175,6 +187,8 @@ class Intake:
         unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
+        if run:
+            check_name("run", run)
         stream = StreamId(key, epoch)
         place = LogPlace(stream, seq, next_seq, t0_ns, last_ns, run)
         if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload), body):

@@ -10,6 +10,7 @@ from storage.fleet_store import Replica
 from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 
 _FILE = "identities.json"
 _STATED = ("product", "lot", "device")
@@ -57,7 +58,7 @@ def identities(replica: Replica) -> dict[str, Stated]:
     path = replica.folder / _FILE
     number = read_manifest(replica.store).number
     with suppress(OSError, msgspec.MsgspecError):
-        kept = msgspec.json.decode(path.read_bytes(), type=_Kept)
+        kept = decode_json(path.read_bytes(), _Kept)
         if kept.lake == number:
             return kept.units
     with Catalog(replica.store) as catalog:

@@ -140,7 +140,7 @@ def checked_line(raw: bytes, last: str) -> Line:
         )
     try:
         entry = _decoder.decode(text)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ListRefused("line_invalid", "", f"a line of the list cannot be read: {error}") from error
     if not is_segment(entry.segment):
         raise ListRefused("line_invalid", "", f"{entry.segment[:80]!r} is not the name of a segment")

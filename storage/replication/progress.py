@@ -6,6 +6,7 @@ import msgspec
 
 from storage.fleet_store import Replica
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 
 _FILE = "progress.json"
 
@@ -59,7 +60,7 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
 def read_progress(replica: Replica) -> Progress:
     """The state after the last pass; one without numbers if there is none."""
     try:
-        return msgspec.json.decode((replica.folder / _FILE).read_bytes(), type=Progress)
+        return decode_json((replica.folder / _FILE).read_bytes(), Progress)
     except (OSError, msgspec.MsgspecError):  # written again by the next pass
         return Progress(plant=replica.plant.name, store=replica.plant.store)
 

@@ -3,13 +3,14 @@
 import mmap
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from io import BytesIO
 from typing import NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
@@ -32,6 +33,7 @@ Buffer = bytes | mmap.mmap
 
 MAX_CONTENT_BYTES = CHUNK_BYTES + 2 * MAX_MESSAGE_BYTES  # of a chunk; older versions wrote longer messages
 _SCHEMAS = {number: name for name, number in SCHEMA_IDS.items()}
+_NUMBER = struct.Struct("<H")  # of its channel, at the begin of a message
 _ZSTD_HEAD_BYTES = 18  # at most, RFC 8878 section 3.1.1
 # bytes at a fixed offset in every chunk
 _NEEDLE = struct.pack("<I", len(COMPRESSION)) + COMPRESSION
@@ -74,6 +76,8 @@ def chunk_at(content: Buffer, position: int, end: int) -> Chunk | None:
     is_chunk = (opcode, named, compression) == (Opcode.CHUNK, len(COMPRESSION), COMPRESSION)
     if not is_chunk or length != CHUNK.size - FRAME.size + packed or packed > end - begin:
         return None
+    if size > MAX_CONTENT_BYTES:
+        return None  # no version writes so much
     try:
         if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
             return None  # before allocating
@@ -81,8 +85,6 @@ def chunk_at(content: Buffer, position: int, end: int) -> Chunk | None:
     except (zstandard.ZstdError, OverflowError):
         return None
     except MemoryError as error:
-        if size > MAX_CONTENT_BYTES:
-            return None  # no version writes so much
         raise OutOfMemory(
             f"not enough memory for {size:,} bytes of a log segment, which may be intact; free some and try again"
         ) from error
@@ -104,7 +106,11 @@ def messages_of(
     content: bytes, channels: dict[int, tuple[str, str]], index: ChannelIndex | None = None,
     summary: SegmentSummary | None = None,
 ) -> Iterator[LogRecord]:  # fmt: skip
-    """Messages of a chunk's content; adds its channels to `channels` and the places of messages to `index`."""
+    """Messages of a chunk's content; adds its channels to `channels` and the places of messages to `index`.
+
+    Raises a ValueError, before the first message, if the content is none, although its checksum holds.
+    """
+    _check_records(content, channels)
     position, end = 0, len(content)
     unpack, head = MESSAGE.unpack_from, MESSAGE.size
     while position < end:
@@ -123,6 +129,31 @@ def messages_of(
                 summary.channels[channel.id] = channel
                 index.setdefault(channel.id, [])
         position = after
+
+
+def _check_records(content: bytes, channels: Mapping[int, tuple[str, str]]) -> None:
+    """Refuse, by a ValueError, records that end beyond the content, or name a channel or schema that is not there."""
+    position, end = 0, len(content)
+    own: set[int] = set()
+    frame, number_of = FRAME.unpack_from, _NUMBER.unpack_from
+    try:
+        while position < end:
+            opcode, length = frame(content, position)
+            after = position + FRAME.size + length
+            if opcode == Opcode.MESSAGE:
+                (number,) = number_of(content, position + FRAME.size)
+                if length < MESSAGE.size - FRAME.size or not (number in own or number in channels):
+                    raise ValueError(f"the message at byte {position} of a chunk is cut, or of no channel")
+            elif opcode == Opcode.CHANNEL:
+                channel = _channel(content[position + FRAME.size : after])
+                if channel.schema_id not in _SCHEMAS:
+                    raise ValueError(f"channel {channel.id} has the schema {channel.schema_id}, which there is not")
+                own.add(channel.id)
+            position = after
+    except (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError) as error:
+        raise ValueError(f"the record at byte {position} of a chunk cannot be read: {error}") from error
+    if position != end:
+        raise ValueError(f"the last record of a chunk ends {position - end:,} bytes beyond it")
 
 
 @lru_cache(maxsize=100_000)

@@ -71,8 +71,12 @@ class GrowingSegment(Closing):
                 continue
             chunk = chunk_at(content, position, end)
             if chunk is not None:
-                yield from messages_of(chunk.content, self._channels)
+                begin = base + position
                 position += chunk.head.frame_bytes
+                try:
+                    yield from messages_of(chunk.content, self._channels)
+                except ValueError:
+                    self.damaged.append(ByteSpan(begin, base + position))
                 # not after its indexes: recovery cuts them off if they are incomplete
                 self.offset = base + position
                 continue

@@ -146,7 +146,11 @@ class SegmentScan:
             end = len(content) if self.limit is None else min(self.limit, len(content))
             for chunk in self._chunks(content, end):
                 index: ChannelIndex = {}
-                yield from messages_of(chunk.content, channels, index, self.summary)
+                try:
+                    yield from messages_of(chunk.content, channels, index, self.summary)
+                except ValueError:
+                    self.damaged.append(ByteSpan(chunk.begin, chunk.begin + chunk.head.frame_bytes))
+                    continue
                 self._extend(content, chunk, index, end)
 
     def _chunks(self, content: Buffer, end: int) -> Iterator[Chunk]:

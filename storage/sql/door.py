@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _GIB = 1 << 30
 _STDERR_BYTES = 2000
 _ATTEMPTS = 3
+_ENDING = ("INTERNAL Error", "FATAL Error")  # after which DuckDB answers no statement any more
 
 
 class QueryLimits(NamedTuple):
@@ -137,6 +138,8 @@ class SqlDoor(Closing):
                 if "MemoryError" in failure["kinds"]:
                     self._end()
                 raise _too_much_memory(self.limits)
+            if failure["message"].startswith(_ENDING):
+                self._end()
             known = [getattr(stream.errors, name, None) for name in failure["kinds"]]
             kinds = [each for each in known if isinstance(each, type) and issubclass(each, GyrofleetError)]
             raise kinds[0](failure["message"])

@@ -172,7 +172,10 @@ def scan(folder: Path) -> Scanned:
         parsed = parse_frames(data, is_end=True)
         found.damages += [f"{path}: bytes {first} to {after} are damaged" for first, after in parsed.damaged]
         for frame in parsed.frames:
-            found.table.apply(frame)
+            try:
+                found.table.apply(frame)
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:  # its checksum is right
+                found.damages.append(f"{path}: a frame of the table of streams cannot be read: {error}")
             if frame.number >= FIRST_STREAM:
                 file.unread += 1
                 file.last[frame.number] = max(frame.next_seq, file.last.get(frame.number, 0))

@@ -1,5 +1,6 @@
 """The state of an estimator as bytes: versioned, compact, checked, without Python's own serialisation."""
 
+import re
 import struct
 import zlib
 from typing import Any
@@ -15,6 +16,7 @@ SNAPSHOT_VERSION = 3
 
 _HEAD = struct.Struct("<4sII")  # mark, version, CRC-32 of version and content
 _MARK = b"GFES"
+_DTYPE = re.compile(r"[<|][biuf][1248]")
 
 
 class _Array(msgspec.Struct, frozen=True, array_like=True):
@@ -64,6 +66,20 @@ def restore(snapshot: bytes) -> Estimator[Any]:
             f"snapshot of version {version}, of an older gyrofleet; this one keeps version {SNAPSHOT_VERSION}: "
             "estimate again from the record"
         )
+    try:
+        return _restored(packed)
+    except (
+        msgspec.MsgspecError, zstandard.ZstdError, ArithmeticError, AttributeError, LookupError, MemoryError,
+        RecursionError, TypeError, ValueError,
+    ) as error:  # fmt: skip
+        # its checksum is right: another program, or somebody, has written it
+        raise EstimatorError(
+            f"the snapshot of an estimator cannot be read ({type(error).__name__}: {error}); estimate again from the "
+            "record"
+        ) from error
+
+
+def _restored(packed: bytes) -> Estimator[Any]:
     content = _decoder.decode(zstandard.ZstdDecompressor().decompress(packed))
     classes = {cls.__name__: cls for cls in estimator_classes()}
     if content.estimator not in classes:
@@ -72,6 +88,8 @@ def restore(snapshot: bytes) -> Estimator[Any]:
             f"{', '.join(classes)}"
         )
     estimator = classes[content.estimator](**content.arguments)
+    if wrong := [a.dtype for a in content.arrays if _DTYPE.fullmatch(a.dtype) is None]:
+        raise ValueError(f"no numbers are of the type {wrong[0]!r}")
     arrays = tuple(np.frombuffer(a.data, np.dtype(a.dtype)).reshape(a.shape) for a in content.arrays)
     estimator.import_state(EstimatorState(content.signal, content.tracker, content.reference, arrays))
     return estimator

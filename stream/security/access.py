@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from stream.decoding import decode_json
 from stream.errors import BusError, GyrofleetError
 from stream.security.rights import Principal, principal_of
 from stream.security.site_rules import SiteRules, Subject
@@ -52,8 +53,14 @@ class AccessList:
 
         found = self._loaded.get(principal)
         if found is None and principal in self.admitted:
-            loaded = load_der_public_key(self.admitted[principal])
-            assert isinstance(loaded, EllipticCurvePublicKey)
+            try:
+                loaded = load_der_public_key(self.admitted[principal])
+            except ValueError as error:
+                raise BusError(
+                    f"the key of {principal} in the {ACCESS_FILE} of the site cannot be read: {error}"
+                ) from error
+            if not isinstance(loaded, EllipticCurvePublicKey):
+                raise BusError(f"the key of {principal} in the {ACCESS_FILE} of the site is not of the curve P-256")
             found = self._loaded[principal] = loaded
         return found
 
@@ -85,9 +92,9 @@ def read_access_list(path: Path, site_key: "EllipticCurvePublicKey") -> AccessLi
 
     again = "copy it from the site's folder again"
     try:
-        file = msgspec.json.decode(path.read_bytes(), type=_File)
+        file = decode_json(path.read_bytes(), _File)
         site_key.verify(b64decode(file.signature), bytes(file.content), ECDSA(SHA256()))
-        content = msgspec.json.decode(file.content, type=_Content)
+        content = decode_json(file.content, _Content)
         admitted = {principal_of(each.common_name): b64decode(each.public_key) for each in content.admitted}
         rules = SiteRules(tuple(map(Subject, content.two_persons)))
         return AccessList(admitted, frozenset(map(principal_of, content.revoked)), content.at_ns, rules)

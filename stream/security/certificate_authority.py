@@ -4,11 +4,12 @@ SITE/ca.key (mode 600) stays with who runs the site. SITE/ROLE/NAME/ is what a p
 """
 
 import datetime as dt
+import fcntl
 import ipaddress
 import os
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -18,6 +19,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from stream.atomic_file import write_durably
+from stream.decoding import decode_json
 from stream.errors import BadInput
 from stream.security.access import ACCESS_FILE, AccessList
 from stream.security.credentials import CERTIFICATE, KEY, SITE_CERTIFICATE
@@ -64,24 +66,51 @@ class Site:
         try:
             key = serialization.load_pem_private_key((folder / _CA_KEY).read_bytes(), None)
             self._certificate = x509.load_pem_x509_certificate((folder / SITE_CERTIFICATE).read_bytes())
-            index = msgspec.json.decode((folder / _INDEX).read_bytes(), type=_Index)
         except OSError as error:
-            reason = f"{folder} is no site ({error.strerror})"
-            raise BadInput(f"{reason}; `gyrofleet site init {folder}` makes one") from error
-        except (ValueError, TypeError, msgspec.MsgspecError) as error:
-            raise BadInput(f"{folder} is damaged: {error}; restore it from its copy") from error
+            raise self._none(error) from error
+        except (ValueError, TypeError) as error:
+            files = f"{_CA_KEY} or {SITE_CERTIFICATE}"
+            raise BadInput(f"{folder}: {files} is damaged: {error}; restore it from its copy") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise BadInput(f"{folder / _CA_KEY} is no key of a site")
         self._key = key
-        self._issued = {each.principal: each for each in index.issued}
+        self._issued = self._read_index()
+
+    def _read_index(self) -> dict[Principal, Issued]:
+        path = self.folder / _INDEX
+        try:
+            index = decode_json(path.read_bytes(), _Index)
+            return {each.principal: each for each in index.issued}
+        except OSError as error:
+            raise self._none(error) from error
+        except (ValueError, msgspec.MsgspecError, BadInput) as error:
+            raise BadInput(f"{path} is damaged: {error}; restore it from its copy") from error
+
+    def _none(self, error: OSError) -> BadInput:
+        reason = f"{self.folder} is no site ({error.strerror})"
+        return BadInput(f"{reason}; `gyrofleet site init {self.folder}` makes one")
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Hold the site against other commands that change it, and know what those before have written."""
+        descriptor = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            self._issued = self._read_index()
+            yield
+        finally:
+            os.close(descriptor)
 
     @classmethod
     def create(cls, folder: Path) -> "Site":
         """Make a site; raises BadInput if the folder holds anything."""
-        if folder.exists() and any(folder.iterdir()):
-            raise BadInput(f"{folder} is not empty: a site's keys are never overwritten; give a new folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.chmod(0o700)
+        try:
+            if folder.exists() and any(folder.iterdir()):
+                raise BadInput(f"{folder} is not empty: a site's keys are never overwritten; give a new folder")
+            folder.mkdir(parents=True, exist_ok=True)
+            folder.chmod(0o700)
+        except OSError as error:
+            raise BadInput(f"{folder} cannot be made: {error.strerror}; give a new folder") from error
         key = ec.generate_private_key(ec.SECP256R1())
         _write_key(folder / _CA_KEY, key)
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"gyrofleet site {folder.resolve().name}"[:64])])
@@ -110,17 +139,25 @@ class Site:
 
     def add(self, role: Role, name: str, *, hosts: Sequence[str] = (), days: float) -> Path:
         """Make the credentials of a principal; their folder. Raises BadInput if there are any."""
-        principal = principal_named(role, name)
-        found = self._issued.get(principal)
+        with self._alone():
+            return self._add(principal_named(role, name), hosts, days)
+
+    def _add(self, principal: Principal, hosts: Sequence[str], days: float) -> Path:
+        role, found = principal.role, self._issued.get(principal)
         folder = self.folder_of(principal)
-        if found is not None or folder.exists():
-            state = "" if found is None else f", {found.state}"
+        if found is not None:
             raise BadInput(
-                f"{principal} is on the site already{state}: keys are never overwritten; `gyrofleet site renew` "
-                f"prolongs a certificate, and after a revocation another name is given"
+                f"{principal} is on the site already, {found.state}: keys are never overwritten; `gyrofleet site "
+                f"renew` prolongs a certificate, and after a revocation another name is given"
+            )
+        if folder.exists():
+            raise BadInput(
+                f"{folder} is there, and {principal} is not on the site: an interrupted command has left it, or "
+                f"{_INDEX} is an old one; keys are never overwritten, move the folder away and add again"
             )
         if hosts and not role.listens:
             raise BadInput(f"--host is for those that listen, and {principal} does not: leave it out")
+        self._admitted()  # before anything is made: all are on the new access list
         folder.mkdir(parents=True, mode=0o700)
         key = ec.generate_private_key(ec.SECP256R1())
         _write_key(folder / KEY, key)
@@ -129,20 +166,45 @@ class Site:
 
     def renew(self, principal: Principal, *, days: float, hosts: Sequence[str] = ()) -> Issued:
         """A new certificate for the same key; raises BadInput if the principal is revoked or unknown."""
-        found = self._known(principal)
-        if found.revoked_ns is not None:
-            raise BadInput(f"{principal} is revoked and is not renewed; add it under another name")
-        certificate = x509.load_pem_x509_certificate((self.folder_of(principal) / CERTIFICATE).read_bytes())
-        public = certificate.public_key()
-        assert isinstance(public, ec.EllipticCurvePublicKey)
-        return self._issue(principal, public, tuple(hosts) or found.hosts, days)
+        with self._alone():
+            found = self._known(principal)
+            if found.revoked_ns is not None:
+                raise BadInput(f"{principal} is revoked and is not renewed; add it under another name")
+            public = self._public_key(principal)
+            return self._issue(principal, public, tuple(hosts) or found.hosts, days)
 
     def revoke(self, principal: Principal) -> None:
         """Take a principal off the access lists: who listens refuses it, and it is not renewed."""
-        found = self._known(principal)
-        if found.revoked_ns is None:
-            self._issued[principal] = msgspec.structs.replace(found, revoked_ns=time.time_ns())
-            self._write()
+        with self._alone():
+            found = self._known(principal)
+            if found.revoked_ns is None:
+                self._issued[principal] = msgspec.structs.replace(found, revoked_ns=time.time_ns())
+                self._write()
+
+    def _admitted(self) -> dict[Principal, bytes]:
+        """Public keys of all that are not revoked; BadInput if the certificate of one cannot be read."""
+        admitted: dict[Principal, bytes] = {}
+        for each in self.issued:
+            if each.revoked_ns is None:
+                admitted[each.principal] = self._public_key(each.principal).public_bytes(
+                    serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo
+                )
+        return admitted
+
+    def _public_key(self, principal: Principal) -> ec.EllipticCurvePublicKey:
+        """The key of a principal, from its certificate; BadInput if that is missing or damaged."""
+        path = self.folder_of(principal) / CERTIFICATE
+        try:
+            public = x509.load_pem_x509_certificate(path.read_bytes()).public_key()
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise BadInput(
+                f"{path}, the certificate of {principal}, cannot be read: {reason}; restore it from a copy, or revoke "
+                f"{principal.common_name}"
+            ) from error
+        if not isinstance(public, ec.EllipticCurvePublicKey):
+            raise BadInput(f"{path} is of a key that is not on the curve P-256; restore it from a copy")
+        return public
 
     def _known(self, principal: Principal) -> Issued:
         found = self._issued.get(principal)
@@ -191,15 +253,8 @@ class Site:
 
     def _write(self) -> None:
         """Write the index, and the access list into the folder of everybody."""
+        admitted = self._admitted()
         write_durably(self.folder / _INDEX, msgspec.json.encode(_Index(tuple(self.issued))))
-        admitted: dict[Principal, bytes] = {}
-        for each in self.issued:
-            if each.revoked_ns is None:
-                path = self.folder_of(each.principal) / CERTIFICATE
-                public = x509.load_pem_x509_certificate(path.read_bytes()).public_key()
-                admitted[each.principal] = public.public_bytes(
-                    serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo
-                )
         revoked = frozenset(each.principal for each in self.issued if each.revoked_ns is not None)
         content = AccessList(admitted, revoked, time.time_ns(), read_site_rules(self.rules_file)).encode(self._key)
         for principal in self._issued:

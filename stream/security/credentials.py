@@ -59,7 +59,10 @@ def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Crede
     except OSError as error:
         raise BusError(f"{error.filename} cannot be read: {error.strerror}; give --security FOLDER") from error
     except (ValueError, TypeError, BadInput) as error:
-        raise BusError(f"{folder}: {error}; `gyrofleet site add` makes such folders") from error
+        raise BusError(
+            f"{folder}: {KEY}, {CERTIFICATE} or {SITE_CERTIFICATE} is damaged: {error}; `gyrofleet site add` makes "
+            "such folders"
+        ) from error
     try:
         certificate.verify_directly_issued_by(site)
     except (ValueError, TypeError, InvalidSignature):

@@ -12,6 +12,7 @@ from typing import Annotated
 import msgspec
 
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
+from stream.decoding import decode_json
 from stream.errors import WireError
 from stream.identity import ROOT
 
@@ -138,7 +139,7 @@ def decode_status(payload: bytes) -> RoleStatus:
     if len(payload) > MAX_MESSAGE_BYTES:
         raise WireError(f"{len(payload)} bytes are more than a status may have")
     try:
-        return msgspec.json.decode(payload, type=RoleStatus)
+        return decode_json(payload, RoleStatus)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise WireError(f"no status of a role: {error}") from error
 

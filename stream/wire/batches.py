@@ -221,8 +221,13 @@ def _check_lengths(message: samples_pb2.SampleBatch) -> None:
 
 
 def _wrong(message: samples_pb2.SampleBatch, what: str) -> WireError:
-    names = [each[:MAX_NAME_CHARS] for each in (message.run, message.unit, message.signal)]
+    names = [_shown(each) for each in (message.run, message.unit, message.signal)]
     return WireError("not a sample batch: run {}, unit {}, signal {}: {}".format(*names, what))
+
+
+def _shown(name: str) -> str:
+    """A name for a message: not too long, and without characters that nobody sees."""
+    return name[:MAX_NAME_CHARS] if name.isprintable() else ascii(name[:MAX_NAME_CHARS])
 
 
 def encode_preview(value: float, unit_of_measure: str) -> bytes:

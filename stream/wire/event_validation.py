@@ -15,7 +15,7 @@ from stream.events import (
     StreamTotal,
     decode_event,
 )
-from stream.identity import check_name
+from stream.identity import check_name, is_name
 
 _EPOCH = re.compile(r"[0-9A-Za-z-]{1,64}")
 _MOST_SAMPLES = 2**53
@@ -37,9 +37,19 @@ def decode_received(payload: bytes) -> EventMessage:
         raise WireError(f"not a run document: seq {message.seq} is beyond its bounds")
     if _EPOCH.fullmatch(message.epoch) is None:
         raise WireError(f"not a run document: epoch {message.epoch[:80]!r} is not 1 to 64 of 0-9, A-Z, a-z and -")
-    if (reason := invalid_reason(message.document)) is not None:
+    reason = invalid_reason(message.document) or _invalid_name(message.document)
+    if reason is not None:
         raise WireError(f"not a run document: {reason}")
     return message
+
+
+def _invalid_name(document: AnyDocument) -> str | None:
+    """Why the document names no unit, signal or run; those that a log has already are read as they are."""
+    for kind in ("run", "unit", "signal"):
+        name = getattr(document, kind, None)
+        if name and not is_name(name):
+            return f"{kind} {name[:80]!r} has characters that no name has"
+    return None
 
 
 def invalid_reason(document: AnyDocument) -> str | None:

@@ -91,7 +91,7 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
         )
     try:
         return _decoder.decode(packed)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise CheckpointDamaged(f"the checkpoint {path} cannot be read: {error}") from error
 
 

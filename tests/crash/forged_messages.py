@@ -12,7 +12,7 @@ from stream.batch import SampleBatch
 from stream.bounds import MAX_MESSAGE_BYTES
 from stream.errors import GyrofleetError
 from stream.events import NoteAdded, RunStarted, encode_event
-from stream.identity import Place, SampleKey, estimate_key, event_key, parse_key, sample_key
+from stream.identity import Place, SampleKey, estimate_key, event_key, is_name, parse_key, sample_key
 from stream.wire import samples_pb2
 from stream.wire.batches import decode_batch, encode_batch
 from stream.wire.event_validation import decode_received
@@ -64,7 +64,7 @@ def is_malformed(key: str, payload: bytes) -> bool | None:
         if isinstance(parsed, SampleKey):
             batch = decode_batch(payload)
             seq = batch.seq
-            if (batch.unit, batch.signal) != (parsed.unit, parsed.signal):
+            if (batch.unit, batch.signal) != (parsed.unit, parsed.signal) or (batch.run and not is_name(batch.run)):
                 return True
         else:
             seq = decode_received(payload).seq

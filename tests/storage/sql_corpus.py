@@ -114,6 +114,29 @@ def statements(place: str, out: str) -> list[str]:
     return [each.replace("PLACE", place).replace("OUT", out) for each in every]
 
 
+def oversized() -> list[str]:
+    """Statements that are large or deep themselves, or whose results are."""
+    numbers = range(3000)
+    return [
+        "from range(100000000000)",
+        "select i, repeat('x', 1000) from range(100000000) t(i)",
+        "select * from samples a, samples b, samples c",
+        "select " + ", ".join(f"{i} as c{i}" for i in numbers),
+        "select " + "(" * 3000 + "1" + ")" * 3000,
+        "explain select " + "(" * 3000 + "1" + ")" * 3000,
+        "select " + "1 + " * 20_000 + "1",
+        "select " + "not " * 5000 + "true",
+        "select " + "[" * 2000 + "1" + "]" * 2000,
+        "select " + "case when 1 = 1 then " * 900 + "1" + " else 0 end" * 900,
+        "from " + "(from " * 900 + "range(3)" + ")" * 900,
+        "select * from samples where unit in (" + ", ".join(f"'{i}'" for i in range(20_000)) + ")",
+        "with " + ", ".join(f"c{i} as (select 1)" for i in numbers) + " select 1",
+        "select 1" + " union all select 1" * 3000,
+        "select * from " + ", ".join(f"range(2) t{i}" for i in range(60)),
+        "select '" + "x" * 200_000 + "'",
+    ]
+
+
 def function_calls() -> Iterator[str]:
     """A call of each table function that is not known to read the catalogue only, and of scalars with effects."""
     from storage.sql.sandbox.guard import TABLE_FUNCTIONS

@@ -1,7 +1,9 @@
 """`gyrofleet site` and the refusal of an unprotected network, from the command line."""
 
 import json
+import os
 import stat
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from gyrofleet import main
+from stream.security.certificate_authority import Site
+from stream.security.credentials import load_credentials
+from stream.security.rights import Role
 
 BEYOND = ("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/10.1.2.3:7447", "tcp/plant.example:7447", "udp/224.0.0.1:7447")
 LISTENING = (
@@ -94,3 +99,46 @@ def test_a_certificate_of_another_role_is_refused(tmp_path: Path) -> None:
 
 def _listed(site: Path) -> dict[str, dict[str, Any]]:
     return {each["name"]: each for each in json.loads(invoke("site", "list", site, "--json")[1])}
+
+
+@pytest.mark.parametrize("what", ["file", "dangling", "loop", "pipe"])
+def test_no_site_is_made_where_something_else_is(tmp_path: Path, what: str) -> None:
+    place = tmp_path / "site"
+    if what == "file":
+        place.write_text("x")
+    elif what == "pipe":
+        os.mkfifo(place)
+    else:
+        place.symlink_to(place if what == "loop" else tmp_path / "nowhere")
+    code, text = invoke("site", "init", place)
+    assert code in (1, 2)
+    assert f"{place} cannot be made" in text or "is a file" in text
+
+
+def test_a_damaged_certificate_is_named_and_can_be_revoked(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    invoke("site", "init", site)
+    path = site / "recorder" / "recorder" / "certificate.pem"
+    path.write_text("-----BEGIN CERTIFICATE-----\n")
+    for words in (("renew", site, "recorder:recorder"), ("add-station", site, "chamber-3")):
+        code, text = invoke("site", *words)
+        assert code == 1
+        assert str(path) in text.replace("\n", "")
+    assert invoke("site", "revoke", site, "recorder:recorder")[0] == 0
+    assert invoke("site", "add-station", site, "chamber-3")[0] == 0, "nothing was left of the first try"
+    (site / "station" / "killed").mkdir()
+    code, text = invoke("site", "add-station", site, "killed")
+    assert code == 1
+    assert "an interrupted command has left it" in text
+
+
+def test_what_many_commands_add_at_once_is_all_there(tmp_path: Path) -> None:
+    """Each reads the index, and writes it whole."""
+    site = tmp_path / "site"
+    Site.create(site)
+    sites = [Site(site) for _ in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda number: sites[number].add(Role.STATION, f"c{number}", days=2.0), range(8)))
+    assert [each.principal.name for each in Site(site).issued] == [f"c{number}" for number in range(8)]
+    access = load_credentials(site / "station" / "c0").access
+    assert len(access.admitted) == 8

@@ -10,6 +10,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.model_text import BIAS, ParsedTerm, parse_model, term_text
 from stream.batch import FloatArray
+from stream.decoding import decode_json
 from stream.errors import BadInput
 
 
@@ -107,7 +108,7 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     def from_json(cls, document: str | bytes) -> Self:
         """Read a model that `to_json` has written."""
         try:
-            model = msgspec.json.decode(document, type=cls)
+            model = decode_json(document, cls)
         except msgspec.MsgspecError as error:
             raise BadInput(f"not an error model: {error}; write one with ErrorModel.to_json") from error
         model.labels()

@@ -13,6 +13,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one
 from stream.atomic_file import sync_folder, write_durably
+from stream.decoding import decode_json
 from stream.errors import BadInput, NotFound, StoreError
 from stream.identity import check_name
 
@@ -166,7 +167,7 @@ class ModelRegistry:
                 f"error model {path} is not as it was written: its content does not match its hash; {advice}"
             )
         try:
-            found = msgspec.json.decode(content, type=ModelVersion)
+            found = decode_json(content, ModelVersion)
             found.model.labels()
             found.before.labels()
         except (msgspec.MsgspecError, BadInput) as error:

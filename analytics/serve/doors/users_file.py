@@ -114,7 +114,7 @@ def read_users(path: Path) -> dict[str, User]:
         raise BadInput(f"the file of users {path}: {error}; `gyrofleet users add` writes it") from error
     subjects: dict[str, str] = {}
     for name, user in content.users.items():
-        _check_name(name)
+        _check_name(name, f"{path}: ")
         if bool(user.password) is bool(user.token_sha256) and (user.password or not user.certificate):
             raise BadInput(f"{path}: user {name} needs a password or a token_sha256, one of them, or a certificate")
         if user.certificate and (other := subjects.setdefault(user.certificate, name)) != name:
@@ -175,9 +175,9 @@ def is_name(text: str) -> bool:
     return _NAME.fullmatch(text) is not None
 
 
-def _check_name(name: str) -> None:
+def _check_name(name: str, where: str = "") -> None:
     if not is_name(name):
-        raise BadInput(f"{name!r} cannot be a user's name: 1 to 64 letters, digits or . @ + - _ are expected")
+        raise BadInput(f"{where}{name!r} cannot be a user's name: 1 to 64 letters, digits or . @ + - _ are expected")
 
 
 def _word(role: Role) -> RoleWord:

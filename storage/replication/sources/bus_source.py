@@ -11,6 +11,7 @@ from storage.plant import Plant, checked
 from storage.replication.sources.bus_server import KEYS, MISSING, After, Range
 from storage.replication.sources.source import CHUNK_BYTES, CarriedFile, SegmentMissing, SourceGone
 from stream.closing import Closing
+from stream.decoding import decode_json
 from stream.errors import BadInput, BusError
 from stream.transport.zenoh_bus import Answers, Refused, ZenohBus
 
@@ -44,7 +45,7 @@ class BusSource(Closing):
         else:
             raise SourceGone(f"no plant{f' {self._name}' if self._name else ''} answers")
         try:
-            plants = [checked(msgspec.json.decode(each, type=Plant)) for each in found]
+            plants = [checked(decode_json(each, Plant)) for each in found]
         except msgspec.MsgspecError as error:
             raise BadInput(f"the identity that is stated cannot be read: {error}") from error
         if len(plants) > 1:
@@ -70,7 +71,7 @@ class BusSource(Closing):
         while True:
             content = self._answer("files", After(after))
             try:
-                found = msgspec.json.decode(content, type=list[CarriedFile])
+                found = decode_json(content, list[CarriedFile])
             except msgspec.MsgspecError as error:
                 raise SourceGone(f"its list of files cannot be read: {error}") from error
             if not found:

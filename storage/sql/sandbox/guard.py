@@ -66,8 +66,8 @@ def one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.Sta
 
 
 def plain_message(error: Exception) -> str:
-    """DuckDB's error message on one line, without the position in the statement."""
-    return " ".join(str(error).split("\n\nLINE")[0].split())
+    """DuckDB's error message on one line, without the position in the statement and the places in its own code."""
+    return " ".join(re.split(r"\n\nLINE|\s+Stack Trace:", str(error))[0].split())
 
 
 def refused(what: str) -> QueryError:
@@ -103,7 +103,10 @@ def _tree(connection: duckdb.DuckDBPyConnection, text: str) -> dict[str, Any]:
         ((row,),) = connection.execute("select json_serialize_sql(?::varchar)", [text]).fetchall()
     except duckdb.Error as error:
         raise QueryError(plain_message(error)) from error
-    tree: dict[str, Any] = json.loads(row)
+    try:
+        tree: dict[str, Any] = json.loads(row)
+    except RecursionError:
+        raise QueryError("the statement is nested too deeply; write its inner parts with WITH") from None
     if tree["error"]:
         raise QueryError(f"{tree.get('error_message', 'the statement cannot be parsed')}")
     return tree

@@ -27,6 +27,12 @@ _NETWORK = 0b11  # bind and connect TCP
 _SCOPES_SINCE = 6
 _SCOPES = 0b11  # abstract UNIX sockets and signals of others
 
+WITHOUT_LANDLOCK = (
+    "this kernel has no Landlock (Linux 5.13 or later), which would hold the process of statements to reading the "
+    "store; what holds it: only statements that read pass, by their parse tree, without functions of files; DuckDB "
+    "opens no file but the lake's, in a transaction that reads; the process can write no byte to a file"
+)
+
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.syscall.restype = ctypes.c_long
 

@@ -1,5 +1,8 @@
 """Files that no recorder and no person has written: said in a sentence, and what is good beside them is kept."""
 
+import os
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -97,3 +100,50 @@ def test_a_folder_with_the_name_of_a_file_is_said_to_be_one(
     done = gyrofleet("import", name, "--unit", "G-1", "--run", "r1", "--store", "S")
     assert done.code == 1
     assert name in done.err
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.parquet", "x.blf", "x.log"])
+def test_a_pipe_is_no_file_to_wait_for(name: str, tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    os.mkfifo(tmp_path / name)
+    options = ("--dbc", "x.dbc") if name.endswith(("blf", "log")) else ()
+    (tmp_path / "x.dbc").write_text(DBC.format("16|16@1- (1,0)"))
+    done = gyrofleet("import", name, *options, "--unit", "G-1", "--run", "r1", "--store", "S", timeout_s=30)
+    assert done.code == 1
+    assert f"{name}: a pipe or a device" in done.err
+
+
+def packed_zeros(mebibytes: int) -> bytes:
+    packer = zlib.compressobj(9)
+    return b"".join([*(packer.compress(bytes(1 << 20)) for _ in range(mebibytes)), packer.flush()])
+
+
+def test_a_log_that_unpacks_to_more_than_any_recorder_writes_is_refused(tmp_path: Path) -> None:
+    """300 MiB of zeros in 300 KB."""
+    packed = packed_zeros(300)
+    assert len(packed) < 1 << 19
+    container = struct.pack("<4sHHLLHHLL4x", b"LOBJ", 16, 1, 32 + len(packed), 10, 2, 0, 0, 300 << 20) + packed
+    head = struct.pack("<4sL", b"LOGG", 144).ljust(144, b"\0")
+    (tmp_path / "x.blf").write_bytes(head + container)
+    zipped = struct.pack("<4s4xQQ2sBxLQQ", b"##DZ", 48 + len(packed), 0, b"DT", 0, 0, 300 << 20, len(packed)) + packed
+    (tmp_path / "x.mf4").write_bytes(b"MDF     4.10    ".ljust(64, b"\0") + zipped)
+    for name in ("x.blf", "x.mf4"):
+        with pytest.raises(BadInput, match=rf"{name}: the part at byte .* unpacks to more than 256 MiB"):
+            CanLog(tmp_path / name)
+
+
+def test_frames_that_a_reader_leaves_out_are_reported_as_damage(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """python-can only logs them, which Python prints."""
+    path = tmp_path / "x.trc"
+    lines = [
+        ";$FILEVERSION=1.1",
+        "     1)      1841.0  Rx     0100  3  00 01 02",
+        "     2)",
+        "     3)      1851.0  Rx     0100  1  00",
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    log = CanLog(path)
+    assert sum(len(block) for block in log.blocks()) == 2
+    assert "left out what cannot be read: TRCReader: Failed to parse message" in log.damage
+    assert capfd.readouterr() == ("", "")

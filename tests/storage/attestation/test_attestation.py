@@ -1,6 +1,7 @@
 """Whatever of a store's history is changed after an attestation is found and named."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -177,3 +178,18 @@ def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]) -
     assert "attested_changed" in {each["kind"] for each in json.loads(found.out)["findings"]}
     assert "would lie among the files" in gyrofleet("attest", *words, "--out", "S/kept.json").err
     assert "--against FILE" in gyrofleet("verify", "--store", "S", "--signed-by", "ab").err
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BadInput, match="it is no file"):
+        SigningKey(tmp_path / "pipe")
+    with pytest.raises(StoreError, match="is no file"):
+        read_attestation(tmp_path / "pipe")
+
+
+def test_a_signature_that_is_no_text_of_base64_is_not_genuine(store: Store, key: SigningKey) -> None:
+    signed = attest(store, key)[1]
+    assert signed.is_genuine
+    for wrong in ("é", "=", "\0", "x" * 88, ""):
+        assert not msgspec.structs.replace(signed, signature=wrong).is_genuine

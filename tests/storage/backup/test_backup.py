@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
+from storage.backup import restore as restoring
 from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
+from storage.check.recover import Action
 from storage.check.verify import verify
 from storage.lake.builder import build_missing
 from storage.log.event_log import EventLog
@@ -189,3 +191,39 @@ def test_an_empty_store_has_a_backup(tmp_path: Path) -> None:
     back_up(Store.open(tmp_path / "S"), tmp_path / "B")
     restore(tmp_path / "B", tmp_path / "R")
     assert verify(Store.open(tmp_path / "R"))[0].samples == 0
+
+
+def test_two_restorations_into_one_folder_do_not_mix(store: Store, tmp_path: Path) -> None:
+    """The second would take what the first has written so far for the rest of an interrupted one."""
+    back_up(store, tmp_path / "B")
+    refused = []
+
+    def second(_share: float) -> None:
+        with pytest.raises(StoreError, match="another `gyrofleet restore` is at work"):
+            restore(tmp_path / "B", tmp_path / "R")
+        refused.append(True)
+
+    restore(tmp_path / "B", tmp_path / "R", second)
+    assert refused
+    assert verify(Store.open(tmp_path / "R"))[0].is_sound
+
+
+def test_a_restoration_that_is_killed_while_it_builds_the_lake_is_repeated(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    back_up(store, tmp_path / "B")
+
+    class Killed(BaseException):
+        pass
+
+    def die(_store: Store) -> list[Action]:
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(restoring, "recover", die)
+        with pytest.raises(Killed):
+            restore(tmp_path / "B", tmp_path / "R")
+    assert not verify(Store.open(tmp_path / "R"))[0].is_sound
+    restore(tmp_path / "B", tmp_path / "R")
+    assert verify(Store.open(tmp_path / "R"))[0].is_sound
+    assert not (tmp_path / "R" / "restoring").exists()

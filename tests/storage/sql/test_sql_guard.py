@@ -69,6 +69,16 @@ def test_nothing_of_the_corpus_passes_the_check() -> None:
     assert passed == []
 
 
+@pytest.mark.parametrize(
+    "statement",
+    ["from " + "(from " * 900 + "range(3)" + ")" * 900, "select " + "case when 1 = 1 then " * 900 + "1" + " end" * 900],
+    ids=["from", "case"],
+)
+def test_what_is_nested_too_deeply_is_said_to_be(statement: str) -> None:
+    with pytest.raises(QueryError, match=r"nested too deeply|depth"):
+        check_statement(duckdb.connect(), statement, ())
+
+
 @pytest.mark.parametrize("statement", READS)
 def test_what_reads_passes(statement: str) -> None:
     check_statement(duckdb.connect(), statement, ("adev",))

@@ -1,0 +1,125 @@
+"""Bounds of what a CAN log may make its reader do: memory that packed parts take, chains that never end."""
+
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from stream.errors import BadInput
+
+BLF_OBJECT = struct.Struct("<4sHHLL")
+MF4_BLOCK = struct.Struct("<4s4xQQ")
+MOST_UNPACKED_BYTES = 256 << 20  # recorders write 128 KiB in a container of BLF, 4 MiB in a block of MF4
+
+_HARMLESS_BYTES = MOST_UNPACKED_BYTES // 1032  # packed; zlib packs 1032 bytes into one at most
+_BLF_CONTAINER, _BLF_CONTAINER_HEAD_BYTES, _MF4_ZIPPED_HEAD_BYTES = 10, 32, 48
+_MF4_HEADER_AT = 64
+# blocks whose first link is the next one of their kind (ASAM MDF 4.1)
+_CHAINED = {b"##DG", b"##CG", b"##CN", b"##FH", b"##CH", b"##AT", b"##EV", b"##DL"}
+_MOST_LINKS = 1 << 20
+
+
+def check_bounds(path: Path) -> None:
+    """Refuse, by a BadInput, a log whose reader would not come to an end, or fill the memory."""
+    _check_unpacked(path)
+    if path.suffix.lower() == ".mf4":
+        with path.open("rb") as file:
+            if (kind := _endless_chain(file)) is not None:
+                raise BadInput(
+                    f"{path}: its chain of {kind} blocks leads back to itself; the log is damaged, export it again"
+                )
+
+
+def _check_unpacked(path: Path) -> None:
+    parts = {".blf": _blf_containers, ".mf4": _mf4_zipped}.get(path.suffix.lower())
+    if parts is None or path.stat().st_size <= _HARMLESS_BYTES:
+        return
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        for begin, length in parts(file):
+            if length <= _HARMLESS_BYTES or begin >= size:
+                continue
+            file.seek(begin)
+            unpacker, unpacked = zlib.decompressobj(), 0
+            try:
+                piece = file.read(length)
+                while piece and unpacked <= MOST_UNPACKED_BYTES:
+                    unpacked += len(unpacker.decompress(piece, 1 << 20))
+                    piece = unpacker.unconsumed_tail
+            except zlib.error:
+                continue
+            if unpacked > MOST_UNPACKED_BYTES:
+                raise BadInput(
+                    f"{path}: the part at byte {begin:,} unpacks to more than {MOST_UNPACKED_BYTES >> 20} MiB; no "
+                    "recorder writes such a log, record or export it again"
+                )
+
+
+def _blf_containers(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Begin and length of what is packed in each container."""
+    place = int.from_bytes(file.read(8)[4:8], "little")
+    while True:
+        file.seek(place)
+        base = file.read(BLF_OBJECT.size)
+        if len(base) < BLF_OBJECT.size:
+            return
+        signature, _, _, size, kind = BLF_OBJECT.unpack(base)
+        if signature != b"LOBJ" or size < BLF_OBJECT.size:
+            return
+        if kind == _BLF_CONTAINER:
+            yield place + _BLF_CONTAINER_HEAD_BYTES, size - _BLF_CONTAINER_HEAD_BYTES
+        place += size + size % 4
+
+
+def _mf4_zipped(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Begin and length of what is packed in each compressed block."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        place = content.find(b"##DZ")
+        while place >= 0:
+            length = int.from_bytes(content[place + 8 : place + 16], "little") - _MF4_ZIPPED_HEAD_BYTES
+            yield place + _MF4_ZIPPED_HEAD_BYTES, min(length, len(content))
+            place = content.find(b"##DZ", place + 4)
+
+
+def check_objects(container: bytes) -> None:
+    """Refuse, by a ValueError, what is in a container of BLF if an object in it is shorter than its head."""
+    place = 0
+    while (place := container.find(b"LOBJ", place, place + 8)) >= 0 and place + BLF_OBJECT.size <= len(container):
+        _, _, _, size, _ = BLF_OBJECT.unpack_from(container, place)
+        if size < BLF_OBJECT.size:
+            raise ValueError(f"an object states {size} bytes, its head has {BLF_OBJECT.size}")
+        place += size
+
+
+def _endless_chain(file: BinaryIO) -> str | None:
+    """Kind of the blocks of an MF4 whose chain leads back to itself; None if every chain ends."""
+    size = file.seek(0, os.SEEK_END)
+    following: dict[int, int] = {}
+    kinds: dict[int, bytes] = {}
+    waiting = [_MF4_HEADER_AT]
+    while waiting:
+        at = waiting.pop()
+        if at in kinds or at + MF4_BLOCK.size > size:
+            continue
+        file.seek(at)
+        head = file.read(MF4_BLOCK.size)
+        kinds[at], _, count = MF4_BLOCK.unpack(head)
+        links = file.read(8 * min(count, _MOST_LINKS)) if kinds[at].startswith(b"##") else b""
+        found = struct.unpack(f"<{len(links) // 8}Q", links[: len(links) // 8 * 8])
+        waiting += filter(None, found)
+        if kinds[at] in _CHAINED and found:
+            following[at] = found[0]
+    ended: set[int] = set()
+    for begin in following:
+        at, seen = begin, set[int]()
+        while at in following and at not in ended:
+            if at in seen:
+                return kinds[at].decode(errors="replace")
+            seen.add(at)
+            at = following[at]
+        ended |= seen
+    return None
