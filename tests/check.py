@@ -2,8 +2,9 @@
 
 Makes ``.venv-check`` and installs there the wheel that it builds, as users do. Runs ruff, and pytest beside nothing of
 the checkout but its tests and documents, so that only the wheel can be imported; mypy, import-linter and the build of
-the documentation run while tests wait. With ``--all``, the long forms of the tests run as well, and some against the
-lowest versions of the libraries. The folders ``.venv-*`` may be deleted.
+the documentation run while tests wait. Files of tests are in memory where there is room. With ``--all``, they are on
+the disk, the long forms of the tests run as well, and some against the lowest versions of the libraries. The folders
+``.venv-*`` may be deleted.
 """
 
 import argparse
@@ -34,6 +35,10 @@ LOWEST = (
 PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 2), "--dist", "worksteal")
 PACKAGES = ("--pyargs", "stream", "storage", "ingest", "analytics")
 
+# tests make stores by the thousand, and what is recorded is synced
+MEMORY = Path("/dev/shm")
+ROOM_BYTES = 8 << 30
+
 Command = Sequence[str | Path]
 
 
@@ -43,12 +48,16 @@ def run(*command: str | Path, cwd: Path = ROOT) -> None:
         sys.exit(f"failed with exit code {code}: {' '.join(str(part) for part in command)}")
 
 
-def exit_code(command: Command, *, cwd: Path = ROOT, output: IO[str] | int | None = None) -> int:
+def exit_code(
+    command: Command, *, cwd: Path = ROOT, output: IO[str] | int | None = None, temporary: Path | None = None
+) -> int:
     # tests start hundreds of processes, each of which would compile the project anew
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     # more tests run than there are processors: threads of the linear algebra would only wait for each other
     for library in ("OPENBLAS", "OMP"):
         env.setdefault(f"{library}_NUM_THREADS", "1")
+    if temporary is not None:
+        env["TMPDIR"] = str(temporary)
     words = [str(part) for part in command]
     return subprocess.run(words, cwd=cwd, env=env, stdout=output, stderr=output, check=False).returncode
 
@@ -127,6 +136,12 @@ def beside_the_wheel(there: Path) -> Path:
     return project
 
 
+def folder_in_memory() -> Path | None:
+    """A folder in memory, where there is one with room for the files of all tests."""
+    has_room = os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free >= ROOM_BYTES
+    return MEMORY if has_room else None
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Every gate of gyrofleet, in virtual environments that it makes.")
     parser.add_argument("--all", action="store_true", help="Run the long forms of the tests as well.")
@@ -135,7 +150,8 @@ def main() -> None:
     if sys.version_info < (3, 11):
         sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     bin_ = environment(ROOT / ".venv-check")
-    with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor() as pool:
+    folder = None if everything else folder_in_memory()
+    with tempfile.TemporaryDirectory(dir=folder) as temporary, ThreadPoolExecutor() as pool:
         there = Path(temporary)
         wheel = build_wheel(bin_, there / "dist")
         extras = "spark,test" if everything else "test"  # Spark is half a gigabyte
@@ -156,7 +172,7 @@ def main() -> None:
         meanwhile.append(pool.submit(check_meanwhile, logs[1], sphinx))
         testing = (*pytest, *PARALLEL, *chosen, "tests", *PACKAGES)
         print(f"\n$ {' '.join(map(str, testing))}", flush=True)
-        codes = [exit_code(testing, cwd=project), *(each.result() for each in meanwhile)]
+        codes = [exit_code(testing, cwd=project, temporary=there), *(each.result() for each in meanwhile)]
         for log in logs:
             print(log.read_text(), flush=True)
         if any(codes):

@@ -71,7 +71,6 @@ def trend(
     gyrofleet trend scale_factor --unit FOG-0231 --lang zh
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.evaluation.selection import dated, standard_named
-    from analytics.plots.figure_file import check_suffix
     from analytics.trends.charts.capability import specified_limits
     from analytics.trends.charts.control_chart import Spread
     from analytics.trends.document import document
@@ -83,6 +82,8 @@ def trend(
     if metric is None or named not in {None, metric}:
         raise BadInput("name one metric, as `gyrofleet trend bias` or `gyrofleet trend --metric bias`")
     if plot_path is not None:
+        from analytics.plots.figure_file import check_suffix
+
         check_suffix(plot_path)
     choice = Choice(
         units=units, signal=signal, standard=None if standard is None else standard_named(standard),

@@ -84,18 +84,20 @@ class TypeB:
         runs, of_row = _run_sets(columns)
         known = self._stated(header, runs)
         sensitivities = self.sensitivities(header, found, columns)
-        square, lost, missing = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+        u_b, missing = np.zeros(n), np.zeros(n, np.int64)
+        parts = [(u_a, np.nan_to_num(freedom, nan=np.inf))]
         for place, (stated, sensitivity) in enumerate(zip(known, sensitivities, strict=True)):
             u = np.array([each.u for each in stated])[of_row]
             degrees = np.array([each.freedom for each in stated])[of_row]
             part = np.where(sensitivity == 0, 0.0, np.abs(sensitivity) * u)
             missing |= np.isnan(part).astype(np.int64) << place
-            square += np.nan_to_num(part) ** 2
-            lost += np.nan_to_num(part) ** 4 / degrees
-        u_b = np.where(missing > 0, np.nan, np.sqrt(square))
-        combined = np.sqrt(u_a**2 + u_b**2)
+            parts.append((np.nan_to_num(part), degrees))
+            u_b = np.hypot(u_b, parts[-1][0])
+        u_b = np.where(missing > 0, np.nan, u_b)
+        combined = np.hypot(u_a, u_b)
         with np.errstate(divide="ignore", invalid="ignore"):
-            effective = combined**4 / (u_a**4 / np.nan_to_num(freedom, nan=np.inf) + lost)
+            # of ratios: the fourth power of a large or small value has no number
+            effective = 1.0 / sum((part / combined) ** 4 / degrees for part, degrees in parts)
         k = student_quantile((1 + COVERAGE) / 2, np.clip(np.nan_to_num(effective, nan=1e9), 1.0, 1e9))
         reasons = self._reasons(header, known, of_row, missing, sensitivities, np.isnan(u_a))
         is_open = np.isnan(combined)

@@ -1,12 +1,12 @@
 """Strapdown navigation of a unit that turns in place: velocity from rates and specific forces."""
 
 import numpy as np
-from numba import njit
 
 from stream.batch import FloatArray
+from stream.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rotation(x: float, y: float, z: float, out: FloatArray) -> None:
     """Rotation matrix of a rotation vector, rad (Rodrigues)."""
     square = x * x + y * y + z * z
@@ -23,14 +23,14 @@ def _rotation(x: float, y: float, z: float, out: FloatArray) -> None:
         out[j, i] = second * vector[i] * vector[j] + first * vector[k]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _navigate(
     rates: FloatArray, forces: FloatArray, dt_s: float, attitude: FloatArray, earth: FloatArray, gravity: float,
     velocity: FloatArray,

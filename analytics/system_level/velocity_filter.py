@@ -3,15 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from stream.batch import FloatArray
+from stream.compiled import kernel
 
 # Variance of the unknown initial state over that of one velocity, in units of the record: no prior knowledge.
 _DIFFUSE = 1e9
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _filtered(velocity: FloatArray, dt: float, diffuse: float) -> FloatArray:
     """Final state with F = [[0,1,0],[0,0,1],[0,0,0]], H = [1,0,0], R = 1; covariances in Joseph's form."""
     step = np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])

@@ -20,7 +20,7 @@ from stream.console import (
 from stream.errors import BadInput
 from stream.security.rights import Role
 from stream.security_options import secured
-from stream.worker.compile_kernels import compile_kernels
+from stream.worker.compile_kernels import compile_new_kernels
 
 if TYPE_CHECKING:
     from ingest.can.mapping import CanMapping
@@ -127,7 +127,7 @@ def import_files(
             progress.update(task, completed=1.0, visible=len(files) <= LISTED_FILES)
             checked.append(CheckedFile(path, file, summary, time.monotonic() - began))
     if connect is None:
-        compile_kernels(quiet=as_json)
+        compile_new_kernels(quiet=as_json)
     with interrupted_by_term(), progress_bar(hidden=as_json) as progress:
         tasks = {each.path: progress.add_task(f"importing {each.path.name}", total=1.0) for each in checked}
 

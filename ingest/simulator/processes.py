@@ -28,7 +28,7 @@ from stream.decoding import decode_json
 from stream.errors import BadInput, GyrofleetError
 
 TRUTH = "truth.jsonl"
-_TICK_S = 0.005
+_TICK_S = 0.01
 _LOOK_S = 0.5
 _PARENT = os.getppid()
 

@@ -12,7 +12,7 @@ from pyarrow import csv as arrow_csv
 from ingest.tables.columns import Columns
 from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, without_blanks
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
-from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps
+from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
 from stream.batch import IntArray
 from stream.errors import BadInput
 
@@ -206,7 +206,7 @@ class CsvTable:
         if self._places is not None:
             times_ns, wrong = ns_from_decimals(array, self._places)
         else:
-            times_ns, wrong = ns_from_floats(array.to_numpy(), time.ns_per_unit)
+            times_ns, wrong = ns_from_floats(numpy_of(array), time.ns_per_unit)
         return None if wrong.any() else times_ns
 
 
@@ -220,7 +220,7 @@ def _is_text(raw: bytes) -> bool:
 
 def _texts(column: pa.ChunkedArray) -> TextCells:
     array = column.unify_dictionaries().combine_chunks()
-    return TextCells(array.indices.fill_null(-1).to_numpy(), array.dictionary.to_pylist())
+    return TextCells(numpy_of(array.indices.fill_null(-1)), array.dictionary.to_pylist())
 
 
 def _lines(block: bytes) -> int:

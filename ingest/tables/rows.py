@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from ingest.tables.times import numpy_of
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
 
@@ -94,8 +95,8 @@ class NumberCells:
     def of(cls, array: pa.Array) -> "NumberCells":
         """Cells of an array of float64, which are empty where it has nulls."""
         if array.null_count == 0:
-            return cls(array.to_numpy(), None)
-        return cls(array.fill_null(0.0).to_numpy(), array.is_valid().to_numpy(zero_copy_only=False))
+            return cls(numpy_of(array), None)
+        return cls(numpy_of(array.fill_null(0.0)), array.is_valid().to_numpy(zero_copy_only=False))
 
     def at(self, rows: npt.NDArray[np.intp] | slice) -> "NumberCells":
         """Cells of some rows."""

@@ -3,6 +3,7 @@
 import re
 from datetime import UTC, datetime, timedelta
 from decimal import ROUND_HALF_EVEN, Context, Decimal
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -123,6 +124,11 @@ def ns_from_stamp(text: str, zone: str) -> int | None:
     return found if abs(found) <= MAX_NS else None
 
 
+def numpy_of(numbers: pa.Array) -> Any:
+    """Numbers without nulls as an array of NumPy; their own `to_numpy` imports pandas where that is installed."""
+    return np.from_dlpack(numbers)
+
+
 def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
     """`ns_from_stamp` of many cells at once; None if one of them must be read by itself."""
     cells = pc.replace_substring_regex(pc.utf8_trim(cells, " \t"), r"\s([Z+-])", r"\1")
@@ -139,7 +145,7 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
             return None
     except pa.ArrowInvalid:
         return None
-    times_ns = found.cast(pa.int64()).to_numpy()
+    times_ns = numpy_of(found.cast(pa.int64()))
     return None if (np.abs(times_ns) > MAX_NS).any() else times_ns
 
 
@@ -148,7 +154,7 @@ def ns_from_timestamps(times: pa.Array, zone: str) -> tuple[IntArray, BoolArray]
     written, ns = times, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[times.type.unit]
     if times.type.tz is None:
         times = pc.assume_timezone(times, zone, ambiguous="earliest", nonexistent="latest")
-    times_ns, wrong = ns_from_integers(times.cast(pa.int64()).to_numpy(), ns)
+    times_ns, wrong = ns_from_integers(numpy_of(times.cast(pa.int64())), ns)
     if written is not times:  # the clock was set forward over a time that does not exist
         wrong = wrong | pc.not_equal(pc.local_timestamp(times), written).to_numpy(zero_copy_only=False)
     return times_ns, wrong

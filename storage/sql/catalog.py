@@ -22,7 +22,7 @@ from storage.sql.overlay import Overlay
 from storage.sql.parquet_content import ParquetContent
 from storage.sql.put_tables import PutTables
 from storage.sql.sandbox.guard import check_statement, one_statement, plain_message, refused
-from storage.sql.views import VIEWS, define_views, reading_lake
+from storage.sql.views import VIEWS, defer_views, define_deferred_views, lists_views, reading_lake
 from storage.store import Store
 from stream.closing import Closing
 from stream.errors import QueryError
@@ -30,6 +30,7 @@ from stream.errors import QueryError
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
 _ALWAYS_READ = {"channels"}
+_SMALL_BYTES = 8 << 20  # of a lake that one thread reads as soon as several
 Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -83,7 +84,8 @@ class Catalog(Closing):
     is the limit of DuckDB, which then uses no disk either; by default most of the machine's memory. With `live` users'
     statements also see the rows that only the log has, as it is when one first names a table that has some; layers and
     the project's own statements never do. With `units` channels, documents and estimates of other units are left out,
-    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors.
+    and so their samples; those of no unit stay. `threads` of DuckDB, by default as many as the machine has processors,
+    and one for a small lake.
     """
 
     def __init__(
@@ -102,7 +104,7 @@ class Catalog(Closing):
         self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
         self._connection.execute("set timezone = 'UTC'; create schema internal")
-        self._deferred = DeferredDefinitions(self._execute)
+        self._deferred = DeferredDefinitions(self._run_definition)
         self._tables = PutTables(
             self._connection, self._execute, self._deferred, known_tables, is_in_memory=file is None
         )
@@ -119,10 +121,14 @@ class Catalog(Closing):
         self._live = LiveTables.beyond(store, self.parts, self._connection) if live else None
         self._has_views = False
         if self._live is None:
-            self._define_views()
+            self._add_views()
+        if file is not None:  # others open it
+            self.define_views()
         folders = [self.source.root, *(str((self.kept / layer.folder).resolve()) for layer in layers())]
         allowed = ", ".join("'" + each.replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
+        if threads is None and self._live is None and sum(part.bytes for part in self.parts) < _SMALL_BYTES:
+            self._connection.execute("set threads = 1")
         if memory_bytes is not None:
             self._connection.execute(f"set memory_limit = '{memory_bytes}B'; set temp_directory = ''")
         # a table name is not a Python variable
@@ -146,16 +152,17 @@ class Catalog(Closing):
         with reading_lake(self.store):
             self._connection.execute(sql)
 
-    def _define_views(self) -> None:
-        """Define the views on the lake, once; most statements that see live rows need no others."""
+    def _add_views(self) -> None:
+        """Let the views on the lake wait for a statement that names them; most that see live rows need none of them."""
         if not self._has_views:
             self._has_views = True
-            with reading_lake(self.store):
-                define_views(self._connection)
+            defer_views(self._deferred, self._connection)
 
     def define_views(self) -> None:
-        """Define the views now, as a file that others open needs."""
-        self._define_views()
+        """Define the views on the lake now."""
+        with self._defining:
+            self._add_views()
+            define_deferred_views(self._deferred)
 
     def define(self, sql: str) -> None:
         """Run statements that define tables, views and macros of a layer."""
@@ -167,6 +174,11 @@ class Catalog(Closing):
         """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
         with self._defining:
             self._deferred.add(script)
+
+    def _run_definition(self, sql: str) -> None:
+        """Run a definition that has waited; other threads ask meanwhile."""
+        with reading_lake(self.store), self._connection.cursor() as cursor:
+            cursor.execute(sql)
 
     def _execute(self, sql: str) -> None:
         try:
@@ -195,7 +207,7 @@ class Catalog(Closing):
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
     ) -> Overlay:
         """Its views with further rows of channels and events, as long as it is open; see `Overlay`."""
-        self._define_views()
+        self.define_views()
         with reading_lake(self.store):
             return Overlay(self._connection, name, channels, events, kept, kinds)
 
@@ -218,7 +230,7 @@ class Catalog(Closing):
     def _fill(self, sql: str) -> None:
         words = words_of(sql)
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
-            self._define_views()
+            self._add_views()
             self._unfilled.remove(layer)  # first, since the layer queries this catalogue
             try:
                 layer.fill(self)
@@ -226,6 +238,8 @@ class Catalog(Closing):
                 self._unfilled.append(layer)
                 raise
         with self._defining:
+            if self._has_views and lists_views(words):
+                self.define_views()
             self._deferred.define(words)
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
@@ -266,12 +280,21 @@ class Catalog(Closing):
 
     def user_reader(self, sql: str, parameters: object = None) -> pa.RecordBatchReader:
         """Result of a user's statement, which may read the store's views and no files."""
-        cursor = self._prepared(sql)
         try:
-            cursor.execute("begin transaction read only")
-            return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
+            return self._user_rows(sql, parameters)
+        except (duckdb.BinderException, duckdb.CatalogException):
+            self.define_views()  # then the message proposes what there is
         except duckdb.Error as error:
             raise _failed(error) from error
+        try:
+            return self._user_rows(sql, parameters)
+        except duckdb.Error as error:
+            raise _failed(error) from error
+
+    def _user_rows(self, sql: str, parameters: object) -> pa.RecordBatchReader:
+        cursor = self._prepared(sql)
+        cursor.execute("begin transaction read only")
+        return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
         """The batches of a result; QueryError if the statement fails on the way."""

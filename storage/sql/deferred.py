@@ -24,7 +24,7 @@ class _Statement(NamedTuple):
 
 class _Waiting(NamedTuple):
     order: int
-    sql: str
+    sql: str | Callable[[], str]
     words: frozenset[str]
     is_macro: bool
 
@@ -59,6 +59,11 @@ def _statements(script: str) -> tuple[_Statement, ...]:
     return tuple(found)
 
 
+def defined_names(scripts: Iterable[str]) -> list[str]:
+    """Names of the views, macros and tables that scripts define."""
+    return [each.name for script in scripts for each in _statements(script) if not each.is_comment]
+
+
 class DeferredDefinitions:
     """Definitions that wait for a statement that names them.
 
@@ -86,10 +91,14 @@ class DeferredDefinitions:
         """Add the definitions of a script; what a view or table stands on is added before it."""
         for each in _statements(script):
             before = self._waiting.pop(each.name, None)
-            if each.is_comment and before is not None:
+            if each.is_comment and before is not None and isinstance(before.sql, str):
                 self._waiting[each.name] = before._replace(sql=f"{before.sql};\n{each.sql}")
             else:
                 self._waiting[each.name] = _Waiting(next(self._next), each.sql, each.words, each.is_macro)
+
+    def add_macro(self, name: str, words: Collection[str], make: Callable[[], str]) -> None:
+        """Add a macro whose definition is made when it is first named, of what it stands on."""
+        self._waiting[name] = _Waiting(next(self._next), make, frozenset(words), is_macro=True)
 
     def define(self, words: Iterable[str]) -> None:
         """Run the definitions of what is named, and before each those that it stands on."""
@@ -98,7 +107,7 @@ class DeferredDefinitions:
                 continue
             try:
                 self.define(word for word in found.words if self._order(word) < found.order)
-                self._run(found.sql)
+                self._run(found.sql if isinstance(found.sql, str) else found.sql())
                 if found.is_macro:  # bound where it is used: it may stand on what was added later
                     self.define(found.words)
             except BaseException:

@@ -1,11 +1,14 @@
 """The views of a store, over the tables of the schema `internal` that their statements name."""
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.resources import files
 
 import duckdb
 
+from storage.sql.deferred import DeferredDefinitions, defined_names
 from storage.sql.sandbox.guard import plain_message
 from storage.store import Store
 from stream.errors import StoreError, UnknownUnit
@@ -13,16 +16,52 @@ from stream.quantities import conversion, is_angular_rate
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
+_LISTING = re.compile(r"show|describe|information_schema|(duckdb|pragma|sqlite)_\w+|pg_(?!timezone_names)\w+")
+_CONVERSIONS = ("deg_per_h", "deg_c")
 _ALWAYS_CONVERTED = ("deg/s", "deg/h", "rad/s", "degC", "K", "degF")
+
+
+@cache
+def view_scripts() -> tuple[str, ...]:
+    """The scripts of the views and macros, each of which stands on those before it."""
+    scripts = sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name)
+    return tuple(script.read_text() for script in scripts if script.name.endswith(".sql"))
 
 
 def define_views(connection: duckdb.DuckDBPyConnection) -> None:
     """Define the views and macros in the current database, which has the tables of parts in its schema `internal`."""
-    for script in sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name):
-        if script.name.endswith(".sql"):
-            connection.execute(script.read_text())
+    for script in view_scripts():
+        connection.execute(script)
+    connection.execute(_stored_conversions(connection))
+
+
+def defer_views(deferred: DeferredDefinitions, connection: duckdb.DuckDBPyConnection) -> None:
+    """Let the same views and macros wait for a statement that names them."""
+
+    def conversions() -> str:
+        with connection.cursor() as cursor:
+            return _stored_conversions(cursor)
+
+    for script in view_scripts():
+        deferred.add(script)
+    for name in _CONVERSIONS:
+        deferred.add_macro(name, {"lake_channels"}, conversions)
+
+
+def define_deferred_views(deferred: DeferredDefinitions) -> None:
+    """Define those of them that wait."""
+    deferred.define([*defined_names(view_scripts()), *_CONVERSIONS])
+
+
+def lists_views(words: Iterable[str]) -> bool:
+    """Whether a statement with these words may list the tables that there are."""
+    return any(_LISTING.fullmatch(word) is not None for word in words)
+
+
+def _stored_conversions(connection: duckdb.DuckDBPyConnection) -> str:
+    """The statements of `conversion_macros` for the units of measure of all channels."""
     units = connection.execute("select distinct unit_of_measure from internal.lake_channels").fetchall()
-    connection.execute(conversion_macros(unit for (unit,) in units))
+    return conversion_macros(unit for (unit,) in units)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-import scipy.special
+import scipy
 
 from stream.batch import FloatArray
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import CountArray, IntArray
 from stream.bounds import MAX_MOMENT_NS, MAX_SEQ, MIN_MOMENT_NS
+from stream.compiled import kernel
 from stream.wire.count_residuals import MEAN_BYTES
 
 Bytes = npt.NDArray[np.uint8]
@@ -101,7 +101,7 @@ class StreamStates:
         return Continued(streams[first : first + read].tolist(), sizes, seqs, times, whole, is_crossing)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _varint(data: Bytes, at: int, end: int) -> tuple[int, int]:
     """A number and the place after it; -1 as the place where there is none."""
     value = np.uint64(0)
@@ -118,7 +118,7 @@ def _varint(data: Bytes, at: int, end: int) -> tuple[int, int]:
     return 0, -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _layout(data: Bytes) -> tuple[int, int, int]:
     """Where the number of a message begins, and where what lies between time and counts begins and ends.
 
@@ -152,7 +152,7 @@ def _layout(data: Bytes) -> tuple[int, int, int]:
     return 0, 0, 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _numbers(data: Bytes, at: int, end: int) -> tuple[int, int, int, int]:
     """Number, samples and time of a message, and the place after them; -1 as the place where it has others."""
     if at >= end or data[at] != _SEQ:
@@ -167,7 +167,7 @@ def _numbers(data: Bytes, at: int, end: int) -> tuple[int, int, int, int]:
     return seq, n, t0_ns, at
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _residuals(data: Bytes, at: int, end: int, n: int) -> tuple[int, int]:
     """Where the residuals of a message begin, and their planes, 0 unless they are whole and nothing follows.
 
@@ -191,7 +191,7 @@ def _residuals(data: Bytes, at: int, end: int, n: int) -> tuple[int, int]:
     return at, planes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expand(data: Bytes, at: int, planes: int, out: CountArray) -> None:
     """Write the counts of residuals; see `count_residuals`."""
     n = out.shape[0]
@@ -211,7 +211,7 @@ def _expand(data: Bytes, at: int, planes: int, out: CountArray) -> None:
         out[i] = np.int32(mean + np.int32((zigzag >> np.uint32(1)) ^ (np.uint32(0) - (zigzag & np.uint32(1)))))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _same(data: Bytes, at: int, head: Bytes) -> bool:
     differs = np.uint8(0)
     for i in range(head.shape[0]):
@@ -219,7 +219,7 @@ def _same(data: Bytes, at: int, head: Bytes) -> bool:
     return bool(differs == 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _read(
     data: Bytes, ends: IntArray, streams: IntArray, first: int, states: IntArray, heads: Bytes, found: IntArray,
     counts: CountArray,

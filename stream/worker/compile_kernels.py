@@ -1,6 +1,7 @@
 """The machine code of all estimators, compiled or loaded before a command takes samples."""
 
 from contextlib import nullcontext
+from pathlib import Path
 from uuid import UUID
 
 from stream.console import notes
@@ -11,6 +12,17 @@ def compile_kernels(*, quiet: bool) -> None:
     status = notes().status("preparing the estimators (some seconds, the first time only)")
     with nullcontext() if quiet else status:
         warm_up()
+
+
+def compile_new_kernels(*, quiet: bool) -> None:
+    """The same only where they were not compiled before: else each is loaded for the first sample that needs it."""
+    from stream.estimators.kernels import averages_kernel, pyramid_kernel
+
+    for source in (Path(averages_kernel.__file__), Path(pyramid_kernel.__file__)):
+        kept = source.with_name("__pycache__").glob(f"{source.stem}.*.nbi")
+        if max((path.stat().st_mtime_ns for path in kept), default=0) < source.stat().st_mtime_ns:
+            compile_kernels(quiet=quiet)
+            return
 
 
 def warm_up() -> None:

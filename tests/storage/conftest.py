@@ -89,13 +89,18 @@ def filler(tmp_path: Path) -> Iterator[Filler]:
     made.release()
 
 
-@pytest.fixture
-def days(filler: Filler) -> Filler:
-    """Two signals over three days, four segments a day, with one in which a bucket of a second is cut in two."""
+def fill_days(filler: Filler, segments_a_day: int) -> Filler:
+    """Two signals over three days, with a segment in which a bucket of a second is cut in two."""
     for day in range(3):
-        for part in range(4):
+        for part in range(segments_a_day):
             t0_ns = START_NS + day * DAY_NS + part * 25 * 10**9 + 5 * 10**8
             filler.counts("rate", t0_ns, 2500)
             filler.counts("temperature", t0_ns, 25, dt_ns=10**9)
             filler.seal()
     return filler
+
+
+@pytest.fixture
+def days(filler: Filler) -> Filler:
+    """Three days of four segments."""
+    return fill_days(filler, 4)

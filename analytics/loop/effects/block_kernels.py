@@ -6,12 +6,12 @@ count gaps and blocks without a reading by their true duration.
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from stream.batch import FloatArray, IntArray
+from stream.compiled import kernel
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import conversion
 
@@ -100,7 +100,7 @@ def phasor(run: RunBlocks, channel: str, harmonic: int) -> Phasor:
     return np.asarray(np.exp(1j * factor * angle.mean) * np.sinc(swept / (2.0 * np.pi)), np.complex128)
 
 
-@numba.njit(cache=True)
+@kernel
 def _lagged(time_s: FloatArray, value: FloatArray, time_constant_s: float) -> FloatArray:
     lagged = np.full(value.size, np.nan)
     before = -1
@@ -119,7 +119,7 @@ def _lagged(time_s: FloatArray, value: FloatArray, time_constant_s: float) -> Fl
     return lagged
 
 
-@numba.njit(cache=True)
+@kernel
 def _play(value: FloatArray, width: float) -> FloatArray:
     played = np.full(value.size, np.nan)
     state = np.nan
@@ -136,7 +136,7 @@ def _play(value: FloatArray, width: float) -> FloatArray:
     return played
 
 
-@numba.njit(cache=True)
+@kernel
 def _slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
     """Slope per slot from the last reading before block i to the first after it."""
     before = i - 1
@@ -150,7 +150,7 @@ def _slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
     return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
 
 
-@numba.njit(cache=True)
+@kernel
 def _local_slope(slot: IntArray, value: FloatArray, half_width: int) -> FloatArray:
     """Slope per slot of a straight line through the readings at most `half_width` slots away."""
     slope = np.full(value.size, np.nan)
@@ -180,7 +180,7 @@ def _local_slope(slot: IntArray, value: FloatArray, half_width: int) -> FloatArr
     return slope
 
 
-@numba.njit(cache=True)
+@kernel
 def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatArray:
     """Change of a channel from start to end of each block, per slot.
 

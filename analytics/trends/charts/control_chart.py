@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.special import gammaln
 
 from analytics.trends.words import NotComputed, not_computed
@@ -115,6 +114,8 @@ def ewma_chart(
     >>> [round(float(each), 2) for each in chart.averages]
     [50.6, 49.52, 50.56]
     """
+    from scipy.signal import lfilter
+
     averages = lfilter([weight], [1.0, weight - 1.0], values - centre) + centre
     grown = 1 - (1 - weight) ** (2 * np.arange(1, values.size + 1))
     half = width * sigma * np.sqrt(weight / (2 - weight) * grown)

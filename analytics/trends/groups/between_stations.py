@@ -5,7 +5,6 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-import polars as pl
 
 from analytics.trends.groups.mixed_model import (
     ComponentDeviation,
@@ -162,6 +161,8 @@ def _differences(group: _Group, model: MixedModel, series: MetricSeries, beside:
 
 def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
     """Differences of each two levels over the units measured on both, each by its mean there."""
+    import polars as pl
+
     frame = pl.DataFrame({"level": series.groups[group.name], "unit": series.unit, "value": series.value})
     means = frame.group_by("level", "unit", maintain_order=True).agg(pl.col("value").mean())
     found = []

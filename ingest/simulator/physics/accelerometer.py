@@ -5,11 +5,11 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import NotNegative, Positive, Seeds, checked
 from ingest.simulator.physics.environment import NOMINAL_TEMPERATURE_DEG_C, Conditions, Environment
 from stream.batch import CountArray, FloatArray
+from stream.compiled import kernel
 
 _MICRO = 1e-6
 _ARCSEC = math.pi / (180 * 3600)
@@ -40,7 +40,7 @@ class AccelerometerParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_
     carries_rest: bool = True  # whether the rounding error is added to the next sample, as in a velocity counter
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _to_counts(values: FloatArray, limit: float, carries: bool, rest: float, out: CountArray) -> float:
     for i in range(values.shape[0]):
         value = min(max(values[i], -limit), limit) + rest

@@ -7,11 +7,11 @@ from itertools import takewhile
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import SECONDS_PER_HOUR, Jump, NotNegative, Positive, Seeds, Staircase, random_jumps
 from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, Conditions
 from stream.batch import FloatArray
+from stream.compiled import compiled
 
 Vector = tuple[float, float, float]
 _ZERO: Vector = (0.0, 0.0, 0.0)
@@ -79,20 +79,20 @@ class Bias(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     line: tuple[Line, ...] = ()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_exponential(t_s: FloatArray, amplitude: float, time_constant_s: float, out: FloatArray) -> None:
     for i in range(t_s.shape[0]):
         out[i] += amplitude * math.exp(-t_s[i] / time_constant_s)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_sine(t_s: FloatArray, frequency_hz: float, amplitude: float, phase: float, out: FloatArray) -> None:
     for i in range(t_s.shape[0]):
         cycles = frequency_hz * t_s[i]
         out[i] += amplitude * math.sin(2.0 * math.pi * (cycles - math.floor(cycles)) + phase)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_logarithm(t_s: FloatArray, age_h: float, onset_h: float, per_decade: float, out: FloatArray) -> None:
     for i in range(t_s.shape[0]):
         out[i] += per_decade * math.log10(1.0 + (age_h + t_s[i] / SECONDS_PER_HOUR) / onset_h)

@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive, Seeds, checked
 from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, NOMINAL_TEMPERATURE_DEG_C, StaticEnvironment
 from ingest.simulator.physics.noise import ornstein_uhlenbeck
 from stream.batch import FloatArray, IntArray
+from stream.compiled import compiled
 from stream.errors import BadInput
 
 EARTH_RATE_DEG_PER_H = 15.041067
@@ -43,7 +43,7 @@ def earth_rate_enu_deg_per_s(latitude_deg: float) -> FloatArray:
     return rate * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _turned(angle_deg: FloatArray, constant: FloatArray, cosine: FloatArray, sine: FloatArray, out: FloatArray) -> None:
     """Components of a vector fixed to Earth along three axes that turn: constant + cosine cos(a) + sine sin(a)."""
     for i in range(angle_deg.shape[0]):

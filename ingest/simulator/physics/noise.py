@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive, Seeds
 from stream.batch import FloatArray
+from stream.compiled import compiled
 
 SHORTEST_CORRELATION_S = 0.02
 CORRELATION_RATIO = 4.0
@@ -51,7 +51,7 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     markov: tuple[Markov, ...] = ()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _interval_means(
     state: FloatArray, normals: FloatArray, decay: FloatArray, kick: FloatArray, weight: FloatArray, scatter: float,
     out: FloatArray,
@@ -67,7 +67,7 @@ def _interval_means(
         out[i] = total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _repeat_each(values: FloatArray, hold: int, used: int, out: FloatArray) -> None:
     """Write each value `hold` times, the first `used` fewer."""
     j, left = 0, hold - used
@@ -79,7 +79,7 @@ def _repeat_each(values: FloatArray, hold: int, used: int, out: FloatArray) -> N
         out[i] = values[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_differences(angle: FloatArray, before: float, per_interval: float, out: FloatArray) -> float:
     for i in range(angle.shape[0]):
         out[i] += per_interval * (angle[i] - before)

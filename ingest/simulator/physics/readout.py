@@ -6,10 +6,10 @@ from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import NotNegative, Positive, RangeMask, SampleRange, Seeds, random_ranges
 from stream.batch import BoolArray, CountArray, FloatArray
+from stream.compiled import compiled
 
 _INT32 = np.iinfo(np.int32)
 
@@ -61,7 +61,7 @@ class Samples(NamedTuple):
     ready: BoolArray
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _to_counts(
     rate: FloatArray, counts_per_rate: float, limit: float, step: float, carries: bool, rest: float, out: CountArray
 ) -> float:
@@ -74,7 +74,7 @@ def _to_counts(
     return rest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _repeat(stuck: BoolArray, last: int, out: CountArray) -> int:
     for i in range(out.shape[0]):
         if stuck[i]:
@@ -83,7 +83,7 @@ def _repeat(stuck: BoolArray, last: int, out: CountArray) -> int:
     return last
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_transient(t_s: FloatArray, begin_s: float, size: float, time_constant_s: float, out: FloatArray) -> None:
     for i in range(t_s.shape[0]):
         if t_s[i] >= begin_s:

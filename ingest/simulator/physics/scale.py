@@ -5,11 +5,11 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive, Seeds
 from ingest.simulator.physics.environment import NOMINAL_TEMPERATURE_DEG_C, Conditions
 from stream.batch import FloatArray
+from stream.compiled import kernel
 
 _PPM = 1e-6
 _HOURS_PER_KILOHOUR = 1000.0
@@ -50,7 +50,7 @@ class Scale(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ageing_ppm_per_1000_h: float = 0.0  # change with the hours of operation
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bend(rate: FloatArray, full: float, terms: FloatArray, asymmetry: float, out: FloatArray) -> None:
     for i in range(rate.shape[0]):
         x = rate[i] / full
@@ -60,7 +60,7 @@ def _bend(rate: FloatArray, full: float, terms: FloatArray, asymmetry: float, ou
         out[i] += full * value * x * x + asymmetry * abs(rate[i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_ripple(rate: FloatArray, amplitude: float, period: float, phase: float, out: FloatArray) -> None:
     for i in range(rate.shape[0]):
         out[i] += amplitude * math.sin(2.0 * math.pi * rate[i] / period + phase)

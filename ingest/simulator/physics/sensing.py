@@ -5,11 +5,10 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-import scipy.linalg
-from numba import njit
 
 from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive
 from stream.batch import FloatArray
+from stream.compiled import compiled
 
 _ARCSEC = math.pi / (180 * 3600)
 _PPM = 1e-6
@@ -62,7 +61,7 @@ class Dynamics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     dead_zone: DeadZone | None = None
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _low_pass(u: FloatArray, last: float, state: FloatArray, a: FloatArray, b: FloatArray, out: FloatArray) -> float:
     """Advance by one sample per two inputs, at the middle and the end of the interval."""
     for i in range(out.shape[0]):
@@ -75,7 +74,7 @@ def _low_pass(u: FloatArray, last: float, state: FloatArray, a: FloatArray, b: F
     return last
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _dead_zone(rate: FloatArray, threshold: float, slope: float, beyond: int, out: FloatArray) -> None:
     for i in range(rate.shape[0]):
         size = abs(rate[i])
@@ -112,6 +111,8 @@ class LowPass:
     """
 
     def __init__(self, bandwidth_hz: float, damping: float, interval_s: float) -> None:
+        from scipy.linalg import expm
+
         bend = 1.0 - 2.0 * damping**2
         w = 2.0 * math.pi * bandwidth_hz / math.sqrt(bend + math.hypot(bend, 1.0))
         # states: the output, and its derivative over w; then the input and its derivatives over the interval
@@ -119,7 +120,7 @@ class LowPass:
         augmented[0, 1], augmented[1, 0], augmented[1, 1], augmented[1, 2] = w, -w, -2.0 * damping * w, w
         augmented *= interval_s
         augmented[2, 3] = augmented[3, 4] = 1.0
-        advance = scipy.linalg.expm(augmented)
+        advance = expm(augmented)
         self._a = np.ascontiguousarray(advance[:2, :2])
         # of u, h u', h^2 u'' at the start: from the values at the start, in the middle and at the end
         derivatives = np.array([[1.0, 0.0, 0.0], [-3.0, 4.0, -1.0], [4.0, -8.0, 4.0]])

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from ingest.simulator.physics.draws import NotNegative, Positive
 from ingest.simulator.physics.environment import NOMINAL_TEMPERATURE_DEG_C
 from stream.batch import FloatArray
+from stream.compiled import kernel
 
 _SECONDS_PER_MINUTE = 60.0
 
@@ -53,7 +53,7 @@ class Thermal(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     hysteresis: tuple[Hysteresis, ...] = ()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _follow(
     u: FloatArray, last: float, state: float, decay: float, jump: float, ramp: float, out: FloatArray
 ) -> tuple[float, float]:
@@ -65,7 +65,7 @@ def _follow(
     return last, state
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_stop(u: FloatArray, last: float, z: float, half_width: float, size: float, out: FloatArray) -> float:
     for i in range(u.shape[0]):
         z = min(max(z + (u[i] - last), -half_width), half_width)
@@ -74,7 +74,7 @@ def _add_stop(u: FloatArray, last: float, z: float, half_width: float, size: flo
     return z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_polynomial(u: FloatArray, terms: FloatArray, out: FloatArray) -> None:
     for i in range(u.shape[0]):
         x = u[i] - NOMINAL_TEMPERATURE_DEG_C

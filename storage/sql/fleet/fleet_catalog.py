@@ -58,7 +58,7 @@ class FleetCatalog(Catalog):
     ) -> None:  # fmt: skip
         self.store, self.progress, self.kept, self.frozen = Store(folder, ""), None, folder, True
         self.parts, self._unfilled, self._live, self._has_views = (), [], None, True
-        self._deferred, self._defining = DeferredDefinitions(self._execute), threading.RLock()
+        self._deferred, self._defining = DeferredDefinitions(self._run_definition), threading.RLock()
         self._notes = tuple(note for each in plants for note in each.notes)
         self._connection = duckdb.connect(":memory:")
         try:

@@ -1,12 +1,12 @@
 -- Base of the views. A channel is one signal of one epoch with one meaning (unit of measure, scale, offset). It may
 -- extend over many segments of the log; here it becomes one row.
-create view internal.lake_channel_parts as
+create or replace view internal.lake_channel_parts as
 select *, true as is_kept from internal.lake_channels_kept
 union all
 select *, false as is_kept from internal.lake_channels_dropped;
 
 -- A signal is tidy if its stretches follow each other in time: then only edges of stretches share a bucket.
-create table internal.lake_channels as
+create or replace table internal.lake_channels as
 with stretch as (
   select *,
     overlapping or coalesce(t_first_ns < max(t_last_ns) over (
@@ -45,6 +45,6 @@ select * exclude (is_overlapping), not bool_or(is_overlapping) over (partition b
 from channel;
 
 -- A document that was sent twice counts once.
-create view internal.lake_documents as
+create or replace view internal.lake_documents as
 select * from internal.lake_events
 qualify row_number() over (partition by uid order by arrival_ns) = 1;

@@ -1,6 +1,6 @@
 -- Times are UTC. If a run's date is unknown (runs.date_known), they count from the run's start as 1970-01-01.
 
-create view signals as
+create or replace view signals as
 select
   unit, signal, run,
   any_value(unit_of_measure) as unit_of_measure,
@@ -23,7 +23,7 @@ select
 from internal.lake_channels
 group by unit, signal, run;
 
-create view samples as
+create or replace view samples as
 select
   c.unit, c.signal, c.run,
   make_timestamp_ns(s.t_ns) as "time",
@@ -34,7 +34,7 @@ select
   c.epoch
 from internal.lake_samples s join internal.lake_channels c using (channel);
 
-create view runs as
+create or replace view runs as
 with started as (
   select run, t_ns, arrival_ns, site, station, document
   from internal.lake_documents where kind = 'RunStarted'
@@ -95,7 +95,7 @@ left join resumed g using (run)
 left join released u using (run)
 left join stated z using (run);
 
-create view steps as
+create or replace view steps as
 select
   b.run, b.unit,
   row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may start at one time
@@ -120,7 +120,7 @@ from (select * from internal.lake_documents where kind = 'StepStarted') b
 left join (select * from internal.lake_documents where kind = 'StepEnded') e
   on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid;
 
-create view estimates as
+create or replace view estimates as
 select
   unit, signal, run, estimator,
   make_timestamp_ns(t_ns) as "time",
@@ -130,7 +130,7 @@ from internal.lake_estimates
 -- duplicates count once; with the parts of the name, filters on them are applied before
 qualify row_number() over (partition by unit, signal, run, estimator, uid, tau_s order by arrival_ns) = 1;
 
-create view events as
+create or replace view events as
 select
   make_timestamp_ns(t_ns) as "time", kind, run, unit, document->>'$.signal' as signal, document, site, station, t_ns,
   uid

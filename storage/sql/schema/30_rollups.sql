@@ -1,11 +1,11 @@
 -- Buckets of 1 s and 10 s of the source's clock. Buckets shared by segments are merged by the formula of Chan, Golub and
 -- LeVeque, from the sums of squares and the means. In tidy signals only edges can be shared; other buckets are final.
-create view internal.lake_rollups as
+create or replace view internal.lake_rollups as
 select 1 as seconds, * from internal.lake_rollup_1s
 union all
 select 10 as seconds, * from internal.lake_rollup_10s;
 
-create view internal.lake_buckets as
+create or replace view internal.lake_buckets as
 with shared as (
   select r.seconds, c.unit, c.signal, c.run, c.unit_of_measure, r.bucket, r.n, r.mean, r.m2, r.lo, r.hi,
     sum(r.n) over same as n_all,
@@ -27,12 +27,12 @@ select seconds, unit, signal, run, bucket, sum(n)::bigint as n,
 from shared
 group by seconds, unit, signal, run, unit_of_measure, bucket;
 
-create view rollup_1s as
+create or replace view rollup_1s as
 select unit, signal, run, make_timestamp_ns(bucket * 1000000000) as "time", bucket * 1000000000 as t_ns, n, mean,
   case when n > 1 then sqrt(m2 / (n - 1)) end as stddev, m2, lo, hi, unit_of_measure
 from internal.lake_buckets where seconds = 1;
 
-create view rollup_10s as
+create or replace view rollup_10s as
 select unit, signal, run, make_timestamp_ns(bucket * 10000000000) as "time", bucket * 10000000000 as t_ns, n, mean,
   case when n > 1 then sqrt(m2 / (n - 1)) end as stddev, m2, lo, hi, unit_of_measure
 from internal.lake_buckets where seconds = 10;

@@ -1,7 +1,7 @@
 -- The source's clock relative to the recorder's, from the lower envelope of arrival minus source time, since delays are
 -- positive. drift_ppm is positive if the source's clock is fast. Pieces begin at leaps of the source's time and at
 -- power-ons; they share one slope, each with its own level. Stretches far above the line were delayed and are left out.
-create view internal.lake_clock_pieces as
+create or replace view internal.lake_clock_pieces as
 with leap as (
   select k.*, c.unit, c.signal, c.run, c.dt_ns, c.irregular,
     k.t_first_ns - lag(k.t_last_ns) over own - c.dt_ns as step_ns
@@ -14,7 +14,7 @@ select *,
     over (partition by channel order by seq_first) as piece
 from leap;
 
-create view internal.lake_clock_levels as
+create or replace view internal.lake_clock_levels as
 with level as (
   select unit, signal, run, channel, piece,
     case when piece > 0 then arg_min(step_ns, seq_first) end as step_ns,
@@ -27,7 +27,7 @@ select *,
   level_ns - lag(level_ns) over (partition by channel order by piece) as rise_ns
 from level;
 
-create view clocks as
+create or replace view clocks as
 with point as (
   select unit, signal, run, channel, piece,
     (t_least_ns - min(t_least_ns) over own) / 1e9 as x,

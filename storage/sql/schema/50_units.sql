@@ -1,6 +1,6 @@
 -- The units tested in each run: one row for each mounted unit of a run, joined by `using (run, unit)` to samples, steps
 -- and estimates. Of several mountings the last one counts; all are in `events`.
-create view units as
+create or replace view units as
 with mounted as (
   select run, unit, site, station, t_ns, uid, document,
     count(*) over (partition by run, unit) as mountings

@@ -1,5 +1,5 @@
 -- The last estimated Allan deviation of a signal in each run: from adev('FOG-0231', 'rate').
-create macro adev(wanted_unit, wanted_signal) as table
+create or replace macro adev(wanted_unit, wanted_signal) as table
 select run, tau_s, value, lo, hi, unit_of_measure, edf, n, "time"
 from estimates
 where unit = wanted_unit and signal = wanted_signal and estimator = 'allan_deviation' and reason is null

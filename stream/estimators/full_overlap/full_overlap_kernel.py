@@ -6,11 +6,10 @@ is one of adjacent views of the blocks, and what the blocks between them add is 
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.compiled import kernel, kernel_part
 from stream.estimators.full_overlap.prefix_record import PrefixSums
-from stream.estimators.kernels import kernel_part
 
 SUM_ROW, COUNT_ROW, WITHIN, BLOCK = 0, 1, 2, 3
 _VIEWS = 4
@@ -138,7 +137,7 @@ def _sums_with_gaps(
     return total, squares, found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def differences(
     record: PrefixSums, factor: int, weights: FloatArray, share: float, first: int, stop: int, step: int
 ) -> tuple[float, float, int]:
@@ -195,7 +194,7 @@ def _run_full(
     return total, squares
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def modified(record: PrefixSums, factor: int, share: float, restart: int) -> tuple[float, int]:
     """Sum of squares of the sums of `factor` neighbouring differences of two windows, and how many there are.
 

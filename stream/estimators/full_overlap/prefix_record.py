@@ -14,9 +14,9 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import FloatArray, IntArray, first_finite
+from stream.compiled import kernel
 
 BLOCK = 4096
 MEMORY_SAMPLES = 1 << 22
@@ -44,7 +44,7 @@ class PrefixSums(NamedTuple):
     slots: int
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _extend(sums: FloatArray, counts: IntArray, first: int, values: FloatArray, reference: float) -> None:
     """Add values behind slot `first` of a block, whose prefix sums and counts are known up to there."""
     for i in range(values.shape[0]):

@@ -7,10 +7,9 @@ so that a large mean costs no digits. Averages of one sample each are computed m
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.kernels import kernel_part
+from stream.compiled import kernel, kernel_part
 
 BLOCK, COUNT, LAST, AVERAGES, PAIRS, BEGAN, HEAD_COUNT, FIRST_AVERAGE = range(8)
 (
@@ -121,13 +120,13 @@ def _sum(values: FloatArray, reference: float) -> tuple[float, int]:
     return total, count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def first_slot_of(block: int, average_ns: int, dt_ns: int) -> int:
     """First slot of a block."""
     return (block * average_ns + dt_ns - 1) // dt_ns
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def average_grid(
     places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, reference: float, average_ns: int,
     share: float, dt_ns: int, first_slot: int, values: FloatArray,
@@ -153,7 +152,7 @@ def average_grid(
         slot = until
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def average_times(
     places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, reference: float, average_ns: int,
     share: float, dt_ns: int, origin_ns: int, times_ns: IntArray, values: FloatArray,
@@ -171,7 +170,7 @@ def average_times(
             places[COUNT] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def merge_averages(
     places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, later: IntArray,
     later_numbers: FloatArray, later_ring: FloatArray, later_blocks: IntArray, expected: float, share: float,
@@ -247,7 +246,7 @@ def _products(early: FloatArray, late: FloatArray, reference: float, early_mean:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def take_samples(
     places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, reference: float, first_slot: int,
     values: FloatArray,

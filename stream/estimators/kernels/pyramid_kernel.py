@@ -7,10 +7,9 @@ slots. Prefix sums restart in every call, so that nothing large is ever subtract
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.kernels import kernel_part
+from stream.compiled import kernel, kernel_part
 from stream.estimators.kernels import pyramid_loops as loops
 from stream.estimators.kernels.pyramid_loops import COUNT, SUM
 
@@ -193,7 +192,7 @@ def _climb(
         given, total, full = made, parents, all_full
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def push(
     tails: FloatArray, heads: FloatArray, squares: FloatArray, windows: IntArray, places: IntArray, lags: IntArray,
     share: float, reference: float, first_slot: int, values: FloatArray,
@@ -226,7 +225,7 @@ def push(
         _climb(state, lags, share, scratch, given, total, full)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def merge(
     tails: FloatArray, heads: FloatArray, squares: FloatArray, windows: IntArray, places: IntArray, lags: IntArray,
     share: float, later_tails: FloatArray, later_heads: FloatArray, later_squares: FloatArray,

@@ -4,7 +4,7 @@ The compiled kernel is kept on disk as long as its own file stays as it is: afte
 """
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.kernels import kernel_part
+from stream.compiled import kernel_part
 
 SUM, COUNT = 0, 1
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import msgspec
 import numpy as np
-import scipy.special
+import scipy
 
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import EstimatorError

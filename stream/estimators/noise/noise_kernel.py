@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import FloatArray
+from stream.compiled import fast_kernel, kernel
 
 MOST_ROUNDS = 50
 TOLERANCE = 1e-8
@@ -19,7 +19,7 @@ _EPSILON = float(np.finfo(np.float64).eps)
 Mask = npt.NDArray[np.bool_]
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@fast_kernel("reassoc", "contract")
 def _dot(a: FloatArray, b: FloatArray) -> float:
     total = 0.0
     for i in range(a.shape[0]):
@@ -27,7 +27,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return total
 
 
-@njit(cache=True)
+@kernel
 def _orthogonalise(basis: FloatArray, k: int, is_used: Mask, upper: FloatArray) -> bool:
     """Subtract from column k its shares of the used ones before it, and normalise it; False where nothing is left."""
     column = basis[k]
@@ -48,7 +48,7 @@ def _orthogonalise(basis: FloatArray, k: int, is_used: Mask, upper: FloatArray) 
     return True
 
 
-@njit(cache=True)
+@kernel
 def _solve(rows: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray, basis: FloatArray) -> None:
     """Least squares over the chosen columns by modified Gram-Schmidt; a column that depends on others gets 0.
 
@@ -80,7 +80,7 @@ def _solve(rows: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray
             found[k] = value / upper[k, k]
 
 
-@njit(cache=True)
+@kernel
 def _steepest(rows: FloatArray, left: FloatArray, barred: Mask) -> int:
     """Column along which the residual falls most; -1 where rounding is all that is left."""
     largest = most = 0.0
@@ -100,7 +100,7 @@ def _steepest(rows: FloatArray, left: FloatArray, barred: Mask) -> int:
     return best
 
 
-@njit(cache=True)
+@kernel
 def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
     """Move from found towards trial as far as no coefficient is negative; False where the whole step is allowed."""
     step, first = 1.0, -1
@@ -119,7 +119,7 @@ def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def _improve(rows: FloatArray, target: FloatArray, found: FloatArray) -> None:
     """Solve non-negative least squares from coefficients >= 0, which the solution replaces."""
     size, n = rows.shape
@@ -153,7 +153,7 @@ def _improve(rows: FloatArray, target: FloatArray, found: FloatArray) -> None:
         found[:] = trial
 
 
-@njit(cache=True)
+@kernel
 def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The x >= 0 of least ``|matrix x - target|`` (Lawson, Hanson, Solving Least Squares Problems, 1974, 23.3).
 
@@ -167,7 +167,7 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
     return found
 
 
-@njit(cache=True)
+@kernel
 def deviance(degrees: FloatArray, model: FloatArray) -> float:
     """D of a model, given relative to the curve; see `noise_likelihood.CurveLikelihood`."""
     total = 0.0
@@ -177,7 +177,7 @@ def deviance(degrees: FloatArray, model: FloatArray) -> float:
     return total
 
 
-@njit(cache=True)
+@kernel
 def _weighted(
     columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask, theta: FloatArray,
     rows: FloatArray,
@@ -212,7 +212,7 @@ def _weighted(
     return reached
 
 
-@njit(cache=True)
+@kernel
 def weighted_least_squares(
     columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask
 ) -> FloatArray:
@@ -220,7 +220,7 @@ def weighted_least_squares(
     return _weighted(columns, degrees, model, fixed, free, np.zeros(len(free)), np.empty(columns.T.shape))
 
 
-@njit(cache=True)
+@kernel
 def _fill_model(columns: FloatArray, theta: FloatArray, step: FloatArray, model: FloatArray) -> float:
     """Write the model of theta + step; its least value."""
     least = math.inf
@@ -233,7 +233,7 @@ def _fill_model(columns: FloatArray, theta: FloatArray, step: FloatArray, model:
     return least
 
 
-@njit(cache=True)
+@kernel
 def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: Mask) -> tuple[FloatArray, float]:
     """Iterate the weighted least squares from theta, the other coefficients fixed, until the deviance converges."""
     n, terms = columns.shape
@@ -269,7 +269,7 @@ def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: M
     return theta, least
 
 
-@njit(cache=True)
+@kernel
 def least_deviances(columns: FloatArray, degrees: FloatArray, more: FloatArray) -> FloatArray:
     """Least deviance with one more column, for each column of `more`, shape (n, m); shape (m,)."""
     n, terms = columns.shape

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
-import scipy.special
+import scipy
 
 from stream.batch import FloatArray, IntArray
 

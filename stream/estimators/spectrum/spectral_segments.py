@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from stream.batch import BoolArray, FloatArray, IntArray
-from stream.estimators.kernels import kernel_part
+from stream.compiled import kernel, kernel_part
 from stream.estimators.spectrum.spectral_lines import hann_window
 
 START, ORIGIN, FILLED, SEGMENTS, PAIRS, FIRST, LAST = range(7)
@@ -143,7 +142,7 @@ def _count(places: IntArray, half: int, is_whole: BoolArray) -> None:
         places[LAST] = origin
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(
     buffer: FloatArray, filled: int, start: int, values: FloatArray, reference: float, window: FloatArray,
     windowed: FloatArray, is_whole: BoolArray,
@@ -161,7 +160,7 @@ def _fill(
     return taken
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _put(buffer: FloatArray, filled: int, start: int, values: FloatArray, reference: float) -> None:
     """Write values less the reference, without NumPy's warnings; NaN between them and the filled slots."""
     buffer[filled:start] = np.nan
@@ -179,7 +178,7 @@ def _sums(values: FloatArray) -> tuple[float, float]:
     return total, zero
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _window(values: FloatArray, window: FloatArray, out: FloatArray) -> bool:
     """Write the values less their mean, times the window; False, and nothing written, if one is not finite."""
     total, zero = _sums(values)
@@ -191,7 +190,7 @@ def _window(values: FloatArray, window: FloatArray, out: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_powers(transforms: npt.NDArray[np.complex128], power: FloatArray) -> None:
     """Add the squares of the absolute values, row after row."""
     for row in range(transforms.shape[0]):

@@ -79,10 +79,12 @@ def test_only_what_changed_is_computed_and_only_its_parts_are_opened(filled: Any
         assert [part.name for part in newest] == [catalog.parts[-1].name]
         assert len(catalog.parts) == 2
     whole = computed(filled.store, here, None, ["bias"])
+    assert set(found[1]["metric"].to_pylist()) == {"bias"}
     assert whole[0].equals(found[0])
     assert whole[1].equals(found[1])
 
 
+@pytest.mark.long
 def test_some_metrics_are_computed_alone(filled: Any, tmp_path: Path) -> None:
     here, there = folders(tmp_path)
     (_, whole), (_, found) = (

@@ -71,7 +71,7 @@ def test_an_output_that_does_not_answer_has_reasons_and_no_infinite_number(teste
         json.loads(row["parameters"], parse_constant=pytest.fail)
 
 
-@pytest.mark.long
+@pytest.mark.in_gate("1e+150")
 @pytest.mark.parametrize("scale", [1e150, 1e-150, 1e300])
 def test_numbers_of_any_size_are_measured_and_spare_the_other_units(tested: TestedUnits, scale: float) -> None:
     turn(tested, "ODD", scale=scale, noise=scale * 1e-3, measure="mV")

@@ -1,6 +1,7 @@
 """Metrics computed for ranges of units, and one metric alone, are those that are computed for all at once."""
 
-import shutil
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,14 @@ from analytics.evaluation import kept_metrics, ranges
 from analytics.evaluation.evaluation import COLUMNS
 from analytics.evaluation.ranges import in_order
 from analytics.metric_registry.registry import metrics
-from analytics.step_records import FOLDER
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from tests.analytics.conftest import TestedUnits
 from tests.analytics.metrics.test_incremental_metrics import START_NS, Bench, table_of
 
 
-@pytest.fixture
-def filled(tested: Any) -> Any:
-    """A store of three units with tests of several kinds, two of them fed by one supply."""
+def fill(tested: Any) -> None:
+    """Three units with tests of several kinds, two of them fed by one supply."""
     for grow in Bench(tested).grown():
         grow()
     tested.run("p", t_ns=START_NS, procedure="power_consumption")
@@ -26,26 +28,39 @@ def filled(tested: Any) -> Any:
         tested.step("p", unit, np.array([1.0, 1.5, 1.2]), t0_ns=START_NS)
     for signal, measure in (("supply_voltage", "V"), ("supply_current", "A")):
         tested.samples("p", "PSU", signal, np.array([5.0, 5.1, 5.2]), t0_ns=START_NS, unit_of_measure=measure)
+
+
+@pytest.fixture
+def filled(tested: Any) -> Any:
+    """A store of the units."""
+    fill(tested)
     return tested
 
 
-def _anew(tested: Any) -> None:
-    shutil.rmtree(tested.store.folder / FOLDER, ignore_errors=True)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Store, pa.Table]]:
+    """A store of the units that is only read, and all its metrics."""
+    made = TestedUnits(tmp_path_factory.mktemp("whole") / "store")
+    fill(made)
+    yield made.store, table_of(made)
+    made.release()
 
 
-def test_ranges_of_units_have_the_rows_of_one_pass(filled: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = table_of(filled)
-    with filled.catalog() as catalog:
+def test_ranges_of_units_have_the_rows_of_one_pass(
+    whole: tuple[Store, pa.Table], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, every = whole
+    with Catalog(store) as catalog:
         steps = catalog.table("from step_means order by all")
         static = catalog.table("from static_steps order by all")
-    assert len(set(whole["unit"].to_pylist())) == 3
-    _anew(filled)
+    assert len(set(every["unit"].to_pylist())) == 3
     monkeypatch.setattr(ranges, "RANGE_RECORDS", 1)  # each unit is a range
-    with filled.catalog() as catalog:
-        assert catalog.table("from unit_metrics").equals(whole)
+    with Catalog(store, kept=tmp_path) as catalog:
+        assert catalog.table("from unit_metrics").equals(every)
         assert catalog.table("from step_means order by all").equals(steps)
         assert catalog.table("from static_steps order by all").equals(static)
-    assert table_of(filled).equals(whole)  # as kept
+    with Catalog(store, kept=tmp_path) as catalog:  # as kept
+        assert catalog.table("from unit_metrics").equals(every)
 
 
 def test_a_supply_of_two_units_is_one_also_where_one_of_them_changed(filled: Any) -> None:
@@ -62,11 +77,10 @@ def test_a_supply_of_two_units_is_one_also_where_one_of_them_changed(filled: Any
 
 @pytest.mark.in_gate("bias", "bias_repeatability", "scale_factor", "power")
 @pytest.mark.parametrize("metric", sorted(metrics()))
-def test_a_metric_alone_is_the_one_among_all(filled: Any, metric: str) -> None:
-    every = table_of(filled)
+def test_a_metric_alone_is_the_one_among_all(whole: tuple[Store, pa.Table], tmp_path: Path, metric: str) -> None:
+    store, every = whole
     expected = every.filter(pa.compute.equal(every["metric"], metric))
-    _anew(filled)
-    with filled.catalog() as catalog, catalog.suspended_layers():
+    with Catalog(store, kept=tmp_path) as catalog, catalog.suspended_layers():
         kept_metrics.unit_metrics(catalog, wanted=[metric])
         assert catalog.table("from unit_metrics").equals(expected)
 

@@ -62,43 +62,46 @@ def test_evidence_is_that_of_direct_fits() -> None:
         assert gained == pytest.approx(direct, abs=1e-8)
 
 
-@pytest.mark.in_gate("30-0.8-1.0")
+@pytest.mark.in_gate("30-0.8-1.0-300")
+@pytest.mark.parametrize("series", [300, 1000])
 @pytest.mark.parametrize(
     ("n", "correlation", "share"),
     [(12, 0.8, 1.0), (30, 0.0, 1.0), (30, 0.4, 1.0), (30, 0.8, 1.0), (90, 0.6, 1.0), (90, 0.8, 1.0), (90, 0.8, 0.7)],
 )
-def test_noise_that_wanders_shows_a_change_in_few_series(n: int, correlation: float, share: float) -> None:
+def test_noise_that_wanders_shows_a_change_in_few_series(n: int, correlation: float, share: float, series: int) -> None:
     rng = np.random.default_rng([20261130, n, round(10 * correlation), round(10 * share)])
-    series = 1000
     alarms = sum(bool(_found(each).points) for each in simulated(Noise(correlation, share), series, n, rng))
     assert alarms <= binom.isf(0.001 / 7, series, 0.015)
 
 
-def test_a_dearer_price_makes_alarms_rarer() -> None:
-    noise = simulated(Noise(0.8, 1.0), 800, 30, np.random.default_rng(20260712))
+@pytest.mark.parametrize("series", [200, pytest.param(800, marks=pytest.mark.long)])
+def test_a_dearer_price_makes_alarms_rarer(series: int) -> None:
+    noise = simulated(Noise(0.8, 1.0), series, 30, np.random.default_rng(20260712))
     often = sum(bool(_found(each, 0.1).points) for each in noise)
-    assert often <= binom.isf(0.001, 800, 0.15)
-    assert often >= binom.ppf(0.001, 800, 0.04)  # it is not idle either
+    assert often <= binom.isf(0.001, series, 0.15)
+    assert often >= binom.ppf(0.001, series, 0.04)  # it is not idle either
 
 
-@pytest.mark.in_gate("30-0.0-0.5", "90-0.8-0.8")
+@pytest.mark.in_gate("30-0.0-0.5-100", "90-0.8-0.8-50")
+@pytest.mark.parametrize("series", [50, 100, 200])
 @pytest.mark.parametrize(
     ("n", "correlation", "least"), [(30, 0.0, 0.5), (30, 0.8, 0.7), (90, 0.0, 0.95), (90, 0.8, 0.8)]
 )
-def test_a_step_of_three_sigma_is_found(n: int, correlation: float, least: float) -> None:
+def test_a_step_of_three_sigma_is_found(n: int, correlation: float, least: float, series: int) -> None:
     rng = np.random.default_rng([20261201, n, round(10 * correlation)])
-    noise = simulated(Noise(correlation, 1.0), 200, n, rng)
+    noise = simulated(Noise(correlation, 1.0), series, n, rng)
     found = sum(bool(_found(each + 3.0 * (np.arange(n) >= n // 2)).points) for each in noise)
-    assert found >= binom.ppf(0.001 / 4, 200, least)
+    assert found >= binom.ppf(0.001 / 4, series, least)
 
 
-def test_a_bump_that_returns_is_two_changes() -> None:
+@pytest.mark.parametrize("series", [35, pytest.param(100, marks=pytest.mark.long)])
+def test_a_bump_that_returns_is_two_changes(series: int) -> None:
     rng = np.random.default_rng(20261202)
     bump = 4.0 * ((np.arange(90) >= 30) & (np.arange(90) < 60))
-    found = [_found(rng.standard_normal(90) + bump) for _ in range(100)]
+    found = [_found(rng.standard_normal(90) + bump) for _ in range(series)]
     moments = [tuple(point.at for point in each.points) for each in found]
     both = sum(len(each) == 2 and abs(each[0] - 30) <= 2 and abs(each[1] - 60) <= 2 for each in moments)
-    assert both >= 97
+    assert both >= 0.97 * series
 
 
 def test_changes_of_many_levels_are_found_in_a_long_series() -> None:
@@ -108,19 +111,20 @@ def test_changes_of_many_levels_are_found_in_a_long_series() -> None:
     assert all(each.lo < size < each.hi for each, size in zip(found.points, (1, -1, 2, 1), strict=True))
 
 
-@pytest.mark.in_gate("0.6")
+@pytest.mark.in_gate("0.6-100")
+@pytest.mark.parametrize("series", [100, 400])
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
-def test_moment_and_size_of_a_change_are_covered(correlation: float) -> None:
+def test_moment_and_size_of_a_change_are_covered(correlation: float, series: int) -> None:
     rng = np.random.default_rng([20260714, round(10 * correlation)])
     seen = moments = sizes = 0
-    for noise in simulated(Noise(correlation, 1.0), 400, 60, rng):
+    for noise in simulated(Noise(correlation, 1.0), series, 60, rng):
         found = _found(noise + 4.0 * (np.arange(60) >= 35))
         if len(found.points) == 1:
             (point,) = found.points
             seen += 1
             moments += point.first <= 35 <= point.last
             sizes += point.lo <= 4.0 <= point.hi
-    assert seen >= 0.9 * 400
+    assert seen >= 0.9 * series
     for covered in (moments, sizes):
         assert covered >= binom.ppf(0.001 / 4, seen, 0.92)
 
@@ -133,14 +137,15 @@ def test_segments_keep_their_least_length() -> None:
     assert ChangeSearch(np.arange(12.0), (4, 8)).one() is None
 
 
-def test_wild_points_are_no_change() -> None:
+@pytest.mark.parametrize("series", [100, pytest.param(300, marks=pytest.mark.long)])
+def test_wild_points_are_no_change(series: int) -> None:
     rng = np.random.default_rng(20260715)
     alarms = 0
-    for _ in range(300):
+    for _ in range(series):
         values = rng.standard_normal(80)
         values[[17, 55]] += 25.0
         alarms += bool(_found(values).points)
-    assert alarms <= binom.isf(0.001, 300, 0.02)
+    assert alarms <= binom.isf(0.001, series, 0.02)
 
 
 def test_a_drift_is_no_staircase() -> None:

@@ -43,6 +43,7 @@ class Laboratory:
 
     def __init__(self, folder: Path, run_command: Callable[..., Any]) -> None:
         self.folder, self._run = folder, run_command
+        self._metrics: Rows = []
 
     def take(self, frame: pl.DataFrame, run: str, latitude: str | None = "39.9") -> None:
         frame.write_parquet(self.folder / f"{run}.parquet")
@@ -50,16 +51,18 @@ class Laboratory:
         words = ("import", f"{run}.parquet", "--store", "S", "--start", START, "--run", run, *place)
         done = self._run(*words, cwd=self.folder)
         assert done.code == 0, done.err
+        self._metrics = []
 
     def rows(self, run: str, letter: str = "asymmetry", **wanted: str) -> Rows:
         names = {"asymmetry": "system_level_scale_factor_asymmetry", "error": "system_level_scale_factor_error",
                  "accelerometer": "system_level_accelerometer_bias", "bias": "system_level_gyro_bias"}  # fmt: skip
-        done = self._run("metrics", "--store", "S", "--standard", "CN 102680005", "--json", cwd=self.folder)
-        assert done.code == 0, done.err
-        found: Rows = json.loads(done.out)
+        if not self._metrics:
+            done = self._run("metrics", "--store", "S", "--standard", "CN 102680005", "--json", cwd=self.folder)
+            assert done.code == 0, done.err
+            self._metrics = json.loads(done.out)
         return [
             row
-            for row in found
+            for row in self._metrics
             if row["run"] == run and row["metric"] == names[letter] and wanted.items() <= row["parameters"].items()
         ]
 

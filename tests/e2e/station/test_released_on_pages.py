@@ -43,7 +43,8 @@ def test_released_units_are_on_the_pages(gyrofleet: Gyrofleet, bench: Bench, spa
     server = spawn("serve", "--store", "S", "--port", "0", "--token", TOKEN, "--json")
     assert server.stdout is not None
     url = json.loads(server.stdout.readline())["url"]
-    run = spawn(*bench.run("static_bias", "--set", "bias_record_s=900", "--every", 20, "--stop-when-decided"))
+    short = ("--set", "warm_up_s=30", "--set", "bias_record_s=900", "--every", 20)
+    run = spawn(*bench.run("static_bias", *short, "--stop-when-decided"))
     headers = {"Authorization": f"Bearer {TOKEN}"}
     with httpx.Client(base_url=url, headers=headers, timeout=60.0) as client:
         released: dict[str, int] = {}

@@ -29,6 +29,7 @@ Spawn = Callable[..., "subprocess.Popen[str]"]
 State = Callable[[Callable[[dict[str, Any]], bool]], dict[str, Any]]
 
 SHORT = ("--set", "startup_s=4", "--set", "rate_record_s=40", "--set", "off_between_rates_s=1")
+QUICK = ("--set", "startup_s=4", "--set", "rate_record_s=10", "--set", "off_between_rates_s=1")  # for runs to their end
 COMMANDS = """
 select kind, document->>'$.action' as action, document->>'$.by' as by, document->>'$.reason' as reason,
   document->>'$.outcome' as outcome, document->>'$.text' as text, coalesce(document->>'$.command', uid) as command
@@ -186,7 +187,7 @@ def stopped(process: "subprocess.Popen[str]") -> Iterator[None]:
 def test_a_station_that_does_not_answer_is_told_of_and_does_nothing_later(
     served: Served, store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
-    process = spawn(*bench.run("scale_factor", *SHORT))
+    process = spawn(*bench.run("scale_factor", *QUICK))
     run = at_work(store, state, lambda found: found["step"] >= 2)
     with served.program("operator") as operator:
         with stopped(process):
@@ -215,7 +216,7 @@ def test_a_command_is_carried_out_at_most_once_through_kills(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
     """Killed before the station takes a command, between taking and deciding it, and before its answer is told."""
-    words = bench.run("scale_factor", *SHORT)
+    words = bench.run("scale_factor", *QUICK)
     process = spawn(*words)
     run = at_work(store, state, lambda found: found["step"] >= 2)
     opened = Store.open(store)
@@ -292,8 +293,8 @@ def test_an_abort_that_was_accepted_is_finished_after_a_kill(
 def test_a_command_that_others_can_write_is_not_carried_out(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
-    process = spawn(*bench.run("scale_factor", *SHORT))
-    run = at_work(store, state, lambda found: found["step"] >= 2)
+    process = spawn(*bench.run("static_bias", "--set", "warm_up_s=0", "--set", "bias_record_s=400"))
+    run = at_work(store, state, lambda found: bool(found["open_steps"]))
     with CommandFolder(store, run) as folder:
         forged = folder.path / "forged"
         forged.write_bytes(msgspec.json.encode(command(run, RunAction.ABORT, "forged")))

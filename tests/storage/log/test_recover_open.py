@@ -12,8 +12,6 @@ from storage.store import Store
 from tests.storage.recording.test_disk_faults import append, samples
 
 SYNCS = 5
-# a step that is prime to the sizes of the records: every kind of record is hit at every place
-STEP = 37
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +26,13 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return store
 
 
-def test_a_flipped_byte_costs_one_chunk_at_most(left: Store, tmp_path: Path) -> None:
+# steps that are prime to the sizes of the records: every kind of record is hit at every place
+@pytest.mark.parametrize("step", [149, pytest.param(37, marks=pytest.mark.long)])
+def test_a_flipped_byte_costs_one_chunk_at_most(left: Store, tmp_path: Path, step: int) -> None:
     """A byte of an index between two chunks cost all chunks after it, and nothing said so."""
     content = left_open(left)[0].read_bytes()
     short: dict[int, int] = {}
-    for position in range(8, len(content), STEP):
+    for position in range(8, len(content), step):
         shutil.rmtree(tmp_path / "T", ignore_errors=True)
         shutil.copytree(left.folder, tmp_path / "T")
         store = Store.open(tmp_path / "T")

@@ -7,6 +7,7 @@ from itertools import count
 import pytest
 
 from storage.object_lake.bucket import Bucket
+from tests.storage.conftest import Filler, fill_days
 from tests.storage.object_lake.faulty_proxy import FaultyProxy
 
 _PREFIXES = count()
@@ -34,6 +35,12 @@ def aws(monkeypatch: pytest.MonkeyPatch, object_store_port: int) -> str:
     monkeypatch.setenv("AWS_REGION", "us-east-1")
     boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1").create_bucket(Bucket="fleet")
     return endpoint
+
+
+@pytest.fixture
+def days(filler: Filler) -> Filler:
+    """Three days of two segments: each costs eight requests."""
+    return fill_days(filler, 2)
 
 
 @pytest.fixture

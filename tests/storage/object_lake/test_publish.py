@@ -21,12 +21,12 @@ from tests.storage.lake.exported_views import LATER_NS
 from tests.storage.object_lake.publishing import keys, problems, publish, segments
 
 NOW_NS = START_NS + 2 * DAY_NS + 10**9
-ALL = [f"{i:08d}" for i in range(1, 13)]
+ALL = [f"{i:08d}" for i in range(1, 7)]
 
 
 @pytest.fixture
 def built(days: Filler) -> Store:
-    """Twelve segments of three days, each a part."""
+    """Six segments of three days, each a part."""
     days.build()
     days.release()
     return days.store
@@ -52,7 +52,7 @@ def test_a_lake_is_published_once_with_everything_in_it(built: Store, bucket: Bu
     read = read_published(bucket, with_sources=True)
     assert read.parts == lake.parts
     assert read.head.store == built.identity
-    assert [part.samples for part in read.parts] == [2525] * 12
+    assert [part.samples for part in read.parts] == [2525] * 6
 
 
 def test_merged_parts_replace_theirs_which_stay_for_their_readers(built: Store, bucket: Bucket) -> None:
@@ -88,8 +88,8 @@ def test_builders_that_have_different_segments_lose_none(days: Filler, bucket: B
     days.release()
     compacted(one)
     publish(one, bucket)
-    assert len(segments(publish(days.store, bucket))) == 16
-    assert len(segments(publish(one, bucket))) == 16
+    assert len(segments(publish(days.store, bucket))) == 10
+    assert len(segments(publish(one, bucket))) == 10
     assert problems(bucket, days.store) == []
 
 
@@ -127,12 +127,12 @@ def test_dropped_raw_rows_go_and_restored_ones_return(built: Store, bucket: Buck
         apply_rule(Lake(built), Rule(older_than_s=86_400.0), now_ns=NOW_NS)
         list(build_missing(built, compacts=False))  # the document of it
     dropped = publish(built, bucket, grace_s=0.0)
-    assert sum(part.dropped is not None for part in dropped.parts) == 4
-    assert sum(key.endswith("samples.parquet") for key in keys(bucket)) == 13 - 4
-    assert set(dropped.head.drops().dropped) == set(ALL[:4])
+    assert sum(part.dropped is not None for part in dropped.parts) == 2
+    assert sum(key.endswith("samples.parquet") for key in keys(bucket)) == 7 - 2
+    assert set(dropped.head.drops().dropped) == set(ALL[:2])
     assert problems(bucket, built) == []
     with builder_lock(built):
-        assert restore_raw(Lake(built)).samples == 4 * 2525
+        assert restore_raw(Lake(built)).samples == 2 * 2525
         list(build_missing(built, compacts=False))
     restored = publish(built, bucket, grace_s=0.0)
     assert all(part.dropped is None for part in restored.parts)
@@ -206,7 +206,7 @@ def test_the_commands_publish_and_verify(built: Store, aws: str, url: str, gyrof
     again = gyrofleet("lake", "--once", "--store", built.folder, *where)
     assert "0 parts published, 0 bytes sent" in again.err
     found = gyrofleet("verify", "--store", built.folder, *where, "--json").json
-    assert (found["sound"], found["segments"], found["samples"]) == (True, 12, 12 * 2525)
+    assert (found["sound"], found["segments"], found["samples"]) == (True, 6, 6 * 2525)
     assert gyrofleet("verify", *where).code == 0
     nowhere = gyrofleet("verify", "--lake", f"{url}/nothing", "--endpoint-url", aws)
     assert nowhere.code == 1

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from storage.lake.tables import TABLES
 from storage.sql.catalog import Catalog
+from storage.sql.views import VIEWS
 from storage.store import Store
 
 THREADS, TURNS = 6, 40
@@ -24,3 +25,11 @@ def test_threads_ask_while_others_lay_live_rows_over_the_views(tmp_path: Path) -
 
         found = [threads.submit(lay if number % 8 == 0 else ask, number) for number in range(THREADS * TURNS)]
         assert [each.result() for each in found] == [0] * len(found)
+
+
+def test_threads_name_views_first_at_once(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "S")
+    for _ in range(4):
+        with Catalog(store) as catalog, ThreadPoolExecutor(THREADS) as threads:
+            statements = [f"select count(*) from {view}" for view in (*VIEWS, *VIEWS)]
+            assert list(threads.map(catalog.rows, statements)) == [[(0,)]] * len(statements)

@@ -143,3 +143,12 @@ def test_a_damaged_segment_is_reported_and_harms_no_other(catalog: Catalog) -> N
     with pytest.raises(StoreError, match=r"segment .*00000001.mcap is damaged.*restore it from a copy"):
         recorder.close()
     assert [part.name for part in read_manifest(store).parts] == [segment.stem for segment in segments[1:]]
+
+
+def test_a_mistyped_name_is_answered_with_the_one_that_is_meant(catalog: Catalog) -> None:
+    for statement, meant in (
+        ("from smples", "samples"), ("select deg_perh(1, 'deg/s') from samples", "deg_per_h"),
+        ("from clcks, samples", "clocks"),
+    ):  # fmt: skip
+        with pytest.raises(QueryError, match=f'Did you mean "{meant}"'):
+            catalog.user_reader(statement)

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.white_variance import LEAST_RATIO, OUTLIER_RATIO
 from stream.batch import BoolArray, FloatArray, IntArray
+from stream.compiled import kernel
 
 _SQUARED_OUTLIER = 20.0  # variance of an outlier relative to its neighbours: it is at least 4.5 standard deviations off
 MOST_COVARIANCES = 48  # averages of a run whose covariance is computed
@@ -109,7 +109,7 @@ def _by_run(record: UnitRecord, averages: Averages) -> Iterator[tuple[BoolArray,
         yield number == run, [rows for rows, of in zip(averages.rows, run_of, strict=True) if of == run]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _faded(values: FloatArray, decay: float) -> FloatArray:
     """Sum of the earlier rows, each faded by `decay` for every block since."""
     out = np.empty(values.shape)
