@@ -110,7 +110,7 @@ def compiled(
         nonlocal began_s, spent_s
         if made:
             return made[0](*arguments, **named)
-        if instead is None or spent_s > _MOST_S or "numba" in sys.modules:
+        if instead is None or (not _IS_DISABLED and (spent_s > _MOST_S or "numba" in sys.modules)):
             made.append(cast("Callable[Parameters, Result]", Kernel(kernel, _KEPT)))
             return made[0](*arguments, **named)
         at_s = time.monotonic()

@@ -149,8 +149,10 @@ class ForkedSqlProcess(subprocess.Popen[bytes]):
             import numba
 
             from storage.sql.sandbox import child
+            from stream import compiled
 
             vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
+            vars(compiled)["_IS_DISABLED"] = True
             for number, end in enumerate(ends):
                 os.dup2(end, number)
             for end in {*ends, *others} - {-1}:
