@@ -22,7 +22,7 @@ _KEPT = {"cache": True, "nogil": True}
 _making = threading.RLock()
 
 
-class _Kernel:
+class Kernel:
     """A function that numba compiles on its first call, with the kernels that it calls."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
@@ -32,6 +32,7 @@ class _Kernel:
         self._is_ready = False
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Call the compiled function."""
         if not self._is_ready:
             with _making:
                 self.made()
@@ -57,9 +58,9 @@ class _Kernel:
 def _put_made(names: dict[str, Any]) -> None:
     """Put numba's functions in place of kernels, and of those in the modules of kernels that are named."""
     for name, value in names.items():
-        if isinstance(value, _Kernel):
+        if isinstance(value, Kernel):
             names[name] = value.made()
-        elif isinstance(value, ModuleType) and any(isinstance(each, _Kernel) for each in vars(value).values()):
+        elif isinstance(value, ModuleType) and any(isinstance(each, Kernel) for each in vars(value).values()):
             names[name] = ModuleType(value.__name__)
             vars(names[name]).update(vars(value))
             _put_made(vars(names[name]))
@@ -67,7 +68,7 @@ def _put_made(names: dict[str, Any]) -> None:
 
 def kernel(function: Function) -> Function:
     """Compile a kernel, which may call others, on its first call; it is kept on disk."""
-    return cast("Function", _Kernel(function, _KEPT))
+    return cast("Function", Kernel(function, _KEPT))
 
 
 def fast_kernel(*fastmath: str) -> Callable[[Function], Function]:
@@ -86,7 +87,7 @@ def kernel_part(*fastmath: str) -> Callable[[Function], Function]:
 
 def _decorator(options: dict[str, Any]) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
-        return cast("Function", _Kernel(function, options))
+        return cast("Function", Kernel(function, options))
 
     return decorate
 
@@ -109,8 +110,8 @@ def compiled(
         nonlocal began_s, spent_s
         if made:
             return made[0](*arguments, **named)
-        if instead is None or spent_s > _MOST_S or "numba" in sys.modules:
-            made.append(cast("Callable[Parameters, Result]", _Kernel(kernel, _KEPT)))
+        if instead is None or (not _IS_DISABLED and (spent_s > _MOST_S or "numba" in sys.modules)):
+            made.append(cast("Callable[Parameters, Result]", Kernel(kernel, _KEPT)))
             return made[0](*arguments, **named)
         at_s = time.monotonic()
         if at_s - began_s > _PERIOD_S:

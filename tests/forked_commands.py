@@ -149,8 +149,10 @@ class ForkedSqlProcess(subprocess.Popen[bytes]):
             import numba
 
             from storage.sql.sandbox import child
+            from stream import compiled
 
             vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
+            vars(compiled)["_IS_DISABLED"] = True
             for number, end in enumerate(ends):
                 os.dup2(end, number)
             for end in {*ends, *others} - {-1}:
@@ -170,6 +172,7 @@ class ForkedSqlProcess(subprocess.Popen[bytes]):
 def _serve(path: str) -> None:
     import storage.sql.door
     from gyrofleet import front_door
+    from stream.compiled import Kernel
     from stream.quantities import is_angular_rate
     from stream.worker.compile_kernels import warm_up
 
@@ -177,6 +180,10 @@ def _serve(path: str) -> None:
         importlib.import_module(name)
     sys.modules["analytics.metric_registry.registry"].metrics()
     warm_up()
+    for module in list(sys.modules.values()):  # else numba, which compiles nothing there, makes them in that process
+        for value in list(getattr(module, "__dict__", {}).values()):
+            if isinstance(value, Kernel):
+                value.made()
     is_angular_rate("mdps")  # defines pint's units
     gc.collect()
     gc.freeze()  # else collections in the forked processes would look at all of it, and copy it
