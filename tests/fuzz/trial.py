@@ -19,7 +19,8 @@ from tests.fuzz.format import Format
 
 MAX_MEMORY_BYTES = 1 << 30
 MAX_MESSAGE_CHARS = 3000
-_READ_BY_PYTHON = (sys.prefix, sys.base_prefix, *sys.path, "/usr", "/lib", "/proc", "/sys", "/dev", "/etc/localtime")
+_DEVICES = ("/dev/null", "/dev/random", "/dev/urandom", "/dev/tty")  # not /dev/shm, where tests may have their files
+_READ_BY_PYTHON = (sys.prefix, sys.base_prefix, *sys.path, "/usr", "/lib", "/proc", "/sys", "/etc/localtime", *_DEVICES)
 _OPENING = {"open", "os.listdir", "os.scandir"}
 _CHANGING = {
     "os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.chmod",

@@ -59,7 +59,7 @@ def window(served: Served) -> Iterator[Browser]:
         yield browser
 
 
-def until(look: Callable[[], Any], timeout_s: float = 40.0) -> Any:
+def until(look: Callable[[], Any], timeout_s: float = 90.0) -> Any:
     deadline = time.monotonic() + timeout_s
     while not (found := look()):
         assert time.monotonic() < deadline
