@@ -86,18 +86,32 @@ def _large_file() -> Measured:
     return Measured(ours, process * found["times_peer"], ours >= 6.0 and found["times_peer"] <= 4.0)
 
 
-@row("import: modules loaded before the first row", "s", "<= 0.4")
+# what the process has taken when the first batch is handed on
+_TO_FIRST_BATCH = """
+import os, sys, time
+import stream.delivery.publisher as publisher
+
+def reached(*arguments, **named):
+    print(time.process_time(), flush=True)
+    os._exit(0)
+
+publisher.DurablePublisher.send_batch = reached
+import gyrofleet
+sys.argv = ["gyrofleet", "import", sys.argv[1], "--unit", "U1", "--store", sys.argv[2]]
+gyrofleet.front_door()
+"""
+
+
+@row("import: from its start to the first row", "s of CPU", "<= 0.4")
 def _import_start() -> Measured:
     spent = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "one.csv"
         file.write_text("time[s],rate[deg/h]\n" + "".join(f"{1.79e9 + i},{i % 3}\n" for i in range(50)))
-        for turn in range(3):
-            command = [PROGRAM, "import", str(file), "--unit", "U1", "--store", f"{folder}/store-{turn}"]
-            environment = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-            lines = [each.split("|") for each in done.stderr.splitlines() if each.startswith("import time:")]
-            spent.append(sum(int(each[0].split(":")[1]) for each in lines if each[0].strip()[-1].isdigit()) / 1e6)
+        for turn in range(5):
+            command = [sys.executable, "-c", _TO_FIRST_BATCH, str(file), f"{folder}/store-{turn}"]
+            done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+            spent.append(float(done.stdout.splitlines()[-1]))
     return Measured(min(spent), None, min(spent) <= 0.4)
 
 

@@ -1,6 +1,6 @@
 """How often the 95 % bounds of the Allan deviation hold the truth, by noise and by T/tau.
 
-    .venv/bin/python tests/bench/coverage.py [--runs 2000] [--seed 1] [--json]
+    .venv/bin/python tests/bench/allan_coverage.py [--runs 2000] [--seed 1] [--json]
 
 Simulated records go through `AllanDeviation`, with the overlap it truly has; the limits are chi-square with three
 choices of the degrees of freedom: `rule` the least of the exponents that `identify` finds plausible from the curve,
