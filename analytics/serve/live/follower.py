@@ -26,7 +26,7 @@ from stream.wire.batches import RawBatch
 _LOOK_S = 0.05
 _AT_ONCE = 200  # messages
 _RUNS_S = 1.0  # between two rows of the same run
-_ROWS_S = 1.0  # between two versions of the rows that only the log has
+_ROWS_S = 0.5  # between two versions of the rows that only the log has
 _TRY_AGAIN_S = 5.0
 _FILLED_WITHIN_S = 10.0
 _ENTERED = ("SpecificationEntered", "CheckEntered", "ModelActivated")
