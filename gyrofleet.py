@@ -28,7 +28,7 @@ for _name in ("stream", "storage", "ingest", "analytics"):
             "or folder, or start Python in another folder"
         )
 
-from stream.command_group import CommandGroup  # noqa: E402  after the check above
+from stream.terminal.command_group import CommandGroup  # noqa: E402  after the check above
 
 if TYPE_CHECKING:
     from analytics.api.arrays import DeviationCurve, allan_deviation, noise_fit
@@ -84,25 +84,25 @@ def main() -> None:
 
 def _add_commands() -> None:
     """Add the commands of all packages, in the order of use."""
-    from analytics.commands.alert import alert
     from analytics.commands.allan import allan
-    from analytics.commands.attitude import attitude
-    from analytics.commands.audit import audit
-    from analytics.commands.budget import budget
-    from analytics.commands.certificate import certificate
-    from analytics.commands.compensate import compensate
-    from analytics.commands.config import config, supervise
-    from analytics.commands.demo import demo
-    from analytics.commands.diagnose import diagnose
-    from analytics.commands.limits import limits
-    from analytics.commands.metrics import metrics
-    from analytics.commands.model import model
-    from analytics.commands.proposal import proposal
-    from analytics.commands.serve import serve
+    from analytics.commands.closed_loop.compensate import compensate
+    from analytics.commands.closed_loop.diagnose import diagnose
+    from analytics.commands.closed_loop.model import model
+    from analytics.commands.evaluation.attitude import attitude
+    from analytics.commands.evaluation.budget import budget
+    from analytics.commands.evaluation.limits import limits
+    from analytics.commands.evaluation.metrics import metrics
+    from analytics.commands.evaluation.trend import trend
+    from analytics.commands.evaluation.verdicts import verdicts
+    from analytics.commands.records.audit import audit
+    from analytics.commands.records.certificate import certificate
+    from analytics.commands.records.proposal import proposal
+    from analytics.commands.services.alert import alert
+    from analytics.commands.services.config import config, supervise
+    from analytics.commands.services.demo import demo
+    from analytics.commands.services.serve import serve
+    from analytics.commands.services.users import users
     from analytics.commands.spectrum import spectrum
-    from analytics.commands.trend import trend
-    from analytics.commands.users import users
-    from analytics.commands.verdicts import verdicts
     from ingest.commands.can import can
     from ingest.commands.check import check
     from ingest.commands.control import control
@@ -122,7 +122,7 @@ def _add_commands() -> None:
     from storage.commands.sql import sql
     from storage.commands.status import status
     from storage.commands.verify import recover, verify
-    from stream.completion import completion
+    from stream.terminal.completion import completion
 
     main.add_section("Bring data in", demo, import_files, can, procedure, run, control, simulate, run_simulated, check)
     main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
@@ -145,7 +145,7 @@ def front_door() -> NoReturn:
 
     Libraries are not unloaded: a library's thread that still runs then aborts the process (exit code -6).
     """
-    from stream.console import output_is_closed
+    from stream.terminal.console import output_is_closed
 
     for stream in (sys.stdout, sys.stderr):  # a terminal without a degree sign shows a question mark
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower() != "utf-8":

@@ -1,4 +1,4 @@
-"""Every kind of file that people write for gyrofleet, how it is told apart, and how it is checked."""
+"""Every kind of file that people write for gyrofleet, how it is recognised, and how it is checked."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import click
 import msgspec
 
-from stream.config_file import check_config
-from stream.console import counted
 from stream.errors import BadInput, GyrofleetError
+from stream.roles.config_file import check_config
 from stream.security.site_rules import RULES_FILE
+from stream.terminal.console import counted
 from stream.toml_text import decode_toml
 
 _MOST_BYTES = 16 << 20

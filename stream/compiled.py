@@ -13,7 +13,8 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# set where nothing can be compiled, as in the process that runs users' statements; numba has the same rule
+# set where nothing can be compiled, as in the process that runs users' statements; numba has the same rule. A process
+# that is forked may set it later
 _IS_DISABLED = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
 # arrays that take more than a twentieth of the time are worth machine code, which takes a second to import
 _PERIOD_S = 10.0

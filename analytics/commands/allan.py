@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
-from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve, Overlap

@@ -8,8 +8,8 @@ import click
 import numpy as np
 
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
-from stream.console import notes, print_json, reporting, results, store_option
-from stream.result_table import ResultTable
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.spectrum import SignalSpectrum

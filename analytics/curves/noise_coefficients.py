@@ -23,7 +23,7 @@ from stream.estimators.noise.noise_model import (
 )
 from stream.events import EstimatePoint
 from stream.quantities import ANGULAR_RATE_UNIT
-from stream.result_table import ResultTable
+from stream.terminal.result_table import ResultTable
 
 CONFIDENCE = 0.95
 MOST_MISFIT = 0.25

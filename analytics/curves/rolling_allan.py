@@ -9,7 +9,7 @@ from stream.errors import NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.rolling_window import RollingWindow, WindowEstimate
-from stream.result_table import ResultTable
+from stream.terminal.result_table import ResultTable
 
 _SHOWN_TAUS = 8
 _SHOWN_ROWS = 40

@@ -15,10 +15,10 @@ from analytics.evaluation.selection import Row, clauses_of
 from analytics.metric_registry.registry import metrics
 from storage.specifications.specification import format_parameter
 from stream.atomic_file import replacement
-from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
 from stream.quantities import format_unit
-from stream.result_table import ResultTable
+from stream.terminal.console import csv_text, shown_text, styled
+from stream.terminal.result_table import ResultTable
 
 COLUMNS = (
     "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty",

@@ -22,7 +22,7 @@ def load_database(path: Path) -> "list[Message]":
 
     try:
         # real databases overlap signals and overrun messages here and there; that spoils no other signal
-        with logged_by("cantools"):  # of names that occur twice, which are told apart here
+        with logged_by("cantools"):  # of names that occur twice, which are distinguished here
             database = cantools.database.load_file(path, strict=False, encoding=_encoding(path))
     except FileNotFoundError as error:
         raise BadInput(f"{path}: no such file; give a CAN database (.dbc)") from error

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.command_group import CommandGroup
-from stream.console import notes, print_json, progress_bar, reporting, results
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, progress_bar, reporting, results
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.can.scan import IdScan, LogScan

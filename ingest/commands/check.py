@@ -9,11 +9,11 @@ import click
 import msgspec
 
 from storage.commands.stored_names import RUN, UNIT
-from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
 from stream.security.actor import acting
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog

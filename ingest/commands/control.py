@@ -5,12 +5,12 @@ from pathlib import Path
 
 import click
 
-from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput, NotFound
 from stream.events import CommandOutcome, RunAction
 from stream.security.actor import acting
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.security_options import secured
 
 _ACTIONS = tuple(each.value for each in RunAction)
 

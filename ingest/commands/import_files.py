@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ingest.commands.import_report import LISTED_FILES, report_files
-from stream.console import (
+from stream.errors import BadInput
+from stream.security.rights import Role
+from stream.terminal.console import (
     estimates_option,
     interrupted_by_term,
     notes,
@@ -17,9 +19,7 @@ from stream.console import (
     reporting,
     store_option,
 )
-from stream.errors import BadInput
-from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.security_options import secured
 from stream.worker.compile_kernels import compile_new_kernels
 
 if TYPE_CHECKING:

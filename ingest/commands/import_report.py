@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stream.console import DEFAULT_STORE, counted, notes, results
-from stream.result_table import ResultTable
+from stream.terminal.console import DEFAULT_STORE, counted, notes, results
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.importing.file_sending import FileImport

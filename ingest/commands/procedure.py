@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stream.command_group import CommandGroup
-from stream.completion import ListedName
-from stream.console import notes, print_json, reporting, results
 from stream.duration import duration
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.completion import ListedName
+from stream.terminal.console import notes, print_json, reporting, results
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.procedures.plan import PlannedStep

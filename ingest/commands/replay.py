@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import click
 
 from storage.commands.stored_names import RUN
-from stream.console import notes, print_json, progress_bar, reporting, results, store_option
 from stream.errors import BadInput
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import notes, print_json, progress_bar, reporting, results, store_option
+from stream.terminal.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ import click
 
 from ingest.commands.procedure import PROCEDURE
 from ingest.station.station_security import station_security
-from stream.console import estimates_option, reporting, status_listen_option, store_option
 from stream.errors import BadInput
-from stream.role_log import logged
+from stream.roles.role_log import logged
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import estimates_option, reporting, status_listen_option, store_option
+from stream.terminal.security_options import secured
 
 _defaulted = partial(click.option, show_default=True)
 _PATH = click.Path(path_type=Path)

@@ -32,9 +32,9 @@ from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, mounted_documents, read_units
 from ingest.station_clock import StationClock
-from stream.console import Stop, notes, print_json, results, structured_log, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
 from stream.status.reporter import StatusReporter, served
+from stream.terminal.console import Stop, notes, print_json, results, structured_log, until_stopped
 from stream.worker.compile_kernels import compile_kernels
 from stream.worker.estimated_signals import EstimatedSignals
 

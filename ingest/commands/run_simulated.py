@@ -9,11 +9,11 @@ from ingest.moment import moment_ns
 from ingest.run import run_path
 from ingest.run.live_run import LiveRun, RunParameters, read_run
 from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
-from stream.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped
 from stream.delivery.publisher import DurablePublisher
 from stream.identity import check_name
 from stream.status.reporter import StatusReporter, served
 from stream.status.role_status import Role, RoleState, RoleStatus, RunProgress, new_status
+from stream.terminal.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped
 from stream.worker.compile_kernels import compile_kernels
 
 _REPORT_EVERY_S = 5.0

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import click
 
-from stream.console import Stop, notes, print_json, reporting, results, until_stopped
 from stream.errors import BadInput, InstrumentError
+from stream.terminal.console import Stop, notes, print_json, reporting, results, until_stopped
 
 _defaulted = partial(click.option, show_default=True)
 _READY_S = 60.0

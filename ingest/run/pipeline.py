@@ -11,12 +11,12 @@ from storage.log.tail import LogTail
 from storage.recording.recorder import Recorder
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
-from stream.console import notes
 from stream.delivery.publisher import DurablePublisher
 from stream.delivery.spool import Spool
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
 from stream.status.reporter import on_bus
+from stream.terminal.console import notes
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.worker import EstimationWorker

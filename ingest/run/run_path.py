@@ -12,7 +12,6 @@ from ingest.run.pipeline import EmbeddedPipeline
 from ingest.run.replaying import estimated_every_s
 from storage.recording.client import HeldClaim, RecorderClient
 from storage.store import Store, writer_endpoint
-from stream.console import Stop, notes
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError, WireError
@@ -20,6 +19,7 @@ from stream.events import AnyDocument, EarlyDecision, VerdictGiven
 from stream.identity import Place, estimate_key
 from stream.status.reporter import on_bus
 from stream.status.role_status import RoleStatus
+from stream.terminal.console import Stop, notes
 from stream.transport.zenoh_bus import ZenohBus
 from stream.wire.event_validation import decode_received
 from stream.worker.estimated_signals import EstimatedSignals

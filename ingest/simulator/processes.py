@@ -23,9 +23,9 @@ from ingest.simulator.scpi.electrical import SimulatedSupply
 from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.station_files import FIRST_ID, MULTICAST, PLAN, Device, Simulation, read_simulation
 from ingest.station_clock import StationClock
-from stream.console import until_stopped
 from stream.decoding import decode_json
 from stream.errors import BadInput, GyrofleetError
+from stream.terminal.console import until_stopped
 
 TRUTH = "truth.jsonl"
 _TICK_S = 0.01

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from ingest.procedures.plan import PlannedStep
 from ingest.station.run import RunStopped
 from ingest.station.run_commands import RunCommands
-from stream.console import Stop, structured_log
+from stream.terminal.console import Stop, structured_log
 
 _REPORT_EVERY_S = 5.0
 _WORDS = {"p": "pause", "pause": "pause", "c": "continue", "continue": "continue", "a": "abort", "abort": "abort"}

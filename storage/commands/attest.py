@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from stream.config_file import configured
-from stream.console import counted, notes, print_json, reporting, results, store_option, until_stopped
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
+from stream.terminal.console import counted, notes, print_json, reporting, results, store_option, until_stopped
 
 _SECONDS_PER_H = 3600.0
 

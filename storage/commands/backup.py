@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option
+from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, store_option
 
 _folder = click.Path(path_type=Path, file_okay=False)
 

@@ -9,11 +9,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.config_file import configured
-from stream.console import estimates_option, print_json, reporting, status_listen_option, store_option, until_stopped
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import (
+    estimates_option,
+    print_json,
+    reporting,
+    status_listen_option,
+    store_option,
+    until_stopped,
+)
+from stream.terminal.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:

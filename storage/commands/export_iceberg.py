@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from stream.console import counted, notes, print_json, reporting, results, store_option
-from stream.result_table import ResultTable
+from stream.terminal.console import counted, notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 
 @click.command("export-iceberg")

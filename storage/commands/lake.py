@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING
 import click
 
 from storage.commands.lake_address import endpoint_option
-from stream.config_file import configured
-from stream.console import notes, print_json, progress_bar, reporting, status_listen_option, store_option, until_stopped
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
+from stream.terminal.console import (
+    notes,
+    print_json,
+    progress_bar,
+    reporting,
+    status_listen_option,
+    store_option,
+    until_stopped,
+)
 
 if TYPE_CHECKING:
     from storage.store import Store

@@ -11,9 +11,9 @@ import click
 
 from storage.sql.printable import csv_cells, printable_batches
 from stream.atomic_file import replacement
-from stream.console import csv_text, json_text, notes, results, styled
 from stream.errors import BadInput, GyrofleetError, QueryError
-from stream.result_table import ResultTable
+from stream.terminal.console import csv_text, json_text, notes, results, styled
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     import pyarrow as pa

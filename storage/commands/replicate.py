@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from stream.config_file import configured
-from stream.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
 from stream.errors import BadInput
-from stream.result_table import ResultTable
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
+from stream.terminal.result_table import ResultTable
+from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.command_group import CommandGroup
-from stream.console import notes, print_json, reporting, results
-from stream.result_table import ResultTable
 from stream.security.rights import Role, principal_of
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, reporting, results
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from stream.security.certificate_authority import Issued

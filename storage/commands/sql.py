@@ -7,8 +7,8 @@ import click
 
 from storage.commands.lake_address import asked_at, lake_options
 from storage.commands.query_output import cell, print_csv, print_json_rows, print_table, write_parquet
-from stream.console import notes, print_json, reporting, results, store_option
-from stream.result_table import ResultTable
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, reporting, results, store_option, until_stopped
-from stream.result_table import ResultTable
+from stream.terminal.console import notes, print_json, reporting, results, store_option, until_stopped
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.recording.store_status import RoleReport, StoreStatus

@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from stream.console import DEFAULT_STORE
 from stream.errors import GyrofleetError
+from stream.terminal.console import DEFAULT_STORE
 
 _STATEMENTS = {
     "unit": "select distinct unit from signals where starts_with(unit, $1) order by 1 limit 500",

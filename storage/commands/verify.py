@@ -11,9 +11,9 @@ import msgspec
 from click.core import ParameterSource
 
 from storage.commands.lake_address import endpoint_option
-from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

@@ -16,7 +16,7 @@ from stream.errors import GyrofleetError, WireError
 from stream.events import ApprovedAct, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
-from stream.security.proof import SourceVerifier, split
+from stream.security.proof import Proven, SourceVerifier, split
 from stream.security.rights import Principal
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch, encode_preview, read_batch_head
@@ -146,10 +146,7 @@ class Intake:
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
             proven = split(payload)
-            if self._sources is None:
-                source, _ = None, proven.proof  # one that cannot be read is refused here too
-            else:
-                source = self._sources.source_of(key, proven)
+            source = self._source_of(key, proven)
             if isinstance(parsed, SampleKey):
                 if source is not None:
                     check_authority(source, key, parsed, None)
@@ -160,6 +157,13 @@ class Intake:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key[:200]}: {str(error)[:500]}")
             self._keep_rejected(key, payload, arrival_ns)
+
+    def _source_of(self, key: str, message: Proven) -> Principal | None:
+        """Who sent a message, None without security; Forged if its proof is not valid, or cannot be read."""
+        if self._sources is None:
+            message.check()
+            return None
+        return self._sources.source_of(key, message)
 
     def undo(self, undone: dict[StreamId, int]) -> None:
         """Streams fell back by so many numbers, which are sent again."""

@@ -1,5 +1,6 @@
 """Attestations that have arrived of a plant, compared with what has arrived beside them."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 from storage.attestation.attestation import kept_attestations, read_attestation
@@ -20,7 +21,7 @@ class Disagreement(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What disagrees with the newest attestation of a plant, and what is said for information."""
+    """What disagrees with the newest attestation of a plant, and notes, which are no disagreement."""
 
     disagreements: tuple[Disagreement, ...] = ()
     notes: tuple[str, ...] = ()
@@ -41,12 +42,11 @@ class AttestationCheck:
         newest = kept[-1]
         of = (newest.name, newest.stat().st_size, segments)
         if changed or of != self._of or self._found.disagreements:
-            self._of, self._found = of, _compare(store)
+            self._of, self._found = of, _compare(store, kept)
         return self._found
 
 
-def _compare(store: Store) -> Checked:
-    kept = kept_attestations(store)
+def _compare(store: Store, kept: list[Path]) -> Checked:
     newest = kept[-1]
     name = newest.relative_to(store.folder).as_posix()
     try:

@@ -3,7 +3,6 @@
 import mmap
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from io import BytesIO
 from typing import NamedTuple
@@ -105,55 +104,50 @@ def next_chunk(content: Buffer, position: int, end: int) -> int | None:
 def messages_of(
     content: bytes, channels: dict[int, tuple[str, str]], index: ChannelIndex | None = None,
     summary: SegmentSummary | None = None,
-) -> Iterator[LogRecord]:  # fmt: skip
+) -> list[LogRecord]:  # fmt: skip
     """Messages of a chunk's content; adds its channels to `channels` and the places of messages to `index`.
 
-    Raises a ValueError, before the first message, if the content is none, although its checksum holds.
+    Raises a ValueError, and adds nothing, if the content is none, although its checksum holds.
     """
-    _check_records(content, channels)
+    found: list[LogRecord] = []
+    places: list[tuple[int, int, int]] = []  # channel, time and place of each message
+    own: dict[int, Channel] = {}
     position, end = 0, len(content)
-    unpack, head = MESSAGE.unpack_from, MESSAGE.size
-    while position < end:
-        opcode, length = FRAME.unpack_from(content, position)
-        after = position + FRAME.size + length
-        if opcode == Opcode.MESSAGE:
-            _, _, number, _, log_time, publish_time = unpack(content, position)
-            topic, schema = channels[number]
-            if index is not None:
-                index.setdefault(number, []).extend((log_time, position))
-            yield LogRecord(topic, schema, log_time, publish_time, content[position + head : after])
-        elif opcode == Opcode.CHANNEL:
-            channel = _channel(content[position + FRAME.size : after])
-            channels[channel.id] = (channel.topic, _SCHEMAS[channel.schema_id])
-            if index is not None and summary is not None:
-                summary.channels[channel.id] = channel
-                index.setdefault(channel.id, [])
-        position = after
-
-
-def _check_records(content: bytes, channels: Mapping[int, tuple[str, str]]) -> None:
-    """Refuse, by a ValueError, records that end beyond the content, or name a channel or schema that is not there."""
-    position, end = 0, len(content)
-    own: set[int] = set()
-    frame, number_of = FRAME.unpack_from, _NUMBER.unpack_from
+    unpack, frame, head = MESSAGE.unpack_from, FRAME.unpack_from, MESSAGE.size
     try:
         while position < end:
             opcode, length = frame(content, position)
             after = position + FRAME.size + length
             if opcode == Opcode.MESSAGE:
-                (number,) = number_of(content, position + FRAME.size)
-                if length < MESSAGE.size - FRAME.size or not (number in own or number in channels):
-                    raise ValueError(f"the message at byte {position} of a chunk is cut, or of no channel")
+                _, _, number, _, log_time, publish_time = unpack(content, position)
+                if after < position + head:
+                    raise ValueError("it is shorter than its head")
+                topic, schema = _topic(own[number]) if number in own else channels[number]
+                found.append(LogRecord(topic, schema, log_time, publish_time, content[position + head : after]))
+                places.append((number, log_time, position))
             elif opcode == Opcode.CHANNEL:
                 channel = _channel(content[position + FRAME.size : after])
-                if channel.schema_id not in _SCHEMAS:
-                    raise ValueError(f"channel {channel.id} has the schema {channel.schema_id}, which there is not")
-                own.add(channel.id)
+                _topic(channel)
+                own[channel.id] = channel
             position = after
-    except (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError) as error:
+    except (McapError, struct.error, KeyError, ValueError, MemoryError, OverflowError) as error:
         raise ValueError(f"the record at byte {position} of a chunk cannot be read: {error}") from error
     if position != end:
         raise ValueError(f"the last record of a chunk ends {position - end:,} bytes beyond it")
+    channels.update((number, _topic(channel)) for number, channel in own.items())
+    if index is not None:
+        for number in own:
+            index.setdefault(number, [])
+        for number, log_time, place in places:
+            index.setdefault(number, []).extend((log_time, place))
+        if summary is not None:
+            summary.channels.update(own)
+    return found
+
+
+def _topic(channel: Channel) -> tuple[str, str]:
+    """Topic and schema of a channel; KeyError if there is no such schema."""
+    return channel.topic, _SCHEMAS[channel.schema_id]
 
 
 @lru_cache(maxsize=100_000)

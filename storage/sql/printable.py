@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from stream.console import csv_text, json_text
 from stream.errors import QueryError
+from stream.terminal.console import csv_text, json_text
 
 if TYPE_CHECKING:
     import pyarrow as pa

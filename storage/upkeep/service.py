@@ -8,9 +8,9 @@ from storage.lake.compaction import FAN_IN, compact
 from storage.lake.lake import Lake
 from storage.store import Store
 from storage.upkeep.retention import Rule, apply_rule
-from stream.console import Stop
 from stream.errors import GyrofleetError, StoreError
 from stream.status.role_status import Role, RoleStatus, new_status
+from stream.terminal.console import Stop
 
 if TYPE_CHECKING:
     from storage.object_lake.publisher import Publisher

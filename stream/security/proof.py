@@ -56,12 +56,19 @@ class Proven(NamedTuple):
     @property
     def proof(self) -> Proof | None:
         """The proof; raises Forged if it cannot be read."""
-        if self.packed is None:
-            return None
-        try:
-            return _decoder.decode(self.packed)
-        except (msgspec.MsgspecError, ValueError) as error:
-            raise Forged(f"its proof of origin cannot be read: {error}") from error
+        return None if self.packed is None else _proof(self.packed)
+
+    def check(self) -> None:
+        """Raise Forged if there is a proof that cannot be read."""
+        if self.packed is not None:
+            _proof(self.packed)
+
+
+def _proof(packed: bytes) -> Proof:
+    try:
+        return _decoder.decode(packed)
+    except (msgspec.MsgspecError, ValueError) as error:
+        raise Forged(f"its proof of origin cannot be read: {error}") from error
 
 
 def credentials_of(bus: object) -> Credentials | None:

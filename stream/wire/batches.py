@@ -175,9 +175,9 @@ def _checked(payload: bytes, *, bounded: bool = True) -> tuple[samples_pb2.Sampl
     n = message.samples
     if schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
         raise WireError(f"not a sample batch: schema {schema}, {n} samples, epoch {len(message.epoch)} bytes")
-    planes, values, times_ns = len(message.count_residuals) - MEAN_BYTES, len(message.values), message.times_ns
+    residuals, values, times_ns = len(message.count_residuals), len(message.values), message.times_ns
     # nearly every batch has nothing but residuals, or nothing but values
-    is_plain = planes in (n, 2 * n, 3 * n, 4 * n) if not values else values == 8 * n and planes < 0
+    is_plain = residuals - MEAN_BYTES in (n, 2 * n, 3 * n, 4 * n) if not values else values == 8 * n and not residuals
     if not is_plain or times_ns or message.counts or message.count_planes or message.flags:
         _check_lengths(message)
     t0_ns, dt_ns = message.t0_ns, message.dt_ns

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from stream.batch import CountArray, IntArray
 from stream.bounds import MAX_MOMENT_NS, MAX_SEQ, MIN_MOMENT_NS
 from stream.compiled import kernel
-from stream.wire.count_residuals import MEAN_BYTES
+from stream.wire.count_residuals import MEAN_BYTES, expand
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -192,26 +192,6 @@ def _residuals(data: Bytes, at: int, end: int, n: int) -> tuple[int, int]:
 
 
 @kernel
-def _expand(data: Bytes, at: int, planes: int, out: CountArray) -> None:
-    """Write the counts of residuals; see `count_residuals`."""
-    n = out.shape[0]
-    mean = np.int32(0)
-    for k in range(MEAN_BYTES):
-        mean |= np.int32(data[at + k]) << np.int32(8 * k)
-    at += MEAN_BYTES
-    plane = data[at + (planes - 1) * n : at + planes * n]
-    for i in range(n):
-        out[i] = plane[i]
-    for k in range(planes - 2, -1, -1):
-        plane = data[at + k * n : at + (k + 1) * n]
-        for i in range(n):
-            out[i] = (out[i] << np.int32(8)) | np.int32(plane[i])
-    for i in range(n):
-        zigzag = np.uint32(out[i])
-        out[i] = np.int32(mean + np.int32((zigzag >> np.uint32(1)) ^ (np.uint32(0) - (zigzag & np.uint32(1)))))
-
-
-@kernel
 def _same(data: Bytes, at: int, head: Bytes) -> bool:
     differs = np.uint8(0)
     for i in range(head.shape[0]):
@@ -245,7 +225,7 @@ def _read(
         is_bounded = seq <= MAX_SEQ - n and t0_ns >= MIN_MOMENT_NS and last_ns <= MAX_MOMENT_NS
         if planes == 0 or not (is_next and is_bounded):
             return message, written, False
-        _expand(data, residuals, planes, counts[written : written + n])
+        expand(data, residuals, counts[written : written + n], planes)
         written += n
         state[_NEXT_SEQ] = found[1, message] = seq + n
         state[_NEXT_NS] = found[2, message] = last_ns + state[_DT_NS]

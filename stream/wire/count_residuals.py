@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stream.batch import CountArray, IntArray
-from stream.compiled import compiled
+from stream.compiled import compiled, kernel_part
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -109,20 +109,28 @@ def _split(counts: CountArray) -> Bytes:
     return out
 
 
-@partial(compiled, instead=_join_arrays)
-def _join(residuals: Bytes, n: int) -> CountArray:
+@kernel_part()
+def expand(data: Bytes, at: int, out: CountArray, planes: int) -> None:
+    """Write the counts whose mean and planes begin at a place of some bytes."""
+    n = out.shape[0]
     mean = np.int32(0)
     for k in range(MEAN_BYTES):
-        mean |= np.int32(residuals[k]) << np.int32(8 * k)
-    planes = residuals[MEAN_BYTES:]
-    top = planes.shape[0] // n - 1
-    zigzag = np.empty(n, np.uint32)
+        mean |= np.int32(data[at + k]) << np.int32(8 * k)
+    at += MEAN_BYTES
+    plane = data[at + (planes - 1) * n : at + planes * n]
     for i in range(n):
-        zigzag[i] = planes[top * n + i]
-    for k in range(top - 1, -1, -1):
+        out[i] = plane[i]
+    for k in range(planes - 2, -1, -1):
+        plane = data[at + k * n : at + (k + 1) * n]
         for i in range(n):
-            zigzag[i] = (zigzag[i] << np.uint32(8)) | np.uint32(planes[k * n + i])
-    out = np.empty(n, np.int32)
+            out[i] = (out[i] << np.int32(8)) | np.int32(plane[i])
     for i in range(n):
-        out[i] = np.int32(mean + np.int32((zigzag[i] >> np.uint32(1)) ^ (np.uint32(0) - (zigzag[i] & np.uint32(1)))))
+        zigzag = np.uint32(out[i])
+        out[i] = np.int32(mean + np.int32((zigzag >> np.uint32(1)) ^ (np.uint32(0) - (zigzag & np.uint32(1)))))
+
+
+@partial(compiled, instead=_join_arrays)
+def _join(residuals: Bytes, n: int) -> CountArray:
+    out = np.empty(n, np.int32)
+    expand(residuals, 0, out, (residuals.shape[0] - MEAN_BYTES) // n)
     return out

@@ -4,7 +4,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from uuid import UUID
 
-from stream.console import notes
+from stream.terminal.console import notes
 
 
 def compile_kernels(*, quiet: bool) -> None:

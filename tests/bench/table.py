@@ -12,10 +12,9 @@ import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.bench.table_rows import ROWS, Measured, Row, machine  # noqa: E402  the path comes first
+from tests.bench.table_rows import ROWS, Measured, Row, machine
 
 
 def measured(row: Row) -> dict[str, object]:
@@ -35,7 +34,7 @@ def measured(row: Row) -> dict[str, object]:
 def line(row: dict[str, object]) -> str:
     """A row for people."""
     ours, peer, ratio = (f"{each:.3g}" if isinstance(each, float) else "-" for each in map(row.get, SHOWN))
-    holds = {True: "holds", False: "MISSED", None: "not measured"}[row["holds"]]  # type: ignore[index]
+    holds = "not measured" if row["holds"] is None else "holds" if row["holds"] else "MISSED"
     return f"{row['work']:58.58} {ours:>8} {peer:>8} {ratio:>6} {row['unit']:12.12} {row['bar']:34.34} {holds}"
 
 

@@ -32,7 +32,6 @@ from storage.segments.records import REJECTED
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import SampleBatch
-from stream.console import PlainConsole, csv_text, shown_text
 from stream.errors import BadInput
 from stream.events import NoteAdded, encode_event
 from stream.identity import Place, check_name, cleaned_name, event_key, is_name, sample_key
@@ -41,6 +40,7 @@ from stream.security.rights import Role
 from stream.status.endpoint import families
 from stream.status.role_status import Role as StatusRole
 from stream.status.role_status import RoleState, RunProgress, new_status
+from stream.terminal.console import PlainConsole, csv_text, shown_text
 from stream.wire.batches import encode_batch
 from tests.analytics.serve.conftest import TOKEN, start
 from tests.forked_commands import CommandServer

@@ -8,7 +8,7 @@ import pytest
 
 STORM = """
 import os, signal, threading, time
-from stream.console import until_stopped
+from stream.terminal.console import until_stopped
 
 with until_stopped() as stop:
     sender = threading.Thread(target=lambda: [os.kill(os.getpid(), signal.SIGINT) for _ in range(20_000)])
@@ -19,7 +19,7 @@ with until_stopped() as stop:
 """
 STUCK = """
 import time
-from stream.console import until_stopped
+from stream.terminal.console import until_stopped
 
 with until_stopped() as stop:
     print("ready", flush=True)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rich.text import Text
 
-from stream.result_table import ResultTable
+from stream.terminal.result_table import ResultTable
 
 ROWS = [
     ("Bias stability, 100 s averages", "rate", "0.01234 deg/h", "0.0117 .. 0.0131", "GJB2426A 5.12.2; JJF2014 7.2.14"),

@@ -10,9 +10,9 @@ import pytest
 SCRIPT = """
 import logging, sys, threading
 import click
-from stream.console import reporting
+from stream.terminal.console import reporting
 from stream.errors import BadInput
-from stream.role_log import RoleLog, logged
+from stream.roles.role_log import RoleLog, logged
 
 @click.command()
 @reporting

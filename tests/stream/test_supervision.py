@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from stream import supervision
-from stream.supervision import Role, Supervisor, pause_s
+from stream.roles import supervision
+from stream.roles.supervision import Role, Supervisor, pause_s
 
 PYTHON = [sys.executable, "-c"]
 WORKS = "import signal, sys, time; signal.signal(signal.SIGTERM, lambda *_: sys.exit(0)); time.sleep(60)"

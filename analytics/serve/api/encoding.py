@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 
 from analytics.serve.answer_cache import Answer
 from analytics.serve.problems import NotAcceptable
-from stream.console import csv_text, json_text
 from stream.errors import BadInput
+from stream.terminal.console import csv_text, json_text
 
 
 class Form(StrEnum):

@@ -19,8 +19,8 @@ from analytics.serve.live.broadcast import event
 from analytics.serve.live.packed import BEGIN, packed
 from analytics.serve.problems import TooMany
 from analytics.serve.service import Service
-from stream.console import json_text
 from stream.errors import NotFound
+from stream.terminal.console import json_text
 
 _MOST_LISTENERS = 1000
 _MOST_OF_ONE = 200

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import TextIO
 
 from analytics.serve.doors.rate_limit import RateLimit
-from stream.console import structured_log
+from stream.terminal.console import structured_log
 
 _MOST_CHARACTERS = 500
 

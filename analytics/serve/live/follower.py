@@ -18,9 +18,9 @@ from analytics.serve.shared_lake import SharedLake
 from storage.log.follower import FollowedMessage, LogFollower
 from storage.store import Store
 from stream.closing import Closing
-from stream.console import json_text
 from stream.errors import GyrofleetError
 from stream.events import EstimatePublished
+from stream.terminal.console import json_text
 from stream.wire.batches import RawBatch
 
 _LOOK_S = 0.05

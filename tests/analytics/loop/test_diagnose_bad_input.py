@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.commands.diagnose import noise_of
+from analytics.commands.closed_loop.diagnose import noise_of
 from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.blocks.record_checks import check_runs
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from matplotlib.figure import Figure
 
-from analytics.commands.diagnose_output import print_unit
+from analytics.commands.closed_loop.diagnose_output import print_unit
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.model.error_model import ErrorModel

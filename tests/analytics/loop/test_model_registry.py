@@ -8,8 +8,8 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 
-from analytics.commands.compensate import compensate
-from analytics.commands.model import model
+from analytics.commands.closed_loop.compensate import compensate
+from analytics.commands.closed_loop.model import model
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.model.model_check import model_findings
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.commands.diagnose import noise_of
+from analytics.commands.closed_loop.diagnose import noise_of
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.declared_noise import with_turn_on
 from analytics.loop.model.error_model import ErrorModel, ModelNoise

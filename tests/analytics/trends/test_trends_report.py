@@ -19,8 +19,8 @@ from analytics.trends.series import Choice, MetricSeries, Variant, read_series
 from analytics.trends.trend import Trend, trend_of
 from analytics.trends.words import NotComputed
 from storage.store import Store
-from stream.console import json_text
 from stream.errors import BadInput
+from stream.terminal.console import json_text
 from tests.analytics.trends.reported_values import HOUR_NS, START_NS, Reported
 
 

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from analytics.commands.diagnose import diagnose
+from analytics.commands.closed_loop.diagnose import diagnose
 from gyrofleet import main
 from tests import browser
 
@@ -134,7 +134,7 @@ def test_a_verdict_is_told_though_its_model_cannot_be_saved(
 def fleet(store: Path) -> Result:
     """All units of the store diagnosed together, with every line of progress."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stream.console._STATUS_EVERY_S", 0.0)
+        patch.setattr("stream.terminal.console._STATUS_EVERY_S", 0.0)
         done = CliRunner().invoke(main, ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"])
     assert done.exit_code == 0, done.output
     return done

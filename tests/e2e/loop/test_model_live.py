@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from analytics.commands.model import model
+from analytics.commands.closed_loop.model import model
 from analytics.demo.demo import DECLARED_MODEL, send_cycle
 from analytics.loop.live.compensation_worker import CompensatingSender
 from analytics.loop.live.live_compensator import LiveCompensator

@@ -36,7 +36,7 @@ def _csv(_folder: Path) -> list[bytes]:
 
 
 def _read_table(path: Path) -> None:
-    """As they are, and without what is bad; of which units and runs is told only where the file does not."""
+    """Read as they are, and without what is bad; units and runs are given only where the file does not name them."""
     content = path.read_bytes()
     unit = None if b"unit" in content else "G-1"
     run = None if b"run" in content else "r1"

@@ -9,7 +9,7 @@ import click
 
 from analytics.alerts.rules import load_rules
 from analytics.certificate.statement.order import read_order
-from analytics.commands.config import roles
+from analytics.commands.services.config import roles
 from analytics.serve.doors.login_file import LoginFile
 from analytics.serve.doors.roles import Role as PersonRole
 from analytics.serve.doors.users_file import add_certificate, add_person, add_program, read_users
@@ -23,7 +23,7 @@ from ingest.simulator.station_files import write_station
 from ingest.station.station import load_station
 from ingest.station.station_security import station_security
 from storage.specifications.specification import check_names, parse_specification, read_specification
-from stream.config_file import check_config
+from stream.roles.config_file import check_config
 from stream.security.site_rules import read_site_rules
 from tests.fuzz.format import Format
 from tests.fuzz.mutations import mutated_toml

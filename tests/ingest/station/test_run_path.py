@@ -14,12 +14,12 @@ from rich.console import Console
 from ingest.run.run_path import Destination, TroubleWatch
 from ingest.station.operator_console import ConsoleOperator
 from stream.batch import SampleBatch
-from stream.console import Stop
 from stream.delivery import spool as spool_module
 from stream.delivery.publisher import DurablePublisher
 from stream.delivery.spool import Spool
 from stream.errors import BadInput
 from stream.identity import ACKNOWLEDGEMENT_KEY, Place, sample_key
+from stream.terminal.console import Stop
 from stream.transport.bus import LocalBus
 from stream.wire.acknowledgement import encode_acknowledgement
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from stream.batch import SampleBatch
+from stream.errors import WireError
 from stream.wire import samples_pb2
 from stream.wire.batches import decode_batch, encode_batch, read_wire_batch
 from stream.wire.count_planes import join_planes, residuals_of
@@ -87,6 +88,15 @@ def test_batches_of_all_schemas_have_the_same_counts() -> None:
         message.ClearField(name)
         assert decode_batch(older) == batch
         assert read_wire_batch(older) == read_wire_batch(payload)
+
+
+@pytest.mark.parametrize("beside", [b"\x01", b"\x01\x00\x00", bytes(4), bytes(6)])
+def test_a_batch_has_values_or_counts_and_not_both(beside: bytes) -> None:
+    batch = SampleBatch("U1", "rate", "r1", UUID(int=7), 0, 0, 10, "deg/s", values=np.ones(2))
+    message = samples_pb2.SampleBatch.FromString(encode_batch(batch))
+    message.count_residuals = beside
+    with pytest.raises(WireError, match=r"count_residuals|either counts or values"):
+        decode_batch(message.SerializeToString())
 
 
 def test_a_batch_of_values_is_understood_by_the_version_before() -> None:

@@ -14,8 +14,8 @@ from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form
 from storage.sql.door import Result
 from storage.sql.printable import csv_cells, distinct_names, printable_batches
-from stream.console import json_text
 from stream.errors import QueryError
+from stream.terminal.console import json_text
 
 MOST_TEXT_BYTES = 256 << 20
 _MOST_VALUES = 20_000_000  # in text each is a Python object for a moment, and some bytes of the answer

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.command_group import CommandGroup
-from stream.console import notes, print_json, reporting, results, store_option
-from stream.result_table import ResultTable
 from stream.security.actor import acting
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
+from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
     from storage.recording.two_persons import Proposal

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import click
 
-from stream.command_group import CommandGroup
-from stream.config_file import TABLE, check_config
-from stream.console import notes, print_json, reporting, results, until_stopped
 from stream.errors import BadInput
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import TABLE, check_config
+from stream.roles.role_log import RoleLog, logged
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, reporting, results, until_stopped
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 # sources end before what they send to
@@ -80,7 +80,7 @@ def supervise(path: Path, patience_s: float, *, as_json: bool) -> None:
     A role that dies is reported with its reason, and started again after 1 s, then 2 s, up to 60 s; one whose options
     are wrong is not. Where there is systemd, its units do the same.
     """
-    from stream.supervision import Role, Supervisor
+    from stream.roles.supervision import Role, Supervisor
 
     known = roles()
     names = check_config(path, _commands())

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.config_file import configured
-from stream.console import print_json, reporting, store_option, until_stopped
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.console import print_json, reporting, store_option, until_stopped
+from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
     from stream.events import AnyDocument

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import counted, status_line
 from stream.errors import BadInput, StoreError
+from stream.terminal.console import counted, status_line
 
 if TYPE_CHECKING:
     from analytics.cluster.diagnosis_tasks import ClusterTracing

@@ -1,6 +1,5 @@
 """Supervision of processes: a role that dies is reported with its reason, and started again with growing pauses."""
 
-import random
 import re
 import subprocess
 import sys
@@ -9,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from secrets import SystemRandom
 from signal import Signals
 from typing import IO, Literal
 
@@ -75,7 +75,7 @@ class Supervisor:
     def __init__(self, roles: Sequence[Role], command: Sequence[str], report: Report) -> None:
         self.roles = list(roles)
         self._command, self._report = list(command), report
-        self._draw = random.Random().random  # noqa: S311  it spreads restarts, nothing secret
+        self._draw = SystemRandom().random
 
     def look(self) -> bool:
         """Start what is due, and see what has ended; whether any role is at work or will be."""

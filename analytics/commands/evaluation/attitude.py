@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from analytics.commands.metrics import language_option, opened_catalog
+from analytics.commands.evaluation.metrics import language_option, opened_catalog
 from storage.commands.stored_names import RUN, UNIT
-from stream.console import counted, notes, print_json, reporting, results, store_option
-from stream.result_table import ResultTable
+from stream.terminal.console import counted, notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.attitude.accuracy import AttitudeErrors, StepAccuracy

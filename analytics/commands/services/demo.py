@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import notes, print_json, reporting, results, store_option, until_stopped
 from stream.errors import NotFound
+from stream.terminal.console import notes, print_json, reporting, results, store_option, until_stopped
 from stream.worker.compile_kernels import compile_kernels
 
 if TYPE_CHECKING:

@@ -6,15 +6,23 @@ from pathlib import Path
 
 import click
 
-from stream.command_group import CommandGroup
-from stream.config_file import configured
-from stream.console import notes, print_json, reporting, results, status_listen_option, store_option, until_stopped
 from stream.errors import GyrofleetError, NotFound
-from stream.result_table import ResultTable
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
 from stream.security.actor import acting
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import (
+    notes,
+    print_json,
+    reporting,
+    results,
+    status_listen_option,
+    store_option,
+    until_stopped,
+)
+from stream.terminal.result_table import ResultTable
+from stream.terminal.security_options import secured
 
 _EVERY_S = 1.0
 _LONGEST_TEST_S = 60.0

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analytics.commands.engine_option import engine_option, opened_tracing
-from analytics.commands.metrics import language_option, opened_catalog
+from analytics.commands.evaluation.engine_option import engine_option, opened_tracing
+from analytics.commands.evaluation.metrics import language_option, opened_catalog
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.atomic_file import write_durably
-from stream.console import notes, print_json, reporting, status_line, store_option
 from stream.errors import BadInput, GyrofleetError
 from stream.security.actor import acting
+from stream.terminal.console import notes, print_json, reporting, status_line, store_option
 
 if TYPE_CHECKING:
     from analytics.loop.model.declared_noise import GivenNoise
@@ -155,7 +155,7 @@ def diagnose(
         document = next(iter(found.units.values())).document() if is_one else found.document()
         print_json(document | _reports(found, embeds=embeds) | ({"saved": saved, "not_saved": unsaved} if save else {}))
     else:
-        from analytics.commands.diagnose_output import print_unit, print_units
+        from analytics.commands.closed_loop.diagnose_output import print_unit, print_units
 
         if is_one:
             print_unit(next(iter(found.units.values())), language)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from analytics.commands.limits import by_option
-from analytics.commands.metrics import opened_catalog
+from analytics.commands.evaluation.limits import by_option
+from analytics.commands.evaluation.metrics import opened_catalog
 from storage.commands.stored_names import UNIT
-from stream.command_group import CommandGroup
-from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
 from stream.security.actor import acting
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
     from analytics.certificate.issue import Issued

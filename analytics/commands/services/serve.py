@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from analytics.serve.doors.roles import ROLES, Role
-from stream.config_file import configured
-from stream.console import print_json, reporting, results, store_option
-from stream.role_log import RoleLog, logged
+from stream.roles.config_file import configured
+from stream.roles.role_log import RoleLog, logged
+from stream.terminal.console import print_json, reporting, results, store_option
 
 
 @click.command("serve")

@@ -19,7 +19,7 @@ def of_plants(at: "Path | Store", ask: "Callable[[Catalog], T]", *, quiet: bool)
 
     NotFound of a plant is raised only if every plant raises it.
     """
-    from analytics.commands.metrics import opened_catalog
+    from analytics.commands.evaluation.metrics import opened_catalog
     from storage.fleet_store import FleetStore, is_fleet
 
     if not isinstance(at, Path) or not is_fleet(at):

@@ -17,8 +17,8 @@ from analytics.loop.report.scrutiny_rows import recovery_sentences
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
-from stream.console import notes, results, styled
-from stream.result_table import ResultTable
+from stream.terminal.console import notes, results, styled
+from stream.terminal.result_table import ResultTable
 
 _MOST_NAMED = 3
 

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from analytics.commands.metrics import METRIC, language_option, opened_catalog
+from analytics.commands.evaluation.metrics import METRIC, language_option, opened_catalog
 from storage.commands.stored_names import RUN, UNIT
-from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
 from stream.quantities import format_unit
-from stream.result_table import ResultTable
+from stream.terminal.console import notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.evaluation.budgets import ValueBudget

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from analytics.commands.engine_option import compute_by_engine, engine_option
-from analytics.commands.limits import warn_of_copies
-from analytics.commands.plants import check_one_store, of_plants, with_plant
+from analytics.commands.evaluation.engine_option import compute_by_engine, engine_option
+from analytics.commands.evaluation.limits import warn_of_copies
+from analytics.commands.evaluation.plants import check_one_store, of_plants, with_plant
 from storage.commands.lake_address import asked_at, lake_options
 from storage.commands.stored_names import RUN, UNIT
-from stream.completion import ListedName
-from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.completion import ListedName
+from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.evaluation.inner_page import InnerRow

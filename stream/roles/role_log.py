@@ -15,7 +15,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, get_args
 
 import click
 
-from stream.console import shown_text, structured_log
+from stream.terminal.console import shown_text, structured_log
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -34,9 +34,9 @@ class RoleLog:
 
         self._log: structlog.stdlib.BoundLogger = structlog.stdlib.get_logger(_LOGGER).bind(role=role)
 
-    def write(self, level: Level, event: str, text: str, **numbers: object) -> None:
-        """Write a line."""
-        self._log.log(logging.getLevelNamesMapping()[level.upper()], event, text=text, **numbers)
+    def write(self, level: Level, event: str, text: str, **fields: object) -> None:
+        """Write a line with further fields, such as numbers."""
+        self._log.log(logging.getLevelNamesMapping()[level.upper()], event, text=text, **fields)
 
 
 def logged(role: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
@@ -127,7 +127,7 @@ def _thread_failed(role: str, failure: threading.ExceptHookArgs) -> None:
     error = failure.exc_value
     trace: TracebackType | None = failure.exc_traceback
     name = "" if failure.thread is None else failure.thread.name
-    RoleLog(role)._log.error(  # noqa: SLF001  the same module
-        "thread_failed", text=f"{type(error).__name__} in the thread {name}: {error}",
+    RoleLog(role).write(
+        "error", "thread_failed", f"{type(error).__name__} in the thread {name}: {error}",
         exc_info=None if error is None else (type(error), error, trace),
     )  # fmt: skip

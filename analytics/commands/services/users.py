@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import click
 
 from analytics.serve.doors.roles import ROLES, Role
-from stream.command_group import CommandGroup
-from stream.console import notes, print_json, reporting, results
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, reporting, results
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.serve.doors.users_file import User

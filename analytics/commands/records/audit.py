@@ -4,11 +4,11 @@ from pathlib import Path
 
 import click
 
-from analytics.commands.metrics import language_option
+from analytics.commands.evaluation.metrics import language_option
 from storage.commands.stored_names import UNIT
-from stream.console import counted, notes, print_json, reporting, results, store_option
-from stream.result_table import ResultTable
 from stream.security.actor import UNAUTHENTICATED
+from stream.terminal.console import counted, notes, print_json, reporting, results, store_option
+from stream.terminal.result_table import ResultTable
 
 _TITLES = {
     "en": ("when (UTC)", "what", "run", "who", "proved", "details"),

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
-from analytics.commands.limits import by_option
-from analytics.commands.proposal import print_proposed
+from analytics.commands.closed_loop.diagnose import block_seconds, holdout_of, noise_of
+from analytics.commands.evaluation.limits import by_option
+from analytics.commands.records.proposal import print_proposed
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
-from stream.command_group import CommandGroup
-from stream.console import notes, print_json, reporting, results, status_line, store_option
 from stream.errors import BadInput, NotFound
 from stream.security.actor import acting
 from stream.security.rights import Role
-from stream.security_options import secured
+from stream.terminal.command_group import CommandGroup
+from stream.terminal.console import notes, print_json, reporting, results, status_line, store_option
+from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
     from analytics.loop.model.model_registry import ModelVersion
@@ -59,7 +59,7 @@ def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
 
 
 def _print_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, as_json: bool) -> None:
-    from stream.result_table import ResultTable
+    from stream.terminal.result_table import ResultTable
 
     if as_json:
         print_json(rows)

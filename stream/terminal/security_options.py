@@ -7,11 +7,11 @@ from typing import Any, ParamSpec, TypeVar
 
 import click
 
-from stream.console import structured_log
 from stream.errors import BadInput, BusError
 from stream.security.credentials import VARIABLE, BusSecurity, load_credentials, secured_process
 from stream.security.endpoint import check_plain_endpoint, secured_endpoint
 from stream.security.rights import Role
+from stream.terminal.console import structured_log
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.text import Text
 
-from analytics.commands.engine_option import compute_by_engine, engine_option
-from analytics.commands.metrics import language_option
-from analytics.commands.plants import named, of_plants, with_plant
+from analytics.commands.evaluation.engine_option import compute_by_engine, engine_option
+from analytics.commands.evaluation.metrics import language_option
+from analytics.commands.evaluation.plants import named, of_plants, with_plant
 from storage.commands.stored_names import UNIT
-from stream.console import counted, notes, print_json, reporting, results, store_option, styled
 from stream.errors import BadInput
-from stream.result_table import ResultTable
+from stream.terminal.console import counted, notes, print_json, reporting, results, store_option, styled
+from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.specifications.verdicts import Verdicts

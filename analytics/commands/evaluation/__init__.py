@@ -1,0 +1,1 @@
+"""Commands of metrics, verdicts, limits and trends."""

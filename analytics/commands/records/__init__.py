@@ -1,0 +1,1 @@
+"""Commands of certificates, proposals and the audit."""

@@ -1,0 +1,1 @@
+"""Commands of pages, their users, alerts, settings and the demo."""

@@ -1,0 +1,1 @@
+"""Long-running roles: their settings in a file, their logs, and the supervision of their processes."""
