@@ -12,6 +12,7 @@ from analytics.event_words import kind_name, summary
 from storage.manifests.part import with_sources
 from storage.sql.catalog import Catalog
 from stream.atomic_file import replacement
+from stream.decoding import decode_json
 from stream.errors import BadInput, NotFound
 from stream.terminal.console import csv_text
 
@@ -63,7 +64,7 @@ def audit_of(catalog: Catalog, unit: str) -> list[AuditRow]:
 
 def _rows(catalog: Catalog, unit: str, sources: dict[str, dict[str, str]]) -> Iterator[AuditRow]:
     for kind, run, _, site, station, t_ns, arrival_ns, uid, text, part in catalog.rows(_ROWS, {"unit": unit}):
-        document = msgspec.json.decode(text)
+        document = decode_json(text)
         details = document.get("details") or {}
         yield AuditRow(
             at=_moment(t_ns), arrival=_moment(arrival_ns), kind=kind, run=run, station=f"{site}/{station}",

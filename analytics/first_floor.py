@@ -7,6 +7,7 @@ import msgspec
 
 from analytics.floor import Floor
 from storage.sql.catalog import Catalog
+from stream.decoding import converted, decode_json
 from stream.events import AnyDocument, EstimatePoint, EstimatePublished
 from stream.identity import Place
 from stream.worker.limit_checks import estimator_key
@@ -46,7 +47,7 @@ def fill_floor(floor: Floor, catalog: Catalog) -> None:
     runs = [run for (run,) in catalog.rows(_RUNS, {"since": since_ns})]
     for site, station, text, arrival_ns in catalog.rows(_DOCUMENTS, {"runs": runs}):
         with suppress(msgspec.MsgspecError):  # `gyrofleet verify` reports it
-            floor.take(Place(site, station), msgspec.json.decode(text, type=AnyDocument), arrival_ns)
+            floor.take(Place(site, station), decode_json(text, AnyDocument), arrival_ns)
     for site, station, run, unit, t_ns, arrival_ns in catalog.rows(_SAMPLES, {"runs": runs}):
         floor.sampled(Place(site, station), unit, run, t_ns, arrival_ns)
     for now in [each for each in floor.runs.values() if each.outcome == "open"]:
@@ -56,7 +57,7 @@ def fill_floor(floor: Floor, catalog: Catalog) -> None:
             estimate = EstimatePublished(
                 run=run, t_ns=t_ns, unit=unit, signal=signal, estimator=estimator, unit_of_measure=per,
                 confidence=confidence, final=final, samples=samples, missing=missing, sample_interval_s=interval_s,
-                points=tuple(msgspec.convert(each, EstimatePoint) for each in points),
+                points=tuple(converted(each, EstimatePoint) for each in points),
             )  # fmt: skip
             floor.take(now.place, estimate, now.arrival_ns)
     floor.forget_changes()

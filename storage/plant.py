@@ -13,6 +13,7 @@ import msgspec
 from storage.segments.disk import DISK
 from storage.store_marker import is_replica
 from stream.atomic_file import write_durably
+from stream.decoding import converted
 from stream.errors import BadInput, StoreError
 
 FILE = "plant.json"
@@ -71,7 +72,7 @@ def read_plant(folder: Path) -> Plant | None:
         mark = written.pop("sha256")
         if mark != _checksum(written):
             raise ValueError("its checksum does not match")
-        return checked(msgspec.convert(written["plant"], type=Plant))
+        return checked(converted(written["plant"], Plant))
     except FileNotFoundError:
         return None
     except (

@@ -5,6 +5,8 @@ from typing import TypeVar
 
 import msgspec
 
+from stream.decoding import examine
+
 T = TypeVar("T")
 _LONG_KEY = re.compile(r"(?:[\w\"'-]{1,64}+[ \t]{0,4}+\.[ \t]{0,4}+){200}")
 
@@ -19,6 +21,7 @@ def decode_toml(text: str | bytes, kind: type[T]) -> T:
     written = text if isinstance(text, str) else text.decode(errors="replace")
     if _LONG_KEY.search(written):  # the parser needs memory quadratic in it
         raise msgspec.DecodeError("a key has more than 200 parts")
+    examine(kind)
     try:
         return msgspec.toml.decode(text, type=kind)
     except RecursionError:

@@ -9,6 +9,7 @@ import msgspec
 
 from storage.store import Store
 from stream.closing import Closing
+from stream.decoding import json_decoder
 from stream.errors import StoreError
 from stream.events import AlertCleared, AlertRaised, AlertSent
 
@@ -139,8 +140,8 @@ def _kept(base: sqlite3.Connection) -> Kept:
     (number,) = base.execute("pragma user_version").fetchone()
     if number > _FORMAT:
         raise sqlite3.DatabaseError(f"it has format {number}, of a newer gyrofleet")
-    alerts = msgspec.json.Decoder(Alert)
-    documents = msgspec.json.Decoder(LogDocument)
+    alerts = json_decoder(Alert)
+    documents = json_decoder(LogDocument)
     return Kept(
         alerts={name: alerts.decode(content) for name, content in base.execute("select * from alerts")},
         to_log={at: documents.decode(content) for at, content in base.execute("select * from to_log order by number")},

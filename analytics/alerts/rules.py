@@ -15,6 +15,7 @@ from analytics.alerts.email_target import EmailTarget
 from analytics.alerts.finding import Condition, Finding
 from analytics.alerts.targets import Target
 from analytics.alerts.webhook_target import WebhookTarget
+from stream.decoding import converted
 from stream.errors import BadInput
 from stream.toml_text import decode_toml
 
@@ -142,7 +143,7 @@ class _RuleTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 def _converted(where: str, table: dict[str, Any], kind: type[Any]) -> Any:
     try:
-        return msgspec.convert(table, kind)
+        return converted(table, kind)
     except msgspec.ValidationError as error:
         raise BadInput(f"{where}: {error}") from error
 

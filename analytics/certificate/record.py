@@ -5,14 +5,13 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-import msgspec
-
 from storage.log.store_documents import is_sealed, sealed
 from storage.log.tail import documents_beyond
 from storage.recording.client import record_documents
 from storage.recording.two_persons import read_proposals
 from storage.sql.catalog import Catalog
 from storage.store import Store
+from stream.decoding import decode_json
 from stream.events import CertificateIssued
 from stream.identity import Place
 
@@ -82,7 +81,7 @@ def _documents(views: _Views) -> dict[str, tuple[int, CertificateIssued]]:
     return {
         document.uid: (arrival_ns, document)
         for text, arrival_ns in views.rows(_SQL, {"kind": CertificateIssued.__name__})
-        for document in [msgspec.json.decode(text, type=CertificateIssued)]
+        for document in [decode_json(text, CertificateIssued)]
     }
 
 

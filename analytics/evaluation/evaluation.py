@@ -8,7 +8,6 @@ from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -19,6 +18,7 @@ from analytics.metric_registry.registry import BoundsSource, Metric, parameters_
 from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
 from storage.sql.catalog import Catalog
 from storage.sql.parquet_content import ParquetContent
+from stream.decoding import decode_json
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
@@ -217,4 +217,4 @@ def row_of(row: Mapping[str, Any]) -> dict[str, Any]:
     """A value as in `gyrofleet metrics --json`."""
     found = {name: row[name] for name in COLUMNS.names if name != "freedom"}
     p = None if row["U"] is None else COVERAGE
-    return found | {"p": p, "parameters": msgspec.json.decode(row["parameters"] or "{}")}
+    return found | {"p": p, "parameters": decode_json(row["parameters"] or "{}")}

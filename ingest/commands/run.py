@@ -10,6 +10,7 @@ import click
 
 from ingest.commands.procedure import PROCEDURE
 from ingest.station.station_security import station_security
+from stream.decoding import converted
 from stream.errors import BadInput
 from stream.roles.role_log import logged
 from stream.security.rights import Role
@@ -144,15 +145,13 @@ def run_simulated(
     Where a `gyrofleet record` writes the store, it records them, else this process does. What no recorder has yet waits
     in a spool on disk. Interrupted or killed, the run resumes under its id when the same command is given again.
     """
-    import msgspec
-
     from ingest.commands import run_simulated
     from ingest.run.live_run import RunParameters
     from ingest.run.run_path import Destination
     from stream.identity import check_name
 
     check_name("run", run_id)
-    parameters = msgspec.convert(given, RunParameters)
+    parameters = converted(given, RunParameters)
     destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
     code = run_simulated.run_simulated(
         run_id, parameters, destination, status_listen, is_ended=is_ended, as_json=as_json

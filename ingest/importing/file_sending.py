@@ -19,6 +19,7 @@ from ingest.tables.rows import BadRow
 from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge
 from stream.batch import SampleBatch
+from stream.decoding import decode_json
 from stream.delivery.publisher import Sender
 from stream.errors import BadInput, StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted, StationStated, StreamTotal, UnitMounted
@@ -127,7 +128,7 @@ class FileSending:
         check_steps(self._stored.known.steps, self.path, self._summary)
         if not self._restates:
             self._check_station()
-        documents = [msgspec.json.decode(text, type=UnitMounted) for text in self._stored.known.mounted]
+        documents = [decode_json(text, UnitMounted) for text in self._stored.known.mounted]
         self._last_mounted = {(each.run, each.unit): each for each in documents}
 
     def _check_station(self) -> None:

@@ -17,6 +17,7 @@ from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import resource_trouble
 from ingest.measurement_standards import DETAIL, Standard, standards_text
 from ingest.station_clock import StationClock
+from stream.decoding import converted
 from stream.errors import BadInput
 from stream.identity import Place, check_name
 from stream.toml_text import decode_toml
@@ -264,7 +265,7 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     rest = _plain(table)
     del rest["kind"]
     try:
-        options = msgspec.convert(rest, kinds[kind].options_type)
+        options = converted(rest, kinds[kind].options_type)
         options.check()
     except (msgspec.ValidationError, ValueError, BadInput) as error:
         raise BadInput(f"{path}: instruments.{name} (a {kind}): {error}") from error
@@ -288,7 +289,7 @@ def _standard(path: Path, name: str, table: dict[str, Any], instruments: Mapping
     if name in instruments:
         raise BadInput(f"{path}: standards.{name} has the name of an instrument; state its uncertainty there")
     try:
-        standard = msgspec.convert(_plain(table), StandardTable)
+        standard = converted(_plain(table), StandardTable)
         standard.check()
     except (msgspec.ValidationError, ValueError, BadInput) as error:
         raise BadInput(f"{path}: standards.{name}: {error}") from error

@@ -15,6 +15,7 @@ from storage.lake.segment_content import SegmentContent
 from storage.manifests.part import DroppedRows, Part, PartFile, write_part
 from storage.segments.disk import sha256_of
 from storage.segments.reader import read_segment
+from stream.decoding import decode_json
 from stream.errors import OutOfMemory, StoreError
 from stream.events import StoreNoted
 
@@ -97,7 +98,7 @@ def documented_drops(folder: Path, store: str) -> Drops:
     found = Drops({}, {})
     for row in rows:
         if row["kind"] == StoreNoted.__name__:
-            found.take(msgspec.json.decode(row["document"], type=StoreNoted), store)
+            found.take(decode_json(row["document"], StoreNoted), store)
     return found
 
 

@@ -11,6 +11,7 @@ import msgspec
 import zstandard
 
 from storage.manifests.part import Part, check_names
+from stream.decoding import json_decoder
 
 SPAN = 4096  # segments
 _LEVEL = 3
@@ -23,8 +24,8 @@ class _Block(msgspec.Struct, frozen=True):
     sources: msgspec.Raw = msgspec.Raw(b"{}")
 
 
-_decoder = msgspec.json.Decoder(_Block)
-_sources = msgspec.json.Decoder(dict[str, str])
+_decoder = json_decoder(_Block)
+_sources = json_decoder(dict[str, str])
 
 
 def in_blocks(parts: Iterable[Part]) -> dict[int, list[Part]]:

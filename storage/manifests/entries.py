@@ -11,6 +11,8 @@ from itertools import islice
 import msgspec
 import zstandard
 
+from stream.decoding import json_decoder
+
 SPAN = 4096  # entries of a block
 _MOST_BYTES = 1 << 28
 
@@ -52,7 +54,7 @@ class EntriesState(msgspec.Struct, frozen=True):
     own: list[SegmentEntry]
 
 
-_decoder = msgspec.json.Decoder(list[SegmentEntry])
+_decoder = json_decoder(list[SegmentEntry])
 
 
 class SegmentEntries(MutableMapping[str, SegmentEntry]):

@@ -20,6 +20,7 @@ from storage.manifests.entries import SPAN, EntriesState, SegmentEntries, Segmen
 from storage.segments.disk import DISK, Disk
 from storage.store import Store
 from stream.atomic_file import write_durably
+from stream.decoding import decode_msgpack, json_decoder
 
 FIRST = "0" * 64
 LOST = "lost"
@@ -66,7 +67,7 @@ class _Snapshot(msgspec.Struct, frozen=True):
     lost: list[SegmentEntry]
 
 
-_decoder = msgspec.json.Decoder(SegmentEntry)
+_decoder = json_decoder(SegmentEntry)
 
 
 def manifest_path(store: Store) -> Path:
@@ -124,7 +125,7 @@ def _from_snapshot(store: Store) -> LogManifest:
         content = (store.folder / SNAPSHOT).read_bytes()
         if hashlib.sha256(content[64:]).hexdigest().encode() != content[:64]:
             return LogManifest()
-        snapshot = msgspec.msgpack.decode(content[64:], type=_Snapshot)
+        snapshot = decode_msgpack(content[64:], _Snapshot)
         end = f"\t{snapshot.last}\n".encode()
         with manifest_path(store).open("rb") as file:
             file.seek(snapshot.whole_bytes - len(end))

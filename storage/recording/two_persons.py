@@ -8,6 +8,7 @@ import msgspec
 from storage.log.store_documents import is_sealed
 from storage.log.tail import documents_beyond
 from storage.store import Store, writer_security
+from stream.decoding import decode_json
 from stream.errors import BusError
 from stream.events import (
     ActProposed,
@@ -56,7 +57,7 @@ class Proposal(NamedTuple):
     @property
     def act(self) -> AnyDocument:
         """The document that is proposed."""
-        found: AnyDocument = msgspec.json.decode(self.document.content, type=AnyDocument)
+        found: AnyDocument = decode_json(self.document.content, AnyDocument)
         return found
 
 
@@ -95,7 +96,7 @@ def read_documents(store: Store) -> list[AnyDocument]:
     found: dict[str, AnyDocument] = {}
     with Catalog(store) as catalog:
         for (text,) in catalog.rows(_SQL, {"kinds": list(_KINDS)}):
-            document: AnyDocument = msgspec.json.decode(text, type=AnyDocument)
+            document: AnyDocument = decode_json(text, AnyDocument)
             found[document.uid] = document
         in_lake = {segment for part in catalog.parts for segment in part.segments}
     for document, _ in documents_beyond(store, in_lake):

@@ -14,11 +14,12 @@ from storage.manifests.log import FIRST, LOST
 from storage.replication.sources.source import MAX_LINE_BYTES, MAX_SEGMENT_BYTES, is_segment
 from storage.segments.disk import DISK, Disk
 from stream.atomic_file import write_durably
+from stream.decoding import json_decoder
 from stream.errors import StoreError
 
 SALVAGED = "salvaged"
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_decoder = msgspec.json.Decoder(SegmentEntry)
+_decoder = json_decoder(SegmentEntry)
 
 
 class ListRefused(StoreError):

@@ -12,6 +12,7 @@ from storage.log.tail import documents_beyond
 from storage.recording.client import record_documents
 from storage.sql.catalog import Catalog
 from storage.store import Store
+from stream.decoding import decode_json
 from stream.events import SpecificationEntered
 from stream.identity import Place
 
@@ -60,7 +61,7 @@ def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
     found = {
         document.uid: (document, arrival_ns)
         for text, arrival_ns in catalog.rows(_SQL, {"kind": SpecificationEntered.__name__})
-        for document in [msgspec.json.decode(text, type=SpecificationEntered)]
+        for document in [decode_json(text, SpecificationEntered)]
     }
     in_lake = {segment for part in catalog.parts for segment in part.segments}
     for document, arrival_ns in documents_beyond(store, in_lake):

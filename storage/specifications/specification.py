@@ -11,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 
 from storage.specifications.screening_file import converted_limits
+from stream.decoding import converted
 from stream.errors import BadInput
 from stream.toml_text import decode_toml
 
@@ -156,7 +157,7 @@ def parse_specification(content: str | bytes, source: str) -> Specification:
         screening = converted_limits(content, where)
         if screening is not None:
             revision, entries = screening
-            limits = msgspec.convert(entries, tuple[SpecificationLimit, ...])
+            limits = converted(entries, tuple[SpecificationLimit, ...])
             return Specification(Path(source).stem, revision, None, None, {}, limits)
         file = decode_toml(content, _File)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -6,12 +6,12 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import duckdb
-import msgspec
 
 from storage.sql.catalog import Catalog, known_tables, layers
 from storage.store import Store
 from stream.atomic_file import replacement
 from stream.errors import BadInput, GyrofleetError, NotFound
+from stream.toml_text import decode_toml
 
 ColumnTexts = Mapping[str, Mapping[str, str]]
 _EVERY = "every"
@@ -60,7 +60,7 @@ def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:
 
 def read_texts(file: Traversable) -> ColumnTexts:
     """Read column meanings: TOML with a table for each SQL table, and ``[every]`` for columns common to all."""
-    return msgspec.toml.decode(file.read_bytes(), type=dict[str, dict[str, str]])
+    return decode_toml(file.read_bytes(), dict[str, dict[str, str]])
 
 
 def column_texts(table: str) -> dict[str, str]:

@@ -13,6 +13,7 @@ import msgspec
 from storage.manifests.lake import Manifest
 from storage.store import Store
 from stream.atomic_file import replacement
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 _NAME = "retention-clock.json"
@@ -40,7 +41,7 @@ def check_clock(store: Store, manifest: Manifest, now_ns: int) -> None:
     """Keep a reading of the clock; RetentionPaused if it leapt, went back, or 30 days passed without any record."""
     last = None
     with suppress(OSError, msgspec.MsgspecError):
-        last = msgspec.json.decode((store.folder / _NAME).read_bytes(), type=Seen)
+        last = decode_json((store.folder / _NAME).read_bytes(), Seen)
     reason = _doubt(manifest, last, now_ns)
     if reason is not None:
         raise RetentionPaused(f"{store.folder}: {reason}; {_REMEDY}")

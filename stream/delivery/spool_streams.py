@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from stream.decoding import msgpack_decoder
 from stream.delivery.spool_frames import ACKNOWLEDGED, FIRST_STREAM, TABLE, SpoolFrame, encode_frame, parse_frames
 from stream.errors import DeliveryError
 from stream.wire.acknowledgement import StreamId
@@ -51,8 +52,8 @@ class _Acknowledged(msgspec.Struct, array_like=True):
     positions: list[tuple[int, int]]
 
 
-_table_decoder = msgspec.msgpack.Decoder(_Table)
-_acknowledged_decoder = msgspec.msgpack.Decoder(_Acknowledged)
+_table_decoder = msgpack_decoder(_Table)
+_acknowledged_decoder = msgpack_decoder(_Acknowledged)
 
 
 class StreamTable:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import zstandard
 
+from stream.decoding import msgpack_decoder
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, EstimatorState, estimator_classes
 
@@ -34,7 +35,7 @@ class _Content(msgspec.Struct, frozen=True):
     arrays: tuple[_Array, ...]
 
 
-_decoder = msgspec.msgpack.Decoder(_Content)
+_decoder = msgpack_decoder(_Content)
 
 
 def take_snapshot(estimator: Estimator[Any]) -> bytes:

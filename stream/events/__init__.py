@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from stream.decoding import json_decoder
 from stream.errors import NewerSchema, WireError
 from stream.events.document import Act as Act
 from stream.events.document import ApprovedAct as ApprovedAct
@@ -418,8 +419,8 @@ class _Head(msgspec.Struct):
 
 
 _encoder = msgspec.json.Encoder()
-_decoder = msgspec.json.Decoder(EventMessage)
-_head_decoder = msgspec.json.Decoder(_Head)
+_decoder = json_decoder(EventMessage)
+_head_decoder = json_decoder(_Head)
 
 
 def encode_event(document: AnyDocument, epoch: str, seq: int) -> bytes:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from stream.decoding import msgpack_decoder
 from stream.errors import GyrofleetError, WireError
 from stream.security.access import AccessList
 from stream.security.credentials import Credentials
@@ -44,7 +45,7 @@ class Proof(msgspec.Struct, frozen=True, array_like=True):
     signature: bytes = b""
 
 
-_decoder = msgspec.msgpack.Decoder(Proof)
+_decoder = msgpack_decoder(Proof)
 
 
 class Proven(NamedTuple):

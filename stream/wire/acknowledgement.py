@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from stream.decoding import msgpack_decoder
 from stream.errors import WireError
 from stream.security.credentials import Credentials
 from stream.security.proof import signed_acknowledgement
@@ -45,7 +46,7 @@ class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
 
 
 ACKNOWLEDGEMENT_SCHEMA = 1
-_decoder = msgspec.msgpack.Decoder(Acknowledgement)
+_decoder = msgpack_decoder(Acknowledgement)
 
 
 def encode_acknowledgement(

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from stream.bounds import MAX_MESSAGE_BYTES
+from stream.decoding import decode_msgpack
 from stream.errors import WireError
 from stream.identity import ROOT
 
@@ -100,6 +101,6 @@ def decode(payload: bytes, kind: type[Message]) -> Message:
     if len(payload) > MAX_MESSAGE_BYTES:
         raise WireError(f"{len(payload)} bytes are more than a message may have")
     try:
-        return msgspec.msgpack.decode(payload, type=kind)
+        return decode_msgpack(payload, kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise WireError(f"neither a request nor an answer: {error}") from error

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from stream.atomic_file import write_durably
+from stream.decoding import msgpack_decoder
 from stream.errors import CheckpointDamaged, EstimatorError
 from stream.events import CompensationStarted, LimitsApplied, UnitReleased
 from stream.worker.signal_analysis import SignalState
@@ -38,7 +39,7 @@ class Checkpoint(msgspec.Struct, frozen=True):
     released: list[UnitReleased] = []
 
 
-_decoder = msgspec.msgpack.Decoder(Checkpoint)
+_decoder = msgpack_decoder(Checkpoint)
 
 
 def generations(path: Path) -> tuple[Path, Path]:

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from stream.batch import SampleBatch
+from stream.decoding import converted, decode_json
 from stream.errors import GyrofleetError
 from stream.estimators.allan_variance import OVERLAP, AllanDeviation
 from stream.estimators.base import NoEstimate, PointEstimator
@@ -212,13 +213,13 @@ class EarlyDecisions:
         """Resume from the state of another one."""
         decisions = cls(signal)
         decisions._planned_s = state["planned_s"]
-        decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]), state.get("since_ns"))
+        decisions._set(tuple(converted(limit, Limit) for limit in state["limits"]), state.get("since_ns"))
         restored = [restore(snapshot) for snapshot in state.get("estimators", ())]
         decisions.estimators = [each for each in restored if each.has_points]
         following = state.get("next")
-        decisions._next = None if following is None else msgspec.json.decode(following, type=LimitsApplied)
+        decisions._next = None if following is None else decode_json(following, LimitsApplied)
         for number, saved in state["tests"].items():
-            decisions._begin(int(number), msgspec.convert(saved["plan"], DecisionPlan))
+            decisions._begin(int(number), converted(saved["plan"], DecisionPlan))
             decisions._tests[int(number)].import_state(saved["state"])
         decisions._exact = {int(n): decisions._exact[int(n)] for n in state["exactly"]}
         for number, saved in state["exactly"].items():

@@ -7,6 +7,7 @@ from importlib.resources import files
 import msgspec
 
 from analytics.certificate.statement.words import Words
+from stream.decoding import converted
 from stream.errors import BadInput
 
 
@@ -42,7 +43,7 @@ def standards() -> dict[str, Standard]:
     """
     text = files("analytics.certificate.statement").joinpath("standards.toml").read_text(encoding="utf-8")
     found = tomllib.loads(text)
-    return {name: msgspec.convert({**table, "name": name}, Standard) for name, table in found.items()}
+    return {name: converted({**table, "name": name}, Standard) for name, table in found.items()}
 
 
 def standard_of(text: str) -> Standard:

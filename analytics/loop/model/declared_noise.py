@@ -4,7 +4,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from analytics.curves.noise_coefficients import MOST_MISFIT
@@ -13,6 +12,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
+from stream.decoding import decode_json
 from stream.estimators.base import NoEstimate
 from stream.quantities import ANGULAR_RATE_UNIT
 
@@ -57,7 +57,7 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
         "where kind = 'NoiseFitted' and unit = $unit and signal = $signal order by t_ns",
         {"unit": unit, "signal": signal},
     )
-    fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names - turned}
+    fits = {str(run): decode_json(text) for run, text in rows if text and run in names - turned}
     usable = {run: fit for run, fit in fits.items() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT}
     if not usable:
         count = len(names - turned)

@@ -10,6 +10,7 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelTerm
 from analytics.loop.model.model_text import BIAS
 from stream.batch import FloatArray
+from stream.decoding import decode_json
 from stream.errors import BadInput, GyrofleetError
 
 LIVE_BLOCK_S = 5.0  # blocks on which terms are evaluated, seconds; they are interpolated between the middles
@@ -102,7 +103,7 @@ def why_not_live(term: ModelTerm) -> str | None:
 @functools.cache
 def _is_final(encoded: str) -> bool:
     """Whether the values of a term, except the last ones, do not change when more blocks come."""
-    term = msgspec.json.decode(encoded, type=ModelTerm)
+    term = decode_json(encoded, ModelTerm)
     whole = _probe(term, _PROBE_BLOCKS)
     half = _PROBE_BLOCKS // 2
     try:

@@ -16,6 +16,7 @@ from storage.recording.proposing import carried_out, has_to_be_proposed, propose
 from storage.recording.two_persons import Proposal
 from storage.sql.catalog import Catalog
 from storage.store import Store
+from stream.decoding import decode_json
 from stream.errors import BadInput, NotFound, QueryError, StoreError
 from stream.events import ActProposed, AnyDocument, ModelActivated, new_uid
 from stream.security.actor import Actor
@@ -83,7 +84,7 @@ def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[A
     with Catalog(store) as catalog:
         try:
             for (text,) in catalog.rows(_SQL, {"kinds": [each.__name__ for each in wanted]}):
-                decoded: AnyDocument = msgspec.json.decode(text, type=AnyDocument)
+                decoded: AnyDocument = decode_json(text, AnyDocument)
                 found[decoded.uid] = decoded
         except (QueryError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise StoreError(

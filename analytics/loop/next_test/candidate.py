@@ -9,6 +9,7 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from ingest.procedures.file import ProcedureFile
 from ingest.procedures.plan import PlannedStep, Planner, Used
+from stream.decoding import converted
 from stream.errors import BadInput
 
 
@@ -42,7 +43,7 @@ class CandidateTest(msgspec.Struct, frozen=True, kw_only=True):
     def planned(self) -> tuple[PlannedStep, ...]:
         """Its steps as `gyrofleet run` executes them; BadInput if they are none that it can."""
         try:
-            file = msgspec.convert(self.document, ProcedureFile)
+            file = converted(self.document, ProcedureFile)
         except msgspec.ValidationError as error:
             raise BadInput(f"test {self.name}: {error}") from error
         return Planner(self.name).plan(Used(file.items, self.name, {}), {})

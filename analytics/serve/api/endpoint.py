@@ -20,6 +20,7 @@ from analytics.serve.doors.roles import Role
 from analytics.serve.problems import TooLarge, TooSlow
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
+from stream.decoding import converted, decode_json
 from stream.errors import BadInput, GyrofleetError, NotFound
 
 MOST_BODY_BYTES = 1 << 20
@@ -126,7 +127,7 @@ async def limited_body(request: Request) -> bytes:
 def body_of(content: bytes, kind: type[Any]) -> Any:
     """A body in JSON; BadInput names the field that is not right."""
     try:
-        return msgspec.json.decode(content or b"{}", type=kind)
+        return decode_json(content or b"{}", kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise BadInput(f"the body is not what is expected: {error}") from error
 
@@ -144,7 +145,7 @@ def query_of(request: Request, kind: type[Any], others: Sequence[str]) -> tuple[
             given[name] = value
     apart = {name: given.pop(name) for name in others if name in given}
     try:
-        return msgspec.convert(given, kind, strict=False), apart
+        return converted(given, kind, strict=False), apart
     except msgspec.ValidationError as error:
         known = ", ".join([*fields, *others])
         raise BadInput(f"a parameter is not what is expected: {error}; there are {known}") from error

@@ -9,6 +9,7 @@ from analytics.event_words import kind_name
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
 from analytics.serve.api.unit.units import unit_row
+from stream.decoding import decode_json
 from stream.errors import BadInput
 
 _ROWS = """
@@ -126,9 +127,7 @@ def unit_audit(call: Call, asked: Paged) -> UnitAudit:
 
 def _row(row: dict[str, Any]) -> EventRow:
     named = {"en": kind_name(row["kind"], "en"), "zh": kind_name(row["kind"], "zh")}
-    return EventRow(
-        **row | {"document": msgspec.json.decode(row["document"]), "arrival": iso(row["arrival_ns"])} | named
-    )
+    return EventRow(**row | {"document": decode_json(row["document"]), "arrival": iso(row["arrival_ns"])} | named)
 
 
 def _cursor(after: str) -> tuple[int | None, str]:

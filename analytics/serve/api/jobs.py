@@ -10,6 +10,7 @@ from analytics.serve.api.operation import Call, Nothing, get, post
 from analytics.serve.api.rows import Name, iso
 from analytics.serve.doors.roles import Role
 from analytics.serve.jobs import Job
+from stream.decoding import converted
 from stream.errors import NotFound
 
 
@@ -70,7 +71,7 @@ def job_picture(call: Call, asked: PictureAsked) -> Picture:
     pictures = (reports or {}).get(asked.unit or found.subject, {}).get("pictures", {})
     if asked.name not in pictures:
         raise NotFound(f"job {found.id} has no picture {asked.name!r}; it has {', '.join(pictures) or 'none'}")
-    return msgspec.convert(pictures[asked.name], Picture)
+    return converted(pictures[asked.name], Picture)
 
 
 @post("/api/jobs/{job}/cancel", role=Role.ENGINEER)

@@ -19,6 +19,7 @@ from analytics.serve.live.broadcast import event
 from analytics.serve.live.packed import BEGIN, packed
 from analytics.serve.problems import TooMany
 from analytics.serve.service import Service
+from stream.decoding import converted
 from stream.errors import NotFound
 from stream.terminal.console import json_text
 
@@ -76,7 +77,7 @@ class UnitFloor(msgspec.Struct, frozen=True, kw_only=True):
 def floor(call: Call, asked: Nothing) -> FloorDocument:
     """All units on the floor as they are now; /api/live has the changes from this version on."""
     del asked
-    return msgspec.convert(call.service.live.document(), FloorDocument, strict=False)
+    return converted(call.service.live.document(), FloorDocument, strict=False)
 
 
 @get("/api/floor/{unit}", is_kept=False)

@@ -8,6 +8,7 @@ from analytics.serve.api.operation import Call, Nothing, get, post
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import Forbidden
+from stream.decoding import decode_json
 
 
 class ProposalsAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -73,7 +74,7 @@ def list_proposals(call: Call, asked: ProposalsAsked) -> Proposals:
             identity=document.identity, reason=document.reason, proposed_ns=document.t_ns, proposed=iso(document.t_ns),
             state=each.state, may_approve=each.state == "open" and not why_not, why_not=why_not,
             ended_by="" if ended is None else ended.identity, ended_reason=getattr(ended, "reason", ""),
-            document=msgspec.json.decode(document.content),
+            document=decode_json(document.content),
         )  # fmt: skip
         rows.append(row)
     return Proposals(proposals=rows, two_persons=sorted(needs_two(call.store)))

@@ -24,6 +24,7 @@ import tomli_w
 from analytics.serve.doors.passwords import hashed, is_hash, matches
 from analytics.serve.doors.roles import Person, Role
 from stream.atomic_file import write_durably
+from stream.decoding import converted
 from stream.errors import BadInput
 from stream.toml_text import decode_toml
 
@@ -181,7 +182,7 @@ def _check_name(name: str, where: str = "") -> None:
 
 
 def _word(role: Role) -> RoleWord:
-    word: RoleWord = msgspec.convert(role.word, RoleWord)
+    word: RoleWord = converted(role.word, RoleWord)
     return word
 
 

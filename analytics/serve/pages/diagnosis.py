@@ -11,6 +11,7 @@ from analytics.serve.api.proposals import ProposalsAsked, list_proposals
 from analytics.serve.api.rows import Name
 from analytics.serve.api.unit import diagnosis as api
 from analytics.serve.pages.frame.page import shown
+from stream.decoding import converted
 from stream.errors import NotFound
 
 
@@ -66,7 +67,7 @@ def _reports(document: jobs_api.JobDocument) -> dict[str, Any]:
         | {
             "pictures": [
                 {
-                    "picture": msgspec.convert(picture, Picture),
+                    "picture": converted(picture, Picture),
                     "url": link("api", "jobs", document.job.id, "picture", name=name, unit=unit),
                 }
                 for name, picture in report["pictures"].items()

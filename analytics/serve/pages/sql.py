@@ -4,7 +4,6 @@ import functools
 from typing import Any
 
 import anyio.to_thread
-import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -17,6 +16,7 @@ from analytics.serve.pages.frame.render import page
 from analytics.serve.pages.sign_in.login import form_of
 from analytics.serve.service import Service
 from analytics.serve.sql_pool import MOST_ROWS
+from stream.decoding import decode_json
 from stream.errors import BadInput, GyrofleetError
 
 _SHOWN_ROWS = 500
@@ -62,7 +62,7 @@ def _content(call: Call, statement: str, *, is_sent: bool) -> dict[str, Any]:
         asked = api.SqlAsked(sql=statement, rows=_SHOWN_ROWS, shape="arrays")
         try:
             encoded = api.answered(call, asked).encoded(Form.JSON, _SHOWN_BYTES)
-            result = msgspec.json.decode(encoded.body)
+            result = decode_json(encoded.body)
         except GyrofleetError as error:
             problem = str(error)
     known = api.sql_tables(call, Nothing())

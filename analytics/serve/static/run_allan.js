@@ -5,7 +5,7 @@ import {faint} from "./colours.js";
 import {asked, element, figure, say} from "./texts.js";
 import {words} from "./run_words.js";
 
-const FOLLOW_MS = 3000;
+const FOLLOW_MS = 3000, LOOK_AGAIN_MS = 15000;
 
 export async function start(section) {
   limit(section);
@@ -29,13 +29,17 @@ async function refresh(view) {
   let found;
   try {
     found = await asked(view.section.dataset.url);
-  } catch {
+    document.getElementById("allan-trouble").textContent = "";
+  } catch (error) {
+    document.getElementById("allan-trouble").textContent = error.message;
     setTimeout(() => refresh(view), FOLLOW_MS);
     return;
   }
   draw(view, found);
-  const follow = () => setTimeout(() => (document.hidden ? follow() : refresh(view)), FOLLOW_MS);
-  if (found.is_live) follow();
+  // a run that nobody is at work on may go on, until it has ended
+  const wait_ms = found.is_live ? FOLLOW_MS : LOOK_AGAIN_MS;
+  const follow = () => setTimeout(() => (document.hidden ? follow() : refresh(view)), wait_ms);
+  if (found.outcome === "open") follow();
 }
 
 function draw(view, found) {

@@ -5,7 +5,7 @@ import {faint} from "./colours.js";
 import {asked, duration, element, figure, moment, say} from "./texts.js";
 import {words} from "./run_words.js";
 
-const POINTS = 500, FOLLOW_MS = 2000, NS = 1e9;
+const POINTS = 500, FOLLOW_MS = 2000, LOOK_AGAIN_MS = 15000, NS = 1e9;
 const PANELS = [
   {name: "temperature", word: "temperature_command_deg_c", units: {degC: 1}},
   {name: "rate", word: "rate_command_deg_per_s", units: {"deg/s": 1, "deg/h": 1 / 3600}},
@@ -42,11 +42,14 @@ class TimeLine {
     const wasLive = this.section.dataset.live === "yes";
     this.section.dataset.live = course.is_live ? "yes" : "no";
     this.section.dataset.drawn = String(Date.now());
-    this.#again(course.is_live || wasLive);
+    this.#again(course.is_live || wasLive, course.outcome === "open");
   }
 
-  #again(is_live) {
-    if (is_live) this.timer = setTimeout(() => (document.hidden ? this.#again(true) : this.refresh()), FOLLOW_MS);
+  /** Looks again soon while a station is at work, and slowly until the run has ended: it may go on. */
+  #again(is_live, is_open = true) {
+    if (!is_live && !is_open) return;
+    const wait_ms = is_live ? FOLLOW_MS : LOOK_AGAIN_MS;
+    this.timer = setTimeout(() => (document.hidden ? this.#again(is_live, is_open) : this.refresh()), wait_ms);
   }
 
   /** Means and extremes of every instrument's signal. */

@@ -15,6 +15,7 @@ import msgspec
 
 from ingest.can.bus.columns import FrameColumns, ReceiveClock, kernel_columns, message_columns, socket_stamps
 from ingest.can.frames import EXTENDED
+from stream.decoding import msgpack_decoder
 from stream.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -201,7 +202,7 @@ class _Packed(msgspec.Struct):
 class MulticastIntake(SocketIntake):
     """Frames that python-can's udp_multicast sends: MessagePack in UDP, read without the package msgpack."""
 
-    _decoder = msgspec.msgpack.Decoder(_Packed)
+    _decoder = msgpack_decoder(_Packed)
 
     def _frames(self, payloads: Sequence[bytes], stamps_s: Any) -> FrameColumns:
         decode = self._decoder.decode

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from stream.batch import BoolArray, FloatArray
+from stream.decoding import decode_json
 from stream.errors import BadInput
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -23,7 +24,7 @@ def checked(parameters: Parameters, who: str) -> Parameters:
     """Return parameters that are finite and within their bounds."""
     try:
         # JSON has null in place of numbers that are not finite
-        return msgspec.json.decode(msgspec.json.encode(parameters), type=type(parameters))
+        return decode_json(msgspec.json.encode(parameters), type(parameters))
     except msgspec.ValidationError as error:
         raise BadInput(f"{who}: {str(error).replace('got `null`', 'got no finite number')}") from error
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 import msgspec
 
 from ingest.simulator.physics.draws import NotNegative, unit_generator
+from stream.decoding import converted
 from stream.errors import BadInput
 from stream.identity import check_name
 from stream.toml_text import decode_toml
@@ -119,7 +120,7 @@ def _unit_parameters(
 
 def _convert(tree: Any, kind: type[Settings], place: str, what: str) -> Settings:
     try:
-        return msgspec.convert(tree, kind)
+        return converted(tree, kind)
     except msgspec.ValidationError as error:
         text = str(error)
         # msgspec names no place where it is the root

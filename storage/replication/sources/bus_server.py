@@ -10,6 +10,7 @@ import msgspec
 from storage.plant import Plant
 from storage.replication.sources.folder_source import FolderSource
 from storage.replication.sources.source import CHUNK_BYTES, CarriedFile, SegmentMissing
+from stream.decoding import json_decoder
 from stream.errors import BadInput, StoreError
 from stream.identity import ROOT
 from stream.transport.zenoh_bus import ZenohBus
@@ -34,8 +35,8 @@ class After(msgspec.Struct, frozen=True):
     after: int
 
 
-_range = msgspec.json.Decoder(Range)
-_after = msgspec.json.Decoder(After)
+_range = json_decoder(Range)
+_after = json_decoder(After)
 
 
 class PlantServer:

@@ -18,6 +18,7 @@ from queue import SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
 
 from storage.sql.sandbox.landlock import allow_reading_only
+from stream.decoding import converted, decode_json
 from stream.no_pandas import hide_pandas
 
 if TYPE_CHECKING:
@@ -137,7 +138,6 @@ def _serve(
 
 
 def _catalog(setup: dict[str, Any]) -> "Catalog":
-    import msgspec
 
     from storage.manifests.part import Part
     from storage.object_lake.range_service import RangeClient
@@ -149,10 +149,10 @@ def _catalog(setup: dict[str, Any]) -> "Catalog":
         from storage.sql.fleet.fleet_catalog import FleetCatalog, PlantFile
 
         return FleetCatalog(
-            Path(setup["folder"]), msgspec.convert(setup["plants"], type=list[PlantFile]), setup["tables"],
+            Path(setup["folder"]), converted(setup["plants"], list[PlantFile]), setup["tables"],
             memory_bytes=setup["memory_bytes"],
         )  # fmt: skip
-    parts = msgspec.json.decode(setup["parts"], type=tuple[Part, ...])
+    parts = decode_json(setup["parts"], tuple[Part, ...])
     source = RangeLake(parts, RangeClient(setup["ranges"]).read) if setup["ranges"] else None
     return Catalog(
         Store(Path(setup["folder"]), setup["identity"]), parts=parts, source=source, kept=Path(setup["kept"]),

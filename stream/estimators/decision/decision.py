@@ -18,6 +18,7 @@ from typing import Any
 
 import msgspec
 
+from stream.decoding import converted
 from stream.errors import EstimatorError
 from stream.estimators.confidence import least_edf
 from stream.estimators.decision.decision_bounds import LOOKS, Bounds, bounds
@@ -45,7 +46,7 @@ class _Looks:
 
     def import_state(self, state: dict[str, Any]) -> None:
         """Take over the state of another one of the same plan."""
-        vars(self).update(state, decision=msgspec.convert(state["decision"], Decision | None))
+        vars(self).update(state, decision=converted(state["decision"], Decision | None))
 
     def _enter(self, elapsed_s: float, point: EstimatePoint | None, most: Callable[[float], int]) -> None:
         plan = self.plan

@@ -59,10 +59,10 @@ def window(served: Served) -> Iterator[Browser]:
         yield browser
 
 
-def until(look: Callable[[], Any], timeout_s: float = 90.0) -> Any:
+def until(look: Callable[[], Any], timeout_s: float = 90.0, trouble: Callable[[], object] = lambda: None) -> Any:
     deadline = time.monotonic() + timeout_s
     while not (found := look()):
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline, trouble()
         time.sleep(0.1)
     return found
 
@@ -146,7 +146,11 @@ def test_the_allan_deviation_of_chosen_units_is_followed_with_its_limit(
         assert many.status_code == 400
         assert client.get(f"/api/runs/{run}/allan", params={"unit": "U1"}).status_code == 404
     window.open(f"{served.url}/runs/{run}?show=SIM-0002&lang=zh")
-    until(lambda: window.ask("!!document.querySelector('#run-allan canvas')"))
+    section = "document.getElementById('run-allan')?.outerHTML"
+    until(
+        lambda: window.ask("!!document.querySelector('#run-allan canvas')"),
+        trouble=lambda: (window.ask(section), window.complaints()),
+    )
     checked = "[...document.querySelectorAll('input[name=show]:checked')].map(box => box.value)"
     assert window.ask(checked) == ["SIM-0002"]
     assert text(window, "#run-allan .u-legend").strip() == "SIM-0002"

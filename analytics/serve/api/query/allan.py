@@ -8,6 +8,7 @@ import msgspec
 from analytics.serve.api.operation import Call, get
 from analytics.serve.api.rows import dictionaries, iso
 from storage.sql.reading import find_signal
+from stream.decoding import decode_json
 from stream.errors import NotFound
 from stream.events import EstimatePublished
 
@@ -113,7 +114,7 @@ def _names(call: Call) -> dict[str, str]:
 
 def _noise(call: Call, of: dict[str, str]) -> dict[str, Any] | None:
     fitted = call.views.rows(_FITTED, of)
-    return msgspec.json.decode(fitted[0][0]) if fitted else None
+    return decode_json(fitted[0][0]) if fitted else None
 
 
 def _newest(of_run: EstimatePublished, of: dict[str, str]) -> Allan:

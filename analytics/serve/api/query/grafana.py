@@ -15,6 +15,7 @@ from analytics.serve.api.query.sql import SqlAsked, answered
 from analytics.serve.api.rows import moment
 from analytics.serve.doors.roles import Role
 from storage.sql.reading import find_signal
+from stream.decoding import decode_json
 from stream.errors import BadInput
 
 _SERIES = ("min", "max", "mean")
@@ -160,7 +161,7 @@ def _series(call: Call, asked: QueryAsked, target: Target, fields: dict[str, Any
 
 def _table(call: Call, fields: dict[str, Any]) -> list[dict[str, Any]]:
     asked = SqlAsked(sql=str(fields.get("sql") or ""), shape="arrays")
-    rows = msgspec.json.decode(answered(call, asked).encoded(Form.JSON).body)
+    rows = decode_json(answered(call, asked).encoded(Form.JSON).body)
     columns = [
         {"text": each["name"], "type": _GRAFANA_TYPES.get(each["type"][:3], "string")} for each in rows["columns"]
     ]
@@ -171,7 +172,7 @@ def _fields(payload: Any) -> dict[str, Any]:
     """Parts of a query: an object, or one as text."""
     if isinstance(payload, str) and payload.strip():
         try:
-            payload = msgspec.json.decode(payload)
+            payload = decode_json(payload)
         except msgspec.DecodeError:
             return {"target": payload}
     return payload if isinstance(payload, dict) else {}

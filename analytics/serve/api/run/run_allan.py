@@ -69,6 +69,7 @@ class RunAllan(msgspec.Struct, frozen=True, kw_only=True):
     signal: str
     signals: list[str]
     is_live: bool
+    outcome: str
     units: list[UnitCurve]
 
 
@@ -85,7 +86,9 @@ def run_allan(call: Call, asked: RunAllanAsked) -> RunAllan:
     signal = asked.signal or next((each for each in signals if each == "rate"), signals[0] if signals else "")
     units = asked.unit or _first(call, course, signal)
     curves = [_curve(call, course, unit, signal) for unit in dict.fromkeys(units)]
-    return RunAllan(run=course.run, signal=signal, signals=signals, is_live=course.is_live, units=curves)
+    return RunAllan(
+        run=course.run, signal=signal, signals=signals, is_live=course.is_live, outcome=course.outcome, units=curves
+    )
 
 
 def _signals(call: Call, course: RunCourse, units: tuple[str, ...]) -> list[str]:

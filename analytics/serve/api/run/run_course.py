@@ -11,6 +11,7 @@ from analytics.serve.api.rows import dictionaries, iso
 from analytics.serve.live.course import Heard, OfCourse
 from storage.recording.run_command import withdrawn_commands
 from storage.recording.status_board import read_statuses
+from stream.decoding import decode_json
 from stream.errors import NotFound
 from stream.events import (
     Limit,
@@ -186,7 +187,7 @@ def _told(call: Call, run: str) -> _Told:
     of = {"run": run}
     heard = []
     for row in dictionaries(call.views, _DOCUMENTS, of):
-        document = msgspec.json.decode(row["document"], type=OfCourse)
+        document = decode_json(row["document"], OfCourse)
         heard.append(Heard(row["arrival_ns"], Place(row["site"], row["station"]), document))
     return _Told(heard, dictionaries(call.views, _STEPS, of), dictionaries(call.views, _MEASURED, of))
 
@@ -207,7 +208,7 @@ def _steps(told: list[dict[str, Any]], fresh: list[Heard], *, is_live: bool) -> 
     rows: dict[str, tuple[StepWords, int, int]] = {}  # open ones by uid: words, start, weight
     done: list[tuple[StepWords, int, int | None, str, int]] = []
     for row in told:
-        words = msgspec.json.decode(row["words"], type=StepWords)
+        words = decode_json(row["words"], StepWords)
         if row["outcome"] == "open":
             rows |= dict.fromkeys(row["open"], (words, row["t_start_ns"], 1))
         else:

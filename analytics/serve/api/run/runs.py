@@ -7,6 +7,7 @@ import msgspec
 from analytics.metric_registry.registry import alike
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, Views, dictionaries, iso, page_of
+from stream.decoding import decode_json
 from stream.errors import NotFound
 
 _RUN = """
@@ -202,7 +203,7 @@ def run(call: Call, asked: RunAsked) -> RunDocument:
     units, has_more = page_of([RunUnit(**each) for each in dictionaries(call.fresh, _UNITS, given)], asked.limit)
     steps = dictionaries(call.fresh, _STEPS, {"run": name, "unit": asked.unit})
     documents = [
-        each | {"document": msgspec.json.decode(each["document"]), "time": iso(each["t_ns"])}
+        each | {"document": decode_json(each["document"]), "time": iso(each["t_ns"])}
         for each in dictionaries(call.fresh, _DOCUMENTS, {"run": name})
     ]
     counts = call.fresh.rows(_COUNTS, {"run": name, "after": "", "rows": 2**31})

@@ -15,6 +15,7 @@ from joserfc.jwk import KeySet
 
 from analytics.serve.doors.login_file import LoginFile, OidcSettings, is_safe_url
 from analytics.serve.doors.oidc.oidc_problem import OidcProblem
+from stream.decoding import converted
 
 _TIMEOUT_S = 5.0
 _FRESH_S = 3600.0
@@ -139,7 +140,7 @@ class OidcProvider:
     def _checked(self) -> Metadata:
         uri = f"{self._oidc.issuer.rstrip('/')}/.well-known/openid-configuration"
         try:
-            found = msgspec.convert(self._json(uri), Metadata)
+            found = converted(self._json(uri), Metadata)
         except msgspec.ValidationError as error:
             raise OidcProblem("unreachable", f"{uri} does not describe a provider: {error}") from error
         if found.issuer != self._oidc.issuer:

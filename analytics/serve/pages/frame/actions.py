@@ -17,6 +17,7 @@ from analytics.serve.api.unit import diagnosis
 from analytics.serve.doors.admission import admitted, check_change
 from analytics.serve.doors.origin import local_path
 from analytics.serve.service import Service
+from stream.decoding import converted
 from stream.errors import BadInput, NotFound
 
 ACTIONS: dict[str, Operation[Any, Any]] = {
@@ -53,7 +54,7 @@ async def act(request: Request, *, service: Service) -> Response:
     path = {name.removeprefix(_OF_PATH): value for name, value in fields.items() if name.startswith(_OF_PATH)}
     given = {name: each for name, each in fields.items() if name not in _APART and not name.startswith(_OF_PATH)}
     try:
-        asked = msgspec.convert(given, operation.asked, strict=False)
+        asked = converted(given, operation.asked, strict=False)
     except msgspec.ValidationError as error:
         raise BadInput(f"the form is not complete: {error}") from error
 
