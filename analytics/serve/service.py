@@ -34,6 +34,7 @@ from stream.status.reporter import StatusReporter
 from stream.status.role_status import RoleStatus, new_status
 
 _METRICS_LOOK_S = 0.05
+_MOST_OF_UNITS = 500
 _COMMANDS_AT_ONCE, _COMMAND_EVERY_S = 6, 5.0
 Result = TypeVar("Result")
 
@@ -52,6 +53,8 @@ class Service:
     slow: Threads for metrics and long computations, so that they hold up nobody else.
     command_tries: How often a person may command stations.
     logins: Threads for passwords and providers, so that a crowd of logins holds up no page.
+    memo: What many requests need, kept as long as it is the version's.
+    of_units: The same of single units, of which many are looked at.
     nonce: Distinguishes the ETags of this process from those of one before it.
     requests: How many were answered.
     changed: How many changes people have made here; what is shared is not older than the last one.
@@ -66,6 +69,7 @@ class Service:
     is_on_loopback: bool
     jobs: Jobs = field(default_factory=Jobs)
     memo: Memo = field(default_factory=Memo)
+    of_units: Memo = field(default_factory=lambda: Memo(_MOST_OF_UNITS))
     cache: AnswerCache = field(default_factory=AnswerCache)
     fast: anyio.CapacityLimiter = field(default_factory=lambda: _threads(4))
     slow: anyio.CapacityLimiter = field(default_factory=lambda: _threads(2))

@@ -14,7 +14,7 @@ import msgspec
 from analytics.serve.metrics_process import LARGE_SAMPLES, MetricsProcess
 from storage.manifests.lake import MANIFEST, read_manifest
 from storage.manifests.part import Part
-from storage.sql.catalog import Catalog, NotKept
+from storage.sql.catalog import Catalog, NotKept, layers
 from storage.store import Store
 from stream.closing import Closing
 
@@ -36,7 +36,13 @@ SERVED = {
       from internal.lake_documents where kind = 'UnitReleased'""",
 }
 
-# documents that these are made of
+# those that are made of documents alone, of these kinds
+SERVED_OF = {
+    "served_units": ("RunStarted", "UnitMounted"),
+    "served_verdicts": ("VerdictGiven",),
+    "served_releases": ("UnitReleased",),
+}
+# documents that all of them are made of
 SERVED_KINDS = (
     "RunStarted", "RunResumed", "RunEnded", "StationStated", "UnitMounted", "UnitReleased", "VerdictGiven",
 )  # fmt: skip
@@ -48,14 +54,16 @@ Shared = TypeVar("Shared", bound=Closing)
 class LakeState:
     """A version of the lake; `tag` names it, also with the documents that specifications and models are read from.
 
-    `log_version` is that of the rows beside it that only the log has, `entered` counts those documents, `seen_ns` is
-    when it was first seen. `metrics` is the version whose metrics are shown with it, None if none are open.
+    `log_version` is that of the rows beside it that only the log has, `log_documents` that of the documents among them,
+    `entered` counts those documents that change limits, checks or models, `seen_ns` is when it was first seen.
+    `metrics` is the version whose metrics are shown with it, None if none are open.
     """
 
     tag: str
     number: int
     parts: tuple[Part, ...]
     log_version: int = 0
+    log_documents: int = 0
     entered: str = ""
     seen_ns: int = 0
     metrics: "LakeState | None" = None
@@ -63,7 +71,14 @@ class LakeState:
     @property
     def lake(self) -> "LakeState":
         """The version of the lake by itself."""
-        return replace(self, log_version=0, metrics=None) if self.log_version or self.metrics else self
+        if not (self.log_version or self.metrics):
+            return self
+        return replace(self, log_version=0, log_documents=0, metrics=None)
+
+    @property
+    def documents_tag(self) -> str:
+        """Names the documents of the lake and of the log: what follows from these alone is kept by it."""
+        return f"{self.tag}-{self.log_documents}"
 
     @property
     def is_behind(self) -> bool:
@@ -241,7 +256,8 @@ class SharedLake(Closing):
     def _opened_filled(self, state: LakeState, *, frozen: bool) -> Catalog:
         catalog = Catalog(self.store, parts=state.parts, frozen=frozen)
         try:
-            catalog.fill()
+            # what they stand on is defined with them; other views when a page first names one
+            catalog.fill([table for layer in layers() for table in layer.tables])
         except BaseException:
             catalog.close()
             raise

@@ -88,8 +88,8 @@ class Warming(Closing):
 
     def newest(self) -> LakeState:
         """The newest version; StoreError if the manifest of the lake is damaged."""
-        state = self._lake.state()
-        return replace(state, log_version=self._live.log_version, metrics=self._metrics_of(state))
+        state, (documents, rows) = self._lake.state(), self._live.log_versions
+        return replace(state, log_version=rows, log_documents=documents, metrics=self._metrics_of(state))
 
     def _metrics_of(self, state: LakeState) -> LakeState | None:
         """The version whose metrics are shown with one: its own, or those before it while they take long."""

@@ -156,7 +156,7 @@ class Catalog(Closing):
         """Let the views on the lake wait for a statement that names them; most that see live rows need none of them."""
         if not self._has_views:
             self._has_views = True
-            defer_views(self._deferred, self._connection)
+            defer_views(self._deferred, self._connection.cursor)
 
     def define_views(self) -> None:
         """Define the views on the lake now."""
@@ -204,12 +204,15 @@ class Catalog(Closing):
         return self._tables.stored(name)
 
     def overlay(
-        self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str]
-    ) -> Overlay:
+        self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str],
+        same: Collection[str] = (),
+    ) -> Overlay:  # fmt: skip
         """Its views with further rows of channels and events, as long as it is open; see `Overlay`."""
-        self.define_views()
+        with self._defining:
+            self._add_views()
+            self._deferred.define(["lake_channels"])
         with reading_lake(self.store):
-            return Overlay(self._connection, name, channels, events, kept, kinds)
+            return Overlay(self._connection, name, channels, events, kept, kinds, same)
 
     def fill(self, tables: Collection[str] = ()) -> None:
         """Compute the tables of all layers now, and define all views; only these tables if some are given."""

@@ -3,6 +3,7 @@
 Unlike the live tables of users' statements nothing is read from the log here: who follows it gives the rows.
 """
 
+import threading
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
@@ -10,8 +11,9 @@ import duckdb
 import pyarrow as pa
 
 from storage.lake.tables import TABLES
+from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.sandbox.guard import plain_message
-from storage.sql.views import define_views
+from storage.sql.views import defer_views
 from stream.closing import Closing
 from stream.errors import QueryError
 
@@ -46,6 +48,9 @@ insert into internal.{name} from {lake}.{name} where run not in (from internal.l
 class Overlay(Closing):
     """The views of a catalogue's lake with more rows; read by any thread.
 
+    Views that the tables `kept` do not need are defined when a statement first names them: most of those who have a
+    version of the log opened need none of them.
+
     Parameters
     ----------
     connection: Of the catalogue, which stays open as long as this.
@@ -54,17 +59,20 @@ class Overlay(Closing):
     events: Rows of the table of events.
     kept: Tables of the schema `internal` of the catalogue, each made by a statement on the views, with a column `run`.
     kinds: Of documents that those statements need: without the others they are made in a fraction of the time.
+    same: Those of the tables `kept` that the further rows do not change.
     """
 
     def __init__(
         self, connection: duckdb.DuckDBPyConnection, name: str, channels: pa.Table, events: pa.Table,
-        kept: Mapping[str, str], kinds: Collection[str],
+        kept: Mapping[str, str], kinds: Collection[str], same: Collection[str] = (),
     ) -> None:  # fmt: skip
         self._connection, self._name = connection, name
         with connection.cursor() as cursor:  # requests ask through other ones meanwhile
             ((database,),) = cursor.execute("select current_database()").fetchall()
             cursor.execute(f"attach ':memory:' as {name}")
         lake = f"{database}.internal"
+        self._deferred = DeferredDefinitions(self._define)
+        self._defining = threading.Lock()
         try:
             with self._cursor() as cursor:
                 cursor.register("live_channels_rows", channels)
@@ -72,8 +80,14 @@ class Overlay(Closing):
                 cursor.execute(_OF_RUNS.format(lake=lake, kinds="('" + "', '".join(kinds) + "')"))
                 for table in TABLES.keys() - {"channels", "events"}:
                     cursor.execute(f"create view internal.lake_{table} as from {lake}.lake_{table}")
-                define_views(cursor)
+                defer_views(self._deferred, self._cursor)
+                self._deferred.define(["lake_channels"])  # a table, which gets those of other runs below
+                for table in same:
+                    cursor.execute(f"create view internal.{table} as from {lake}.{table}")
                 for table, statement in kept.items():
+                    if table in same:
+                        continue
+                    self._deferred.define(words_of(statement))
                     cursor.execute(_KEPT.format(name=table, statement=statement, lake=lake))
                 cursor.execute(_WHOLE.format(lake=lake))
         except BaseException:
@@ -85,9 +99,15 @@ class Overlay(Closing):
         cursor.execute(f"set search_path = '{self._name}.main'")
         return cursor
 
+    def _define(self, sql: str) -> None:
+        with self._cursor() as cursor:
+            cursor.execute(sql)
+
     def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:
         """The batches of a result of one of the project's own reading statements."""
         try:
+            with self._defining:
+                self._deferred.define(words_of(sql))
             with self._cursor() as cursor:
                 yield from cursor.sql(sql, params=parameters).to_arrow_reader(100_000)
         except (duckdb.Error, pa.ArrowException, OSError) as error:

@@ -19,6 +19,15 @@ from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
 
 _ROWS = 122_880  # DuckDB's row group
+_RECORDS = "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () from signals s"
+_LONGEST = f"""
+{_RECORDS} left join runs r on r.run = s.run where s.unit = $unit and s.signal = $signal
+order by s.t_last_ns - s.t_first_ns desc,
+  case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc,
+  s.arrival_first_ns desc, s.t_first_ns desc limit 1
+"""
+# which has nothing to choose, and asks nothing of the runs
+_OF_RUN = f"{_RECORDS} where s.unit = $unit and s.signal = $signal and s.run = $run"
 
 
 @dataclass(frozen=True)
@@ -51,15 +60,8 @@ def find_signal(catalog: Asked, unit: str, signal: str, run: str | None = None) 
 
     A run of unknown date counts as measured when it was recorded. NotFound lists what the store holds.
     """
-    rows = catalog.rows(
-        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () "
-        "from signals s left join runs r on r.run = s.run "
-        "where s.unit = $unit and s.signal = $signal and (s.run = $run or $run is null) "
-        "order by s.t_last_ns - s.t_first_ns desc, "
-        "case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc, "
-        "s.arrival_first_ns desc, s.t_first_ns desc limit 1",
-        {"unit": unit, "signal": signal, "run": run},
-    )
+    given = {"unit": unit, "signal": signal} | ({} if run is None else {"run": run})
+    rows = catalog.rows(_LONGEST if run is None else _OF_RUN, given)
     if not rows:
         _check_held(catalog, "unit", unit, "", {})
         _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})

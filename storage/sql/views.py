@@ -1,7 +1,7 @@
 """The views of a store, over the tables of the schema `internal` that their statements name."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.resources import files
@@ -35,11 +35,11 @@ def define_views(connection: duckdb.DuckDBPyConnection) -> None:
     connection.execute(_stored_conversions(connection))
 
 
-def defer_views(deferred: DeferredDefinitions, connection: duckdb.DuckDBPyConnection) -> None:
-    """Let the same views and macros wait for a statement that names them."""
+def defer_views(deferred: DeferredDefinitions, cursor_of: Callable[[], duckdb.DuckDBPyConnection]) -> None:
+    """Let the same views and macros wait for a statement that names them; `cursor_of` gives one of their database."""
 
     def conversions() -> str:
-        with connection.cursor() as cursor:
+        with cursor_of() as cursor:
             return _stored_conversions(cursor)
 
     for script in view_scripts():

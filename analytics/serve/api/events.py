@@ -97,11 +97,17 @@ def list_events(call: Call, asked: EventsAsked) -> Events:
     }
     given["who"] = given.pop("by")  # a word of SQL
     rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _PAGE, given)], asked.limit)
-    kinds = {str(kind): int(n) for kind, n in call.fresh.rows(_KINDS)}
     following = {name: getattr(asked, name) for name in names} | {"from": asked.from_, "to": asked.to}
     after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
     next_page = link("api", "events", limit=asked.limit, after=after, **following) if has_more else None
-    return Events(events=rows, kinds=kinds, next=next_page)
+    return Events(events=rows, kinds=kinds_of(call), next=next_page)
+
+
+def kinds_of(call: Call) -> dict[str, int]:
+    """How many documents the store has of each kind."""
+    key = ("kinds", call.state.documents_tag)
+    rows: list[tuple[str, int]] = call.service.memo.result(key, lambda: call.fresh.rows(_KINDS))
+    return {str(kind): int(n) for kind, n in rows}
 
 
 class UnitAudit(msgspec.Struct, frozen=True, kw_only=True):
@@ -116,10 +122,13 @@ class UnitAudit(msgspec.Struct, frozen=True, kw_only=True):
 def unit_audit(call: Call, asked: Paged) -> UnitAudit:
     """What happened to a unit: who did what when, its runs, mountings, verdicts, models; the latest first."""
     unit = call.path["unit"]
-    unit_row(call, unit)
+    about = unit_row(call, unit)
     at, uid = _cursor(asked.after)
     given = {"unit": unit, "at": at, "uid": uid, "rows": asked.limit + 1}
-    rows, has_more = page_of([_row(each) for each in dictionaries(call.fresh, _AUDIT, given)], asked.limit)
+    # it changes with the documents, and with the runs that the unit has samples of
+    key = ("audit", *given.values(), call.state.documents_tag, about.runs, about.last_run)
+    found = call.service.of_units.result(key, lambda: [_row(row) for row in dictionaries(call.fresh, _AUDIT, given)])
+    rows, has_more = page_of(found, asked.limit)
     after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
     next_page = link("api", "units", unit, "audit", limit=asked.limit, after=after) if has_more else None
     return UnitAudit(unit=unit, events=rows, next=next_page)

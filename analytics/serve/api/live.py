@@ -26,6 +26,7 @@ from stream.terminal.console import json_text
 _MOST_LISTENERS = 1000
 _MOST_OF_ONE = 200
 _LONGEST_S = 3600.0
+_SHARED_S = 0.25
 _RETRY, _SILENCE = b"retry: 2000\n\n", b": \n\n"
 
 
@@ -73,11 +74,11 @@ class UnitFloor(msgspec.Struct, frozen=True, kw_only=True):
     estimates: list[dict[str, Any]]
 
 
-@get("/api/floor", is_kept=False, shared_s=0.25)
+@get("/api/floor", is_kept=False, shared_s=_SHARED_S)
 def floor(call: Call, asked: Nothing) -> FloorDocument:
     """All units on the floor as they are now; /api/live has the changes from this version on."""
     del asked
-    return converted(call.service.live.document(), FloorDocument, strict=False)
+    return converted(call.service.live.document(_SHARED_S), FloorDocument, strict=False)
 
 
 @get("/api/floor/{unit}", is_kept=False)

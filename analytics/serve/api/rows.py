@@ -59,7 +59,7 @@ def iso(t_ns: int | None) -> str | None:
     if t_ns is None:
         return None
     seconds, rest = divmod(t_ns, 10**9)
-    text = datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    text = datetime.fromtimestamp(seconds, UTC).isoformat()[:19]  # without its zone
     return f"{text}.{rest:09d}".rstrip("0") + "Z" if rest else f"{text}Z"
 
 

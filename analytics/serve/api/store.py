@@ -147,16 +147,22 @@ def store(call: Call, asked: Nothing) -> StoreDocument:
     folder = call.store.folder
     verified = call.service.jobs.last("verify")
     usage = shutil.disk_usage(folder)
-    notes = [row | {"time": iso(row["t_ns"])} for row in dictionaries(call.views, _NOTES)]
+    delivery, clocks, notes = call.service.memo.result(("store", call.state.tag), lambda: _of_lake(call))
     return StoreDocument(
         store=folder.resolve().name, identity=call.store.identity, is_written=writer_is_active(folder),
         writer=writer_endpoint(folder), log=_log(call.store), lake=_lake(call.store),
         disk=DiskRow(total_bytes=usage.total, free_bytes=usage.free), segments=_segments(call.store),
-        delivery=[DeliveryRow(**row) for row in dictionaries(call.views, _DELIVERY)], counters=_counters(call.store),
-        clocks=dictionaries(call.views, _CLOCKS), notes=notes,
+        delivery=delivery, counters=_counters(call.store), clocks=clocks, notes=notes,
         verified=None if verified is None else result_of(verified),
         verified_ns=None if verified is None else verified.ended_ns,
     )  # fmt: skip
+
+
+def _of_lake(call: Call) -> tuple[list[DeliveryRow], list[dict[str, Any]], list[dict[str, Any]]]:
+    """Delivery, clocks and notes: they change with the lake alone."""
+    delivery = [DeliveryRow(**row) for row in dictionaries(call.views, _DELIVERY)]
+    notes = [row | {"time": iso(row["t_ns"])} for row in dictionaries(call.views, _NOTES)]
+    return delivery, dictionaries(call.views, _CLOCKS), notes
 
 
 def _log(store: Store) -> LogRow:

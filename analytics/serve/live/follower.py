@@ -40,6 +40,7 @@ class FloorFollower(Closing):
     def __init__(self, store: Store) -> None:
         self.floor, self.rows, self.tail, self.course = Floor(), FloorRows(), LiveTail(), LiveCourse()
         self.fresh = LiveRows()
+        self._document: tuple[Floor | None, float, dict[str, Any]] = (None, 0.0, {})  # the last one, and since when
         self.lag_s = 0.0
         self.problem: str | None = None
         self._store = store
@@ -54,11 +55,19 @@ class FloorFollower(Closing):
         self._thread = threading.Thread(target=self._follow, args=(lake, tell), daemon=True, name="floor")
         self._thread.start()
 
-    def document(self) -> dict[str, Any]:
-        """The floor now; waits for the first one."""
+    def document(self, most_s: float = 0.0) -> dict[str, Any]:
+        """The floor now, or as it was at most so many seconds ago; waits for the first one.
+
+        It is shared by those who ask: nobody changes it.
+        """
         self._is_filled.wait(_FILLED_WITHIN_S)
         with self._lock:
-            return self.rows.document(self.floor) | {"problem": self.problem, "lag_s": round(self.lag_s, 3)}
+            now_s = time.monotonic()
+            floor, made_s, document = self._document
+            if floor is not self.floor or now_s - made_s > most_s:
+                document = self.rows.document(self.floor)
+                self._document = self.floor, now_s, document
+            return document | {"problem": self.problem, "lag_s": round(self.lag_s, 3)}
 
     @contextmanager
     def unit(self, name: str) -> Iterator[UnitNow | None]:
@@ -75,9 +84,10 @@ class FloorFollower(Closing):
             return dict(sorted(Counter(unit.so_far or "OPEN" for unit in units).items())) if units else None
 
     @property
-    def log_version(self) -> int:
-        """Grows as channels and documents come that the lake does not have."""
-        return self.fresh.version
+    def log_versions(self) -> tuple[int, int]:
+        """Numbers that grow as documents come that the lake does not have, and as channels or documents do."""
+        with self._lock:
+            return self.fresh.documents, self.fresh.version
 
     def beyond(self, in_lake: Collection[str]) -> RowTables:
         """Rows of what a version of the lake does not have; waits until the log has been read once."""
@@ -120,7 +130,7 @@ class FloorFollower(Closing):
         tell(document["version"], "floor", json_text(document).encode())
         self._is_filled.set()
         told_s = published_s = 0.0
-        rows = LiveRows(self.fresh.version + 1)
+        rows = LiveRows(self.fresh.version + 1, self.fresh.documents + 1)
         with LogFollower(self._store, state.segments) as messages:
             while not self._ends.is_set():
                 began_s = time.monotonic()

@@ -6,9 +6,10 @@ from contextlib import ExitStack
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from analytics.serve.live.follower import FloorFollower
-from analytics.serve.shared_lake import SERVED, SERVED_KINDS, LakeState, SharedLake
+from analytics.serve.shared_lake import SERVED, SERVED_KINDS, SERVED_OF, LakeState, SharedLake
 from storage.sql.catalog import Catalog
 from storage.sql.overlay import Overlay
 from stream.closing import Closing
@@ -28,8 +29,11 @@ class FreshViews(Closing):
             catalog = stack.enter_context(lake.views.lease(state.lake))
             self._views: Catalog | Overlay = catalog
             if channels.num_rows or events.num_rows:
+                kinds = set(pc.unique(events.column("kind")).to_pylist())
+                # without such a document they are the lake's
+                same = [name for name, own in SERVED_OF.items() if kinds.isdisjoint(own)]
                 name = f"log_{next(_numbers)}"
-                self._views = stack.enter_context(catalog.overlay(name, channels, events, SERVED, SERVED_KINDS))
+                self._views = stack.enter_context(catalog.overlay(name, channels, events, SERVED, SERVED_KINDS, same))
             self._leases = stack.pop_all()
 
     def batches(self, sql: str, parameters: object = None) -> Iterator[pa.RecordBatch]:

@@ -31,11 +31,12 @@ class RowTables(NamedTuple):
 class LiveRows:
     """Keeps the rows of segments until the lake has them, by the rules by which the lake is built.
 
-    `version` grows when there are new ones, as often as `publish` is called. For one thread at a time.
+    `version` grows when there are new ones, as often as `publish` is called, `documents` when there are new documents.
+    For one thread at a time.
     """
 
-    def __init__(self, version: int = 0) -> None:
-        self.version = version
+    def __init__(self, version: int = 0, documents: int = 0) -> None:
+        self.version, self.documents = version, documents
         self._channels: dict[str, dict[tuple[object, ...], ChannelRow]] = {}  # by segment
         self._events: dict[str, list[pa.Table]] = {}
         self._new_events: dict[str, list[dict[str, Any]]] = {}  # not columns yet
@@ -70,6 +71,7 @@ class LiveRows:
 
     def publish(self) -> None:
         """Let requests see what has come since."""
+        self.documents += bool(self._new_events)
         self.version += self._has_news
         self._has_news = False
         for segment, rows in self._new_events.items():

@@ -16,6 +16,6 @@ def store(call: Call, asked: Nothing) -> dict[str, Any]:
         "found": api.store(call, asked),
         "jobs": jobs,
         "alerts": alerts.list_alerts(call, alerts.AlertsAsked()).alerts,
-        "kinds": events.list_events(call, events.EventsAsked(limit=1)).kinds,
+        "kinds": events.kinds_of(call),
         "data": "/api/store",
     }

@@ -75,6 +75,14 @@ def allan(call: Call, asked: AllanAsked) -> Allan:
     of = _names(call)
     if asked.source == "stored" and (known := known_allan(call)) is not None:
         return known
+    # the lake's, so that it is not computed again for every message that the log gets
+    key = ("allan of samples", *of.values(), call.state.tag)
+    found: Allan = call.service.memo.result(key, lambda: _of_lake(call, of))
+    return found
+
+
+def _of_lake(call: Call, of: dict[str, str]) -> Allan:
+    """The curve of all samples in the lake."""
     from analytics.curves.allan_curve import allan_curve
 
     record = find_signal(call.views, of["unit"], of["signal"], of["run"])

@@ -1,5 +1,7 @@
 """Certificates of a unit, and their files as they were issued."""
 
+from typing import TYPE_CHECKING
+
 import msgspec
 
 from analytics.serve.answer_cache import Answer
@@ -7,6 +9,9 @@ from analytics.serve.api.encoding import Form
 from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import iso
 from stream.errors import NotFound
+
+if TYPE_CHECKING:
+    from analytics.certificate.record import Certificates
 
 
 class CertificateRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,9 +51,9 @@ class CertificatePdf(msgspec.Struct, frozen=True, kw_only=True):
 
 def certificates_of(call: Call, unit: str) -> list[CertificateRow]:
     """The certificates of a unit, the latest first; documents without the seal of the store are none."""
-    from analytics.certificate.record import file_of, logged_certificates
+    from analytics.certificate.record import file_of
 
-    known = logged_certificates(call.store, call.fresh)
+    known = _logged(call)
     rows = []
     for each in known.issued:
         if each.unit != unit:
@@ -68,14 +73,23 @@ def certificates_of(call: Call, unit: str) -> list[CertificateRow]:
     return rows[::-1]
 
 
+def _logged(call: Call) -> "Certificates":
+    """All certificates, those of all units found once for each version of the documents."""
+    from analytics.certificate.record import logged_certificates
+
+    key = ("certificates", call.state.documents_tag)
+    found: Certificates = call.service.memo.result(key, lambda: logged_certificates(call.store, call.fresh))
+    return found
+
+
 @get("/api/certificates/{number}/pdf", is_kept=False)
 def certificate_pdf(call: Call, asked: Nothing) -> CertificatePdf:
     """The PDF of an issued certificate, byte for byte."""
-    from analytics.certificate.record import file_of, logged_certificates, sha256_of
+    from analytics.certificate.record import file_of, sha256_of
 
     del asked
     number = call.path["number"]
-    known = logged_certificates(call.store, call.fresh).by_number(number)
+    known = _logged(call).by_number(number)
     if known is None:
         raise NotFound(f"no certificate {number!r} is issued by this store")
     path = file_of(call.store, number)

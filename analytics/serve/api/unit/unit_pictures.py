@@ -32,23 +32,26 @@ order by b.t_ns nulls last, m.run
 _ALLAN = """
 select e.run, e.tau_s, e.value, e.lo, e.hi, e.unit_of_measure, e.final
 from estimates e join (
-  select run, max(t_first_ns) as t_ns from signals where unit = $unit and signal = $signal group by run
+  select run, max(t_first_ns) as t_ns from internal.served_signals
+  where unit = $unit and signal = $signal group by run
 ) s using (run)
 where e.unit = $unit and e.signal = $signal and e.estimator = 'allan_deviation' and e.tau_s is not null
 qualify e.t_ns = max(e.t_ns) over (partition by e.run)
 order by s.t_ns desc, e.run, e.tau_s
 """
-_RUNS = "select count(distinct run) as n from signals where unit = $unit and signal = $signal"
 _SIGNALS = """
-select s.signal, any_value(s.unit_of_measure) as unit_of_measure, count(distinct e.run) as curves
-from signals s left join (
-  select distinct unit, signal, run from estimates where unit = $unit and estimator = 'allan_deviation'
-) e on e.signal = s.signal where s.unit = $unit group by s.signal order by s.signal
+select s.signal, any_value(s.unit_of_measure) as unit_of_measure, count(distinct s.run) as runs,
+  coalesce(any_value(e.curves), 0) as curves
+from internal.served_signals s left join (
+  select signal, count(distinct run) as curves from internal.lake_estimates
+  where unit = $unit and estimator = 'allan_deviation' group by signal
+) e using (signal) where s.unit = $unit group by s.signal order by s.signal
 """
 _STEPS = """
 select run, step, temperature, bias, standard_uncertainty from temperature_curve
 where unit = $unit and signal = $signal order by run, temperature
 """
+_WITH_STEPS = "select distinct unit from temperature_curve"
 # 10 s means at rest by temperature; buckets in which the table turns, or is commanded to, are left out
 _SWEEPS = """
 with rate as (
@@ -136,9 +139,10 @@ def unit_allan(call: Call, asked: OfSignal) -> Picture:
     signal = _signal_of(call, asked.signal)
     given = {"unit": unit, "signal": signal}
     by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in dictionaries(call.views, _ALLAN, given):
+    known = _signals(call).get(signal)
+    for row in dictionaries(call.views, _ALLAN, given) if known is not None and known["curves"] else ():
         by_run[row["run"]].append(row)
-    runs = call.views.rows(_RUNS, given)[0][0]
+    runs = 0 if known is None else known["runs"]
     measure = next(iter(by_run.values()))[0]["unit_of_measure"] if by_run else ""
     curves = [
         Curve(
@@ -167,11 +171,14 @@ def unit_temperature(call: Call, asked: OfSignal) -> Picture:
     """Output of a unit at rest over temperature: bias of static steps, 10 s means of runs whose temperature moves."""
     unit = call.path["unit"]
     signal = _signal_of(call, asked.signal)
-    known = {row["signal"]: row["unit_of_measure"] for row in dictionaries(call.views, _SIGNALS, {"unit": unit})}
+    known = {name: row["unit_of_measure"] for name, row in _signals(call).items()}
     measure, factor = report_unit(known.get(signal, ""))
     curves: list[Curve] = []
     by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in dictionaries(call.metrics, _STEPS, {"unit": unit, "signal": signal}):
+    with_steps = call.service.memo.result(
+        ("with steps", call.metrics_tag), lambda: frozenset(name for (name,) in call.metrics.rows(_WITH_STEPS))
+    )
+    for row in dictionaries(call.metrics, _STEPS, {"unit": unit, "signal": signal}) if unit in with_steps else ():
         by_run[row["run"]].append(row)
     curves += [_steps(Label(f"{run}: steps", f"{run}：步骤"), rows) for run, rows in by_run.items() if len(rows) > 1]
     if alone := [rows[0] for rows in by_run.values() if len(rows) == 1]:
@@ -230,9 +237,20 @@ def _signal_of(call: Call, asked: str) -> str:
     unit_row(call, unit)
     if asked:
         return asked
-    known = dictionaries(call.views, _SIGNALS, {"unit": unit})
+    known = list(_signals(call).values())
     known.sort(key=lambda row: (not is_angular_rate(row["unit_of_measure"]), not row["curves"], row["signal"]))
     return known[0]["signal"] if known else ""
+
+
+def _signals(call: Call) -> dict[str, dict[str, Any]]:
+    """Signals of the unit in the lake, with how many runs they are of, and in how many of these they were estimated."""
+    unit = call.path["unit"]
+
+    def find() -> dict[str, dict[str, Any]]:
+        return {row["signal"]: row for row in dictionaries(call.views, _SIGNALS, {"unit": unit})}
+
+    found: dict[str, dict[str, Any]] = call.service.of_units.result(("signals", unit, call.state.tag), find)
+    return found
 
 
 def _kind(row: dict[str, Any]) -> str:

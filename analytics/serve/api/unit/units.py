@@ -36,18 +36,13 @@ select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, m.
 from recorded r full join mounted m using (unit) left join given g using (unit)
 left join (select run, time_zone from internal.served_runs) z on z.run = coalesce(r.last_run, m.run)
 """
-_PAGE = f"""
-select * from ({_UNITS}) where unit > $after and contains(lower(unit), lower($search))
-  and ($product = '' or product = $product) and ($lot = '' or lot = $lot)
-  and ($instruments or not is_instrument)
-  and ($station = '' or station = $station) and ($verdict = '' or coalesce(verdict, '') = $verdict)
-order by unit limit $rows
-"""  # noqa: S608  our own statement
 _RUNS = """
 select r.run, r.station, r.procedure, r.outcome, u.slot, u.lot, u.product, coalesce(s.signals, []) as signals,
   case when r.date_known then epoch_ns(r.started) end as started_ns,
   case when r.date_known then epoch_ns(r.ended) end as ended_ns, r.duration_s, r.time_zone, g.verdict
-from (select run, list(signal order by signal) as signals from signals where unit = $unit group by run) s
+from (
+  select run, list(signal order by signal) as signals from internal.served_signals where unit = $unit group by run
+) s
 full join (select * from internal.served_units where unit = $unit) u using (run)
 join internal.served_runs r using (run)
 left join (select run, verdict from internal.served_verdicts where unit = $unit) g using (run)
@@ -133,15 +128,11 @@ class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/units", table="units", sees_log=True)
 def list_units(call: Call, asked: UnitsAsked) -> Units:
     """All units by name: their product, lot, last run and its verdict."""
-    given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
-    del given["limit"]
-    rows = [_unit_row(row) for row in dictionaries(call.fresh, _PAGE, given)]
-    units, has_more = page_of(rows, asked.limit)
-    every = _PAGE.replace("select *", "select count(*) as n", 1).replace("order by unit limit $rows", "")
-    del given["rows"]
-    (count,) = dictionaries(call.fresh, every, given | {"after": ""})
+    found = [unit for unit in _all_units(call).values() if _is_asked(unit, asked)]
+    rows, has_more = page_of([row for row in found if row["unit"] > asked.after], asked.limit)
+    units = [_unit_row(row) for row in rows]
     parameters = msgspec.to_builtins(asked) | {"after": units[-1].unit if units else None}
-    return Units(units=units, count=count["n"], next=link("api", "units", **parameters) if has_more else None)
+    return Units(units=units, count=len(found), next=link("api", "units", **parameters) if has_more else None)
 
 
 @get("/api/units/{unit}", table="metrics", is_slow=True, sees_log=True)
@@ -150,7 +141,7 @@ def unit(call: Call, asked: Nothing) -> UnitDocument:
     del asked
     name = call.path["unit"]
     # the lake's, so that they are not computed again for every message that the log gets
-    found = call.service.memo.result(("unit", name, call.metrics_tag), lambda: _judged(call, name))
+    found = call.service.of_units.result(("unit", name, call.metrics_tag), lambda: _judged(call, name))
     return _document(call, name, found)
 
 
@@ -180,9 +171,13 @@ def _judged(call: Call, name: str) -> dict[str, Any]:
     key = ("judged", call.metrics_tag)
     every = call.service.memo.result(key, lambda: verdicts_of(call.metrics, with_values=False))
     verdict = next((row for row in every.units if row["unit"] == name), None)
-    has_steps = bool(call.metrics.rows("select 1 from unit_metrics where unit = $unit limit 1", {"unit": name}))
+    with_metrics = call.service.memo.result(
+        ("with metrics", call.metrics_tag),
+        lambda: frozenset(unit for (unit,) in call.metrics.rows("select distinct unit from unit_metrics")),
+    )
+    rows = selected(call.metrics, Selection(units=(name,))) if name in with_metrics else []
     return {
-        "metrics": [_named(row) for row in selected(call.metrics, Selection(units=(name,)))] if has_steps else [],
+        "metrics": [_named(row) for row in rows],
         "verdict": verdict,
         "verdicts": [_named(row) for row in values_of(call.metrics, [name])] if verdict else [],
         "warnings": [row for row in every.warnings if row["unit"] == name] if verdict else [],
@@ -190,11 +185,8 @@ def _judged(call: Call, name: str) -> dict[str, Any]:
 
 
 def unit_row(call: Call, name: str) -> UnitRow:
-    """A unit; NotFound names similar ones. All are found once for each version: one takes as long."""
-    key = ("units", call.state.tag, call.state.log_version)
-    every: dict[str, dict[str, Any]] = call.service.memo.result(
-        key, lambda: {row["unit"]: row for row in dictionaries(call.fresh, f"from ({_UNITS}) order by unit")}
-    )
+    """A unit; NotFound names similar ones."""
+    every = _all_units(call)
     if name not in every:
         raise NotFound(f"unit {name!r} is not in the store; {alike(name, list(every), 'units are')}")
     return _unit_row(every[name])
@@ -202,6 +194,28 @@ def unit_row(call: Call, name: str) -> UnitRow:
 
 def _unit_row(row: dict[str, Any]) -> UnitRow:
     return UnitRow(**row, recorded=iso(row["recorded_ns"]))
+
+
+def _all_units(call: Call) -> dict[str, dict[str, Any]]:
+    """Units by name, in order. All are found once for each version: one takes as long."""
+
+    def find() -> dict[str, dict[str, Any]]:
+        rows = dictionaries(call.fresh, f"from ({_UNITS}) order by unit")
+        return {row["unit"]: row for row in rows if row["unit"]}
+
+    found: dict[str, dict[str, Any]] = call.service.memo.result(("units", call.state.tag, call.state.log_version), find)
+    return found
+
+
+def _is_asked(row: dict[str, Any], asked: UnitsAsked) -> bool:
+    return (
+        asked.search.lower() in row["unit"].lower()
+        and (asked.instruments or not row["is_instrument"])
+        and asked.product in ("", row["product"])
+        and asked.lot in ("", row["lot"])
+        and asked.station in ("", row["station"])
+        and asked.verdict in ("", row["verdict"])
+    )
 
 
 def _named(row: dict[str, Any]) -> dict[str, Any]:
