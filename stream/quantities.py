@@ -3,6 +3,7 @@
 import difflib
 import math
 import re
+import threading
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -48,12 +49,18 @@ _KNOWN = {
     "deg/(h)**0.5": _Known("angle random walk"),
 }  # fmt: skip
 
+_one_defines = threading.Lock()
 # to pint these are numbers, or numbers per second, all alike
 _NUMBERS = {"angle", "angular rate", "count", "frequency", "ratio", "share"}
 
 
-@cache
 def _registry() -> "pint.UnitRegistry[float]":
+    with _one_defines:  # quantities of two registries do not mix
+        return _defined()
+
+
+@cache
+def _defined() -> "pint.UnitRegistry[float]":
     import pint
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)

@@ -3,8 +3,8 @@
 What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
 files, signals and end; only the start, one to three seconds of importing, is that of the server
 (``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked from the command's, but
-where its time or memory is limited, or the command is a server, which has threads. A few tests start the installed
-program itself.
+where its time or memory is limited, or the command is a server, which has threads; so are those of a simulated station.
+A few tests start the installed program itself.
 """
 
 import array
@@ -39,6 +39,7 @@ _WANTED = (
     "ingest.can.plan",
     "ingest.importing.importer",
     "ingest.procedures.run_steps",
+    "ingest.simulator.processes",
     "ingest.station.station",
     "ingest.tables.file",
     "matplotlib.pyplot",
@@ -136,40 +137,65 @@ class ForkedProcess(subprocess.Popen[str]):
             os.close(given)
 
 
-class ForkedSqlProcess(subprocess.Popen[bytes]):
-    """The process of `storage.sql.sandbox.child`, forked from one that has its libraries loaded."""
+class ForkedModule(subprocess.Popen[Any]):
+    """A process of a module of the program, forked from one that has its libraries loaded."""
 
     def _execute_child(self, *parts: Any) -> None:
         assert len(parts) == _PARTS, f"Popen of Python {sys.version} hands {len(parts)} parts on, not {_PARTS}"
-        assert parts[0][-1] == "storage.sql.sandbox.child", parts[0]
+        main = _MAINS[parts[0][parts[0].index("-m") + 1]]
         ends = (parts[10], parts[13], parts[15])
         others = (parts[11], parts[12], parts[14])
         self.pid = os.fork()
         if self.pid == 0:
-            import numba
-
-            from storage.sql.sandbox import child
-            from stream import compiled
-
-            vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
-            vars(compiled)["_IS_DISABLED"] = True
+            if parts[21]:
+                os.setsid()
             for number, end in enumerate(ends):
-                os.dup2(end, number)
+                if end != -1:
+                    os.dup2(end, number)
             for end in {*ends, *others} - {-1}:
                 os.close(end)
+            code = 1
             try:
-                child.main()
+                main(parts[0])
+                code = 0
+            except SystemExit as end_:
+                code = int(end_.code or 0)
             except BaseException:  # noqa: BLE001  printed as the interpreter would
                 traceback.print_exc()
             finally:
-                sys.stderr.flush()
-                os._exit(1)
+                for file in (sys.stdout, sys.stderr):
+                    file.flush()
+                os._exit(code)
         self._child_created = True
-        for end in ends:
+        for end in {*ends} - {-1}:
             os.close(end)
 
 
+def _answer_statements(_: list[str]) -> None:
+    import numba
+
+    from storage.sql.sandbox import child
+    from stream import compiled
+
+    vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
+    vars(compiled)["_IS_DISABLED"] = True
+    child.main()
+    raise SystemExit(1)
+
+
+def _play(words: list[str]) -> None:
+    from ingest.simulator import processes
+
+    vars(processes)["_PARENT"] = os.getppid()
+    sys.argv = ["-m", *words[words.index("-m") + 2 :]]
+    processes.main()
+
+
+_MAINS = {"storage.sql.sandbox.child": _answer_statements, "ingest.simulator.processes": _play}
+
+
 def _serve(path: str) -> None:
+    import ingest.commands.simulate
     import storage.sql.door
     from gyrofleet import front_door
     from stream.compiled import Kernel
@@ -203,9 +229,10 @@ def _serve(path: str) -> None:
                 line.close()
                 server.close()
                 _become(request, files)
+                forking = SimpleNamespace(**{**vars(subprocess), "Popen": ForkedModule})
                 if not {"--max-time", "--max-memory", "serve"}.intersection(request["arguments"]):
-                    forking = SimpleNamespace(**{**vars(subprocess), "Popen": ForkedSqlProcess})
                     vars(storage.sql.door)["subprocess"] = forking
+                vars(ingest.commands.simulate)["subprocess"] = forking
                 sys.argv = ["gyrofleet", *request["arguments"]]
                 front_door()
             os.waitpid(between, 0)
