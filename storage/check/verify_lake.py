@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from storage.store import Store
 from stream.errors import StoreError
 
 _SETTLED_WITHIN_S = 60.0
+_HASHED_AT_ONCE = 2
 
 
 class LakeProblem(NamedTuple):
@@ -72,16 +74,20 @@ def _problems(store: Store, sound: dict[str, descriptions.Part]) -> Iterator[Lak
         yield LakeProblem("", manifests.MANIFEST, str(error), remedy)
         manifest = manifests.Manifest(parts=tuple(manifests.found_parts(store)))
     seen: set[str] = set()
-    for part in manifest.parts:
-        if sound.get(part.name) != part:
-            found = list(_part_problems(store, part))
-            yield from found
-            if not found:
-                sound[part.name] = part
-        again = seen.intersection(part.segments)
-        if again:
-            yield _problem(part, manifests.MANIFEST, f"segments {', '.join(sorted(again))} are in another part as well")
-        seen.update(part.segments)
+    with ThreadPoolExecutor(_HASHED_AT_ONCE) as pool:
+        unknown = [part for part in manifest.parts if sound.get(part.name) != part]
+        checked = {id(part): pool.submit(lambda each: list(_part_problems(store, each)), part) for part in unknown}
+        for part in manifest.parts:
+            if id(part) in checked:
+                found = checked[id(part)].result()
+                yield from found
+                if not found:
+                    sound[part.name] = part
+            again = seen.intersection(part.segments)
+            if again:
+                what = f"segments {', '.join(sorted(again))} are in another part as well"
+                yield _problem(part, manifests.MANIFEST, what)
+            seen.update(part.segments)
 
 
 def repair_lake(store: Store) -> Iterator[LakeProblem]:

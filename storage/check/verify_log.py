@@ -2,21 +2,24 @@
 
 import time
 from collections.abc import Callable, Mapping, MutableMapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from uuid import UUID
 
+from storage.check.ahead import ahead
+from storage.check.continued_messages import ContinuedMessages
 from storage.findings import Finding, Severity
 from storage.log.files import sealed_segments, unknown_files
 from storage.log.recovery import left_open, reached_in
-from storage.log.sequence import DOCUMENTS, LostStretch, SequenceCheck, place_of
+from storage.log.sequence import DOCUMENTS, LogPlace, LostStretch, SequenceCheck, place_of
 from storage.log.store_documents import is_foreign
 from storage.log.tail import open_records
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.lake import read_manifest
 from storage.manifests.log import manifest_path, read_log_manifest
 from storage.segments.disk import sha256_of
-from storage.segments.reader import SegmentScan, read_segment
+from storage.segments.reader import SegmentScan, read_chunks, spans_in
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store, writer_is_active
 from stream.errors import GyrofleetError, OutOfMemory, StoreError
@@ -69,14 +72,18 @@ def verify_log(store: Store, progress: Callable[[float], None] | None = None) ->
     state = LogState(store.identity)
     sealed = _verify_manifest(store, state)
     done, size = 0, max(1, sum(path.stat().st_size for path in sealed))
-    for path in sealed:
-        before = dict(state.check.next_seq)
-        if not _verify_segment(path, state):
-            state.damaged.append(path)
-            state.before[path.name] = before
-        done += path.stat().st_size
-        if progress is not None:
-            progress(done / size)
+    continued = ContinuedMessages(state.check)
+    with ThreadPoolExecutor(1) as beside:  # hashes the next segment while one is read
+        hashes = [beside.submit(sha256_of, path) for path in sealed[:1]]
+        for number, path in enumerate(sealed):
+            hashes += [beside.submit(sha256_of, each) for each in sealed[number + 1 : number + 2]]
+            before = dict(state.check.next_seq)
+            if not _verify_segment(path, state, hashes[number].result, continued):
+                state.damaged.append(path)
+                state.before[path.name] = before
+            done += path.stat().st_size
+            if progress is not None:
+                progress(done / size)
     if writer_is_active(store.folder):
         for record in open_records(store):  # in which a recorder documents what it has recovered
             _read_document(record, state, is_reported=False)
@@ -134,28 +141,27 @@ def _has_parts(store: Store) -> bool:
         return True
 
 
-def _verify_segment(path: Path, state: LogState) -> bool:
+def _verify_segment(path: Path, state: LogState, hashed: Callable[[], str], continued: ContinuedMessages) -> bool:
     entry = state.entries.get(path.name)
-    reasons = []
     if entry is None:
         what = "sealed, but not in the manifest"
         state.add("segment_unlisted", Severity.UNFINISHED, str(path), what, "read it whole and list it")
-    elif path.stat().st_size != entry.size:
-        reasons.append(f"{path.stat().st_size:,} bytes instead of {entry.size:,}")
-    elif sha256_of(path) != entry.sha256:
-        reasons.append("its SHA-256 is not that of the manifest")
-    samples = messages = 0
+    reasons = [] if entry is None else _differences(path, entry, hashed)
+    counted = _Counted()
     try:
-        for record in read_segment(path) if not reasons else SegmentScan(path, sealed=True):
-            samples += _follow(record, state)
-            messages += 1
-    except StoreError as error:
-        if not reasons:
-            reasons.append(str(error))
+        if reasons:
+            for record in SegmentScan(path, sealed=True):
+                counted.add(_follow(record, state))
+        else:
+            _follow_segment(path, state, counted, continued)
     except OutOfMemory:
         raise  # nothing is known of the segment
     except GyrofleetError as error:
-        reasons.append(f"it holds a message that cannot be read: {error}")
+        if not isinstance(error, StoreError):
+            reasons.append(f"it holds a message that cannot be read: {error}")
+        elif not reasons:
+            reasons.append(str(error))
+    samples, messages = counted.samples, counted.messages
     # a salvaged segment has marks of what its streams had reached
     for stream, next_seq in reached_in(path).items():
         state.check.reach(stream, next_seq)
@@ -170,11 +176,57 @@ def _verify_segment(path: Path, state: LogState) -> bool:
     return not reasons
 
 
+def _differences(path: Path, entry: SegmentEntry, hashed: Callable[[], str]) -> list[str]:
+    """What of a segment differs from its entry, by its size or hash."""
+    size = path.stat().st_size
+    if size != entry.size:
+        return [f"{size:,} bytes instead of {entry.size:,}"]
+    return [] if hashed() == entry.sha256 else ["its SHA-256 is not that of the manifest"]
+
+
+@dataclass
+class _Counted:
+    """What of a segment has been followed."""
+
+    messages: int = 0
+    samples: int = 0
+
+    def add(self, samples: int) -> None:
+        self.messages += 1
+        self.samples += samples
+
+
+def _follow_segment(path: Path, state: LogState, counted: _Counted, continued: ContinuedMessages) -> None:
+    """Follow the messages of an undamaged segment; those that continue their streams in the bytes of its chunks."""
+    channels: dict[int, tuple[str, str]] = {}
+    continued.drop_stale()
+    follow = continued.follow
+    messages = samples = 0
+    try:
+        for content in ahead(read_chunks(path)):
+            for topic, schema, arrival_ns, publish_ns, begin, end, _ in spans_in(path, content, channels):
+                found = follow(topic, content, begin, end)
+                if not found:
+                    continued.settle(topic)
+                    record = LogRecord(topic, schema, arrival_ns, publish_ns, content[begin:end])
+                    place = place_of(record)
+                    if place is not None:
+                        found = _follow_at(record, place, state)
+                        continued.expect(record, place)
+                samples += found
+                messages += 1
+    finally:
+        continued.settle_all()
+        counted.messages, counted.samples = messages, samples
+
+
 def _follow(record: LogRecord, state: LogState) -> int:
     """Add a message; returns its number of samples."""
     place = place_of(record)
-    if place is None:
-        return 0
+    return 0 if place is None else _follow_at(record, place, state)
+
+
+def _follow_at(record: LogRecord, place: LogPlace, state: LogState) -> int:
     state.check.follow(place)
     _read_document(record, state)
     return place.samples

@@ -107,6 +107,11 @@ class SequenceCheck:
         self._last_ns[stream] = place.last_ns
         return True
 
+    def skip_to(self, stream: StreamId, next_seq: int, last_ns: int) -> None:
+        """Take that messages, each the next one, have been followed up to a number and the time of its last sample."""
+        self.next_seq[stream] = next_seq
+        self._last_ns[stream] = last_ns
+
     def reach(self, stream: StreamId, next_seq: int) -> None:
         """Take from another source that a stream has reached a number."""
         expected = self.next_seq.get(stream, 0)

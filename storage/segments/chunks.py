@@ -101,6 +101,51 @@ def next_chunk(content: Buffer, position: int, end: int) -> int | None:
     return None
 
 
+MessageSpan = tuple[str, str, int, int, int, int, int]
+"""Topic, schema and both times of a message, where its data begin and end in a chunk, the number of its channel."""
+
+
+def spans_of(
+    content: bytes, channels: dict[int, tuple[str, str]], own: dict[int, Channel] | None = None
+) -> list[MessageSpan]:
+    """Places of the messages in a chunk's content; adds its channels to `channels` and `own`.
+
+    Raises a ValueError, and adds nothing, if the content is none, although its checksum holds.
+    """
+    found: list[MessageSpan] = []
+    add = found.append
+    names, fresh = dict(channels), {}
+    position, end = 0, len(content)
+    unpack, frame, head = MESSAGE.unpack_from, FRAME.unpack_from, MESSAGE.size
+    opcode_of_messages = int(Opcode.MESSAGE)
+    try:
+        while position < end:
+            if content[position] == opcode_of_messages:
+                _, length, number, _, log_time, publish_time = unpack(content, position)
+                after = position + FRAME.size + length
+                if after < position + head:
+                    raise ValueError("it is shorter than its head")
+                topic, schema = names[number]
+                add((topic, schema, log_time, publish_time, position + head, after, number))
+                position = after
+                continue
+            opcode, length = frame(content, position)
+            after = position + FRAME.size + length
+            if opcode == Opcode.CHANNEL:
+                channel = _channel(content[position + FRAME.size : after])
+                names[channel.id] = _topic(channel)
+                fresh[channel.id] = channel
+            position = after
+    except (McapError, struct.error, KeyError, ValueError, MemoryError, OverflowError) as error:
+        raise ValueError(f"the record at byte {position} of a chunk cannot be read: {error}") from error
+    if position != end:
+        raise ValueError(f"the last record of a chunk ends {position - end:,} bytes beyond it")
+    channels.update((number, names[number]) for number in fresh)
+    if own is not None:
+        own.update(fresh)
+    return found
+
+
 def messages_of(
     content: bytes, channels: dict[int, tuple[str, str]], index: ChannelIndex | None = None,
     summary: SegmentSummary | None = None,
@@ -109,40 +154,19 @@ def messages_of(
 
     Raises a ValueError, and adds nothing, if the content is none, although its checksum holds.
     """
-    found: list[LogRecord] = []
-    places: list[tuple[int, int, int]] = []  # channel, time and place of each message
     own: dict[int, Channel] = {}
-    position, end = 0, len(content)
-    unpack, frame, head = MESSAGE.unpack_from, FRAME.unpack_from, MESSAGE.size
-    try:
-        while position < end:
-            opcode, length = frame(content, position)
-            after = position + FRAME.size + length
-            if opcode == Opcode.MESSAGE:
-                _, _, number, _, log_time, publish_time = unpack(content, position)
-                if after < position + head:
-                    raise ValueError("it is shorter than its head")
-                topic, schema = _topic(own[number]) if number in own else channels[number]
-                found.append(LogRecord(topic, schema, log_time, publish_time, content[position + head : after]))
-                places.append((number, log_time, position))
-            elif opcode == Opcode.CHANNEL:
-                channel = _channel(content[position + FRAME.size : after])
-                _topic(channel)
-                own[channel.id] = channel
-            position = after
-    except (McapError, struct.error, KeyError, ValueError, MemoryError, OverflowError) as error:
-        raise ValueError(f"the record at byte {position} of a chunk cannot be read: {error}") from error
-    if position != end:
-        raise ValueError(f"the last record of a chunk ends {position - end:,} bytes beyond it")
-    channels.update((number, _topic(channel)) for number, channel in own.items())
+    spans = spans_of(content, channels, own)
     if index is not None:
         for number in own:
             index.setdefault(number, [])
-        for number, log_time, place in places:
-            index.setdefault(number, []).extend((log_time, place))
+        for _, _, arrival_ns, _, begin, _, number in spans:
+            index.setdefault(number, []).extend((arrival_ns, begin - MESSAGE.size))
         if summary is not None:
             summary.channels.update(own)
-    return found
+    return [
+        LogRecord(topic, schema, arrival_ns, publish_ns, content[begin:end])
+        for topic, schema, arrival_ns, publish_ns, begin, end, _ in spans
+    ]
 
 
 def _topic(channel: Channel) -> tuple[str, str]:

@@ -15,7 +15,17 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata
 
-from storage.segments.chunks import Buffer, Chunk, chunk_at, frame_at, is_plain, messages_of, next_chunk
+from storage.segments.chunks import (
+    Buffer,
+    Chunk,
+    MessageSpan,
+    chunk_at,
+    frame_at,
+    is_plain,
+    messages_of,
+    next_chunk,
+    spans_of,
+)
 from storage.segments.records import (
     CHECKSUM,
     FRAME,
@@ -87,22 +97,47 @@ def _marks_in(content: Buffer) -> dict[str, str] | None:
 def read_segment(path: Path) -> Iterator[LogRecord]:
     """Messages of a sealed segment in their order, every CRC checked; StoreError if it is damaged."""
     channels: dict[int, tuple[str, str]] = {}
+    for content in read_chunks(path):
+        with _damage_of(path):
+            found = messages_of(content, channels)
+        yield from found
+
+
+def read_chunks(path: Path) -> Iterator[bytes]:
+    """Contents of the chunks of a sealed segment in their order, every CRC checked; StoreError if it is damaged."""
+    with _damage_of(path), _mapped(path) as content:
+        end = _end_of_data(content)
+        position, summed, crc = len(MAGIC), 0, 0
+        while position < end:
+            opcode, length = FRAME.unpack_from(content, position)
+            after = position + FRAME.size + length
+            if opcode == Opcode.CHUNK:
+                chunk = chunk_at(content, position, end)
+                if chunk is None:
+                    raise ValueError(f"the chunk at byte {position} is damaged")
+                crc, summed = zlib.crc32(content[summed:after], crc), after  # once for a chunk: thousands of indexes
+                yield chunk.content
+            position = after
+        if position != end or zlib.crc32(content[summed:end], crc) != _crc_at(content, end):
+            raise ValueError("the CRC of its data does not match")
+
+
+def _crc_at(content: Buffer, end: int) -> int:
+    """CRC of the data section, which ends there."""
+    return int(struct.unpack_from("<I", content, end + FRAME.size)[0])
+
+
+def spans_in(path: Path, content: bytes, channels: dict[int, tuple[str, str]]) -> list[MessageSpan]:
+    """Places of the messages in the content of a segment's chunk; StoreError if it has none."""
+    with _damage_of(path):
+        return spans_of(content, channels)
+
+
+@contextmanager
+def _damage_of(path: Path) -> Iterator[None]:
+    """Report damage of a segment."""
     try:
-        with _mapped(path) as content:
-            end = _end_of_data(content)
-            position, crc = len(MAGIC), zlib.crc32(MAGIC)
-            while position < end:
-                opcode, length = FRAME.unpack_from(content, position)
-                after = position + FRAME.size + length
-                if opcode == Opcode.CHUNK:
-                    chunk = chunk_at(content, position, end)
-                    if chunk is None:
-                        raise ValueError(f"the chunk at byte {position} is damaged")
-                    yield from messages_of(chunk.content, channels)
-                crc = zlib.crc32(content[position:after], crc)
-                position = after
-            if position != end or crc != struct.unpack_from("<I", content, end + FRAME.size)[0]:
-                raise ValueError("the CRC of its data does not match")
+        yield
     except (*_DAMAGE, OSError) as error:
         raise StoreError(
             f"segment {path} is damaged ({type(error).__name__}: {error}); `gyrofleet recover` saves its "
