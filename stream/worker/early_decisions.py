@@ -19,6 +19,7 @@ from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EarlyDecision, EstimatePoint, EstimatePublished, Limit, LimitsApplied
 from stream.quantities import conversion
 from stream.worker.limit_checks import ALLAN_DEVIATION, ANGLE_RANDOM_WALK, estimator_key
+from stream.worker.recent_samples import RecentSamples
 
 _SAME = 1e-6
 _STEPS = OVERLAP
@@ -67,7 +68,8 @@ class EarlyDecisions:
     estimated.
 
     Limits on one record of the run (`LimitsApplied.since_ns`) have `estimators` of their own, which see the samples of
-    that record only, from `since_ns` on. A record that is begun again replaces the one before it.
+    that record only, from `since_ns` on, also those that came a little before the limits. A record that is begun again
+    replaces the one before it.
     """
 
     def __init__(self, signal: str) -> None:
@@ -77,6 +79,7 @@ class EarlyDecisions:
         self._tests: dict[int, AllanDecision | BiasStabilityDecision] = {}
         self._exact: dict[int, _ExactTau] = {}
         self._next: LimitsApplied | None = None
+        self._recent = RecentSamples()
         self.since_ns: int | None = None
         self.estimators: list[PointEstimator] = []
 
@@ -86,6 +89,8 @@ class EarlyDecisions:
             return
         if limits.since_ns is not None:
             self._next = limits if limits.since_ns != self.since_ns else None
+            for batch in self._recent.since(limits.since_ns) if self._next else ():
+                self._take(batch)
         elif self._planned_s is None:
             self._planned_s = limits.planned_s
             self._set(self._own(limits))
@@ -104,6 +109,10 @@ class EarlyDecisions:
 
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal."""
+        self._recent.add(batch)
+        self._take(batch)
+
+    def _take(self, batch: SampleBatch) -> None:
         for part in self._of_record(batch) if self._limits or self._next else ():
             for estimator in self.estimators:
                 estimator.update(part)
@@ -206,6 +215,7 @@ class EarlyDecisions:
             "tests": tests, "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
             "since_ns": self.since_ns, "estimators": [take_snapshot(estimator) for estimator in self.estimators],
             "next": None if self._next is None else msgspec.json.encode(self._next),
+            "recent": self._recent.export_state(),
         }  # fmt: skip
 
     @classmethod
@@ -218,6 +228,7 @@ class EarlyDecisions:
         decisions.estimators = [each for each in restored if each.has_points]
         following = state.get("next")
         decisions._next = None if following is None else decode_json(following, LimitsApplied)
+        decisions._recent.import_state(state.get("recent", ()))
         for number, saved in state["tests"].items():
             decisions._begin(int(number), converted(saved["plan"], DecisionPlan))
             decisions._tests[int(number)].import_state(saved["state"])

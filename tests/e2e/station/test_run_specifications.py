@@ -115,7 +115,7 @@ def check_documents(kept: Kept, gyrofleet: Gyrofleet) -> None:
         value = values[unit, metrics[characteristic]]
         assert value["verdict"] == check["verdict"]
         # of the same samples; averages begin with the record in the one, with the second of the clock in the other
-        tolerance = 0.15 if characteristic == "bias_stability" else 0.02
+        tolerance = 0.15 if characteristic == "bias_stability" else 1e-9
         assert value["value"] == pytest.approx(check["value"], rel=tolerance)
 
 

@@ -10,6 +10,7 @@ from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import default_estimators
 from stream.events import (
     AnyDocument,
+    Check,
     EarlyDecision,
     Limit,
     LimitsApplied,
@@ -63,9 +64,11 @@ class Worker:
     def now_ns(self) -> int:
         return self._samples * SECOND_NS // RATE_HZ
 
-    def record(self, *limits: Limit, planned_s: float = 600.0, unit: str | None = "U1") -> None:
-        """Limits on the record that begins now."""
-        now_ns = self.now_ns
+    def record(
+        self, *limits: Limit, planned_s: float = 600.0, unit: str | None = "U1", since_ns: int | None = None
+    ) -> None:
+        """Limits on the record that begins now, or began."""
+        now_ns = self.now_ns if since_ns is None else since_ns
         self.send(
             LimitsApplied(
                 run="r1", t_ns=now_ns, revision="R", limits=limits, planned_s=planned_s, unit=unit, since_ns=now_ns
@@ -138,6 +141,30 @@ def test_limits_apply_to_the_unit_that_they_name() -> None:
     assert (verdict.unit, verdict.verdict) == ("U2", Verdict.NO_DATA)
     assert verdict.checks[0].reason == "no bias_stability_1s of signal rate was published"
     assert worker.decided() == []
+
+
+@pytest.mark.parametrize("late_s", [1.0, 7.0, 60.0, 400.0])
+@pytest.mark.parametrize("is_restarted", [False, True])
+@pytest.mark.parametrize("is_second", [False, True], ids=["first record", "begun again"])
+def test_limits_that_come_after_samples_of_their_record_are_on_the_whole_of_it(
+    late_s: float, is_restarted: bool, is_second: bool
+) -> None:
+    """A recorder passes samples and documents on in no order; at a hundred times real time a second is 100 s."""
+
+    def checks(late_s: float) -> list[Check]:
+        worker, late = Worker(), round(late_s * RATE_HZ)
+        if is_second:
+            worker.record(STABILITY, ALLAN)
+        worker.samples(WARM_UP)
+        since_ns = worker.now_ns
+        worker.samples(QUIET[:late])
+        if is_restarted:
+            worker.restart()
+        worker.record(STABILITY, ALLAN, since_ns=since_ns)
+        worker.samples(QUIET[late:])
+        return list(worker.verdict().checks)
+
+    assert checks(late_s) == checks(0.0)
 
 
 @pytest.mark.parametrize("at", [0, 1500, 3000, 4500, 8000])
