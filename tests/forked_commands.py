@@ -23,6 +23,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+# variable of the environment with other limits of a server's statements, the fields of `QueryLimits` in JSON
+SERVER_LIMITS = "GYROFLEET_TESTS_SERVER_LIMITS"
 _PR_SET_CHILD_SUBREAPER = 36
 _MOST_BYTES = 1 << 20
 _PARTS = 23
@@ -233,6 +235,9 @@ def _serve(path: str) -> None:
                 if not {"--max-time", "--max-memory", "serve"}.intersection(request["arguments"]):
                     vars(storage.sql.door)["subprocess"] = forking
                 vars(ingest.commands.simulate)["subprocess"] = forking
+                if limits := request["env"].get(SERVER_LIMITS):
+                    pool = sys.modules["analytics.serve.sql_pool"].SqlPool
+                    pool.__init__.__defaults__ = (storage.sql.door.QueryLimits(**json.loads(limits)),)
                 sys.argv = ["gyrofleet", *request["arguments"]]
                 front_door()
             os.waitpid(between, 0)

@@ -23,13 +23,14 @@ from storage.sql.door import QueryLimits, SqlDoor
 from storage.store import Store
 from stream.errors import QueryError
 from tests.analytics.serve.conftest import TOKEN, start
-from tests.forked_commands import CommandServer
+from tests.forked_commands import SERVER_LIMITS, CommandServer
 from tests.storage.sql_corpus import oversized
 
 CORPUS = Path(__file__).parents[1] / "storage" / "sql" / "hostile.jsonl"
 OF_FILE, OF_ENVIRONMENT = "s3cr3t-of-a-file", "s3cr3t-of-the-environment"
 LIMITS = QueryLimits(time_s=2.0, memory_bytes=256 << 20, rows=100_000)
 PATIENCE_S = 20.0  # for a statement of 2 s, on a machine at work on other things
+PARTS = 4  # of the corpus, to be asked beside each other: each command is a process and starts another
 PROGRAMS = 20  # who may ask 60 statements each at once
 
 
@@ -184,8 +185,9 @@ def test_command_line(room: Room, run_command: Callable[..., Any]) -> None:
 
 
 @pytest.mark.long
-def test_command_line_all(room: Room, run_command: Callable[..., Any]) -> None:
-    by_command(room, run_command, corpus())
+@pytest.mark.parametrize("part", range(PARTS))
+def test_command_line_all(room: Room, run_command: Callable[..., Any], part: int) -> None:
+    by_command(room, run_command, corpus()[part::PARTS])
 
 
 class Asking:
@@ -210,7 +212,10 @@ class Asking:
 def asking(room: Room, command_server: CommandServer) -> Iterator[Asking]:
     tokens = [add_program(room.folder / "users.toml", f"p{number}", Role.APPROVER) for number in range(PROGRAMS)]
     words = ("--store", "S", "--port", 0, "--token", TOKEN, "--users", "users.toml")
-    process, ready = start(command_server, *words, cwd=room.folder)
+    # its own 30 s would be waited for sixty times; what a statement does to the server at those, test_sql_api asks
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(SERVER_LIMITS, json.dumps(LIMITS._asdict()))
+        process, ready = start(command_server, *words, cwd=room.folder)
     found = Asking(ready["url"], [TOKEN, *tokens])
     yield found
     found.close()
@@ -224,15 +229,13 @@ def over_http(room: Room, asking: Asking, statements: list[Hostile], *, page: bo
         sql, begun = room.filled(hostile.sql), time.monotonic()
         if page:
             answer = asking.post("/sql", data={"sql": sql}, headers={"Accept": "text/html"})
-            is_answered = answer.status_code == 200 and "<table" in answer.text.partition("<form")[2]
+            is_answered = 'id="result-title"' in answer.text
         else:
             answer = asking.post("/api/sql", json={"sql": sql, "rows": 1000})
             is_answered = answer.status_code == 200
         assert answer.status_code < 500, (hostile, answer.text[:500])
         assert answer.status_code != 429, hostile
-        limit = hostile if not page or hostile.outcome == "bounded" else hostile._replace(outcome="bounded")
-        # the pages' own limits of time are those of the server, 30 s
-        room.check(limit, is_answered, answer.text[: 1 << 20], min(time.monotonic() - begun, PATIENCE_S - 1.0))
+        room.check(hostile, is_answered, answer.text[: 1 << 20], time.monotonic() - begun)
     room.check_unchanged()
 
 

@@ -19,8 +19,12 @@ _WIDTHS = 4.0
 
 @pytest.fixture
 def station(tmp_path: Path, simulated: Callable[..., Bench]) -> Iterator[Bench]:
-    """Ten times real time: a busy machine starts and stops the table late, and rests are shorter by that."""
-    found = simulated(tmp_path / "imu", "--units", 1, "--device", "imu", "--speed", 10)
+    """Five times real time: a busy machine starts and stops the table late, and rests are shorter by that.
+
+    Seven signals at 100 Hz are 3500 frames a second, each a message of Python on both sides; where those come late, so
+    do the turns that they tell of.
+    """
+    found = simulated(tmp_path / "imu", "--units", 1, "--device", "imu", "--speed", 5)
     yield found
     finish(found)
 
