@@ -26,7 +26,6 @@ from typing import Any
 # variable of the environment with other limits of a server's statements, the fields of `QueryLimits` in JSON
 SERVER_LIMITS = "GYROFLEET_TESTS_SERVER_LIMITS"
 _PR_SET_CHILD_SUBREAPER = 36
-_MOST_BYTES = 1 << 20
 _PARTS = 23
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
@@ -131,7 +130,9 @@ class ForkedProcess(subprocess.Popen[str]):
         files = [own if given == -1 else given for own, given in ((0, into), (1, out), (2, err))]
         with socket.socket(socket.AF_UNIX) as line:
             line.connect(self._server)
-            socket.send_fds(line, [json.dumps(request).encode()], files)
+            message = json.dumps(request).encode()
+            socket.send_fds(line, [len(message).to_bytes(8, "little")], files)
+            line.sendall(message)
             self.pid = int.from_bytes(line.recv(8), "little")
             line.recv(1)  # ends when the process between has ended: not before is this one the parent
         self._child_created = True
@@ -247,8 +248,9 @@ def _serve(path: str) -> None:
 
 
 def _received(line: socket.socket) -> tuple[dict[str, Any], list[int]]:
-    message, files, _, _ = socket.recv_fds(line, _MOST_BYTES, 3)
-    request: dict[str, Any] = json.loads(message)
+    size, files, _, _ = socket.recv_fds(line, 8, 3)
+    with line.makefile("rb") as stream:  # a statement of tens of kilobytes comes in parts
+        request: dict[str, Any] = json.loads(stream.read(int.from_bytes(size, "little")))
     return request, list(array.array("i", files))
 
 
