@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from functools import cached_property
 
 from stream.batch import SampleBatch
 from stream.errors import EstimatorError, WireError
@@ -9,10 +10,11 @@ from stream.wire.batches import decode_batch, encode_batch
 
 # documents are behind samples by what a recorder takes to pass them on: 4 s at 1 kHz, 20 s at 200 Hz
 _KEPT = 4096
+_DERIVED = tuple(name for name, value in vars(SampleBatch).items() if isinstance(value, cached_property))
 
 
 class RecentSamples:
-    """The batches that have the last `kept` samples, and no samples before those.
+    """The last `kept` samples, as batches.
 
     >>> from uuid import UUID
     >>> import numpy as np
@@ -31,24 +33,27 @@ class RecentSamples:
         self._samples = 0
 
     def add(self, batch: SampleBatch) -> None:
-        """Take in the next batch of the signal."""
-        n = len(batch)
-        # a part, since a whole batch would keep the times and values that estimators have derived from it
-        self._batches.append(batch.part(max(0, n - self._kept), n))
-        self._samples += min(n, self._kept)
-        while (excess := self._samples - self._kept) > 0:
-            first = self._batches.popleft()
-            if excess < len(first):
-                self._batches.appendleft(first.part(excess, len(first)))
-            self._samples -= min(excess, len(first))
+        """Take in the next batch; what was derived from it, its times and values, is let go."""
+        for name in _DERIVED:
+            vars(batch).pop(name, None)
+        self._batches.append(batch)
+        self._samples += len(batch)
+        while self._samples - len(self._batches[0]) >= self._kept:
+            self._samples -= len(self._batches.popleft())
 
     def since(self, t_ns: int) -> Iterator[SampleBatch]:
         """Batches with samples at or after a time; they may have some before it as well."""
-        return (batch for batch in tuple(self._batches) if batch.last_ns >= t_ns)
+        return (batch for batch in self._last() if batch.last_ns >= t_ns)
+
+    def _last(self) -> list[SampleBatch]:
+        if (excess := self._samples - self._kept) <= 0:
+            return list(self._batches)
+        first, *others = self._batches
+        return [first.part(excess, len(first)), *others]
 
     def export_state(self) -> list[bytes]:
         """The state, in plain values."""
-        return [encode_batch(batch) for batch in self._batches]
+        return [encode_batch(batch) for batch in self._last()]
 
     def import_state(self, state: Iterable[bytes]) -> None:
         """Go on from the state of another one; an EstimatorError if it cannot be read."""
