@@ -109,8 +109,8 @@ class EarlyDecisions:
 
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal."""
-        self._recent.add(batch)
         self._take(batch)
+        self._recent.add(batch)  # at last, since it lets go of the times that were derived
 
     def _take(self, batch: SampleBatch) -> None:
         for part in self._of_record(batch) if self._limits or self._next else ():
