@@ -33,11 +33,18 @@ def json_decoder(kind: Any) -> msgspec.json.Decoder[Any]:
         return _json_decoder(kind)
 
 
-def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]:
+@overload
+def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]: ...
+
+
+@overload
+def msgpack_decoder(kind: Any) -> msgspec.msgpack.Decoder[Any]: ...
+
+
+def msgpack_decoder(kind: Any) -> msgspec.msgpack.Decoder[Any]:
     """Decoder of MessagePack for a type; threads may share it."""
     with _one_examines:
-        found: msgspec.msgpack.Decoder[T] = _msgpack_decoder(kind)  # type: ignore[arg-type]
-        return found
+        return _msgpack_decoder(kind)
 
 
 @overload

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from storage.log.sequence import LogPlace, SequenceCheck
 from storage.segments.records import SAMPLES, LogRecord
 from stream.wire.count_residuals import MEAN_BYTES
+from stream.wire.encoder import varint
 
 # fields of the wire form: numbers and kinds
 _SEQ, _COUNT, _T0_NS, _DT_NS, _VALUES, _PROOF, _RESIDUALS = 6, 7, 8, 9, 16, 19, 20
@@ -107,23 +108,6 @@ class ContinuedMessages:
         form = _form_of(record.data, place)
         if form is not None:
             self._forms[record.topic] = form
-
-
-def varint(number: int) -> bytes:
-    r"""The wire form of a number.
-
-    >>> varint(300)
-    b'\xac\x02'
-    """
-    found = b""
-    while number > 127:
-        found += _CONTINUED[number & 127]
-        number >>= 7
-    return found + _LAST[number]
-
-
-_CONTINUED = [bytes([each | 128]) for each in range(128)]
-_LAST = [bytes([each]) for each in range(128)]
 
 
 def _number(data: bytes) -> int:

@@ -67,13 +67,21 @@ def _field(number: int, data: bytes) -> tuple[bytes, bytes]:
 @functools.lru_cache(maxsize=4096)
 def _field_head(number: int, length: int) -> bytes:
     """Number and length of a field, before its bytes."""
-    return _varint(number << 3 | 2) + _varint(length)
+    return varint(number << 3 | 2) + varint(length)
 
 
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
+def varint(number: int) -> bytes:
+    r"""The wire form of a number.
+
+    >>> varint(300)
+    b'\xac\x02'
+    """
+    found = b""
+    while number > 127:
+        found += _CONTINUED[number & 127]
+        number >>= 7
+    return found + _LAST[number]
+
+
+_CONTINUED = [bytes([each | 128]) for each in range(128)]
+_LAST = [bytes([each]) for each in range(128)]

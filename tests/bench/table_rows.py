@@ -57,7 +57,7 @@ def machine() -> str:
 def installed() -> dict[str, str]:
     """The environment of commands as users start them: with bytecode from their first start on.
 
-    Where Python is told to write none, as in some workplaces, half of a command's start would be compiling.
+    Without bytecode (``PYTHONDONTWRITEBYTECODE``), compiling takes half of a command's start.
     """
     folder = tempfile.mkdtemp(prefix="gyrofleet-bytecode-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

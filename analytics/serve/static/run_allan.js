@@ -31,15 +31,15 @@ async function refresh(view) {
     found = await asked(view.section.dataset.url);
     document.getElementById("allan-trouble").textContent = "";
   } catch (error) {
-    document.getElementById("allan-trouble").textContent = error.message;
+    document.getElementById("allan-trouble").textContent = error instanceof TypeError ? say("away") : error.message;
     setTimeout(() => refresh(view), FOLLOW_MS);
     return;
   }
-  draw(view, found);
   // a run that nobody is at work on may go on, until it has ended
   const wait_ms = found.is_live ? FOLLOW_MS : LOOK_AGAIN_MS;
   const follow = () => setTimeout(() => (document.hidden ? follow() : refresh(view)), wait_ms);
   if (found.outcome === "open") follow();
+  draw(view, found);
 }
 
 function draw(view, found) {

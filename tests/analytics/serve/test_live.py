@@ -120,7 +120,7 @@ def test_a_sample_is_seen_once_and_soon_after_its_acknowledgement(
 
 def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server: CommandServer) -> None:
     """Documents, units and counts of samples are there soon and once, also while segments come to the lake."""
-    words = ["run-simulated", "--run", "now", "--simulate", "2", "--hours", "0.02", "--speed", "3", "--rate-hz", "100"]
+    words = ["run-simulated", "--run", "now", "--simulate", "2", "--hours", "0.04", "--speed", "3", "--rate-hz", "100"]
     process = command_server.start(
         [*words, "--store", "S"], cwd=beside.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
@@ -148,6 +148,8 @@ def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server
                 if known:
                     assert answer.status_code == 200, answer.text
                     assert answer.json()["run"]["samples"] >= least
+            if len(set(counted)) > 8:
+                time.sleep(0.5)  # the run is long for busy machines, others have seen enough
             if answer.status_code == 200:
                 was_open |= answer.json()["run"]["outcome"] == "open"
                 counted.append(answer.json()["run"]["samples"])
@@ -169,7 +171,7 @@ def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server
         assert process.returncode == 0, err
         assert was_open
         assert sorted(counted) == counted
-        assert len(set(counted)) >= 2  # it grows; how often a busy machine asks in 24 s is not the server's doing
+        assert len(set(counted)) >= 4
         deadline_s = time.monotonic() + 5.0  # two seconds, and the lake's version
         while (found := client.get("/api/runs/now").json())["run"]["outcome"] != "completed":
             assert time.monotonic() < deadline_s

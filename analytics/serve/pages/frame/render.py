@@ -147,14 +147,18 @@ def _parameters_of(row: dict[str, Any]) -> dict[str, Any]:
     return given
 
 
+_JOINED, _TIME, _SHOWN = Markup(""), Markup('<time datetime="'), Markup('">')
+_ZONE, _END = Markup(' <span class="zone">'), Markup("</span></time>")
+
+
 @jinja2.pass_context
 def moment(context: jinja2.runtime.Context, t_ns: int | None, zone: str | None = None) -> Markup:
     """A moment in a time zone, by default that of the page, as an element that has it in UTC for programs."""
     if t_ns is None:
         return Markup("")
     text, named = local(t_ns, zone or str(context["zone"]))
-    # put together by hand: `Markup.format` takes five times as long, and a page has hundreds of moments
-    return Markup(f'<time datetime="{iso(t_ns)}">{text} <span class="zone">{escape(named)}</span></time>')  # noqa: S704
+    # joined: `Markup.format` takes far longer, and a page has hundreds of moments
+    return _JOINED.join((_TIME, iso(t_ns), _SHOWN, text, _ZONE, named, _END))
 
 
 def duration(seconds: float | None) -> str:
