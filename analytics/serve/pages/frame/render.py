@@ -158,7 +158,7 @@ def moment(context: jinja2.runtime.Context, t_ns: int | None, zone: str | None =
         return Markup("")
     text, named = local(t_ns, zone or str(context["zone"]))
     # joined: `Markup.format` takes far longer, and a page has hundreds of moments
-    return _JOINED.join((_TIME, iso(t_ns), _SHOWN, text, _ZONE, named, _END))
+    return _JOINED.join((_TIME, str(iso(t_ns)), _SHOWN, text, _ZONE, named, _END))
 
 
 def duration(seconds: float | None) -> str:
