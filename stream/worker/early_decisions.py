@@ -1,7 +1,7 @@
 """The early decisions on one signal: one for each limit of its run, updated whenever its estimates are published."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Self
 
 import msgspec
@@ -69,7 +69,7 @@ class EarlyDecisions:
 
     Limits on one record of the run (`LimitsApplied.since_ns`) have `estimators` of their own, which see the samples of
     that record only, from `since_ns` on, also those that came a little before the limits. A record that is begun again
-    replaces the one before it.
+    replaces the one before it. Samples of the record that came too long before the limits are not judged: `unseen_s`.
     """
 
     def __init__(self, signal: str) -> None:
@@ -81,6 +81,7 @@ class EarlyDecisions:
         self._next: LimitsApplied | None = None
         self._recent = RecentSamples()
         self.since_ns: int | None = None
+        self.unseen_s = 0.0
         self.estimators: list[PointEstimator] = []
 
     def apply(self, limits: LimitsApplied) -> None:
@@ -124,6 +125,7 @@ class EarlyDecisions:
         if following is not None and following.since_ns is not None and batch.last_ns >= following.since_ns:
             self._next, self._planned_s = None, following.planned_s
             self._set(self._own(following), following.since_ns)
+            self.unseen_s = self._recent.unseen_s(following.since_ns)
         if self.since_ns is None:
             yield batch
             return
@@ -157,9 +159,29 @@ class EarlyDecisions:
     def _decided(self, number: int) -> Decision | None:
         return self._tests[number].decision if number in self._tests else None
 
+    @property
+    def unseen(self) -> tuple[str, str] | None:
+        """What of the record is not judged, in English and Chinese; None where all of it is."""
+        if not self.unseen_s:
+            return None
+        assert self._planned_s is not None
+        first, planned, share = f"{self.unseen_s:.4g} s", f"{self._planned_s:g} s", self.unseen_s / self._planned_s
+        of_record = f"the first {first} of {planned} ({share:.2g} of the record)"
+        return (
+            f"{of_record} are not judged: the limits came later than that",
+            f"记录的前{first}(共{planned},占{share:.2g})未参与判定:限值到达过晚",
+        )
+
     def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[tuple[Limit, Decision]]:
         """Compare the estimates after `elapsed_s`, by the key of their estimator, with each limit."""
-        return [(limit, self._look(i, limit, elapsed_s, estimates)) for i, limit in enumerate(self._limits)]
+        looks = [(limit, self._look(i, limit, elapsed_s, estimates)) for i, limit in enumerate(self._limits)]
+        if self.unseen is None:
+            return looks
+        en, zh = self.unseen
+        return [
+            (limit, replace(look, reason_en=f"{look.reason_en}; {en}", reason_zh=f"{look.reason_zh};{zh}"))
+            for limit, look in looks
+        ]
 
     def _look(
         self, number: int, limit: Limit, elapsed_s: float, estimates: Mapping[str, EstimatePublished]
@@ -215,7 +237,7 @@ class EarlyDecisions:
             "tests": tests, "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
             "since_ns": self.since_ns, "estimators": [take_snapshot(estimator) for estimator in self.estimators],
             "next": None if self._next is None else msgspec.json.encode(self._next),
-            "recent": self._recent.export_state(),
+            "recent": self._recent.export_state(), "unseen_s": self.unseen_s,
         }  # fmt: skip
 
     @classmethod
@@ -229,6 +251,7 @@ class EarlyDecisions:
         following = state.get("next")
         decisions._next = None if following is None else decode_json(following, LimitsApplied)
         decisions._recent.import_state(state.get("recent", ()))
+        decisions.unseen_s = state.get("unseen_s", 0.0)
         for number, saved in state["tests"].items():
             decisions._begin(int(number), converted(saved["plan"], DecisionPlan))
             decisions._tests[int(number)].import_state(saved["state"])

@@ -100,8 +100,8 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     deg/h, divided by 60 (N = sigma(1 s) sqrt(1 s)): true where white noise dominates at 1 s.
 
     PASS if the upper confidence bound is at or below the limit, FAIL if the lower one is above it, MARGINAL in between
-    (the data do not decide), NO_DATA with the reason if there is no estimate. Values are in the limit's unit of
-    measure.
+    (the data do not decide), NO_DATA with the reason if there is no estimate. What an estimate leaves out, its reason
+    says, and so does the check. Values are in the limit's unit of measure.
 
     >>> limit = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=1.0, unit_of_measure="deg/h")
     >>> judge(limit, []).reason
@@ -128,8 +128,10 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
         return _no_data(limit, reason or "the estimate has no points")
     value, lo, hi = value * factor, lo * factor, hi * factor
     verdict = Verdict.PASS if hi <= limit.upper else Verdict.FAIL if lo > limit.upper else Verdict.MARGINAL
+    reason = estimate.reason
     if verdict is Verdict.MARGINAL:
-        reason = f"the limit lies inside the {estimate.confidence:.0%} confidence bounds: the data do not decide"
+        undecided = f"the limit lies inside the {estimate.confidence:.0%} confidence bounds: the data do not decide"
+        reason = "; ".join(filter(None, (undecided, reason)))
     return Check(limit=limit, verdict=verdict, value=value, lo=lo, hi=hi, reason=reason)
 
 

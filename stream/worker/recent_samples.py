@@ -25,6 +25,8 @@ class RecentSamples:
     [(110, 30), (140, 70)]
     >>> [(batch.seq, len(batch)) for batch in recent.since(1500)]
     [(140, 70)]
+    >>> recent.unseen_s(900)  # of 210 samples every 10 ns, the first 110 were let go
+    2e-07
     """
 
     def __init__(self, *, kept: int = _KEPT) -> None:
@@ -44,6 +46,12 @@ class RecentSamples:
     def since(self, t_ns: int) -> Iterator[SampleBatch]:
         """Batches with samples at or after a time; they may have some before it as well."""
         return (batch for batch in self._last() if batch.last_ns >= t_ns)
+
+    def unseen_s(self, since_ns: int) -> float:
+        """How long it took after a time until the first sample that is kept; 0 where none was let go."""
+        if self._samples < self._kept:
+            return 0.0
+        return max(0, self._last()[0].t0_ns - since_ns) / 1e9
 
     def _last(self) -> list[SampleBatch]:
         if (excess := self._samples - self._kept) <= 0:

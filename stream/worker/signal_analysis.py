@@ -118,7 +118,7 @@ class SignalAnalysis:
         elapsed_s = (self._last_ns - (self._first_ns or 0)) / 1e9 + interval_s
         if (since_ns := self._decisions.since_ns) is not None:
             elapsed_s = max(0.0, (self._last_ns - since_ns) / 1e9 + interval_s)
-            points = {each.key: self._estimate(each, final=final) for each in self._decisions.estimators}
+            points = {each.key: self._estimate_of_record(each, final=final) for each in self._decisions.estimators}
         if final:
             exact = self._decisions.exact_points()
             self.judged = tuple(
@@ -147,6 +147,13 @@ class SignalAnalysis:
             final=final, points=() if isinstance(estimate, NoEstimate) else estimate,
             reason=estimate.reason if isinstance(estimate, NoEstimate) else None,
         )  # fmt: skip
+
+    def _estimate_of_record(self, estimator: PointEstimator, *, final: bool) -> EstimatePublished:
+        """An estimate from the samples of a record; its reason says what of the record is not in it."""
+        estimate = self._estimate(estimator, final=final)
+        if (unseen := self._decisions.unseen) is None:
+            return estimate
+        return msgspec.structs.replace(estimate, reason="; ".join(filter(None, (estimate.reason, unseen[0]))))
 
     def _noise(self, allan: AllanDeviation, estimate: EstimatePublished) -> NoiseFitted:
         head = self._head(NOISE_COEFFICIENTS, final=True)

@@ -1,11 +1,13 @@
 """Limits on one record of a run: what lies before and behind it does not count, and a new record replaces the first."""
 
+import re
 from uuid import UUID
 
 import msgspec
 import numpy as np
 import pytest
 
+from analytics.evaluation.reasons import in_chinese
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import default_estimators
 from stream.events import (
@@ -165,6 +167,30 @@ def test_limits_that_come_after_samples_of_their_record_are_on_the_whole_of_it(
         return list(worker.verdict().checks)
 
     assert checks(late_s) == checks(0.0)
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_limits_that_come_too_late_for_the_start_of_their_record_say_so(is_restarted: bool) -> None:
+    worker = Worker()
+    worker.samples(WARM_UP)
+    since_ns = worker.now_ns
+    worker.samples(QUIET[:5000])
+    if is_restarted:
+        worker.restart()
+    worker.record(STABILITY, ALLAN, since_ns=since_ns)
+    if is_restarted:
+        worker.restart()
+    worker.samples(QUIET[5000:])
+    checks = worker.verdict().checks
+    assert [check.verdict for check in checks] == [Verdict.PASS] * 2
+    (unseen,) = {check.reason or "" for check in checks}
+    assert (said := re.fullmatch(r"the first (\S+) s of 600 s \(0.1\d of the record\) are not judged: .*", unseen))
+    # 4096 samples are kept of 5000, at 10 a second; those of up to 20 s wait to be taken in and are not among the 5000
+    assert 70.4 <= float(said[1]) <= 90.4
+    assert unseen not in in_chinese(unseen)
+    looks = [each for each in worker.documents if isinstance(each, EarlyDecision)]
+    assert looks
+    assert all(each.reason.endswith(unseen) and "未参与判定" in each.reason_zh for each in looks)
 
 
 @pytest.mark.parametrize("at", [0, 1500, 3000, 4500, 8000])
