@@ -111,10 +111,13 @@ def around_the_turn(series: ImuSeries, name: str) -> tuple[ImuSeries, Rests]:
     last = int(begins[at + 1]) if at + 1 < len(begins) else series.rates_rad_per_s.shape[1]
     for which, samples in (("before", int(begins[at]) - first), ("after", last - int(ends[at]))):
         if (length_s := samples * series.dt_s) < _SHARE * LEAST_REST_S:
-            raise BadInput(
+            short = (
                 f"{name}: {max(length_s, 0.0):.4g} s at rest {which} the turn, CN 102680005 step 2 asks for "
                 f"{LEAST_REST_S:g} s"
             )
+            # as where samples came late and got later times than the table's
+            within = "; the record is cut within the turn: are the samples' times those of the table?"
+            raise BadInput(short + within * (samples <= 0))
     cut = ImuSeries(series.dt_s, series.rates_rad_per_s[:, first:last], series.forces_m_per_s2[:, first:last])
     return cut, Rests(int(begins[at]) - first, int(ends[at]) - first)
 

@@ -78,10 +78,12 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[.
     clipped = [pl.col(f"rate_{axis}[deg/s]").clip(-25.0, 25.0) for axis in "xyz"]
     fast = table(Planted(), (30.0,), unit="WHOLE")
     is_cut = (pl.col("time[s]") > 17.0) & (pl.col("time[s]") < 17.1)
+    late = table(Planted(), (30.0,), unit="LATE")
     nameless = table(Planted(), (20.0, 30.0), unit="NO-WORDS")
     units = [
         fast.filter(~is_cut & (pl.col("position") != "rotation_6")).with_columns(unit=pl.lit("BROKEN")),
         table(Planted(), (30.0,), rest_s=10.0, unit="SHORT"),
+        late.filter(pl.col("time[s]") > pl.col("time[s]").min().over("position") + 16.0),
         table(Planted(), (30.0,), every=2, unit="SLOW"),
         table(Planted(), (30.0,), names="yxz", unit="SWAPPED").select(fast.columns),
         fast.with_columns(pl.lit("SATURATED").alias("unit"), *clipped),
@@ -133,6 +135,11 @@ def test_one_speed_in_other_units_has_the_nine_changes_and_no_joint_fit(laborato
         ("BROKEN", "X", "no speed has three rotations to solve: at 30 deg/s 2 rotations of 2 kinds are not the three"),
         ("BROKEN", "Y", "no speed has three rotations to solve"),
         ("SHORT", "Z", "10 s at rest before the turn, CN 102680005 step 2 asks for 15 s"),
+        (
+            "LATE",
+            "X",
+            "0 s at rest before the turn, CN 102680005 step 2 asks for 15 s; the record is cut within the turn",
+        ),
         ("SLOW", "X", "sampled at 50 Hz, CN 102680005 step 1 asks for 100 Hz"),
         ("SWAPPED", "X", "the accelerometers do not follow the turn that the gyros see; are axes swapped"),
         ("SATURATED", "Y", "gyro Y turns by 150 deg, 180 deg are asked for; is a gyro saturated"),
