@@ -124,10 +124,7 @@ def _propose(store: Store, wanted: Wanted, document: CertificateIssued, pdf: byt
         path = proposed_file(store, uid, suffix)
         path.parent.mkdir(parents=True, exist_ok=True)
         _write(path, content)
-    title = f"issue certificate {document.number} of unit {document.unit}"
-    if document.supersedes:
-        title += f" in place of {document.supersedes}"
-    propose(store, document, title=title, by=wanted.by, reason=wanted.reason, unit=document.unit, uid=uid)
+    propose(store, document, by=wanted.by, reason=wanted.reason, unit=document.unit, uid=uid)
     return uid
 
 

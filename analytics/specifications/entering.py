@@ -20,10 +20,6 @@ from stream.events import ActProposed, SpecificationAction, SpecificationEntered
 from stream.security.actor import Actor
 
 _NOBODY = Actor("")
-_VERBS = {
-    SpecificationAction.ADDED: "add", SpecificationAction.REVISED: "revise to",
-    SpecificationAction.WITHDRAWN: "withdraw", SpecificationAction.SETTLED: "settle",
-}  # fmt: skip
 
 
 class _Signed(NamedTuple):
@@ -160,8 +156,7 @@ def _enter(
         if reason := changed_since(approved, document):
             raise BadInput(f"{approved.document.title}: {reason}")
     elif has_to_be_proposed(store, SpecificationEntered):
-        what = "the chain of specifications" if of is None else f"specification {of.label}"
-        return propose(store, document, title=f"{_VERBS[action]} {what}", by=by, reason=signed.reason)
+        return propose(store, document, by=by, reason=signed.reason)
     append_document(store, document)
     return document
 

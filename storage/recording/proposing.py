@@ -7,6 +7,7 @@ from uuid import uuid4
 import msgspec
 
 from storage.log.store_documents import sealed
+from storage.recording.act_titles import act_title
 from storage.recording.client import record_documents
 from storage.recording.two_persons import SUBJECT_OF, Proposal, needs_two, read_proposals, reason_against_approver
 from storage.store import Store
@@ -35,11 +36,12 @@ def check_may_propose(store: Store, kind: type[ApprovedAct], by: Actor) -> None:
 
 
 def propose(
-    store: Store, act: ApprovedAct, *, title: str, by: Actor, reason: str = "", unit: str | None = None, uid: str = ""
+    store: Store, act: ApprovedAct, *, by: Actor, reason: str = "", unit: str | None = None, uid: str = ""
 ) -> ActProposed:
     """Write a proposal into the log; BadInput if nobody has proved who they are, or the same is proposed already."""
     subject = SUBJECT_OF[type(act)]
     check_may_propose(store, type(act), by)
+    title = act_title(act).en
     for each in read_proposals(store).values():
         if each.state == "open" and each.document.title == title:
             raise BadInput(f"{title}: it is proposed already, by {each.document.by}; it waits for another person")

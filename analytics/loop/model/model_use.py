@@ -148,8 +148,7 @@ def activate(
     if approved is not None:
         document = sealed(store, carried_out(approved, document, by, not_before_ns=document.t_ns))
     elif has_to_be_proposed(store, ModelActivated):
-        title = f"unit {version.unit}, {version.signal}: version {version.version} of its error model {stage.value}"
-        return propose(store, document, title=title, by=by, reason=reason, unit=version.unit)
+        return propose(store, document, by=by, reason=reason, unit=version.unit)
     enter_activations(store, [document])
     return document
 

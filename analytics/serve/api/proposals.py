@@ -18,11 +18,15 @@ class ProposalsAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class ProposalRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A proposal; `may_approve` is whether who asks may approve it, `ended_by` who approved or rejected it."""
+    """A proposal; `title` says what it does, `title_zh` in Chinese.
+
+    `may_approve` is whether who asks may approve it, `ended_by` who approved or rejected it.
+    """
 
     id: str
     subject: str
     title: str
+    title_zh: str
     unit: str | None
     by: str
     identity: str
@@ -59,6 +63,7 @@ class Decided(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/proposals", table="proposals", is_kept=False)
 def list_proposals(call: Call, asked: ProposalsAsked) -> Proposals:
     """Acts that wait for another person; or all that were proposed."""
+    from storage.recording.act_titles import act_title
     from storage.recording.two_persons import needs_two, read_proposals, reason_against_approver
 
     rows = []
@@ -70,8 +75,9 @@ def list_proposals(call: Call, asked: ProposalsAsked) -> Proposals:
         if call.person.role < Role.APPROVER:
             why_not = f"{call.person.role.word} may not approve"
         row = ProposalRow(
-            id=document.uid, subject=document.subject, title=document.title, unit=document.unit, by=document.by,
-            identity=document.identity, reason=document.reason, proposed_ns=document.t_ns, proposed=iso(document.t_ns),
+            id=document.uid, subject=document.subject, title=document.title,
+            title_zh=act_title(each.act).zh, unit=document.unit, by=document.by, identity=document.identity,
+            reason=document.reason, proposed_ns=document.t_ns, proposed=iso(document.t_ns),
             state=each.state, may_approve=each.state == "open" and not why_not, why_not=why_not,
             ended_by="" if ended is None else ended.identity, ended_reason=getattr(ended, "reason", ""),
             document=decode_json(document.content),

@@ -66,6 +66,8 @@ def test_an_engineer_proposes_and_an_approver_approves(site: tuple[str, dict[str
         page = anna.get("/proposals").text
         assert "U1, rate: version 1 of its error model live" in page
         assert "/act/approve_proposal" in page
+        assert "产品 U1，rate：误差模型第 1 版启用" in anna.get("/proposals", params={"lang": "zh"}).text
+        anna.get("/proposals", params={"lang": "en"})
         assert "/proposals" in anna.get("/diagnosis/U1").text
         fields = {"csrf": anna.csrf, "back": "/proposals", "path.proposal": proposed["uid"]}
         answer = anna.post("/act/approve_proposal", data=fields)
