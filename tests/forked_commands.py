@@ -208,6 +208,7 @@ def _serve(path: str) -> None:
     for name in _WANTED:
         importlib.import_module(name)
     sys.modules["analytics.metric_registry.registry"].metrics()
+    sys.modules["storage.segments.records"].schemas()
     warm_up()
     for module in list(sys.modules.values()):  # else numba, which compiles nothing there, makes them in that process
         for value in list(getattr(module, "__dict__", {}).values()):
