@@ -5,13 +5,15 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from storage.manifests.part import PartFile
 from stream.errors import StoreError
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 ROW_GROUP = 1_000_000
 # a row group costs 0.3 ms and kilobytes of memory: channels of few samples share one
@@ -137,6 +139,8 @@ class TableWriter:
     """Writes one of `TABLES` into the folder of a part, piece by piece."""
 
     def __init__(self, folder: Path, table: str) -> None:
+        import pyarrow.parquet as pq
+
         schema = TABLES[table]
         more: dict[str, Any] = {}
         if table in _SPLIT_TABLES:
@@ -207,8 +211,10 @@ def part_writers(folder: Path) -> Iterator[Callable[[str], TableWriter]]:
         raise
 
 
-def open_table(path: Path) -> pq.ParquetFile:
+def open_table(path: Path) -> "pq.ParquetFile":
     """Open a table of the lake for reading with page checksums; StoreError if it is damaged."""
+    import pyarrow.parquet as pq  # SQL reads tables without it
+
     try:
         return pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError) as error:

@@ -2,7 +2,14 @@
 
 from typing import NamedTuple
 
-from stream.events import AnyDocument, CertificateIssued, ModelActivated, SpecificationAction, SpecificationEntered
+from stream.events import (
+    AnyDocument,
+    ApprovedAct,
+    CertificateIssued,
+    ModelActivated,
+    SpecificationAction,
+    SpecificationEntered,
+)
 
 _ACTIONS = {
     SpecificationAction.ADDED: ("add", "添加"), SpecificationAction.REVISED: ("revise to", "修订为"),
@@ -18,7 +25,7 @@ class ActTitle(NamedTuple):
     zh: str
 
 
-def act_title(act: AnyDocument) -> ActTitle:
+def act_title(act: ApprovedAct | AnyDocument) -> ActTitle:
     """What an act does.
 
     >>> act_title(ModelActivated(run="", t_ns=1, unit="U1", model="hash", version=3, stage="off")).en

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
 
 
 def numbers(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
@@ -27,6 +26,8 @@ def numbers(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
 
 def _with_nan(chunk: pa.Array) -> pa.Array:
     """Values as floats, with NaN in place of nulls."""
+    import pyarrow.compute as pc
+
     known = numbers(pc.cast(pc.is_valid(chunk), pa.uint8()))
     floats = pc.cast(chunk, pa.float64())
     value = pa.Array.from_buffers(pa.float64(), len(floats), [None, floats.buffers()[1]], offset=floats.offset)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import duckdb
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from storage.lake.tables import damaged, open_table
 from storage.manifests.lake import read_manifest
@@ -17,6 +16,8 @@ from storage.store import Store
 from stream.errors import StoreError
 
 if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
     from storage.object_lake.published_store import PublishedStore
 
 _SCHEME = "gyrolake"
@@ -43,7 +44,7 @@ class LakeSource(Protocol):
     def bring(self, paths: Iterable[str]) -> None:
         """Prepare to read small files, of which all are needed soon."""
 
-    def open_table(self, path: str) -> pq.ParquetFile:
+    def open_table(self, path: str) -> "pq.ParquetFile":
         """A table with page checksums; StoreError if it is damaged."""
 
 
@@ -65,7 +66,7 @@ class LocalLake:
     def bring(self, paths: Iterable[str]) -> None:
         """Nothing to do."""
 
-    def open_table(self, path: str) -> pq.ParquetFile:
+    def open_table(self, path: str) -> "pq.ParquetFile":
         """A table with page checksums; StoreError if it is damaged."""
         return open_table(Path(path))
 
@@ -120,8 +121,10 @@ class RangeLake:
         """Fetch small files, several at a time."""
         self._bring([self.name(path) for path in paths])
 
-    def open_table(self, path: str) -> pq.ParquetFile:
+    def open_table(self, path: str) -> "pq.ParquetFile":
         """A table with page checksums; StoreError if it is damaged."""
+        import pyarrow.parquet as pq
+
         try:
             return pq.ParquetFile(pa.PythonFile(self.open(path), mode="r"), page_checksum_verification=True)
         except (pa.ArrowException, OSError) as error:

@@ -4,8 +4,6 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Self
 
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 if TYPE_CHECKING:
     import pyarrow.dataset as ds
@@ -29,6 +27,8 @@ class ParquetContent:
     """
 
     def __init__(self, content: pa.Buffer) -> None:
+        import pyarrow.parquet as pq  # only where there is a table of this kind
+
         self.content = content
         self.file = pq.ParquetFile(pa.BufferReader(content))
         self.schema = self.file.schema_arrow.remove_metadata()
@@ -36,6 +36,8 @@ class ParquetContent:
     @classmethod
     def of(cls, table: pa.Table) -> Self:
         """A table as the content of a file, with its metadata."""
+        import pyarrow.parquet as pq
+
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd", row_group_size=ROW_GROUP)
         return cls(sink.getvalue())
@@ -65,6 +67,8 @@ class ParquetContent:
         >>> [rows.num_rows for rows in file.up_to("unit", ["A", "B", "D"])]
         [1, 2, 1]
         """
+        import pyarrow.compute as pc
+
         batches = self.reader()
         left = self.schema.empty_table()
         for last in lasts:

@@ -9,7 +9,6 @@ from uuid import UUID
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from storage.lake.tables import SAMPLES_FILE, damaged
 from storage.sql.catalog import Catalog
@@ -137,6 +136,8 @@ def _part_rows(catalog: Catalog, path: str, channel: int, column: str) -> Iterat
                     rows = rows_with(batch, "channel", channel) if is_shared else batch
                     data = rows.column(columns[0])
                     if column == "counts":
+                        import pyarrow.compute as pc
+
                         data = pc.add(data, rows.column("above"))
                     numbered = [rows.column("seq"), rows.column("t_ns"), data]
                     yield pa.RecordBatch.from_arrays(numbered, ["seq", "t_ns", column])

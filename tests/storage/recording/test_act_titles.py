@@ -7,7 +7,7 @@ from storage.recording.two_persons import SUBJECT_OF
 from stream.events import CertificateIssued, ModelActivated, SpecificationAction, SpecificationEntered
 
 HEAD: dict[str, Any] = {"run": "", "t_ns": 1, "by": "lead"}
-MODEL = {"unit": "U1", "model": "0" * 64, "version": 3}
+MODEL: dict[str, Any] = {"unit": "U1", "model": "0" * 64, "version": 3}
 CERTIFICATE: dict[str, Any] = {
     "unit": "U1", "standard": "", "language": "zh", "sha256": "", "digital_sha256": "", "data_sha256": "",
     "results": "", "runs": (), "valid_until": "", "software": "",
