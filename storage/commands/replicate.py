@@ -1,12 +1,14 @@
 """The command `gyrofleet replicate`."""
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 import msgspec
 
+from storage.commands.lake_address import endpoint_option
 from stream.errors import BadInput
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
 
-    from storage.replication.progress import Progress
+    from storage.replication.progress import Progress, Refusal
     from storage.replication.service import Pass
 
 _EVERY_S = 2.0
@@ -29,9 +31,13 @@ _ENDPOINT = "tcp/127.0.0.1:7448"
 @click.command("replicate")
 @click.option(
     "--from", "sources", multiple=True, metavar="PLANT",
-    help="A plant: its store's folder, or the endpoint that serves it; may be repeated. A fleet store: its plants.",
+    help="A plant: its store's folder, its s3://BUCKET/PREFIX, or the endpoint that serves it; may be repeated. A "
+    "fleet store: its plants.",
 )  # fmt: skip
-@click.option("--to", "target", type=click.Path(path_type=Path), metavar="FLEET", help="Folder of the fleet store.")
+@click.option(
+    "--to", "target", metavar="FLEET", help="Folder of the fleet store; or s3://BUCKET/PREFIX, of one plant, to upload."
+)
+@endpoint_option
 @click.option("--plant", metavar="NAME", help="Name of the plant at its first use, else its folder's; then which one.")
 @click.option("--watch", "is_watch", is_flag=True, help="Keep following, until stopped.")
 @click.option(
@@ -50,9 +56,9 @@ _ENDPOINT = "tcp/127.0.0.1:7448"
 @logged("replicate")
 @secured(Role.FLEET, Role.RECORDER)
 def replicate(
-    sources: tuple[str, ...], target: Path | None, plant: str | None, bandwidth: float | None,
-    folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool, serves: bool, recalls: bool,
-    no_lake: bool, as_json: bool,
+    sources: tuple[str, ...], target: str | None, endpoint_url: str | None, plant: str | None,
+    bandwidth: float | None, folder: Path | None, listen: str | None, connect: str | None, *, is_watch: bool,
+    serves: bool, recalls: bool, no_lake: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Copy the sealed segments of plants into a fleet store, each once, verified at arrival.
 
@@ -62,16 +68,16 @@ def replicate(
     With --recall a segment that was lost on one side comes from the other: --to is the fleet store, or the store of a
     plant whose copy --from has; an empty folder becomes the plant's store again.
 
+    Over a bucket, the plant uploads and the fleet store's side fetches; credentials and region come from AWS_*. A
+    prefix is that of one plant, whose history there is only ever continued.
+
     \b
     gyrofleet replicate --from night --to fleet --plant hangzhou
     gyrofleet replicate --serve --store night --listen tcp/0.0.0.0:7448
     gyrofleet replicate --from tcp/10.0.0.7:7448 --to fleet --watch
+    gyrofleet replicate --from night --to s3://gyros/hangzhou --watch
+    gyrofleet replicate --from s3://gyros/hangzhou --to fleet --watch
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from storage.fleet_store import FleetStore, is_fleet
-    from storage.replication.bandwidth import Bandwidth
-    from storage.replication.opened import opened_sources
-    from storage.replication.service import Replication
-
     if serves:
         if folder is None or sources or target is not None:
             raise BadInput("--serve takes --store, and --listen or --connect; --from and --to are of the other side")
@@ -81,31 +87,70 @@ def replicate(
         raise BadInput("--store, --listen and --connect go with --serve; else give --from PLANT and --to FLEET")
     if not sources or target is None:
         raise BadInput("give --from PLANT and --to FLEET")
-    if recalls and not (is_fleet(target) or is_watch):
-        _recall(sources, target, plant, bandwidth, as_json=as_json)
-        return
-    with until_stopped() as stopped, progress_bar(hidden=as_json) as bar, opened_sources(sources, plant) as opened:
+    _copy(_Asked(sources, target, endpoint_url, plant, bandwidth, is_watch, as_json), recalls=recalls, no_lake=no_lake)
+
+
+class _Asked(NamedTuple):
+    """What is to be copied."""
+
+    sources: tuple[str, ...]
+    target: str
+    endpoint_url: str | None
+    plant: str | None
+    bandwidth: float | None
+    is_watch: bool
+    as_json: bool
+
+
+def _copy(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
+    from storage.fleet_store import is_fleet
+    from storage.replication.opened import is_bucket
+
+    if asked.endpoint_url is not None and not any(is_bucket(each) for each in (*asked.sources, asked.target)):
+        raise BadInput("--endpoint-url is of an object store: give s3://BUCKET/PREFIX with --from or --to")
+    if is_bucket(asked.target):
+        if recalls or no_lake:
+            raise BadInput("--recall and --no-lake go with a --to that is a folder; a bucket is only ever added to")
+        _upload(asked)
+    elif recalls and not (is_fleet(Path(asked.target)) or asked.is_watch):
+        _recall(asked)
+    else:
+        _fetch(asked, recalls=recalls, no_lake=no_lake)
+
+
+def _fetch(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
+    """Bring what plants have into a fleet store, once or until stopped."""
+    from storage.fleet_store import FleetStore
+    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.opened import opened_sources
+    from storage.replication.service import Replication
+
+    with (
+        until_stopped() as stopped,
+        progress_bar(hidden=asked.as_json) as bar,
+        opened_sources(asked.sources, asked.plant, asked.endpoint_url) as opened,
+    ):
         replication = Replication(
-            FleetStore.create(target), bandwidth=Bandwidth(bandwidth, sleep=stopped.wait), builds_lakes=not no_lake,
-            rereads=recalls,
-            report=_Shown(bar), stopped=lambda: stopped.asked_at is not None,
+            FleetStore.create(Path(asked.target)), bandwidth=Bandwidth(asked.bandwidth, sleep=stopped.wait),
+            builds_lakes=not no_lake, rereads=recalls, report=_Shown(bar),
+            stopped=lambda: stopped.asked_at is not None,
         )  # fmt: skip
         shown: object = None
         while True:
             found = replication.run(opened)
             state = (found.conflicts, found.lakes, [(each.refused, each.trouble, each.lag) for each in found.plants])
-            if not is_watch or found.added or found.added_files or state != shown:
+            if not asked.is_watch or found.added or found.added_files or state != shown:
                 shown = state
-                if as_json:
+                if asked.as_json:
                     print_json(
                         {"is_well": found.is_well, **{name: getattr(found, name) for name in found.__struct_fields__}}
                     )
                 else:
                     _print(found)
                 _log(found)
-            if not is_watch or stopped.wait(_EVERY_S):
+            if not asked.is_watch or stopped.wait(_EVERY_S):
                 break
-    sys.exit(0 if found.is_well or is_watch else 1)
+    sys.exit(0 if found.is_well or asked.is_watch else 1)
 
 
 def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | None, *, as_json: bool) -> None:
@@ -137,19 +182,59 @@ def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | N
             pass
 
 
-def _recall(
-    sources: tuple[str, ...], target: Path, plant: str | None, bandwidth: float | None, *, as_json: bool
-) -> None:
+def _upload(asked: _Asked) -> None:
+    """Upload one plant's segments into a bucket, once or until stopped."""
+    from storage.object_lake.bucket import Bucket
+    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.bucket_upload import BucketUpload
+    from storage.replication.opened import opened_sources
+    from storage.replication.sources.folder_source import FolderSource
+
+    with (
+        until_stopped() as stopped,
+        progress_bar(hidden=asked.as_json) as bar,
+        opened_sources(asked.sources, asked.plant) as opened,
+    ):
+        if len(opened) != 1 or not isinstance(opened[0], FolderSource):
+            raise BadInput(f"a prefix of a bucket is one plant's: give one --from with its folder for {asked.target}")
+        task = bar.add_task(asked.target, total=None)
+        upload = BucketUpload(
+            opened[0], Bucket(asked.target, asked.endpoint_url),
+            bandwidth=Bandwidth(asked.bandwidth, sleep=stopped.wait), on_bytes=lambda size: bar.advance(task, size),
+            stopped=lambda: stopped.asked_at is not None,
+        )  # fmt: skip
+        shown: object = None
+        while True:
+            found = upload.run()
+            state = (found.refused, found.notes, found.trouble)
+            if not asked.is_watch or found.added or found.added_files or state != shown:
+                shown = state
+                if asked.as_json:
+                    print_json({"is_well": found.is_well, **msgspec.to_builtins(found)})
+                else:
+                    results().print(
+                        f"{counted(found.added, 'segment')} of {found.plant or opened[0].where} uploaded, "
+                        f"{found.added_bytes:,} bytes, and {counted(found.added_files, 'file')}; "
+                        f"{found.segments:,} lines of its list are in {found.to}"
+                    )
+                _log_plant(RoleLog("replicate"), found.plant, found.notes, found.refused, found.trouble)
+            if not asked.is_watch or stopped.wait(_EVERY_S):
+                break
+    sys.exit(0 if found.is_well or asked.is_watch else 1)
+
+
+def _recall(asked: _Asked) -> None:
     from storage.replication.bandwidth import Bandwidth
     from storage.replication.opened import recalled_from
     from storage.replication.recall import recall
 
-    if len(sources) != 1:
+    if len(asked.sources) != 1:
         raise BadInput("--recall brings one store back: give one --from")
-    with until_stopped() as stopped, recalled_from(sources[0], target, plant) as source:
-        limit = Bandwidth(bandwidth, sleep=stopped.wait)
+    target = Path(asked.target)
+    with until_stopped() as stopped, recalled_from(asked.sources[0], target, asked.plant, asked.endpoint_url) as source:
+        limit = Bandwidth(asked.bandwidth, sleep=stopped.wait)
         found = recall(target, source, bandwidth=limit, stopped=lambda: stopped.asked_at is not None)
-    if as_json:
+    if asked.as_json:
         print_json({"is_well": found.is_well, **msgspec.to_builtins(found)})
     else:
         results().print(
@@ -203,14 +288,20 @@ def _log(found: "Pass") -> None:
     """Log what was noted, refused, or went wrong in a pass."""
     log = RoleLog("replicate")
     for each in found.plants:
-        for note in each.notes:
-            log.write("info", "note", f"note: {each.plant}: {note}", plant=each.plant)
-        for refusal in each.refused:
-            where = f" {refusal.segment}" if refusal.segment else ""
-            log.write("warning", "refused", f"refused: {each.plant}{where}: {refusal.what}", plant=each.plant)
-        if each.trouble:
-            log.write("warning", "trouble", f"trouble: {each.plant}: {each.trouble}", plant=each.plant)
+        _log_plant(log, each.plant, each.notes, each.refused, each.trouble)
     for plant, why in found.lakes.items():
         log.write("warning", "trouble", f"trouble: the lake of {plant}: {why}", plant=plant)
     for conflict in found.conflicts:
         log.write("warning", "conflict", f"conflict: {conflict}")
+
+
+def _log_plant(
+    log: RoleLog, plant: str, found_notes: "Iterable[str]", refused: "Iterable[Refusal]", trouble: str
+) -> None:
+    for note in found_notes:
+        log.write("info", "note", f"note: {plant}: {note}", plant=plant)
+    for refusal in refused:
+        where = f" {refusal.segment}" if refusal.segment else ""
+        log.write("warning", "refused", f"refused: {plant}{where}: {refusal.what}", plant=plant)
+    if trouble:
+        log.write("warning", "trouble", f"trouble: {plant}: {trouble}", plant=plant)

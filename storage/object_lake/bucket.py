@@ -155,13 +155,13 @@ class Bucket:
         if put["e_tag"] != of.etag and self.sha256(key) != (of.bytes, of.sha256):
             raise Unanswered(f"{self.url}/{key} is not what was sent; repeat the command")
 
-    def objects(self, prefix: str = "") -> list[StoredObject]:
-        """Objects whose keys begin with `prefix`, a folder; without one all."""
+    def objects(self, prefix: str = "", *, after: str = "") -> list[StoredObject]:
+        """Objects whose keys begin with `prefix`, a folder, and come after that key; without them all."""
 
         def listed() -> list[StoredObject]:
             return [
                 StoredObject(each["path"], each["size"], each["last_modified"], each["e_tag"] or "")
-                for found in obstore.list(self._store, prefix or None)
+                for found in obstore.list(self._store, prefix or None, offset=after or None)
                 for each in found
             ]
 
@@ -172,10 +172,17 @@ class Bucket:
 
     def head(self, key: str) -> StoredObject:
         """An object, without its content; StoreError if there is none."""
+        found = self.find(key)
+        if found is None:
+            raise StoreError(f"{self.url}/{key} is missing")
+        return found
+
+    def find(self, key: str) -> StoredObject | None:
+        """An object, without its content; None if there is none."""
         try:
-            found = obstore.head(self._store, key)
-        except (BaseError, FileNotFoundError) as error:
-            raise self._failed(key, error) from None
+            found = self._read(key, lambda: obstore.head(self._store, key))
+        except FileNotFoundError:
+            return None
         return StoredObject(key, found["size"], found["last_modified"], found["e_tag"] or "")
 
     def delete(self, keys: list[str]) -> None:

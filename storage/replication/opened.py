@@ -1,4 +1,4 @@
-"""The sources that an address names: a store's folder, a fleet store's, or an endpoint."""
+"""The sources that an address names: a store's folder, a fleet store's, an endpoint, or a bucket."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -27,9 +27,23 @@ def is_endpoint(address: str) -> bool:
     return _ENDPOINT.fullmatch(address) is not None
 
 
+def is_bucket(address: str) -> bool:
+    """Whether an address is one of an object store.
+
+    >>> is_bucket("s3://gyros/plants/hangzhou"), is_bucket("s3")
+    (True, False)
+    """
+    return address.startswith("s3://")
+
+
 @contextmanager
-def opened_sources(addresses: Sequence[str], plant: str | None) -> Iterator[list[SegmentSource]]:
-    """The plants behind the addresses; `plant` is the name of one at its first use, or which of several is meant."""
+def opened_sources(
+    addresses: Sequence[str], plant: str | None, endpoint_url: str | None = None
+) -> Iterator[list[SegmentSource]]:
+    """The plants behind the addresses; `plant` is the name of one at its first use, or which of several is meant.
+
+    `endpoint_url` is of the object store, where an address is one of a bucket.
+    """
     with ExitStack() as stack:
         found: list[SegmentSource] = []
         for address in addresses:
@@ -38,6 +52,11 @@ def opened_sources(addresses: Sequence[str], plant: str | None) -> Iterator[list
                 if plant is not None and len(addresses) > 1:
                     raise BadInput(_ONE)
                 found.append(stack.enter_context(BusSource(address, plant)))
+            elif is_bucket(address):
+                from storage.object_lake.bucket import Bucket
+                from storage.replication.sources.bucket_source import BucketSource
+
+                found.append(stack.enter_context(BucketSource(Bucket(address, endpoint_url), plant)))
             elif is_fleet(folder):
                 fleet = FleetStore.open(folder)
                 chosen = fleet.replicas() if plant is None else [fleet.replica(plant)]
@@ -50,7 +69,9 @@ def opened_sources(addresses: Sequence[str], plant: str | None) -> Iterator[list
 
 
 @contextmanager
-def recalled_from(address: str, target: Path, plant: str | None) -> Iterator[SegmentSource]:
+def recalled_from(
+    address: str, target: Path, plant: str | None, endpoint_url: str | None = None
+) -> Iterator[SegmentSource]:
     """The copy of the plant whose store `target` is; a folder that is none yet needs the plant's name."""
     known = read_plant(target)
     name = plant or (None if known is None else known.name)
@@ -64,5 +85,5 @@ def recalled_from(address: str, target: Path, plant: str | None) -> Iterator[Seg
         with FolderSource(fleet.replica(name).store.folder) as source:
             yield source
         return
-    with opened_sources([address], name) as found:
+    with opened_sources([address], name, endpoint_url) as found:
         yield found[0]
