@@ -7,10 +7,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import httpx._transports.default
 import pytest
 from hypothesis import settings
 
@@ -21,6 +22,9 @@ from tests.longest_first import longest_first
 # machines are loaded while tests run
 settings.register_profile("gyrofleet", deadline=None)
 settings.load_profile("gyrofleet")
+# each client would read a file of certificates, 30 ms, also for addresses without TLS
+_transports = vars(httpx._transports.default)
+_transports["create_ssl_context"] = cache(_transports["create_ssl_context"])
 # tables are as wide as in a file, wherever the tests run
 os.environ.pop("COLUMNS", None)
 

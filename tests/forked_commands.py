@@ -209,6 +209,9 @@ def _serve(path: str) -> None:
         importlib.import_module(name)
     sys.modules["analytics.metric_registry.registry"].metrics()
     sys.modules["storage.segments.records"].schemas()
+    pages = importlib.import_module("analytics.serve.pages.frame.render")
+    for template in pages.templates():
+        pages.compiled(template)
     warm_up()
     for module in list(sys.modules.values()):  # else numba, which compiles nothing there, makes them in that process
         for value in list(getattr(module, "__dict__", {}).values()):

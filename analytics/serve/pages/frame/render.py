@@ -60,6 +60,11 @@ def compiled(template: str) -> jinja2.Template:
     return _environment().get_template(template)
 
 
+def templates() -> list[str]:
+    """Names of all templates."""
+    return _environment().list_templates(extensions=["jinja"])
+
+
 def page(request: Request, template: str, context: dict[str, Any], status: int = 200) -> HTMLResponse:
     """A page in the language of the request."""
     return page_of(request, rendered(request, template, context), status)
