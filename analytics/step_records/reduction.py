@@ -1,6 +1,7 @@
 """Reduction of one run: the samples of each step and signal become one row of statistics."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,8 +70,7 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
             if (chosen := tuple(window for window in each.windows if each.is_raw(window) == is_raw))
         ]
         for group in _groups(wanted, is_raw=is_raw):
-            sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
-            found = _fetched(catalog, sql, run, group, margin_ns)
+            found = _fetched(catalog, run, group, is_raw=is_raw)
             for each in group:
                 rows.extend(_reduced(run, each, found.get((each.unit, each.signal)), is_raw=is_raw))
     rows.sort(key=lambda row: (row["unit"], row["signal"], row["t_from_ns"], row["t_to_ns"]))
@@ -118,14 +118,20 @@ _Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 _WITHIN = """
 where run = $run and unit between $lower and $upper and unit in (select unnest($units))
-  and signal in (select unnest($signals)) and t_ns between $first and $last order by unit, signal, t_ns"""
-_RAW = f"select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples {_WITHIN}, seq"  # noqa: S608
+  and signal in (select unnest($signals)) and t_ns between $first and $last"""
+_RAW = (
+    f"select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples {_WITHIN} "  # noqa: S608
+    "order by unit, signal, t_ns, seq"
+)
+# not sorted: the lake has them in order but for runs in several parts, and sorting takes as long as reading
 _SECONDS = f"select unit, signal, t_ns, n, mean, m2 from rollup_1s {_WITHIN}"  # noqa: S608
 
 
 def _fetched(
-    catalog: Catalog, sql: str, run: str, group: list[_EvaluatedSignal], margin_ns: int
+    catalog: Catalog, run: str, group: list[_EvaluatedSignal], *, is_raw: bool
 ) -> dict[tuple[str, str], _Blocks]:
+    """Samples, or means of seconds, of each signal by time."""
+    sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
     units = sorted({each.unit for each in group})
     parameters = {
         "run": run,
@@ -142,12 +148,20 @@ def _fetched(
         return {}
     names = [table[name].combine_chunks().dictionary_encode() for name in ("unit", "signal")]
     codes = [np.asarray(each.indices) for each in names]
-    edges = np.flatnonzero(np.r_[True, (np.diff(codes[0]) != 0) | (np.diff(codes[1]) != 0)])
+    changes = (np.diff(codes[0]) != 0) | (np.diff(codes[1]) != 0)
     t_ns, n, mean, m2 = (table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2"))
+    stretches: dict[tuple[str, str], list[tuple[int, int]]] = {}
+    edges = np.flatnonzero(np.r_[True, changes, True])
+    for start, end in pairwise(edges.tolist()):
+        unit, signal = (each[start].as_py() for each in names)
+        stretches.setdefault((unit, signal), []).append((start, end))
     found = {}
-    for start, end in zip(edges, [*edges[1:], table.num_rows], strict=True):
-        unit, signal = (each[int(start)].as_py() for each in names)
-        found[unit, signal] = (t_ns[start:end], n[start:end], mean[start:end], m2[start:end])
+    for name, own in stretches.items():
+        rows = [np.concatenate([each[start:end] for start, end in own]) for each in (t_ns, n, mean, m2)]
+        if not is_raw and (np.diff(rows[0]) <= 0).any():
+            order = np.lexsort((rows[2], rows[1], rows[0]))  # also of blocks of the same time, as after a power cycle
+            rows = [each[order] for each in rows]
+        found[name] = (rows[0], rows[1], rows[2], rows[3])
     return found
 
 
