@@ -12,7 +12,7 @@ from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, 
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
 from storage.recording.client import HeldClaim, RecorderClient
-from storage.recording.knowledge import CatalogKnowledge, Knowledge
+from storage.recording.knowledge import AskedAhead, CatalogKnowledge, Knowledge
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher, Sender
@@ -67,8 +67,9 @@ def _groups(sendings: Iterable[FileSending]) -> Iterator[list[FileSending]]:
 
 
 def _send(group: Sequence[FileSending], knowledge: Knowledge, sender: Sender, progress: FileProgress | None) -> None:
+    asked = AskedAhead(knowledge, sorted({run for each in group for run in each.runs}))
     for each in group:
-        each.compare(knowledge)
+        each.compare(asked)
     for each in group:
         began = time.monotonic()
         each.send(sender, None if progress is None else partial(progress, each.path))
