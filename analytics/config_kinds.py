@@ -179,13 +179,13 @@ def checked(path: Path, kind: str | None, commands: Commands) -> Checked:
 
 def _kind_of(path: Path, commands: Commands) -> str:
     """What a file is, by its name and its first keys."""
-    if path.name == RULES_FILE:
-        return "site"
     try:
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES)
     except OSError as error:
         raise BadInput(f"{path} cannot be read: {error.strerror or error}") from error
+    if path.name == RULES_FILE:
+        return "site"
     if path.suffix == ".json":
         return _kind_of_json(path, content)
     if path.suffix != ".toml":

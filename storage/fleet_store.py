@@ -19,6 +19,7 @@ from storage.store_marker import (
     MARKER,
     REPLICA,
     alone_in,
+    check_folder,
     identity_of_copy,
     identity_of_segments,
     write_markers,
@@ -72,6 +73,7 @@ class FleetStore:
     @classmethod
     def create(cls, folder: Path) -> Self:
         """Open a fleet store, or create it in an empty or missing folder."""
+        check_folder(folder)
         if (folder / FLEET_MARKER).exists():
             return cls.open(folder)
         if (folder / MARKER).exists():

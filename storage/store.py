@@ -14,6 +14,7 @@ from storage.store_marker import (
     FLEET_MARKER,
     MARKER,
     alone_in,
+    check_folder,
     identity_of_copy,
     identity_of_segments,
     is_repairable,
@@ -79,6 +80,7 @@ class Store:
     @classmethod
     def create(cls, folder: Path) -> Self:
         """Open a store for writing, or create it in an empty or missing folder; StoreError if that cannot be done."""
+        check_folder(folder)
         marker = folder / MARKER
         try:
             folder.mkdir(parents=True, exist_ok=True)

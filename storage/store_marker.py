@@ -13,7 +13,7 @@ from pathlib import Path
 
 from storage.segments.disk import DISK
 from stream.atomic_file import write_durably
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 
 STORE_FORMAT = 1
 MARKER = "store.json"
@@ -24,6 +24,18 @@ _SEGMENT = re.compile(r"\d{8}\.mcap(\..*)?")
 _IDENTITY = re.compile(r"[0-9a-f]{32}")
 _CHECKSUM = "sha256"
 _WITHOUT_CHECKSUM = {"format", "id", "created_ns"}  # of the oldest stores
+
+
+def check_folder(folder: Path) -> None:
+    """Raise BadInput for an address on an object store where a folder is meant: it would become a folder ``s3:`` here.
+
+    >>> check_folder(Path("s3://gyros/backup"))
+    Traceback (most recent call last):
+    ...
+    stream.errors.BadInput: s3:/gyros/backup looks like an address on an object store, and a folder is meant here
+    """
+    if re.match(r"s3:(/|$)", str(folder), re.IGNORECASE):
+        raise BadInput(f"{folder} looks like an address on an object store, and a folder is meant here")
 
 
 def read_marker(marker: Path) -> str:

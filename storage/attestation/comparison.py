@@ -9,10 +9,12 @@ from storage.attestation.signing_key import fingerprint
 from storage.attestation.time_stamp import check_stamp
 from storage.carried_names import is_carried
 from storage.findings import Finding, Severity
+from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store
-from storage.store_marker import is_replica
+from storage.store_marker import REPLICA, is_replica
+from stream.decoding import decode_json
 from stream.errors import StoreError
 
 if TYPE_CHECKING:
@@ -117,7 +119,7 @@ def _segments(store: Store, stated: Statement, found: LogManifest) -> Iterator[F
 def _order(store: Store, stated: Statement, found: LogManifest) -> Iterator[Finding]:
     attested = list(dict.fromkeys(each.name for each in stated.segments if each.name in found.entries))
     known = set(attested)
-    listed = [name for name in found.entries if name in known]
+    listed = [name for name in _in_order(store, found) if name in known]
     for mine, theirs in zip(listed, attested, strict=True):
         if mine != theirs:
             what = f"the log's manifest has segment {mine} where {theirs} was attested: it was reordered"
@@ -128,6 +130,16 @@ def _order(store: Store, stated: Statement, found: LogManifest) -> Iterator[Find
     for name in fresh:
         what = f"segment {name} is older than {newest}, and was not there when that was attested"
         yield Finding("attested_changed", Severity.DAMAGE, str(store.log / name), what, _ASK)
+
+
+def _in_order(store: Store, found: LogManifest) -> list[str]:
+    """Segments in the order of the plant's list; the manifest of a copy has them in the order of their arrival."""
+    received = store.folder / REPLICA / "segments.jsonl"
+    if not is_replica(store.folder) or not received.is_file():
+        return list(found.entries)
+    lines = received.read_bytes().split(b"\n")[:-1]
+    names = [decode_json(line.partition(b"\t")[0], SegmentEntry).segment for line in lines]
+    return [name for name in dict.fromkeys([*names, *found.entries]) if name in found.entries]
 
 
 def _files(store: Store, stated: Statement) -> Iterator[Finding]:

@@ -15,9 +15,10 @@ from storage.backup.copied_file import CopiedFile, copy_database, copy_file
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
 from storage.store import Store, only_one
+from storage.store_marker import check_folder
 from stream.atomic_file import write_durably
 from stream.decoding import decode_json
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 
 BACKUP = "backup.json"
 LOG, OPEN, FILES = "log", "open", "files"
@@ -75,6 +76,9 @@ def back_up(
     With `is_checked` every segment that is in the backup already is read, and copied again if it is damaged. What was
     acknowledged before the call is in the backup.
     """
+    check_folder(folder)
+    if folder.resolve().is_relative_to(store.folder.resolve()):
+        raise BadInput(f"{folder} lies within {store.folder}: a backup there would hold itself; give another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with only_one(folder / "backup.lock", "gyrofleet backup"):

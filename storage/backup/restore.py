@@ -10,7 +10,7 @@ from storage.backup.backup import BACKUP, FILES, Backup, read_backup
 from storage.backup.copied_file import CopiedFile, copy_file
 from storage.check.recover import Action, recover
 from storage.store import Store
-from storage.store_marker import write_markers
+from storage.store_marker import check_folder, write_markers
 from stream.atomic_file import write_durably
 from stream.errors import StoreError
 
@@ -25,6 +25,7 @@ def restore(
     StoreError if a file of the backup is damaged; the folder is a store only once everything is verified. The same
     call repeats a restoration that was interrupted.
     """
+    check_folder(folder)
     backup = read_backup(source)
     copies = [*_of_log(backup), *backup.open, *backup.files]
     total = max(1, sum(each.size for each in copies))

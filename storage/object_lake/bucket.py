@@ -4,6 +4,7 @@ Credentials, region and endpoint come from the usual environment (``AWS_*``); me
 """
 
 import hashlib
+import os
 import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -68,7 +69,11 @@ class Bucket:
         match = _URL.fullmatch(url.rstrip("/"))
         parts = [] if match is None else (match[2] or "").split("/")[1:]
         if match is None or any(part in {"", ".", ".."} for part in parts):
-            raise BadInput(f"{url!r} is not the address of a lake; give s3://BUCKET/PREFIX")
+            raise BadInput(f"{url!r} is no address on an object store; give s3://BUCKET/PREFIX")
+        if endpoint_url is not None and re.match(r"https?://[^/\s]", endpoint_url) is None:
+            raise BadInput(
+                f"the endpoint {endpoint_url!r} is no address; give one that begins with http:// or https://"
+            )
         self.url = f"s3://{match[1]}" + "".join(f"/{part}" for part in parts)
         try:
             self._store = S3Store(

@@ -1,6 +1,7 @@
 """A plant's sealed segments and files in a bucket, each uploaded once, from where fleet stores fetch them."""
 
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, LOST
 from storage.object_lake.bucket import Bucket, FileDigests, Outdated, file_digests
 from storage.replication.bandwidth import Bandwidth
-from storage.replication.plant_list import checked_line
+from storage.replication.plant_list import SALVAGED, ListRefused, checked_line
 from storage.replication.progress import Refusal
 from storage.replication.sources.folder_source import FolderSource
 from storage.replication.sources.plant_bucket import FILES, SEGMENTS, BucketList, claim, file_key, segment_key
@@ -91,6 +92,8 @@ class BucketUpload:
                 self._bring_files()
         except Outdated as error:
             trouble = f"{self._bucket.url}/{error} was written by another upload of this plant; repeat the command"
+        except ListRefused as error:
+            self._refuse(error.kind, error.segment, str(error))
         except (SourceGone, StoreError, BadInput) as error:
             trouble = str(error)
         except _Stopped:
@@ -110,6 +113,7 @@ class BucketUpload:
         if held and (not own or own[0] != self._list.last_line):
             own = list(self._source.segments(0))
             theirs = list(self._list.lines())
+            self._check_same_history(theirs, own)
             if theirs[: len(own)] == own:
                 raise StoreError(
                     f"the list of {self._source.where} ends before the one in {self._bucket.url}: it was replaced by "
@@ -118,7 +122,7 @@ class BucketUpload:
             is_rewritten, held = True, 0
         elif held:
             own = own[1:]
-        entries = [decode_json(line.partition(b"\t")[0], SegmentEntry) for line in own]
+        entries = [_entry(line) for line in own]
         self._check_chain(own, held, is_rewritten)
         latest = {each.segment: each for each in entries if each.origin != LOST}
         for entry in self._listed_and_missing():
@@ -140,6 +144,40 @@ class BucketUpload:
                 listed_at, first = time.monotonic(), number
                 self._count = number
 
+    def _check_same_history(self, theirs: list[bytes], own: list[bytes]) -> None:
+        """Raise ListRefused if the plant's list lacks or changes what the bucket's has; StoreError if that is none."""
+        last, listed = FIRST, dict[str, SegmentEntry]()
+        for number, line in enumerate(theirs, start=1):
+            try:
+                checked = checked_line(line, last)
+            except ListRefused as error:
+                raise StoreError(
+                    f"line {number:,} of the list in {self._bucket.url} is no line of a plant; it was changed: "
+                    f"delete the objects below {SEGMENTS}/ there, the list is then uploaded again"
+                ) from error
+            last = checked.chained
+            if checked.entry.origin != LOST:
+                listed.setdefault(checked.entry.segment, checked.entry)
+        mine, lost = dict[str, SegmentEntry](), set[str]()
+        for entry in map(_entry, own):
+            if entry.origin == LOST:
+                lost.add(entry.segment)
+            else:
+                mine.setdefault(entry.segment, entry)
+        if len(own) < len(theirs) and theirs[: len(own)] == own:
+            return  # it is shorter
+        for name, entry in listed.items():
+            found = mine.get(name)
+            if found is None and name in lost:
+                continue
+            if found is None or (found.sha256 != entry.sha256 and found.origin != SALVAGED):
+                what = "is not in it" if found is None else f"has SHA-256 {found.sha256[:12]} in it"
+                raise ListRefused(
+                    "fork", name,
+                    f"the list of {self._source.where} has another history than the one in {self._bucket.url}: "
+                    f"segment {name}, listed there with SHA-256 {entry.sha256[:12]}, {what}; nothing is uploaded",
+                )  # fmt: skip
+
     def _check_chain(self, own: list[bytes], held: int, is_rewritten: bool) -> None:
         last = FIRST
         if held and not is_rewritten:
@@ -151,12 +189,19 @@ class BucketUpload:
         """At the first pass: listed segments without an object, which were damaged or missing before."""
         if self._there is not None:
             return []
-        self._there = {each.key: each.etag for each in self._bucket.objects("log")}
+        objects = self._bucket.objects("log")
+        self._there = {each.key: each.etag for each in objects}
+        sizes: defaultdict[str, set[int]] = defaultdict(set)
         found: dict[str, SegmentEntry] = {}
         for line in self._list.lines():
-            entry = decode_json(line.partition(b"\t")[0], SegmentEntry)
+            entry = _entry(line)
             self._listed.add(entry.segment)
             found[entry.segment] = entry
+            sizes[segment_key(entry.segment)].add(entry.size)
+        for each in objects:
+            if each.key in sizes and each.bytes not in sizes[each.key]:  # somebody has changed it
+                self._notes.append(f"{self._bucket.url}/{each.key} has {each.bytes:,} bytes, it is uploaded again")
+                del self._there[each.key]
         return [each for name, each in found.items() if each.origin != LOST and segment_key(name) not in self._there]
 
     def _upload(self, entry: SegmentEntry) -> None:
@@ -207,6 +252,13 @@ class BucketUpload:
             raise _Stopped
         self._bucket.put_file(key, path, digests)
         self._on_bytes(digests.bytes)
+
+
+def _entry(line: bytes) -> SegmentEntry:
+    try:
+        return decode_json(line.partition(b"\t")[0], SegmentEntry)
+    except msgspec.MsgspecError as error:
+        raise StoreError(f"a line of the list is none: {line[:60]!r} ({error})") from error
 
 
 class _Stopped(Exception):

@@ -126,13 +126,15 @@ class _Recall:
         )  # fmt: skip
 
     def _listed(self) -> Iterator[SegmentEntry]:
-        """The segments of the copy, each as it was last listed there."""
+        """The segments of the copy: the originals that it has kept, else as last listed there."""
         last, entries = FIRST, LogManifest()
         for raw in self._source.segments(0):
             line = checked_line(raw, last)
             last = line.chained
             entries.take(line.entry)
-        yield from sorted(entries.entries.values(), key=lambda entry: entry.segment)
+        found = dict(entries.entries)
+        found.update((entry.segment, entry) for entry in self._source.originals())
+        yield from sorted(found.values(), key=lambda entry: entry.segment)
 
     def _take(self, entry: SegmentEntry) -> None:
         name, path = entry.segment, self._store.log / entry.segment

@@ -1,13 +1,17 @@
 """A plant whose history is in a bucket of an object store."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import TypeVar
 
 import msgspec
 
 from storage.carried_names import is_carried
+from storage.manifests.entries import SegmentEntry
+from storage.manifests.log import FIRST, LOST
 from storage.object_lake.bucket import Bucket
 from storage.plant import Plant
+from storage.replication.plant_list import checked_line
 from storage.replication.sources.plant_bucket import FILES, SEGMENTS, BucketList, file_key, read_claim, segment_key
 from storage.replication.sources.source import CarriedFile, SegmentMissing, SourceGone, is_segment
 from stream.closing import Closing
@@ -32,16 +36,39 @@ class BucketSource(Closing):
         self._sizes: dict[str, int] = {}
         self._ahead = ("", 0, b"")  # key, place and bytes of the last range
 
-    def plant(self) -> Plant | None:
-        """Identity of the plant; None as long as the bucket is of none."""
+    def plant(self) -> Plant:
+        """Identity of the plant; SourceGone as long as the bucket is of none."""
         found = self._asked(lambda: read_claim(self._bucket))
-        if found is not None and self._name not in (None, found.name):
+        if found is None:
+            raise SourceGone(
+                f"nothing of a plant is there; is the address right? `gyrofleet replicate --to {self.where}` uploads"
+            )
+        if self._name not in (None, found.name):
             raise BadInput(f"{self.where} has the history of plant {found.name}, not of {self._name}")
         return found
 
     def segments(self, after: int) -> Iterator[bytes]:
         """Lines of the list beyond the first `after`."""
-        return self._lines(self._segments, after)
+        self._asked(self._segments.update)
+        if not self._segments.count:
+            raise SourceGone(f"{self.where} has no list of segments: the plant has not uploaded yet, or it was deleted")
+        yield from self._lines(self._segments, after)
+
+    def originals(self) -> Iterator[SegmentEntry]:
+        """Segments that are kept as first listed, though the plant has listed a part or the loss of them since."""
+        self._asked(self._segments.update)
+        first, changed = dict[str, SegmentEntry](), set[str]()
+        for lines in self._asked(lambda: [*self._segments.earlier(), list(self._segments.lines())]):
+            last = FIRST
+            for raw in lines:
+                line = checked_line(raw, last)
+                last, entry = line.chained, line.entry
+                if entry.origin == LOST or first.setdefault(entry.segment, entry).sha256 != entry.sha256:
+                    changed.add(entry.segment)
+        for name in sorted(changed & first.keys()):
+            with suppress(SegmentMissing):
+                if self._size(segment_key(name)) == first[name].size:
+                    yield first[name]
 
     def files(self) -> Iterator[CarriedFile]:
         """What travels besides segments."""

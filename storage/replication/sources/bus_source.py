@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import msgspec
 
+from storage.manifests.entries import SegmentEntry
 from storage.plant import Plant, checked
 from storage.replication.sources.bus_server import KEYS, MISSING, After, Range
 from storage.replication.sources.source import CHUNK_BYTES, CarriedFile, SegmentMissing, SourceGone
@@ -64,6 +65,10 @@ class BusSource(Closing):
                 return
             yield from lines
             after += len(lines)
+
+    def originals(self) -> tuple[SegmentEntry, ...]:
+        """None: a plant has what it lists last."""
+        return ()
 
     def files(self) -> Iterator[CarriedFile]:
         """What travels besides segments."""

@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 from storage.carried_names import is_carried
+from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, manifest_path
 from storage.plant import Plant, plant_of
 from storage.replication.plant_list import checked_line
@@ -42,6 +43,10 @@ class FolderSource(Closing):
     def segments(self, after: int) -> Iterator[bytes]:
         """Lines of the log's manifest beyond the first `after`."""
         yield from self._lines(after)
+
+    def originals(self) -> tuple[SegmentEntry, ...]:
+        """None: a plant has what it lists last."""
+        return ()
 
     def files(self) -> Iterator[CarriedFile]:
         """Issued certificates, error models and attestations."""

@@ -60,6 +60,15 @@ class BucketList:
                 )
             yield from found[max(0, after - first) :]
 
+    def earlier(self) -> Iterator[list[bytes]]:
+        """The lists that this one has replaced, the oldest first."""
+        for generation in range(1, self.generation):
+            old = BucketList(self._bucket, self._folder)
+            keys = [each.key for each in self._bucket.objects(f"{self._folder}/{generation:04d}")]
+            names = [_PIECE.fullmatch(key.removeprefix(f"{self._folder}/")) for key in keys]
+            old.generation, old._firsts = generation, sorted(int(each["first"]) for each in names if each is not None)
+            yield list(old.lines())
+
     @property
     def count(self) -> int:
         """Number of lines."""
@@ -97,7 +106,10 @@ class BucketList:
     def _piece(self, first: int) -> list[bytes]:
         found = self._bucket.get(self._key(first))
         if found is None or not found[0].endswith(b"\n"):
-            raise StoreError(f"{self._bucket.url}/{self._key(first)} is missing or cut")
+            raise StoreError(
+                f"{self._bucket.url}/{self._key(first)} is missing, or no list of lines: it was changed; delete "
+                "what the plant has not written, or all objects of the list, and let the plant upload again"
+            )
         return found[0].split(b"\n")[:-1]
 
     def _key(self, first: int) -> str:

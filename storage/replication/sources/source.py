@@ -9,6 +9,7 @@ from typing import Protocol
 
 import msgspec
 
+from storage.manifests.entries import SegmentEntry
 from storage.plant import Plant
 from stream.errors import GyrofleetError
 
@@ -49,6 +50,9 @@ class SegmentSource(Protocol):
 
         A line is the segment's entry as JSON, a tab, and the SHA-256 of the line before's hash and this entry.
         """
+
+    def originals(self) -> Iterable[SegmentEntry]:
+        """Segments that are kept as first listed, though the plant has listed a part or the loss of them since."""
 
     def files(self) -> Iterable[CarriedFile]:
         """What travels besides segments."""

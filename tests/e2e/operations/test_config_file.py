@@ -94,6 +94,13 @@ def test_every_kind_of_file_is_recognised_and_its_fault_named(kind: str, tmp_pat
     assert name in found["problem"]
 
 
+def test_a_file_that_is_not_there_is_no_file_without_rules(tmp_path: Path) -> None:
+    for name in ("site.toml", "users.toml"):
+        done = CliRunner().invoke(main, ["config", "check", str(tmp_path / "nowhere" / name), "--json"])
+        assert done.exit_code == 1
+        assert "No such file" in done.output
+
+
 def test_files_of_the_program_and_a_site_are_well(tmp_path: Path) -> None:
     make_site(tmp_path / "site")
     procedures = sorted((SOURCES / "ingest/procedures").glob("*.toml"))

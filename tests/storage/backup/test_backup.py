@@ -16,13 +16,14 @@ from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
 from storage.check.recover import Action
 from storage.check.verify import verify
+from storage.fleet_store import FleetStore
 from storage.lake.builder import build_missing
 from storage.log.event_log import EventLog
 from storage.recording.recorder import Recorder
 from storage.sql.door import SqlDoor
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 from stream.transport.bus import LocalBus
 from tests.storage.verified_store import KEY, batch, fill
 
@@ -71,6 +72,23 @@ def test_a_restored_store_is_the_same(store: Store, tmp_path: Path) -> None:
         assert database.execute("select * from alert").fetchall() == [("chamber off its set-point",)]
     fill(new, range(6, 8))  # it can be written on
     assert verify(new)[0].is_sound
+
+
+def test_a_backup_is_a_folder_beside_its_store(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An address on an object store would become a folder here, and a backup in its store hold itself."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInput, match="a backup there would hold itself"):
+        back_up(store, store.folder / "backup")
+    back_up(store, tmp_path / "B")
+    address = Path("s3://gyros/a")
+    for refused in (
+        lambda: back_up(store, address), lambda: restore(tmp_path / "B", address), lambda: Store.create(address),
+        lambda: FleetStore.create(Path("S3:/gyros/a")),
+    ):  # fmt: skip
+        with pytest.raises(BadInput, match="looks like an address on an object store"):
+            refused()
+    assert {path.name for path in tmp_path.iterdir()} == {"S", "B"}
+    assert not (store.folder / "backup").exists()
 
 
 def test_the_next_backup_adds_what_is_new(store: Store, tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from storage.check.recover import recover
 from storage.fleet_store import FleetStore
-from storage.manifests.log import read_log_manifest
+from storage.manifests.log import read_log_manifest, rewrite_manifest
 from storage.object_lake.bucket import Bucket
 from storage.replication.bucket_upload import BucketUpload, Uploaded
 from storage.replication.progress import Progress
@@ -21,6 +22,7 @@ from storage.replication.service import Replication
 from storage.replication.sources.bucket_source import BucketSource
 from storage.replication.sources.folder_source import FolderSource
 from storage.store import Store
+from stream.errors import BadInput
 from tests.forked_commands import CommandServer
 from tests.storage.object_lake.faulty_proxy import Fault, FaultyProxy
 from tests.storage.replication.plants import plant, rechained, segments_of, verified
@@ -145,6 +147,92 @@ def test_a_list_that_the_plant_rewrites_is_a_new_generation(tmp_path: Path, buck
         assert Receiver(source, fleet).run().is_well
     assert segments_of(fleet.replica("a").store) == segments_of(store)
     assert fetched(bucket, FleetStore.create(tmp_path / "fresh")).segments == 5
+
+
+def test_another_history_of_a_store_is_refused_and_changes_nothing(
+    tmp_path: Path, bucket: Bucket, fleet: FleetStore
+) -> None:
+    """Two copies of one store, both written: as after restoring a backup."""
+    store = plant(tmp_path / "a", 2)
+    assert uploaded(store, bucket).is_well
+    shutil.copytree(store.folder, tmp_path / "restored")
+    fill(store, range(4, 6))
+    fill(Store.open(tmp_path / "restored"), range(4, 8))  # one segment, of more batches
+    assert uploaded(store, bucket).is_well
+    before = contents(bucket)
+    for _ in range(2):
+        found = uploaded(Store.open(tmp_path / "restored"), bucket)
+        assert [(each.kind, each.segment) for each in found.refused] == [("fork", "00000003.mcap")]
+    assert contents(bucket) == before
+    assert fetched(bucket, fleet).is_well
+    assert segments_of(fleet.replica("a").store) == segments_of(store)
+
+
+@pytest.mark.parametrize("is_rewritten", [False, True])
+def test_what_recover_has_given_up_comes_back_from_the_bucket(
+    tmp_path: Path, bucket: Bucket, is_rewritten: bool
+) -> None:
+    store = plant(tmp_path / "a")
+    before = segments_of(store)
+    assert uploaded(store, bucket).is_well
+    path = store.log / "00000003.mcap"
+    path.write_bytes(before["00000003.mcap"][:3000] + bytes(len(before["00000003.mcap"]) - 3000))
+    assert list(recover(store))
+    assert uploaded(store, bucket).is_well
+    if is_rewritten:
+        listed = read_log_manifest(store)
+        rewrite_manifest(store, [*listed.entries.values(), *listed.lost.values()])
+        assert uploaded(store, bucket).notes == ("the plant has rewritten its list",)
+    for folder in (store.folder, tmp_path / "new"):
+        with BucketSource(bucket) as source:
+            assert recall(folder, source).is_well
+        assert segments_of(Store.open(folder))["00000003.mcap"] == before["00000003.mcap"]
+
+
+def test_an_object_of_another_size_is_uploaded_again(tmp_path: Path, bucket: Bucket, fleet: FleetStore) -> None:
+    store = plant(tmp_path / "a")
+    assert uploaded(store, bucket).is_well
+    bucket.put("log/00000003.mcap", b"cut")
+    found = uploaded(store, bucket)
+    assert (found.added, found.notes) == (1, (f"{bucket.url}/log/00000003.mcap has 3 bytes, it is uploaded again",))
+    assert fetched(bucket, fleet).is_well
+
+
+@pytest.mark.parametrize("nonsense", [b"[]\n{}\nnull\n", b"nonsense\n", b"", b"\xff\xfe", b"no end of line"])
+@pytest.mark.parametrize("is_appended", [False, True])
+def test_a_list_of_nonsense_is_named_on_both_sides(
+    tmp_path: Path, bucket: Bucket, fleet: FleetStore, nonsense: bytes, is_appended: bool
+) -> None:
+    store, key = plant(tmp_path / "a"), "list/0001/000000000000.jsonl"
+    assert uploaded(store, bucket).is_well
+    whole, _ = bucket.get(key) or (b"", "")
+    bucket.put(key, whole * is_appended + nonsense)
+    found = uploaded(store, bucket)
+    assert found.is_well == (is_appended and not nonsense)
+    if not found.is_well:
+        assert "list" in found.trouble
+        assert "an older copy" not in found.trouble
+    fetched(bucket, fleet)
+    bucket.delete([key])
+    assert uploaded(store, bucket).is_well
+    assert fetched(bucket, fleet).is_well
+    assert segments_of(fleet.replica("a").store) == segments_of(store)
+
+
+def test_an_empty_prefix_and_a_missing_list_are_no_plant_that_is_well(
+    tmp_path: Path, bucket: Bucket, fleet: FleetStore
+) -> None:
+    assert "nothing of a plant is there; is the address right?" in fetched(bucket, fleet).trouble
+    store = plant(tmp_path / "a")
+    assert uploaded(store, bucket).is_well
+    bucket.delete(["list/0001/000000000000.jsonl"])
+    assert "has no list of segments" in fetched(bucket, fleet).trouble
+
+
+@pytest.mark.parametrize("endpoint", ["127.0.0.1:5555", "foo", "ftp://foo", "http://"])
+def test_an_endpoint_is_an_address(endpoint: str) -> None:
+    with pytest.raises(BadInput, match="begins with http:// or https://"):
+        Bucket("s3://fleet/a", endpoint)
 
 
 @pytest.mark.parametrize(

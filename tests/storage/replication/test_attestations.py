@@ -50,6 +50,23 @@ def test_attestations_arrive_and_agree_and_later_ones_follow(store: Store, key: 
     assert list(own_findings(copy)) == []
 
 
+def test_a_segment_that_arrives_later_than_its_followers_is_no_reordering(
+    store: Store, key: SigningKey, tmp_path: Path
+) -> None:
+    fleet = FleetStore.create(tmp_path / "fleet")
+    attest(store, key)
+    path = store.log / "00000002.mcap"
+    path.rename(tmp_path / path.name)
+    with FolderSource(store.folder) as source:
+        assert [each.kind for each in received(source, fleet).refused] == ["segment_missing"]
+        (tmp_path / path.name).rename(path)
+        late = received(source, fleet)
+        assert (late.added, late.is_well) == (1, True)
+    copy = fleet.replica("a").store
+    assert list(read_log_manifest(copy).entries)[-1] == path.name
+    assert list(own_findings(copy)) == []
+
+
 def test_a_copy_that_is_behind_its_attestation_is_well(store: Store, key: SigningKey, tmp_path: Path) -> None:
     """The attestation names segments that have not arrived yet."""
     fleet = FleetStore.create(tmp_path / "fleet")
