@@ -70,10 +70,9 @@ class Bucket:
         parts = [] if match is None else (match[2] or "").split("/")[1:]
         if match is None or any(part in {"", ".", ".."} for part in parts):
             raise BadInput(f"{url!r} is no address on an object store; give s3://BUCKET/PREFIX")
-        if endpoint_url is not None and re.match(r"https?://[^/\s]", endpoint_url) is None:
-            raise BadInput(
-                f"the endpoint {endpoint_url!r} is no address; give one that begins with http:// or https://"
-            )
+        for each in (endpoint_url, os.environ.get("AWS_ENDPOINT_URL"), os.environ.get("AWS_ENDPOINT")):
+            if each and re.match(r"https?://[^/\s]", each) is None:
+                raise BadInput(f"the endpoint {each!r} is no address; give one that begins with http:// or https://")
         self.url = f"s3://{match[1]}" + "".join(f"/{part}" for part in parts)
         try:
             self._store = S3Store(
