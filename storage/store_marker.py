@@ -20,6 +20,8 @@ MARKER = "store.json"
 FLEET_MARKER = "fleet.json"
 REPLICA = "replica"
 """Folder in the copy of a plant's store that a fleet store holds; such a store is written by replication alone."""
+RECEIVED = "segments.jsonl"
+"""In that folder, the plant's list of its segments as it was received."""
 _SEGMENT = re.compile(r"\d{8}\.mcap(\..*)?")
 _IDENTITY = re.compile(r"[0-9a-f]{32}")
 _CHECKSUM = "sha256"

@@ -157,7 +157,8 @@ def _fetched(
         stretches.setdefault((unit, signal), []).append((start, end))
     found = {}
     for name, own in stretches.items():
-        rows = [np.concatenate([each[start:end] for start, end in own]) for each in (t_ns, n, mean, m2)]
+        parts = [[each[start:end] for start, end in own] for each in (t_ns, n, mean, m2)]
+        rows = [each[0] if len(each) == 1 else np.concatenate(each) for each in parts]
         if not is_raw and (np.diff(rows[0]) <= 0).any():
             order = np.lexsort((rows[2], rows[1], rows[0]))  # also of blocks of the same time, as after a power cycle
             rows = [each[order] for each in rows]

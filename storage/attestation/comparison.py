@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from storage.attestation.attestation import Attestation, Statement, entry_digest, kept_attestations, read_attestation
 from storage.attestation.signing_key import fingerprint
 from storage.attestation.time_stamp import check_stamp
@@ -13,7 +15,7 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store
-from storage.store_marker import REPLICA, is_replica
+from storage.store_marker import RECEIVED, REPLICA, is_replica
 from stream.decoding import decode_json
 from stream.errors import StoreError
 
@@ -134,11 +136,14 @@ def _order(store: Store, stated: Statement, found: LogManifest) -> Iterator[Find
 
 def _in_order(store: Store, found: LogManifest) -> list[str]:
     """Segments in the order of the plant's list; the manifest of a copy has them in the order of their arrival."""
-    received = store.folder / REPLICA / "segments.jsonl"
+    received = store.folder / REPLICA / RECEIVED
     if not is_replica(store.folder) or not received.is_file():
         return list(found.entries)
     lines = received.read_bytes().split(b"\n")[:-1]
-    names = [decode_json(line.partition(b"\t")[0], SegmentEntry).segment for line in lines]
+    try:
+        names = [decode_json(line.partition(b"\t")[0], SegmentEntry).segment for line in lines]
+    except msgspec.MsgspecError as error:
+        raise StoreError(f"{received} is damaged ({error}); delete it, the list is then received again") from error
     return [name for name in dict.fromkeys([*names, *found.entries]) if name in found.entries]
 
 

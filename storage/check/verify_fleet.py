@@ -12,8 +12,8 @@ from storage.log.files import sealed_segments
 from storage.manifests.log import read_log_manifest
 from storage.replication.plant_list import PlantList
 from storage.replication.progress import read_progress
-from storage.replication.receiver import LIST
 from storage.replication.service import fleet_conflicts
+from storage.store_marker import RECEIVED
 from stream.errors import GyrofleetError, StoreError
 
 _RECALL = "`gyrofleet replicate --recall` fetches it from the plant"
@@ -65,7 +65,7 @@ def _with_recall(finding: Finding) -> Finding:
 
 
 def _of_replica(replica: Replica) -> Iterator[Finding]:
-    where = replica.folder / LIST
+    where = replica.folder / RECEIVED
     for refusal in read_progress(replica).refused:
         segment = replica.store.log / refusal.segment if refusal.segment else replica.store.log
         remedy = "repair it at the plant; what was received before stays"

@@ -122,8 +122,7 @@ class BucketUpload:
             is_rewritten, held = True, 0
         elif held:
             own = own[1:]
-        entries = [_entry(line) for line in own]
-        self._check_chain(own, held, is_rewritten)
+        entries = self._entries(own, held, is_rewritten)
         latest = {each.segment: each for each in entries if each.origin != LOST}
         for entry in self._listed_and_missing():
             self._upload(latest.get(entry.segment, entry))
@@ -178,12 +177,16 @@ class BucketUpload:
                     f"segment {name}, listed there with SHA-256 {entry.sha256[:12]}, {what}; nothing is uploaded",
                 )  # fmt: skip
 
-    def _check_chain(self, own: list[bytes], held: int, is_rewritten: bool) -> None:
-        last = FIRST
+    def _entries(self, own: list[bytes], held: int, is_rewritten: bool) -> list[SegmentEntry]:
+        """What the plant's lines list; ListRefused if they do not continue the bucket's list."""
+        last, found = FIRST, []
         if held and not is_rewritten:
             last = self._list.last_line.rpartition(b"\t")[2].decode()
-        for line in own:
-            last = checked_line(line, last).chained
+        for raw in own:
+            line = checked_line(raw, last)
+            last = line.chained
+            found.append(line.entry)
+        return found
 
     def _listed_and_missing(self) -> list[SegmentEntry]:
         """At the first pass: listed segments without an object, which were damaged or missing before."""

@@ -22,9 +22,9 @@ from storage.replication.segment_check import check_segment, is_intact, set_asid
 from storage.replication.sources.source import SegmentMissing, SegmentSource, SourceGone
 from storage.segments.disk import DISK, Disk
 from storage.store import REPLICATION, WriterLock
+from storage.store_marker import RECEIVED
 from stream.errors import BadInput, StoreError
 
-LIST = "segments.jsonl"
 ARRIVING = "arriving"
 _MAX_LINES = 2_000_000  # a segment of 300 s each: 19 years
 _REPORT_EVERY_S = 0.2
@@ -128,7 +128,7 @@ class Receiver:
         for folder in (self._store.log, self._store.lake, self._store.tmp):
             folder.mkdir(exist_ok=True)
         self._before = read_progress(replica)
-        path = replica.folder / LIST
+        path = replica.folder / RECEIVED
         if not self._seen or self._seen != _marks(path, manifest_path(self._store)):  # else as the last pass left them
             self._list = PlantList(path, self._disk)
             self._manifest = ManifestWriter(self._store, self._disk)

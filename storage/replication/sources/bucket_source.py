@@ -50,7 +50,7 @@ class BucketSource(Closing):
     def segments(self, after: int) -> Iterator[bytes]:
         """Lines of the list beyond the first `after`."""
         self._asked(self._segments.update)
-        if not self._segments.count:
+        if self._segments.is_empty:
             raise SourceGone(f"{self.where} has no list of segments: the plant has not uploaded yet, or it was deleted")
         yield from self._lines(self._segments, after)
 
@@ -72,6 +72,7 @@ class BucketSource(Closing):
 
     def files(self) -> Iterator[CarriedFile]:
         """What travels besides segments."""
+        self._asked(self._files.update)
         for line in self._lines(self._files, 0):
             try:
                 yield _file.decode(line)
@@ -104,7 +105,6 @@ class BucketSource(Closing):
         return self._sizes[key]
 
     def _lines(self, of: BucketList, after: int) -> Iterator[bytes]:
-        self._asked(of.update)
         lines = of.lines(after)
         while (line := self._asked(lambda: next(lines, None))) is not None:
             yield line

@@ -31,6 +31,7 @@ class BucketList:
         self.generation = 1
         self._firsts: list[int] = []  # of the objects of this generation
         self._seen = ""  # the last key
+        self._latest: tuple[str, list[bytes]] = ("", [])  # object that was read last; none ever changes
 
     def update(self) -> None:
         """Look for objects that were added."""
@@ -70,6 +71,11 @@ class BucketList:
             yield list(old.lines())
 
     @property
+    def is_empty(self) -> bool:
+        """Whether it has no object."""
+        return not self._firsts
+
+    @property
     def count(self) -> int:
         """Number of lines."""
         return self._firsts[-1] + len(self._piece(self._firsts[-1])) if self._firsts else 0
@@ -104,13 +110,17 @@ class BucketList:
         self._seen = max(self._seen, key)
 
     def _piece(self, first: int) -> list[bytes]:
-        found = self._bucket.get(self._key(first))
+        key = self._key(first)
+        if self._latest[0] == key:
+            return self._latest[1]
+        found = self._bucket.get(key)
         if found is None or not found[0].endswith(b"\n"):
             raise StoreError(
                 f"{self._bucket.url}/{self._key(first)} is missing, or no list of lines: it was changed; delete "
                 "what the plant has not written, or all objects of the list, and let the plant upload again"
             )
-        return found[0].split(b"\n")[:-1]
+        self._latest = key, found[0].split(b"\n")[:-1]
+        return self._latest[1]
 
     def _key(self, first: int) -> str:
         return f"{self._folder}/{self.generation:04d}/{first:012d}.jsonl"
