@@ -14,6 +14,7 @@ import numpy as np
 
 from storage.log.store_documents import LAKE
 from storage.recording.knowledge import KnownRuns, KnownSignal, KnownStep, unpacked
+from storage.recording.signed_rules import keep_signed_rules
 from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint, writer_security
 from stream.batch import FloatArray, IntArray
 from stream.closing import Closing
@@ -23,6 +24,7 @@ from stream.events import Act, AnyDocument
 from stream.identity import Place, event_key
 from stream.security.credentials import BusSecurity, load_credentials, process_security
 from stream.security.rights import Role
+from stream.terminal.console import notes
 from stream.transport.bus import Admitted, Bus
 from stream.wire import requests
 
@@ -196,12 +198,14 @@ def record_documents(
     from storage.recording.recorder import Recorder
     from stream.transport.bus import LocalBus
 
-    with (
-        WriterLock(store, role),
-        LocalBus() as bus,
-        Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake, reports_status=False),
-    ):
-        _send(bus, documents, place, store)
+    with WriterLock(store, role):
+        if (own := process_security().credentials) is not None:
+            keep_signed_rules(store, own, lambda text: notes().print(f"warning: {text}", soft_wrap=True, markup=False))
+        with (
+            LocalBus() as bus,
+            Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake, reports_status=False),
+        ):
+            _send(bus, documents, place, store)
 
 
 def _as_writer(folder: Path, documents: Sequence[AnyDocument]) -> BusSecurity:

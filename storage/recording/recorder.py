@@ -18,6 +18,7 @@ from storage.recording.intake import Intake
 from storage.recording.lake_builder import LakeBuilder
 from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
+from storage.recording.signed_rules import keep_signed_rules
 from storage.recording.status_board import StatusBoard
 from storage.segments.disk import DISK, Disk
 from storage.store import Store
@@ -59,6 +60,8 @@ class Recorder(Closing):
         self._store, self._bus, self._log, self._sync_interval_s = store, bus, log, sync_interval_s
         self._warn, self._on_failure = on_warning, on_failure
         self._credentials = credentials_of(bus)
+        if self._credentials is not None:
+            keep_signed_rules(store, self._credentials, on_warning)
         self._intake = Intake(log, store, None if self._credentials is None else SourceVerifier(self._credentials))
         self.counts = self._intake.counts
         self._reports = Reports(store, log, self._intake, self._warn)

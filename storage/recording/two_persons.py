@@ -7,6 +7,7 @@ import msgspec
 
 from storage.log.store_documents import is_sealed
 from storage.log.tail import documents_beyond
+from storage.recording.signed_rules import read_signed_rules
 from storage.store import Store, writer_security
 from stream.decoding import decode_json
 from stream.errors import BusError
@@ -64,10 +65,11 @@ class Proposal(NamedTuple):
 def needs_two(store: Store, access: AccessList | None = None) -> frozenset[Subject]:
     """What two persons are needed for, by the site's signed rules or by ``site.toml`` in the store's folder.
 
-    The signed rules are those in `access`, else in the access list of this process, else of the store's recorder.
-    BadInput if the file is wrong.
+    The signed rules are those in `access`, else in the access list of this process, else of the store's recorder, and
+    those that a recorder has left in the store. BadInput if a file is wrong.
     """
     asked = set(read_site_rules(store.folder / RULES_FILE).two_persons)
+    asked |= set(read_signed_rules(store.folder).two_persons)
     if access is None:
         access = _access_of(store)
     return frozenset(asked | set(access.rules.two_persons if access is not None else ()))

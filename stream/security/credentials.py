@@ -6,6 +6,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,13 +23,14 @@ SITE_CERTIFICATE, CERTIFICATE, KEY = "ca.pem", "certificate.pem", "key.pem"
 
 @dataclass(frozen=True, eq=False)
 class Credentials:
-    """What a principal proves itself with; `until` is the end of its certificate."""
+    """What a principal proves itself with; `until` is the end of its certificate, `site` a digest of the site's key."""
 
     folder: Path
     principal: Principal
     key: "EllipticCurvePrivateKey"
     access: AccessList
     until: dt.datetime
+    site: str
 
     def describe(self) -> str:
         """Who this side is, for messages."""
@@ -43,7 +45,7 @@ def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Crede
     from cryptography import x509
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
     from cryptography.x509.oid import NameOID
 
     folder = _folder_of(path, roles)
@@ -83,7 +85,8 @@ def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Crede
         able = " or ".join(roles)
         raise BusError(f"{folder} is of {principal}; this command needs a certificate of role {able}")
     access = read_access_list(folder / ACCESS_FILE, site_key)
-    return Credentials(folder, principal, key, access, certificate.not_valid_after_utc)
+    digest = sha256(site_key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)).hexdigest()
+    return Credentials(folder, principal, key, access, certificate.not_valid_after_utc, digest)
 
 
 def _folder_of(path: Path, roles: tuple[Role, ...]) -> Path:
