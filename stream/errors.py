@@ -16,6 +16,7 @@ class GyrofleetError(Exception):
     """
 
     exit_code = 1  # exit code of a command that fails with it
+    option = ""  # of a command, by its parameter's name, where the error is about one
 
     def __str__(self) -> str:
         """The message; the middle of an overlong one is left out."""

@@ -7,6 +7,7 @@ from urllib.parse import urlsplit
 from analytics.serve.doors.origin import is_loopback
 from analytics.serve.doors.roles import Role
 from stream.errors import BadInput
+from stream.terminal.option_checks import about
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,24 @@ class Settings:
     def check(self) -> None:
         """Refuse to listen beyond loopback without users and TLS; BadInput names what is missing."""
         if (self.certificate is None) is not (self.key is None):
-            raise BadInput("--certificate and --key belong together: give both files, or neither")
-        for option, path in (("--certificate", self.certificate), ("--key", self.key)):
+            with about("key" if self.key is None else "certificate"):
+                raise BadInput("--certificate and --key belong together: give both files, or neither")
+        for option, path in (("certificate", self.certificate), ("key", self.key)):
             if path is not None and not path.is_file():
-                raise BadInput(f"{option} {path}: there is no such file")
+                with about(option):
+                    raise BadInput(f"--{option} {path}: there is no such file")
+        with about("url"):
+            self._check_url()
+        with about("host"):
+            self._check_reach()
+
+    def _check_url(self) -> None:
         if self.url and not _is_site(self.url):
             raise BadInput(f"--url {self.url!r} is not the address of a server without a path, as https://bench7.plant")
         if self.url.startswith("http://") and self.certificate is not None:
             raise BadInput(f"--url {self.url} is without TLS, but the server has a certificate; write https://")
+
+    def _check_reach(self) -> None:
         if self.is_on_loopback or self.trusts_network:
             return
         lacking = [

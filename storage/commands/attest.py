@@ -1,16 +1,27 @@
 """The command `gyrofleet attest`."""
 
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import click
 
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.terminal.console import counted, notes, print_json, reporting, results, store_option, until_stopped
+from stream.terminal.option_checks import about, options_checked
 
 _SECONDS_PER_H = 3600.0
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    from storage.attestation.time_stamp import check_url
+
+    if url := options["timestamp_url"]:
+        with about("timestamp_url"):
+            check_url(url)
 
 
 @click.command("attest")
@@ -30,6 +41,7 @@ _SECONDS_PER_H = 3600.0
 @configured("attest")
 @reporting
 @logged("attest")
+@options_checked(_check)
 def attest(
     folder: Path, key: Path | None, out: Path | None, every_h: float | None, timestamp_url: str, *, as_json: bool
 ) -> None:
@@ -42,12 +54,9 @@ def attest(
     """
     from storage.attestation.attestation import attest as attest_store
     from storage.attestation.signing_key import SigningKey, create_key, default_key, fingerprint
-    from storage.attestation.time_stamp import check_url
     from storage.store import Store, check_outside
     from stream.atomic_file import write_durably
 
-    if timestamp_url:
-        check_url(timestamp_url)
     store = Store.open(folder)
     if out is not None:
         check_outside(store, out)

@@ -20,6 +20,7 @@ from stream.terminal.console import (
     store_option,
     until_stopped,
 )
+from stream.terminal.option_checks import check_listen, options_checked
 from stream.terminal.security_options import secured
 from stream.worker.compile_kernels import compile_kernels
 
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 @configured("estimate")
 @reporting
 @logged("estimate")
+@options_checked(check_listen)
 @secured(Role.ESTIMATOR)
 def estimate(
     folder: Path, connect: str | None, every_s: float, averages_s: tuple[float, ...], checkpoint_every_s: float,

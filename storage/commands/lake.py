@@ -1,13 +1,15 @@
 """The commands `gyrofleet lake`, `gyrofleet rebuild` and `gyrofleet retain`."""
 
 import time
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from storage.commands.lake_address import endpoint_option
+from stream.errors import BadInput
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.terminal.console import (
@@ -19,6 +21,7 @@ from stream.terminal.console import (
     store_option,
     until_stopped,
 )
+from stream.terminal.option_checks import about, check_listen, options_checked
 
 if TYPE_CHECKING:
     from storage.store import Store
@@ -31,6 +34,26 @@ _older_than = click.option(
     "--older-than", metavar="AGE", help="Drop raw rows that arrived longer ago, like 90d or 12h."
 )
 _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw rows beyond this size, like 500GB.")
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    from storage.object_lake.address import check_service, parse_bucket
+
+    check_listen(options)
+    for name in ("older_than", "max_size"):
+        with about(name):
+            _rule(**{"older_than": None, "max_size": None, name: options[name]})
+    url, endpoint_url = options["url"], options["endpoint_url"]
+    if url is not None:
+        with about("url"):
+            parse_bucket(url)
+        with about("endpoint_url"):
+            check_service(endpoint_url)
+    elif options["repair"] or endpoint_url is not None:
+        with about("repair" if options["repair"] else "endpoint_url"):
+            raise BadInput(
+                "--repair and --endpoint-url are of a published lake: give --lake s3://BUCKET/PREFIX as well"
+            )
 
 
 @click.command("lake")
@@ -51,6 +74,7 @@ _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw
 @configured("lake")
 @reporting
 @logged("lake")
+@options_checked(_check)
 def lake(
     folder: Path, grace_s: float, older_than: str | None, max_size: str | None, url: str | None,
     endpoint_url: str | None, status_listen: str | None, *, once: bool, repair: bool,
@@ -67,7 +91,7 @@ def lake(
     from storage.recording.status_board import StatusBoard
     from storage.store import Store
     from storage.upkeep.service import LakeService
-    from stream.errors import BadInput, StoreError
+    from stream.errors import StoreError
     from stream.status.reporter import StatusReporter, served
 
     log = RoleLog("lake")
@@ -92,8 +116,6 @@ def lake(
             damaged = damaged_parts(bucket, verify_published(bucket, store))
             report("verified", f"{len(damaged)} published parts are damaged", damaged=len(damaged))
         publisher = Publisher(store, bucket, grace_s=grace_s, report=report, damaged=damaged)
-    elif repair or endpoint_url is not None:
-        raise BadInput("--repair and --endpoint-url are of a published lake: give --lake s3://BUCKET/PREFIX as well")
     with builder_lock(store), until_stopped() as stopped, ExitStack() as stack:
         service = LakeService(store, report=report, rule=rule, grace_s=grace_s, publisher=publisher)
         if not once:
@@ -194,7 +216,6 @@ def retain(
     from storage.store import Store
     from storage.upkeep.retention import apply_rule, would_drop
     from storage.upkeep.retention_clock import trust_clock as trust
-    from stream.errors import BadInput
 
     if older_than is None and max_size is None:
         raise BadInput("give --older-than AGE or --max-size SIZE, or both")

@@ -2,10 +2,11 @@
 
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,7 +14,8 @@ from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.security.rights import Role
 from stream.terminal.console import print_json, reporting, status_listen_option, store_option, until_stopped
-from stream.terminal.security_options import secured
+from stream.terminal.option_checks import check_listen, options_checked
+from stream.terminal.security_options import check_one_address, secured
 
 if TYPE_CHECKING:
     from storage.recording.recorder import Recorder
@@ -22,6 +24,11 @@ _SHOWN_REJECTIONS = 5
 _REFUSALS_LOGGED = 10  # between two reports
 _REPORT_EVERY_S = 5.0
 _SILENCE_S = 30.0
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    check_one_address(options)
+    check_listen(options)
 
 
 @click.command("record")
@@ -47,6 +54,7 @@ _SILENCE_S = 30.0
 @configured("record")
 @reporting
 @logged("record")
+@options_checked(_check)
 @secured(Role.RECORDER, listens=True)
 def record(
     folder: Path, listen: str | None, connect: str | None, rotate_mb: int, rotate_s: float, sync_ms: int,
@@ -56,14 +64,12 @@ def record(
     from storage.log.event_log import EventLog
     from storage.recording.recorder import Recorder
     from storage.store import Store, WriterLock
-    from stream.errors import BadInput, StoreError
+    from stream.errors import StoreError
     from stream.security.credentials import process_security
     from stream.security.endpoint import parse_endpoint, secured_endpoint
     from stream.status.reporter import served
     from stream.transport.zenoh_bus import DEFAULT_ENDPOINT, ZenohBus
 
-    if listen and connect:
-        raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
     credentials = process_security().credentials
     default = DEFAULT_ENDPOINT if credentials is None else secured_endpoint(DEFAULT_ENDPOINT)
     endpoint = connect or listen or default

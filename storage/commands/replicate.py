@@ -1,21 +1,23 @@
 """The command `gyrofleet replicate`."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import msgspec
 
 from storage.commands.lake_address import endpoint_option
+from storage.replication.addresses import check_distinct, is_bucket
 from stream.errors import BadInput
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.security.rights import Role
 from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
+from stream.terminal.option_checks import about, options_checked
 from stream.terminal.result_table import ResultTable
-from stream.terminal.security_options import secured
+from stream.terminal.security_options import check_one_address, secured
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -26,6 +28,51 @@ if TYPE_CHECKING:
 
 _EVERY_S = 2.0
 _ENDPOINT = "tcp/127.0.0.1:7448"
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    """BadInput if the options do not go together, or name a plant twice."""
+    from storage.plant import check_plant_name
+
+    if options["plant"] is not None:
+        with about("plant"):
+            check_plant_name(options["plant"])
+    sources, target = options["sources"], options["target"]
+    if options["serves"]:
+        if options["folder"] is None or sources or target is not None:
+            with about("folder" if options["folder"] is None else "sources" if sources else "target"):
+                raise BadInput(
+                    "--serve takes --store, and --listen or --connect; --from and --to are of the other side"
+                )
+        check_one_address(options)
+        return
+    for name in ("folder", "listen", "connect"):
+        if options[name]:
+            with about(name):
+                raise BadInput("--store, --listen and --connect go with --serve; else give --from PLANT and --to FLEET")
+    if not sources or target is None:
+        with about("target" if sources else "sources"):
+            raise BadInput("give --from PLANT and --to FLEET")
+    _check_addresses(options, sources, target)
+
+
+def _check_addresses(options: Mapping[str, Any], sources: tuple[str, ...], target: str) -> None:
+    from storage.object_lake.address import check_service, parse_bucket
+
+    with about("sources"):
+        check_distinct(sources)
+        for each in filter(is_bucket, sources):
+            parse_bucket(each)
+    with about("endpoint_url"):
+        if any(is_bucket(each) for each in (*sources, target)):
+            check_service(options["endpoint_url"])
+        elif options["endpoint_url"] is not None:
+            raise BadInput("--endpoint-url is of an object store: give s3://BUCKET/PREFIX with --from or --to")
+    with about("target"):
+        if is_bucket(target):
+            parse_bucket(target)
+            if options["recalls"] or options["no_lake"]:
+                raise BadInput("--recall and --no-lake go with a --to that is a folder; a bucket is only ever added to")
 
 
 @click.command("replicate")
@@ -54,6 +101,7 @@ _ENDPOINT = "tcp/127.0.0.1:7448"
 @configured("replicate")
 @reporting
 @logged("replicate")
+@options_checked(_check)
 @secured(Role.FLEET, Role.RECORDER)
 def replicate(
     sources: tuple[str, ...], target: str | None, endpoint_url: str | None, plant: str | None,
@@ -78,15 +126,10 @@ def replicate(
     gyrofleet replicate --from night --to s3://gyros/hangzhou --watch
     gyrofleet replicate --from s3://gyros/hangzhou --to fleet --watch
     """  # noqa: D301  click's mark for lines that are not to be joined
-    if serves:
-        if folder is None or sources or target is not None:
-            raise BadInput("--serve takes --store, and --listen or --connect; --from and --to are of the other side")
+    if serves and folder is not None:
         _serve(folder, listen, connect, plant, as_json=as_json)
         return
-    if folder is not None or listen or connect:
-        raise BadInput("--store, --listen and --connect go with --serve; else give --from PLANT and --to FLEET")
-    if not sources or target is None:
-        raise BadInput("give --from PLANT and --to FLEET")
+    assert target is not None  # else `_check` has refused it
     _copy(_Asked(sources, target, endpoint_url, plant, bandwidth, is_watch, as_json), recalls=recalls, no_lake=no_lake)
 
 
@@ -104,13 +147,8 @@ class _Asked(NamedTuple):
 
 def _copy(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
     from storage.fleet_store import is_fleet
-    from storage.replication.opened import is_bucket
 
-    if asked.endpoint_url is not None and not any(is_bucket(each) for each in (*asked.sources, asked.target)):
-        raise BadInput("--endpoint-url is of an object store: give s3://BUCKET/PREFIX with --from or --to")
     if is_bucket(asked.target):
-        if recalls or no_lake:
-            raise BadInput("--recall and --no-lake go with a --to that is a folder; a bucket is only ever added to")
         _upload(asked)
     elif recalls and not (is_fleet(Path(asked.target)) or asked.is_watch):
         _recall(asked)
@@ -120,8 +158,8 @@ def _copy(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
 
 def _fetch(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
     """Bring what plants have into a fleet store, once or until stopped."""
-    from storage.fleet_store import FleetStore
     from storage.replication.bandwidth import Bandwidth
+    from storage.replication.fleet_target import fleet_target
     from storage.replication.opened import opened_sources
     from storage.replication.service import Replication
 
@@ -129,9 +167,10 @@ def _fetch(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
         until_stopped() as stopped,
         progress_bar(hidden=asked.as_json) as bar,
         opened_sources(asked.sources, asked.plant, asked.endpoint_url) as opened,
+        fleet_target(Path(asked.target)) as fleet,
     ):
         replication = Replication(
-            FleetStore.create(Path(asked.target)), bandwidth=Bandwidth(asked.bandwidth, sleep=stopped.wait),
+            fleet, bandwidth=Bandwidth(asked.bandwidth, sleep=stopped.wait),
             builds_lakes=not no_lake, rereads=recalls, report=_Shown(bar),
             stopped=lambda: stopped.asked_at is not None,
         )  # fmt: skip
@@ -161,8 +200,6 @@ def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | N
     from storage.replication.sources.folder_source import FolderSource
     from stream.transport.zenoh_bus import ZenohBus
 
-    if listen and connect:
-        raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
     folders = [folder]
     if is_fleet(folder):
         fleet = FleetStore.open(folder)
@@ -298,10 +335,11 @@ def _log(found: "Pass") -> None:
 def _log_plant(
     log: RoleLog, plant: str, found_notes: "Iterable[str]", refused: "Iterable[Refusal]", trouble: str
 ) -> None:
+    who = f"{plant}: " if plant else ""  # one that has sealed nothing, or does not answer, has no name yet
     for note in found_notes:
-        log.write("info", "note", f"note: {plant}: {note}", plant=plant)
+        log.write("info", "note", f"note: {who}{note}", plant=plant)
     for refusal in refused:
-        where = f" {refusal.segment}" if refusal.segment else ""
-        log.write("warning", "refused", f"refused: {plant}{where}: {refusal.what}", plant=plant)
+        where = " ".join(each for each in (plant, refusal.segment) if each)
+        log.write("warning", "refused", f"refused: {where}: {refusal.what}", plant=plant)
     if trouble:
-        log.write("warning", "trouble", f"trouble: {plant}: {trouble}", plant=plant)
+        log.write("warning", "trouble", f"trouble: {who}{trouble}", plant=plant)

@@ -4,7 +4,6 @@ Credentials, region and endpoint come from the usual environment (``AWS_*``); me
 """
 
 import hashlib
-import os
 import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,13 +15,13 @@ import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 from obstore.store import S3Store
 
+from storage.object_lake.address import check_service, parse_bucket
 from stream.errors import BadInput, StoreError
 
 T = TypeVar("T")
 AT_ONCE = 8  # requests
 _READS = 3  # attempts
 _CHUNK_BYTES = 16 << 20  # larger files go up in pieces of this size
-_URL = re.compile(r"s3://([a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(/[^?#\\]*)?")
 _STATUS = re.compile(r"status code: (\d+)")
 _CODE = re.compile(r"<Code>(\w+)</Code>")
 
@@ -66,17 +65,12 @@ class Bucket:
     def __init__(
         self, url: str, endpoint_url: str | None = None, *, timeout_s: float = 120.0, retries: int = 6
     ) -> None:
-        match = _URL.fullmatch(url.rstrip("/"))
-        parts = [] if match is None else (match[2] or "").split("/")[1:]
-        if match is None or any(part in {"", ".", ".."} for part in parts):
-            raise BadInput(f"{url!r} is no address on an object store; give s3://BUCKET/PREFIX")
-        for each in (endpoint_url, os.environ.get("AWS_ENDPOINT_URL"), os.environ.get("AWS_ENDPOINT")):
-            if each and re.match(r"https?://[^/\s]", each) is None:
-                raise BadInput(f"the endpoint {each!r} is no address; give one that begins with http:// or https://")
-        self.url = f"s3://{match[1]}" + "".join(f"/{part}" for part in parts)
+        address = parse_bucket(url)
+        check_service(endpoint_url)
+        self.url = str(address)
         try:
             self._store = S3Store(
-                match[1], prefix="/".join(parts) or None,
+                address.bucket, prefix="/".join(address.parts) or None,
                 client_options={"allow_http": True, "timeout": timedelta(seconds=timeout_s)},
                 retry_config={"max_retries": retries, "retry_timeout": timedelta(seconds=timeout_s * (retries + 1))},
                 config={} if endpoint_url is None else {"endpoint": endpoint_url},

@@ -1,39 +1,19 @@
 """The sources that an address names: a store's folder, a fleet store's, an endpoint, or a bucket."""
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from storage.fleet_store import FleetStore, is_fleet
 from storage.plant import read_plant
+from storage.replication.addresses import is_bucket, is_endpoint
 from storage.replication.sources.bus_source import BusSource
 from storage.replication.sources.folder_source import FolderSource
 from storage.replication.sources.source import SegmentSource
 from storage.store_marker import MARKER, read_marker
 from stream.errors import BadInput
 
-_ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws|unixsock-stream|serial)/\S+")
-
 _ONE = "--plant names one plant; give one --from with it"
-
-
-def is_endpoint(address: str) -> bool:
-    """Whether an address is one of the bus.
-
-    >>> is_endpoint("tcp/10.0.0.7:7448"), is_endpoint("night")
-    (True, False)
-    """
-    return _ENDPOINT.fullmatch(address) is not None
-
-
-def is_bucket(address: str) -> bool:
-    """Whether an address is one of an object store.
-
-    >>> is_bucket("s3://gyros/plants/hangzhou"), is_bucket("s3")
-    (True, False)
-    """
-    return address.startswith("s3://")
 
 
 @contextmanager

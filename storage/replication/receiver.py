@@ -51,14 +51,16 @@ class Receiver:
         Whether the pass is to end.
     rereads : bool
         Whether every segment that is here is read, and fetched again if it is damaged.
+    claim : callable
+        Takes a plant's name for where this source is; returns where it comes from in this pass.
     """
 
     def __init__(
         self, source: SegmentSource, fleet: FleetStore, *, bandwidth: Bandwidth | None = None,
         report: Report = lambda _progress: None, stopped: Callable[[], bool] = lambda: False, rereads: bool = False,
-        disk: Disk = DISK,
+        disk: Disk = DISK, claim: Callable[[str, str], str] = lambda _plant, where: where,
     ) -> None:  # fmt: skip
-        self._rereads = rereads
+        self._rereads, self._claim = rereads, claim
         self._source, self._fleet, self._disk = source, fleet, disk
         self._bandwidth, self._report, self._stopped = bandwidth or Bandwidth(), report, stopped
         self._name = ""  # of the plant, once it is known
@@ -91,6 +93,9 @@ class Receiver:
             self._fleet.add_refusal(plant, str(error))
             return Progress(plant=plant.name, store=plant.store, refused=(refusal,), at_ns=time.time_ns())
         self._name = plant.name
+        if (other := self._claim(plant.name, self._source.where)) != self._source.where:
+            trouble = f"{self._source.where} is the plant that comes from {other} already; give each once"
+            return Progress(plant=plant.name, store=plant.store, trouble=trouble, at_ns=time.time_ns())
         try:
             with WriterLock(replica.store, REPLICATION):
                 return self._pass(replica)

@@ -63,11 +63,13 @@ class Replication:
         self._report, self._stopped = report, stopped
         self._receivers: dict[int, Receiver] = {}
         self._failed: dict[str, str] = {}
+        self._claims: dict[str, str] = {}
         self._lakes: dict[str, int] | None = None
         self._conflicts: tuple[Conflict, ...] = ()
 
     def run(self, sources: Iterable[SegmentSource]) -> Pass:
         """One pass over the plants."""
+        self._claims.clear()
         receivers = [self._receiver(source) for source in sources]
         with ThreadPoolExecutor(max(1, min(_AT_ONCE, len(receivers)))) as pool:  # one that is slow holds up no other
             done = list(pool.map(lambda each: each.run(), receivers))
@@ -89,6 +91,7 @@ class Replication:
                 report=self._report,
                 stopped=self._stopped,
                 rereads=self._rereads,
+                claim=self._claims.setdefault,  # one call: of two threads one is first
             )
         return found
 

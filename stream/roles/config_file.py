@@ -16,14 +16,14 @@ from typing import Any, NoReturn, TypeVar
 import click
 import msgspec
 
-from stream.errors import BadInput, BusError
+from stream.errors import BadInput, BusError, GyrofleetError
 from stream.security.endpoint import parse_endpoint
+from stream.terminal.option_checks import checks_of
 from stream.toml_text import decode_toml
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 TABLE = "gyrofleet_config"  # where a command keeps the name of its table
 _NOT_IN_FILES = frozenset({"config", "help", "json"})
-_TEXTS = (str, int, float)
 _ADDRESSES = frozenset({"listen", "connect"})
 
 
@@ -86,11 +86,33 @@ def check_config(path: Path, commands: Mapping[str, click.Command]) -> list[str]
             if key not in commands:
                 _unknown(path, key, key, commands, "a role")
             command_settings(path, content, key, commands[key])
+            _check_as_role(path, content, key, commands[key])
         elif key not in common:
             _unknown(path, key, key, common, "an option of a role")
         else:
             _value(path, key, value, common[key])
     return [key for key in content if key in commands]
+
+
+def _check_as_role(path: Path, content: Mapping[str, Any], table: str, command: click.Command) -> None:
+    """Parse the options as the role does that is started with the file, and make the checks that it makes of them."""
+    options = dict(_options(command))
+    try:
+        given = command.make_context(table, ["--config", str(path)]).params
+    except click.UsageError as error:
+        raise BadInput(f"{path}: {table}: {error.format_message()}") from error
+    for check in checks_of(command):
+        try:
+            check(given)
+        except GyrofleetError as error:
+            key = next((key for key, each in options.items() if each.name == error.option), "")
+            is_common = key in content and key not in content[table]
+            where = key if is_common else f"{table}.{key}" if key else table
+            raise BadInput(f"{path}: {where}: {error}") from error
+        except ModuleNotFoundError as error:
+            raise BadInput(
+                f"{path}: {table}: `gyrofleet {table}` needs {error.name}, which is not installed"
+            ) from error
 
 
 def _unknown(path: Path, where: str, key: str, known: Mapping[str, object], what: str) -> NoReturn:
@@ -128,13 +150,13 @@ def _value(path: Path, where: str, value: Any, option: click.Option) -> Any:
 
 def _single(path: Path, where: str, value: Any, option: click.Option) -> Any:
     kind = option.type
-    is_number = isinstance(kind, click.types.IntParamType | click.types.FloatParamType)
-    is_text = isinstance(value, str)
-    is_path = isinstance(kind, click.Path)
-    if isinstance(value, bool) or not isinstance(value, _TEXTS) or (is_text and is_number) or (is_path and not is_text):
-        what = "a number" if is_number else "a text"
+    is_whole = isinstance(kind, click.types.IntParamType)
+    is_number = is_whole or isinstance(kind, click.types.FloatParamType)
+    fits = isinstance(value, (int if is_whole else (int, float)) if is_number else str) and not isinstance(value, bool)
+    if not fits:
+        what = "a whole number" if is_whole else "a number" if is_number else "a text"
         raise BadInput(f"{path}: {where} is {value!r}; {what} is expected{_range(kind)}")
-    if is_path and isinstance(value, str):
+    if isinstance(kind, click.Path) and isinstance(value, str):
         value = str(path.parent / value)
     try:
         kind.convert(value, option, None)

@@ -13,6 +13,7 @@ from prometheus_client.registry import Collector, CollectorRegistry
 from stream.closing import Closing
 from stream.errors import BadInput
 from stream.status.role_status import RoleState, RoleStatus
+from stream.terminal.option_checks import parse_listen
 
 Collect = Callable[[], RoleStatus]
 _CONDITIONS = {RoleState.WORKING: 1.0, RoleState.ENDED: 1.0, RoleState.PAUSED: 0.5, RoleState.FAILED: 0.0}
@@ -57,7 +58,7 @@ class StatusEndpoint(Closing):
     """
 
     def __init__(self, address: str, collect: Collect) -> None:
-        host, _, port = address.rpartition(":")
+        place = parse_listen(address)
         registry = CollectorRegistry()
         registry.register(_Statuses(collect))
         metrics = make_wsgi_app(registry)
@@ -75,7 +76,7 @@ class StatusEndpoint(Closing):
             return [json.dumps(about).encode()]
 
         try:
-            self._server = _Server((host or "127.0.0.1", int(port)), _Handler)
+            self._server = _Server(place, _Handler)
         except (OSError, ValueError, OverflowError) as error:
             raise BadInput(f"--status-listen {address}: {error}; write it as 127.0.0.1:9464, a free port") from error
         self._server.set_app(answer)

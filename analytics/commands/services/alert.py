@@ -21,6 +21,7 @@ from stream.terminal.console import (
     store_option,
     until_stopped,
 )
+from stream.terminal.option_checks import check_listen, options_checked
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
 
@@ -43,6 +44,7 @@ def alert() -> None:
 @configured("alert")
 @reporting
 @logged("alert")
+@options_checked(check_listen)
 def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: bool) -> None:
     """Watch a store and send alerts, until stopped.
 

@@ -2,7 +2,9 @@
 
 import faulthandler
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,6 +12,21 @@ from analytics.serve.doors.roles import ROLES, Role
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.terminal.console import print_json, reporting, results, store_option
+from stream.terminal.option_checks import options_checked
+
+if TYPE_CHECKING:
+    from analytics.serve.settings import Settings
+
+
+def _settings(*, token_role: str, url: str, **given: Any) -> "Settings":
+    from analytics.serve.settings import Settings
+
+    return Settings(token_role=Role.named(token_role), url=url.rstrip("/"), **given)
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    names = ("host", "port", "users_path", "names", "certificate", "key", "trusts_network", "login_path", "url")
+    _settings(token_role=ROLES[0], token="", **{name: options[name] for name in names}).check()
 
 
 @click.command("serve")
@@ -51,6 +68,7 @@ from stream.terminal.console import print_json, reporting, results, store_option
 @configured("serve")
 @reporting
 @logged("serve")
+@options_checked(_check)
 def serve(
     folder: Path, host: str, port: int, token: str | None, token_role: str | None, users_path: Path | None,
     names: tuple[str, ...], certificate: Path | None, key: Path | None, login_path: Path | None, url: str, *,
@@ -70,17 +88,16 @@ def serve(
     import uvicorn  # noqa: F401
 
     from analytics.serve.server import serve as serve_store
-    from analytics.serve.settings import Settings
     from storage.sql.sandbox.landlock import WITHOUT_LANDLOCK, landlock_version
     from storage.store import Store
 
     store = Store.open(folder)
     is_new = not token and users_path is None and login_path is None
     role = token_role or ("approver" if users_path is None and login_path is None else "viewer")
-    settings = Settings(
-        host=host, port=port, token=token or (secrets.token_urlsafe(24) if is_new else ""), token_role=Role.named(role),
+    settings = _settings(
+        host=host, port=port, token=token or (secrets.token_urlsafe(24) if is_new else ""), token_role=role,
         users_path=users_path, names=names, certificate=certificate, key=key, trusts_network=trusts_network,
-        login_path=login_path, url=url.rstrip("/"),
+        login_path=login_path, url=url,
     )  # fmt: skip
 
     def say(url: str) -> None:

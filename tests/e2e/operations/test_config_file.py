@@ -1,6 +1,7 @@
 """One TOML file for roles, and the check of every kind of file: file, key, and what is expected."""
 
 import json
+import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -36,7 +37,7 @@ def check(*words: object) -> tuple[int, list[dict[str, Any]]]:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("rotate_mb = 4", 'rotate_mb = "4"', "record.rotate_mb is '4'; a number is expected, 1 or more"),
+        ("rotate_mb = 4", 'rotate_mb = "4"', "record.rotate_mb is '4'; a whole number is expected, 1 or more"),
         ("rotate_mb = 4", "rotate_mb = 0", "record.rotate_mb: 0 is not in the range x>=1"),
         ("rotate_mb = 4", "rotate = 4", "record.rotate is not an option of `gyrofleet record`"),
         ("rotate_mb = 4", "rotate_md = 4", "did you mean rotate_mb?"),
@@ -144,3 +145,65 @@ def test_a_file_of_settings_that_is_wrong_ends_the_command(tmp_path: Path, gyrof
     assert done.code == 2
     assert "roles.toml: record.rotate is not an option of `gyrofleet record`" in done.err
     assert not (tmp_path / "gyrofleet-data").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[record]\nlisten = "tcp/0.0.0.0:7447"\n',
+         "record.listen: tcp/0.0.0.0:7447 reaches beyond this computer, and anybody on the network could send"),
+        ('[estimate]\nconnect = "tcp/10.0.0.7:7447"\n', "estimate.connect: tcp/10.0.0.7:7447 reaches beyond"),
+        ('[router]\nlisten = "tls/127.0.0.1:7447"\n', "router.listen: tls/127.0.0.1:7447 needs certificates"),
+        ('[record]\nlisten = "tcp/0.0.0.0:7447"\nsecurity = "site/station/c1"\n',
+         "is of station c1; this command needs a certificate of role recorder"),
+        ('[record]\nlisten = "udp/0.0.0.0:7447"\nsecurity = "site/recorder/recorder"\n',
+         "record.listen: udp/0.0.0.0:7447: with --security an address is tls/HOST:PORT"),
+        ('[record]\nsecurity = "site/recorder/recorder"\ninsecure = true\n', "record.insecure: give --security or"),
+        ('[record]\nlisten = "tcp/127.0.0.1:1"\nconnect = "tcp/127.0.0.1:2"\n', "record.connect: give --listen or"),
+        ('[replicate]\nfrom = ["night"]\nto = 3\n', "replicate.to is 3; a text is expected"),
+        ('[replicate]\nfrom = ["night", 3]\nto = "F"\n', "replicate.from[1] is 3; a text is expected"),
+        ('[replicate]\nfrom = ["night"]\n', "replicate.to: give --from PLANT and --to FLEET"),
+        ('[replicate]\nfrom = ["night", "./night"]\nto = "F"\n',
+         "replicate.from: --from ./night is the same plant as --from night; give each once"),
+        ('[replicate]\nfrom = ["night"]\nto = "s3://Gyros_1/x"\n', "replicate.to: 's3://Gyros_1/x' is no address on"),
+        ('[record]\nrotate_mb = 4.5\n', "record.rotate_mb is 4.5; a whole number is expected, 1 or more"),
+        ('[record]\nstatus_listen = "[::]:nine"\n', "record.status_listen: --status-listen [::]:nine: this is no"),
+        ('[lake]\nolder_than = "90 days"\n', "lake.older_than: age '90 days': give a number with s, m, h, d or w"),
+        ('[lake]\nrepair = true\n', "lake.repair: --repair and --endpoint-url are of a published lake"),
+        ('[attest]\ntimestamp_url = "digicert.com"\n', "attest.timestamp_url: --timestamp-url 'digicert.com'"),
+        ('[serve]\nhost = "0.0.0.0"\n', "serve.host: --host 0.0.0.0 is reached from other machines, which needs users"),
+        ('[serve]\nkey = "k.pem"\n', "serve.certificate: --certificate and --key belong together"),
+        ('[alert]\nstatus_listen = "127.0.0.1:9464"\n', "alert: Missing option '--rules'"),
+        ('security = "nowhere"\n[record]\n', "security: Path"),
+    ],
+)  # fmt: skip
+def test_what_the_role_refuses_is_refused_before(
+    text: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The role itself, started with the file, refuses it with the same sentence."""
+    make_site(tmp_path / "site")
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "roles.toml"
+    path.write_text(text)
+    code, (wrong,) = check(path, "--as", "settings")
+    assert code == 1
+    assert wrong["problem"].startswith(f"{path}: ")
+    assert expected in wrong["problem"]
+    (role,) = re.findall(r"^\[(\w+)\]$", text, re.MULTILINE)
+    words = ["alert", "run"] if role == "alert" else [role]
+    refused = CliRunner().invoke(main, [*words, "--config", str(path)])
+    assert refused.exit_code in {1, 2}
+    said = expected.partition(": ")[2] or expected
+    assert said in " ".join(refused.output.split())
+    assert {each.name for each in tmp_path.iterdir()} == {"roles.toml", "site"}
+
+
+def test_a_role_that_may_is_well(tmp_path: Path) -> None:
+    make_site(tmp_path / "site")
+    path = tmp_path / "roles.toml"
+    path.write_text(
+        '[record]\nlisten = "tcp/0.0.0.0:7447"\nsecurity = "site/recorder/recorder"\n[router]\n'
+        'listen = "tcp/0.0.0.0:7449"\ninsecure = true\n[replicate]\nfrom = ["night", "tcp/127.0.0.1:7448"]\nto = "F"\n'
+    )
+    code, (right,) = check(path)
+    assert (code, right["problem"], right["text"]) == (0, "", "record, router, replicate")

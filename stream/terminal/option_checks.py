@@ -1,0 +1,74 @@
+"""Checks of a command's options, before it does anything; `gyrofleet config check` has the same for its settings."""
+
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, ParamSpec, TypeVar
+
+import click
+
+from stream.errors import BadInput, GyrofleetError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Check = Callable[[Mapping[str, Any]], object]
+_MOST_PORT = 65535
+_CHECKS = "gyrofleet_checks"  # where a command keeps them
+
+
+def options_checked(check: Check) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Have a command refuse its options, given by name, where `check` raises a GyrofleetError.
+
+    It stands below `reporting`.
+    """
+
+    def decorate(command: Callable[..., R]) -> Callable[..., R]:
+        @functools.wraps(command)
+        def run(*args: Any, **kwargs: Any) -> R:
+            check(kwargs)
+            return command(*args, **kwargs)
+
+        keep_check(run, check)
+        return run
+
+    return decorate
+
+
+def keep_check(command: Callable[..., Any], check: Check) -> None:
+    """Say that a command makes this check itself."""
+    setattr(command, _CHECKS, (check, *getattr(command, _CHECKS, ())))
+
+
+def checks_of(command: click.Command) -> tuple[Check, ...]:
+    """The checks that a command makes of its options, in their order."""
+    found: tuple[Check, ...] = getattr(command.callback, _CHECKS, ())
+    return found
+
+
+@contextmanager
+def about(option: str) -> Iterator[None]:
+    """Errors within are about that option, by its parameter's name."""
+    try:
+        yield
+    except GyrofleetError as error:
+        error.option = error.option or option
+        raise
+
+
+def check_listen(options: Mapping[str, Any]) -> None:
+    """BadInput if the option `status_listen` is no address."""
+    if address := options.get("status_listen"):
+        with about("status_listen"):
+            parse_listen(address)
+
+
+def parse_listen(address: str) -> tuple[str, int]:
+    """Host and port of ``HOST:PORT``; BadInput if it is none.
+
+    >>> parse_listen("127.0.0.1:9464"), parse_listen(":0")
+    (('127.0.0.1', 9464), ('127.0.0.1', 0))
+    """
+    host, _, port = address.rpartition(":")
+    if not (port.isascii() and port.isdigit() and len(port) <= len(str(_MOST_PORT)) and int(port) <= _MOST_PORT):
+        raise BadInput(f"--status-listen {address}: this is no address; write it as 127.0.0.1:9464, a free port")
+    return host or "127.0.0.1", int(port)
