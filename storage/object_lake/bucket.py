@@ -16,6 +16,7 @@ from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 from obstore.store import S3Store
 
 from storage.object_lake.address import check_service, parse_bucket
+from storage.object_lake.patience import GivenUp, answered
 from stream.errors import BadInput, StoreError
 
 T = TypeVar("T")
@@ -23,6 +24,11 @@ AT_ONCE = 8  # requests
 _READS = 3  # attempts
 _CHUNK_BYTES = 16 << 20  # larger files go up in pieces of this size
 _STATUS = re.compile(r"status code: (\d+)")
+_FAULTS = (
+    (re.compile(r"ConnectionRefused|Connection refused"), "connection refused"),
+    (re.compile(r"dns error|lookup address"), "the name of its host is not known"),
+    (re.compile(r"\bTimeout\b|TimedOut|timed out"), "no answer in time"),  # retry_timeout is in every text
+)
 _CODE = re.compile(r"<Code>(\w+)</Code>")
 
 
@@ -123,18 +129,20 @@ class Bucket:
         Returns the new version.
         """
         try:
-            done = obstore.put(self._store, key, content, mode="create" if etag is None else {"e_tag": etag})
+            done = answered(
+                lambda: obstore.put(self._store, key, content, mode="create" if etag is None else {"e_tag": etag})
+            )
             return done["e_tag"] or ""
         except (AlreadyExistsError, PreconditionError):
             raise Outdated(key) from None
-        except (BaseError, FileNotFoundError) as error:
+        except (BaseError, FileNotFoundError, GivenUp) as error:
             raise self._failed(key, error) from None
 
     def put(self, key: str, content: bytes) -> None:
         """Write an object."""
         try:
-            obstore.put(self._store, key, content, use_multipart=False)
-        except (BaseError, FileNotFoundError) as error:
+            answered(lambda: obstore.put(self._store, key, content, use_multipart=False))
+        except (BaseError, FileNotFoundError, GivenUp) as error:
             raise self._failed(key, error) from None
 
     def put_file(self, key: str, path: Path, of: "FileDigests") -> None:
@@ -144,11 +152,11 @@ class Bucket:
         read back.
         """
         try:
-            put = obstore.put(
+            put = answered(lambda: obstore.put(
                 self._store, key, path, chunk_size=_CHUNK_BYTES, max_concurrency=4,
                 use_multipart=of.bytes > _CHUNK_BYTES,
-            )  # fmt: skip
-        except (BaseError, FileNotFoundError) as error:
+            ))  # fmt: skip
+        except (BaseError, FileNotFoundError, GivenUp) as error:
             raise self._failed(key, error) from None
         if put["e_tag"] != of.etag and self.sha256(key) != (of.bytes, of.sha256):
             raise Unanswered(f"{self.url}/{key} is not what was sent; repeat the command")
@@ -190,23 +198,27 @@ class Bucket:
 
     def _delete(self, key: str) -> None:
         try:
-            obstore.delete(self._store, key)
+            answered(lambda: obstore.delete(self._store, key))
         except FileNotFoundError:
             return
-        except BaseError as error:
+        except (BaseError, GivenUp) as error:
             raise self._failed(key, error) from None
 
     def _read(self, key: str, action: Callable[[], T]) -> T:
         """The result of a request that reads, tried again where its answer breaks off: the client does not do that."""
         for left in reversed(range(_READS)):
             try:
-                return action()
+                return answered(action)
+            except GivenUp as error:
+                raise self._failed(key, error) from None
             except BaseError as error:
                 if not left or _STATUS.search(str(error)) is not None:
                     raise self._failed(key, error) from None
         raise AssertionError
 
     def _failed(self, key: str, error: Exception) -> StoreError:
+        if isinstance(error, GivenUp):
+            return Unanswered(f"{self.url}/{key}: no answer yet, and this process is to end; the next one goes on")
         return Unanswered(
             f"{self.url}/{key}: {_plain(error)}; check the network, the endpoint and the credentials in AWS_*, then "
             f"repeat the command"
@@ -233,6 +245,7 @@ def _plain(error: Exception) -> str:
     status, code = _STATUS.search(text), _CODE.search(text)
     if status is not None:
         return f"the server answers {status[1]}" + ("" if code is None else f" {code[1]}")
-    if "timed out" in text.lower() or "timeout" in text.lower():
-        return "no answer in time"
+    for pattern, what in _FAULTS:
+        if pattern.search(text) is not None:
+            return what
     return f"the line failed ({type(error).__name__})"

@@ -247,6 +247,15 @@ class Stop:
         return self.asked_at is not None
 
 
+_stops: list[Stop] = []  # of the roles within `until_stopped`: one in a process
+
+
+def seconds_since_stop() -> float | None:
+    """How long ago this process was asked to end, in `until_stopped`; None if it was not."""
+    asked_at = _stops[-1].asked_at if _stops else None
+    return None if asked_at is None else time.monotonic() - asked_at
+
+
 @contextmanager
 def interrupted_by_term() -> Iterator[None]:
     """Have SIGTERM end a command as Ctrl-C does: what it holds is closed, and its exit code is 130."""
@@ -272,8 +281,10 @@ def until_stopped() -> Iterator[Stop]:
             signal.raise_signal(number)
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    _stops.append(stop)
     try:
         yield stop
     finally:
+        _stops.remove(stop)
         for number, handler in before.items():
             signal.signal(number, handler)

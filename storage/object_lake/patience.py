@@ -1,0 +1,49 @@
+"""Requests to an object store that end with the process: one without an answer is given up soon after a signal.
+
+The client waits and retries for minutes, and a signal does not reach it. So each request has a thread of its own, and
+whoever waits for it looks up. What was given up may have had its effect, as after an answer that was lost.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+from stream.terminal.console import seconds_since_stop
+
+T = TypeVar("T")
+_GRACE_S = 5.0  # of all requests together, from the signal on
+_LOOK_S = 0.1
+
+
+class GivenUp(Exception):
+    """The process is to end, and the answer has not come."""
+
+
+def answered(request: Callable[[], T]) -> T:
+    """What a request returns or raises; GivenUp if the process was asked to end some seconds ago."""
+    results: list[T] = []
+    errors: list[BaseException] = []
+    done = threading.Event()
+
+    def ask() -> None:
+        try:
+            results.append(request())
+        except BaseException as error:  # noqa: BLE001  raised where it is waited for
+            errors.append(error)
+        finally:
+            done.set()
+
+    if _is_over():
+        raise GivenUp
+    threading.Thread(target=ask, name="gyrofleet-request", daemon=True).start()
+    while not done.wait(_LOOK_S):
+        if _is_over():
+            raise GivenUp
+    if errors:
+        raise errors[0]
+    return results[0]
+
+
+def _is_over() -> bool:
+    since_s = seconds_since_stop()
+    return since_s is not None and since_s > _GRACE_S
