@@ -1,5 +1,6 @@
 """Verification of a fleet store: the copy of every plant, its list, and what plants state differently."""
 
+import shlex
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -16,7 +17,6 @@ from storage.replication.service import fleet_conflicts
 from storage.store_marker import RECEIVED
 from stream.errors import GyrofleetError, StoreError
 
-_RECALL = "`gyrofleet replicate --recall` fetches it from the plant"
 _OF_SEGMENTS = {"segment_damaged", "segment_missing", "manifest_missing", "manifest_damaged", "log_missing"}
 
 
@@ -36,11 +36,11 @@ class FleetVerification(msgspec.Struct, frozen=True):
 
 def verify_fleet(fleet: FleetStore, progress: Callable[[float], None] = lambda _done: None) -> FleetVerification:
     """Verify the copies of all plants, one after the other, without changes."""
-    replicas = fleet.replicas()
+    replicas, to = fleet.replicas(), shlex.quote(str(fleet.folder))
     plants, findings = {}, []
     for number, replica in enumerate(replicas):
         found, _ = verify(replica.store, partial(_report, progress, number, len(replicas)))
-        own = [*(_with_recall(finding) for finding in found.findings), *_of_replica(replica)]
+        own = [*(_with_recall(finding, to) for finding in found.findings), *_of_replica(replica, to)]
         plants[replica.plant.name] = msgspec.structs.replace(found, findings=tuple(own))
     for plant, what in fleet.refusals():
         remedy = "if it is no other plant, look who took its place; delete refused.json to forget this"
@@ -60,11 +60,14 @@ def _report(progress: Callable[[float], None], before: int, of: int, done: float
     progress((before + done) / of)
 
 
-def _with_recall(finding: Finding) -> Finding:
-    return msgspec.structs.replace(finding, remedy=_RECALL) if finding.kind in _OF_SEGMENTS else finding
+def _with_recall(finding: Finding, to: str) -> Finding:
+    if finding.kind not in _OF_SEGMENTS:
+        return finding
+    remedy = f"`gyrofleet replicate --recall --from PLANT --to {to}` fetches it from the plant"
+    return msgspec.structs.replace(finding, remedy=remedy)
 
 
-def _of_replica(replica: Replica) -> Iterator[Finding]:
+def _of_replica(replica: Replica, to: str) -> Iterator[Finding]:
     where = replica.folder / RECEIVED
     for refusal in read_progress(replica).refused:
         segment = replica.store.log / refusal.segment if refusal.segment else replica.store.log
@@ -89,6 +92,5 @@ def _of_replica(replica: Replica) -> Iterator[Finding]:
     missing = sorted(listed.entries.keys() - here - held.keys() - listed.lost.keys())
     if missing:
         what = f"{len(missing)} segments of the plant's list have not arrived: {', '.join(missing[:5])}"
-        yield Finding(
-            "segments_not_arrived", Severity.UNFINISHED, str(replica.store.log), what, "`gyrofleet replicate`"
-        )
+        remedy = f"`gyrofleet replicate --from PLANT --to {to}`"
+        yield Finding("segments_not_arrived", Severity.UNFINISHED, str(replica.store.log), what, remedy)

@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from storage.commands.lake_address import endpoint_option
 from stream.errors import BadInput
 from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.terminal.hints import completed
 from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
@@ -86,7 +87,8 @@ def verify(
         attestation = read_attestation(against)
         roots = None if timestamp_root is None else read_roots(timestamp_root)
         more = compared(store, attestation, str(against), signed_by, roots)
-        found = msgspec.structs.replace(found, findings=(*found.findings, *more))
+        # the newest attestation in the store has been compared already, and may say the same
+        found = msgspec.structs.replace(found, findings=tuple(dict.fromkeys((*found.findings, *more))))
         stamp = _stamp_of(attestation, roots)
     if as_json:
         content = {name: getattr(found, name) for name in found.__struct_fields__}
@@ -121,7 +123,7 @@ def _print_findings(findings: "Sequence[Finding]") -> None:
         shown[finding.kind] += 1
         if shown[finding.kind] <= _SHOWN_OF_A_KIND:
             severity = styled(finding.severity, _COLOURS[finding.severity])
-            table.add_row(severity, finding.where, finding.what, finding.remedy)
+            table.add_row(severity, finding.where, finding.what, completed(finding.remedy))
     results().print(table)
     for kind, count in shown.items():
         if count > _SHOWN_OF_A_KIND:
@@ -204,5 +206,5 @@ def recover(folder: Path, *, quarantine: bool, as_json: bool) -> None:
     else:
         done = f"{len(actions)} steps done" if actions else "nothing to do"
         state = "the store is sound" if found.is_sound else "the store is still NOT sound, see `gyrofleet verify`"
-        results().print(f"{done}; {state}")
+        results().print(completed(f"{done}; {state}"))
     sys.exit(0 if found.is_sound else 1)

@@ -73,7 +73,7 @@ class Bucket:
     ) -> None:
         address = parse_bucket(url)
         check_service(endpoint_url)
-        self.url = str(address)
+        self.url, self.endpoint_url = str(address), endpoint_url
         try:
             self._store = S3Store(
                 address.bucket, prefix="/".join(address.parts) or None,

@@ -1,6 +1,7 @@
 """Addresses of plants: a folder, an endpoint of the bus, or a bucket; and whether two of them are one place."""
 
 import re
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -43,6 +44,20 @@ def check_distinct(addresses: Iterable[str]) -> None:
         if place in seen:
             raise BadInput(f"--from {address} is the same plant as --from {seen[place]}; give each once")
         seen[place] = address
+
+
+def recall_command(source: str, target: str, plant: str = "", *, endpoint_url: str | None = None) -> str:
+    """The command by which a plant's store gets back from `source` what it has lost, as it is typed at the plant.
+
+    Where the plant was reached elsewhere than in a folder, STORE stands for that of its store.
+
+    >>> recall_command("fleet", "tcp/10.0.0.7:7448", "hangzhou")
+    '`gyrofleet replicate --recall --from fleet --to STORE --plant hangzhou`'
+    """
+    to = "STORE" if is_endpoint(target) or is_bucket(target) else target
+    words = ["--from", source, "--to", to, *(("--plant", plant) if plant else ())]
+    words += ("--endpoint-url", endpoint_url) if endpoint_url else ()
+    return f"`gyrofleet replicate --recall {shlex.join(words)}`"
 
 
 def _place(address: str) -> object:

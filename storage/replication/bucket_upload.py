@@ -10,6 +10,7 @@ import msgspec
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, LOST
 from storage.object_lake.bucket import Bucket, FileDigests, Outdated, file_digests
+from storage.replication.addresses import recall_command
 from storage.replication.bandwidth import Bandwidth
 from storage.replication.plant_list import SALVAGED, ListRefused, checked_line
 from storage.replication.progress import Refusal
@@ -117,7 +118,9 @@ class BucketUpload:
             if theirs[: len(own)] == own:
                 raise StoreError(
                     f"the list of {self._source.where} ends before the one in {self._bucket.url}: it was replaced by "
-                    "an older copy, or its disk has lost the end; `gyrofleet replicate --recall` brings it back"
+                    "an older copy, or its disk has lost the end; "
+                    f"{recall_command(self._bucket.url, self._source.where, endpoint_url=self._bucket.endpoint_url)} "
+                    "brings it back"
                 )
             is_rewritten, held = True, 0
         elif held:

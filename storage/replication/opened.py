@@ -11,7 +11,7 @@ from storage.replication.sources.bus_source import BusSource
 from storage.replication.sources.folder_source import FolderSource
 from storage.replication.sources.source import SegmentSource
 from storage.store_marker import MARKER, read_marker
-from stream.errors import BadInput
+from stream.errors import BadInput, StoreError
 
 _ONE = "--plant names one plant; give one --from with it"
 
@@ -44,6 +44,11 @@ def opened_sources(
             else:
                 if plant is not None and len(addresses) > 1:
                     raise BadInput(_ONE)
+                if not folder.exists():
+                    raise StoreError(
+                        f"--from {address}: there is no such folder; give a plant's store, its endpoint as "
+                        "tcp/10.0.0.7:7448, or s3://BUCKET/PREFIX"
+                    )
                 found.append(stack.enter_context(FolderSource(folder, plant)))
         yield found
 

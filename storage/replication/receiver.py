@@ -10,6 +10,7 @@ from storage.fleet_store import FleetStore, PlantRefused, Replica
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LOST, ManifestWriter, manifest_path, rewrite_manifest
 from storage.plant import checked
+from storage.replication.addresses import recall_command
 from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.attestation_check import KIND as DISAGREES
 from storage.replication.attestation_check import AttestationCheck
@@ -28,6 +29,7 @@ from stream.errors import BadInput, StoreError
 ARRIVING = "arriving"
 _MAX_LINES = 2_000_000  # a segment of 300 s each: 19 years
 _REPORT_EVERY_S = 0.2
+_KEEP_EVERY_S = 2.0
 _MAX_LIST_BYTES = 2 << 30
 _MAX_UNDELIVERED = 1_000  # in one pass; a list without segments has no end
 
@@ -70,6 +72,7 @@ class Receiver:
 
     def _begin(self) -> None:
         self._began = self._reported = time.monotonic()
+        self._kept = float("-inf")
         self._refused: list[Refusal] = []
         self._notes: list[str] = []
         self._added = self._added_bytes = self._transferred = self._undelivered = 0
@@ -92,7 +95,7 @@ class Receiver:
             refusal = Refusal(plant.name, "plant_identity", plant.first_segment, str(error))
             self._fleet.add_refusal(plant, str(error))
             return Progress(plant=plant.name, store=plant.store, refused=(refusal,), at_ns=time.time_ns())
-        self._name = plant.name
+        self._name, self._contact_ns = plant.name, time.time_ns()
         if (other := self._claim(plant.name, self._source.where)) != self._source.where:
             trouble = f"{self._source.where} is the plant that comes from {other} already; give each once"
             return Progress(plant=plant.name, store=plant.store, trouble=trouble, at_ns=time.time_ns())
@@ -179,10 +182,14 @@ class Receiver:
             raise ListRefused(
                 "list_shortened", first,
                 f"the plant's list ends before {first}, which was received of it: it was replaced by an older "
-                "copy, or its disk has lost the end; `gyrofleet replicate --recall` brings it back",
+                f"copy, or its disk has lost the end; {self._recall()} brings it back",
             )  # fmt: skip
         self._list.replace(content, lambda name: (self._store.log / name).exists())
         self._notes.append("the plant has rewritten its list, with the same segments")
+
+    def _recall(self) -> str:
+        """The command that brings back what the plant has lost."""
+        return recall_command(str(self._fleet.folder), self._source.where, self._plant.name)
 
     def _take(self, entry: SegmentEntry) -> None:
         """Bring the segment of the next line, if it is new."""
@@ -192,7 +199,7 @@ class Receiver:
                 self._manifest.add(entry)
                 self._notes.append(f"the plant has lost segment {name}, and this fleet store never had it")
             else:
-                self._notes.append(f"the plant has lost segment {name}; it is here, `gyrofleet replicate --recall`")
+                self._notes.append(f"the plant has lost segment {name}; it is here: {self._recall()}")
         elif name not in self._list.entries:
             mine = self._manifest.found.entries.get(name)
             if mine is not None and mine.sha256 != entry.sha256:  # the list was lost here, the copy is not
@@ -201,7 +208,7 @@ class Receiver:
             self._bring(entry)
         elif entry.sha256 != self._list.entries[name].sha256:
             if (self._store.log / name).exists():
-                self._notes.append(f"the plant has only a part of segment {name}; the whole is here, recall it")
+                self._notes.append(f"the plant has only a part of segment {name}; the whole is here: {self._recall()}")
             else:
                 self._bring(entry)
 
@@ -269,6 +276,7 @@ class Receiver:
         for raw in self._source.segments(after):
             if self._stopped():
                 raise Stopped
+            self._contact_ns = time.time_ns()
             yield raw
 
     def _refuse(self, kind: str, segment: str, what: str) -> None:
@@ -276,6 +284,7 @@ class Receiver:
 
     def _on_bytes(self, size: int) -> None:
         self._transferred += size
+        self._contact_ns = time.time_ns()
         if self._stopped():
             raise Stopped
         self._now()
@@ -284,12 +293,15 @@ class Receiver:
         if time.monotonic() - self._reported > _REPORT_EVERY_S:
             self._reported = time.monotonic()
             self._report(self._progress(""))
+        if time.monotonic() - self._kept > _KEEP_EVERY_S:  # a pass may be killed
+            self._kept = time.monotonic()
+            write_progress(self._replica, self._progress(""))
 
     def _progress(self, trouble: str) -> Progress:
         held = self._manifest.found.entries
         return Progress(
             plant=self._plant.name, store=self._plant.store, at_ns=time.time_ns(),
-            contact_ns=time.time_ns() if not trouble else self._before.contact_ns, segments=len(held),
+            contact_ns=self._contact_ns, segments=len(held),
             bytes=sum(entry.size for entry in held.values()), added=self._added, added_bytes=self._added_bytes,
             added_files=self._files.added, transferred_bytes=self._transferred, seconds=time.monotonic() - self._began,
             lag=self._before.lag if self._ahead is None else self._ahead.lag(held, self._pending.values()),

@@ -16,6 +16,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, get_args
 import click
 
 from stream.terminal.console import shown_text, structured_log
+from stream.terminal.hints import completed
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -36,7 +37,7 @@ class RoleLog:
 
     def write(self, level: Level, event: str, text: str, **fields: object) -> None:
         """Write a line with further fields, such as numbers."""
-        self._log.log(logging.getLevelNamesMapping()[level.upper()], event, text=text, **fields)
+        self._log.log(logging.getLevelNamesMapping()[level.upper()], event, text=completed(text), **fields)
 
 
 def logged(role: str) -> Callable[[Callable[P, R]], Callable[..., R]]:

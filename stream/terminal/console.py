@@ -21,6 +21,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.text import Text
 
 from stream.errors import GyrofleetError
+from stream.terminal.hints import completed, hinted
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -118,9 +119,17 @@ def csv_text(text: str) -> str:
     return text
 
 
+class _NotesConsole(PlainConsole):
+    """Console whose hints can be run as they are printed; results stay as they are."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Text for the terminal."""
+        return super().render_str(completed(text), **options)
+
+
 def notes() -> Console:
     """Console for progress and remarks (standard error)."""
-    return PlainConsole(stderr=True)
+    return _NotesConsole(stderr=True)
 
 
 def results() -> Console:
@@ -183,6 +192,7 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             kind, code = "MissingExtra", 1
         except KeyboardInterrupt:
             kind, message, code = "Interrupted", _INTERRUPTED, 130
+        message = completed(message)
         if kwargs.get("as_json", False):
             print_json({"error": {"kind": kind, "message": message}})
         if structured_log:
@@ -192,7 +202,7 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
                 click.secho(f"error: {shown_text(message)}", err=True, fg="red")
         sys.exit(code)
 
-    return run
+    return hinted(run)
 
 
 def output_is_closed() -> bool:

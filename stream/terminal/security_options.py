@@ -12,6 +12,7 @@ from stream.security.credentials import VARIABLE, BusSecurity, Credentials, load
 from stream.security.endpoint import check_plain_endpoint, secured_endpoint
 from stream.security.rights import Role
 from stream.terminal.console import structured_log
+from stream.terminal.hints import keep_certificate, keep_roles
 from stream.terminal.option_checks import about, keep_check
 
 P = ParamSpec("P")
@@ -66,10 +67,13 @@ def secured(
                     structured_log[-1]("warning", "no_security", text)
                 else:
                     click.echo(f"note: {text}", err=True)
+            if credentials is not None:
+                keep_certificate(credentials.principal.role, credentials.folder)
             with secured_process(BusSecurity(credentials, is_insecure)):
                 return command(*args, **kwargs)
 
         keep_check(run, checked)
+        keep_roles(run, roles)
         return run
 
     return decorate

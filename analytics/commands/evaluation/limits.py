@@ -11,6 +11,7 @@ from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.terminal.command_group import CommandGroup
 from stream.terminal.console import counted, notes, print_json, reporting, results, store_option
+from stream.terminal.hints import completed
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
 
@@ -146,7 +147,7 @@ def history(folder: Path, *, as_json: bool) -> None:
         what, when = link.label if each.name else "", format_moment(each.t_ns) or ""
         rejudged = "judged anew" if each.rejudges else "keep their verdicts"
         table.add_row(when, each.action.value, what, each.by, each.reason, rejudged)
-    results().print(table if links else _NONE)
+    results().print(table if links else completed(_NONE))
 
 
 @limits.command("list")
@@ -170,7 +171,7 @@ def list_all(folder: Path, *, as_json: bool) -> None:
             found, entry = each.specification, _entry(entered[each.specification.label])
             words = (found.name, found.revision, each.text, str(len(found.limits)), ", ".join(found.products))
             table.add_row(*words, entry["entered"], entry["by"])
-        results().print(table if periods else _NONE)
+        results().print(table if periods else completed(_NONE))
     warn_of_copies(store, chain)
 
 

@@ -90,7 +90,8 @@ def print_proposed(document: "ActProposed") -> None:
     """Report that an act waits for another person."""
     results().print(f"{document.title}: proposed by {document.by} as {document.uid[:12]}")
     notes().print(
-        f"nothing is active before another person approves it: `gyrofleet proposal approve {document.uid[:12]}`",
+        f"nothing is active before another person approves it: `gyrofleet proposal approve {document.uid[:12]} "
+        "--security FOLDER` with that person's certificate, or the page Proposals",
         soft_wrap=True,
     )
 

@@ -193,3 +193,15 @@ def test_a_signature_that_is_no_text_of_base64_is_not_genuine(store: Store, key:
     assert signed.is_genuine
     for wrong in ("é", "=", "\0", "x" * 88, ""):
         assert not msgspec.structs.replace(signed, signature=wrong).is_genuine
+
+
+def test_what_the_newest_attestation_says_as_well_is_listed_once(
+    store: Store, key: SigningKey, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    """It lies in the store, and is compared without being asked for."""
+    (tmp_path / "a.json").write_bytes(attest(store, key).path.read_bytes())
+    manifest = manifest_path(store)
+    manifest.write_bytes(b"".join(manifest.read_bytes().splitlines(keepends=True)[:-1]))
+    found = gyrofleet("verify", "--store", "S", "--against", "a.json", "--json").json["findings"]
+    lost = [each["where"] for each in found if each["kind"] == "attested_missing"]
+    assert lost == ["S/log/00000004.mcap"]

@@ -152,3 +152,34 @@ def test_a_name_within_a_document_is_never_a_path(tmp_path: Path, name: str) -> 
     copy = fleet.replica("a").store.folder
     assert [path.name for path in (copy / "products").iterdir()] == ["fog-1.toml"]
     assert not list(tmp_path.rglob("*stolen*"))
+
+
+class Killed(BaseException):
+    """The process ends here."""
+
+
+class Dies(FolderSource):
+    """A source at whose last range the process is killed."""
+
+    left = 3
+
+    def read(self, name: str, offset: int, length: int) -> bytes:
+        self.left -= name.endswith(".mcap")
+        if self.left < 0:
+            raise Killed
+        return super().read(name, offset, length)
+
+
+def test_a_pass_that_was_killed_or_cut_off_leaves_when_the_plant_answered(tmp_path: Path) -> None:
+    store, fleet = plant(tmp_path / "hangzhou"), FleetStore.create(tmp_path / "fleet")
+    with pytest.raises(Killed):
+        received(Dies(store.folder), fleet)
+    (found,) = fleet_status(fleet).plants
+    assert found.contact_age_s is not None
+    assert 0.0 <= found.contact_age_s < 300.0
+    assert found.lag.segments > 0
+    other = plant(tmp_path / "suzhou")
+    cut = received(CutOff(other.folder, 20_000), fleet)
+    assert "cut" in cut.trouble
+    ages = {each.plant: each.contact_age_s for each in fleet_status(fleet).plants}
+    assert ages["suzhou"] is not None
