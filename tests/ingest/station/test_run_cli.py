@@ -82,7 +82,7 @@ def test_simulated_units_have_no_option_of_a_procedure(option: str) -> None:
 
 def test_a_name_that_is_nearly_one_is_guessed(refused: Refused, at_station: tuple[object, ...]) -> None:
     assert "no procedure 'scale_facter', did you mean scale_factor?" in refused("scale_facter", *at_station)
-    assert "no procedure 'zzz'; `gyrofleet procedure list`" in refused("zzz", *at_station)
+    assert "no procedure 'zzz'; `gyrofleet procedure list" in refused("zzz", *at_station)
 
 
 def test_instruments_that_cannot_be_reached_leave_no_store_behind(
