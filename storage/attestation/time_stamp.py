@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from stream.errors import BadInput, StoreError
+from stream.roles.patience import GivenUp, answered
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -50,9 +51,16 @@ def request_stamp(url: str, signature: bytes) -> str:
     request = urllib.request.Request(  # noqa: S310  checked by check_url
         check_url(url), asked.as_bytes(), {"Content-Type": _QUERY, "Accept": _REPLY}
     )
-    try:
+
+    def ask() -> bytes:
         with urllib.request.urlopen(request, timeout=_ANSWER_S) as answer:  # noqa: S310  checked by check_url
-            content = answer.read(_MOST_BYTES + 1)
+            content: bytes = answer.read(_MOST_BYTES + 1)
+            return content
+
+    try:
+        content = answered(ask)
+    except GivenUp:
+        raise StoreError(f"the time stamp authority {url} has not answered yet, and this process is to end") from None
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise StoreError(f"the time stamp authority {url} does not answer: {error}") from error
     if len(content) > _MOST_BYTES:

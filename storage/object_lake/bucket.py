@@ -16,8 +16,8 @@ from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 from obstore.store import S3Store
 
 from storage.object_lake.address import check_service, parse_bucket
-from storage.object_lake.patience import GivenUp, answered
 from stream.errors import BadInput, StoreError
+from stream.roles.patience import GivenUp, answered
 
 T = TypeVar("T")
 AT_ONCE = 8  # requests

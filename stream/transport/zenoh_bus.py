@@ -23,6 +23,7 @@ from stream.security.endpoint import check_plain_endpoint, secured_endpoint
 from stream.security.rights import ACCESS_KEY, check_right, principal_of
 from stream.security.zenoh_settings import access_control, tls_settings
 from stream.transport.bus import Handler, call_handlers
+from stream.transport.reach import why_unreachable
 
 # Zenoh closes a transport that its other side has stalled for so long, and messages that wait there are lost without
 # an error; whoever needs them requests them again. A source waits about as long as the lease (10 s), after which the
@@ -102,7 +103,8 @@ class ZenohBus(Closing):
                 asked += f" Both sides need valid certificates of one site; {own.describe()}"
             elif connect:
                 asked += " Does it require certificates (--security)?"
-            raise BusError(f"cannot {wanted or 'open a bus'}: {_message_of(error)}; {asked}") from error
+            why = why_unreachable(connect) or _message_of(error)
+            raise BusError(f"cannot {wanted or 'open a bus'}: {why}; {asked}") from error
         self._subscribers: dict[str, tuple[Any, threading.Thread]] = {}
         self._handlers: dict[str, list[Handler]] = {}
         self._lock = threading.Lock()

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from storage.object_lake.bucket import Bucket, Unanswered
-from storage.object_lake.patience import GivenUp, answered
 from storage.store import writer_is_active
+from stream.roles.patience import GivenUp, answered
 from stream.terminal.console import until_stopped
 from tests.free_ports import free_endpoint
 from tests.storage.replication.plants import plant
@@ -91,8 +91,25 @@ def test_a_role_ends_soon_where_the_store_is_silent(
     assert not writer_is_active(tmp_path / "night")
 
 
+@pytest.mark.parametrize(("every", "code"), [((), 1), (("--every-h", "1"), 0)])
+def test_a_silent_time_stamp_authority_holds_up_no_end(
+    every: tuple[str, ...], code: int, tmp_path: Path, silent: Silent, spawn: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """The attestation is kept, without a stamp, which is said."""
+    plant(tmp_path / "night", 1)
+    process = spawn("attest", "--store", "night", "--key", "k.pem", "--timestamp-url", silent.url, *every)
+    assert silent.asked.wait(60.0)
+    process.send_signal(signal.SIGTERM)
+    began = time.monotonic()
+    _, err = process.communicate(timeout=100)
+    assert time.monotonic() - began < _SOON_S
+    assert process.returncode == code, err
+    assert "attested without a time stamp: the time stamp authority" in err
+    assert len(list((tmp_path / "night/attestations").glob("*.json"))) == 1
+
+
 def test_a_request_that_is_answered_in_time_is_not_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.object_lake.patience._GRACE_S", 0.4)
+    monkeypatch.setattr("stream.roles.patience._GRACE_S", 0.4)
     assert answered(lambda: 7) == 7
     with pytest.raises(ValueError, match="of the request"):
         answered(lambda: int("of the request"))

@@ -103,4 +103,5 @@ def test_a_plant_without_a_name_is_reported_without_one(tmp_path: Path, gyroflee
     assert done.code == 0
     assert "note: night has no sealed segment yet" in done.err
     silent = gyrofleet("replicate", "--from", "tcp/127.0.0.1:1", "--to", "F")
-    assert "trouble: tcp/127.0.0.1:1: cannot connect" in " ".join(silent.err.split())
+    said = " ".join(silent.err.split())
+    assert "trouble: tcp/127.0.0.1:1: cannot connect to tcp/127.0.0.1:1: connection refused, nobody listens" in said

@@ -1,7 +1,8 @@
-"""Requests to an object store that end with the process: one without an answer is given up soon after a signal.
+"""Requests to servers that end with the process: one without an answer is given up soon after a signal.
 
-The client waits and retries for minutes, and a signal does not reach it. So each request has a thread of its own, and
-whoever waits for it looks up. What was given up may have had its effect, as after an answer that was lost.
+The client of an object store waits and retries for minutes, and a signal does not reach it. So each request has a
+thread of its own, and whoever waits for it looks up. What was given up may have had its effect, as after an answer
+that was lost.
 """
 
 import threading
