@@ -17,13 +17,12 @@ import numpy as np
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.held_out.error_report import less_run_means
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
-from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorGain
+from analytics.loop.tracing.result.holdout import ExpectedGain
 from stream.batch import FloatArray
 from tests.bench.loop_noise import block_covariance
 from tests.bench.tracing_cases import DECLARED, MODEL, Built, Case, built, cases
 
 BLOCK_S = 30.0
-_IN_AVERAGE = round(REFERENCE_S / BLOCK_S)
 
 
 class Gained(NamedTuple):
@@ -31,7 +30,7 @@ class Gained(NamedTuple):
 
     key: str
     names: tuple[str, ...]
-    gain: ErrorGain
+    gain: ExpectedGain
     truth: float
 
 
@@ -47,26 +46,28 @@ def gained(case: Case) -> Gained | None:
 def true_gain(made: Built, said: Diagnosis) -> float:
     """1 - (mean squared error after) / (before), about the mean of each held-out run, expected over the noise."""
     assert said.error is not None
+    assert said.error.gain is not None
     assert said.judged is not None
     assert said.model is not None
     held_out = [run for run in made.campaign.runs(made.planted, noiseless=True) if run.run in said.error.runs]
+    blocks = round(said.error.gain.averaging_s / BLOCK_S)  # of an average
     before = after = 0.0
     for run in held_out:
-        before += float(np.sum(_within(said.judged.residual(run)) ** 2))
-        after += float(np.sum(_within(said.model.residual(run)) ** 2))
-    noise = len(held_out) * _noise_squares(len(held_out[0]), made)
+        before += float(np.sum(_within(said.judged.residual(run), blocks) ** 2))
+        after += float(np.sum(_within(said.model.residual(run), blocks) ** 2))
+    noise = len(held_out) * _noise_squares(len(held_out[0]), blocks, made)
     return 1.0 - (after + noise) / (before + noise)
 
 
-def _within(values: FloatArray) -> FloatArray:
-    averages = values.reshape(-1, _IN_AVERAGE).mean(axis=1)
+def _within(values: FloatArray, in_average: int) -> FloatArray:
+    averages = values.reshape(-1, in_average).mean(axis=1)
     return less_run_means(averages, np.zeros(averages.size, dtype=np.int64))
 
 
-def _noise_squares(blocks: int, made: Built) -> float:
+def _noise_squares(blocks: int, in_average: int, made: Built) -> float:
     """Expected sum of squares of the averages of one run about their mean."""
     covariance = block_covariance(np.arange(float(blocks)), BLOCK_S, made.campaign.noise)
-    averages = covariance.reshape(blocks // _IN_AVERAGE, _IN_AVERAGE, -1, _IN_AVERAGE).mean(axis=(1, 3))
+    averages = covariance.reshape(blocks // in_average, in_average, -1, in_average).mean(axis=(1, 3))
     return float(np.trace(averages) - averages.mean() * len(averages))
 
 
@@ -87,6 +88,7 @@ def main() -> None:
                 found.append(each)
                 is_held = holds(each)
                 bounds = f"{each.gain.fraction:8.4f} ({each.gain.lo:8.4f} to {each.gain.hi:8.4f})"
+                bounds = f"{each.gain.averaging_s:5g} s {bounds}"
                 print(f"{each.key:48} {bounds}, truth {each.truth:8.4f}{'' if is_held else '  outside'}", flush=True)
     positive = np.mean([each.gain.fraction > 0 for each in found])
     covered = np.mean([holds(each) for each in found])

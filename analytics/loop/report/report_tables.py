@@ -80,8 +80,8 @@ def achieved(table: ErrorTable, words: Wording) -> str | None:
                 f"1800 s处可消除的平方误差中已消除：{shares}。",
             )
         )
-    if table.gain is not None and table.is_held_out and table.reference is not None:
-        seconds, gain = f"{table.reference.averaging_s:g} s", _gain(table.gain)
+    if table.gain is not None and table.is_held_out:
+        seconds, gain = f"{table.gain.averaging_s:g} s", _gain(table.gain)
         sentences.append(
             words.of(
                 f"New runs like these: squared error about the mean of each run, over {seconds}, expected to fall by "

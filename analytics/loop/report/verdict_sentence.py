@@ -189,17 +189,19 @@ def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
             f"the declared model lacks something that no effect tested explains: {why}",
             f"存在缺项，但所检验的效应均不能解释：{why}",
         )
-    if diagnosis.effects:
+    if len(diagnosis.effects) > 1:
         effects = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
         return words.of(
             f"the error has changes that happened once each and that no channel explains: {effects}",
             f"误差有若干仅出现一次的变化，通道中无可解释者：{effects}",
         )
     ratio = number(diagnosis.noise_excess)
+    seen = [_seen_once(each, diagnosis, words) for each in (*diagnosis.effects, *diagnosis.unreplicated)]
+    beside = "".join(words.of("; also, ", "；另") + each for each in seen)
     return words.of(
         f"at averages of 300 to 3600 s the variance is {ratio} times that of the declared noise, and no channel "
-        "explains it",
-        f"在300至3600 s平均时间上方差为已声明噪声的{ratio}倍，通道中无可解释者",
+        f"explains it{beside}",
+        f"在300至3600 s平均时间上方差为已声明噪声的{ratio}倍，通道中无可解释者{beside}",
     )
 
 
@@ -246,9 +248,13 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     if expected is None or expected.lo is None or expected.hi is None or not mark or not table.is_held_out:
         return text
     falls, lo, hi = (f"{100 * each:.2g} %" for each in (expected.fraction, expected.lo, expected.hi))
+    its = ("its square", "其平方")
+    if expected.averaging_s != row.averaging_s:
+        over = f"{expected.averaging_s:g} s"
+        its = (f"the square of that over {over}, where the effect acts most,", f"{over}（效应作用最强处）误差的平方")
     return text + words.of(
-        f"; in new runs like these its square is expected to fall by {falls} ({lo} to {hi})",
-        f"；对同类新试验，预期其平方下降{falls}（{lo}至{hi}）",
+        f"; in new runs like these {its[0]} is expected to fall by {falls} ({lo} to {hi})",
+        f"；对同类新试验，预期{its[1]}下降{falls}（{lo}至{hi}）",
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from analytics.loop.effects.registry import effects
 from tests.bench.loop_campaign import MISSPECIFIED
 from tests.bench.residual_tracing import run
-from tests.bench.tracing_cases import MODEL, ROWS, SIZES, Case, cases, plantable, standard
+from tests.bench.tracing_cases import DESIGN_Z, MODEL, ROWS, SIZES, Case, cases, plantable, standard
 from tests.bench.tracing_outcomes import RIGHT, traced
 from tests.bench.tracing_peers import PEERS, lasso, ordinary, peers
 from tests.bench.tracing_tables import at_least, at_most, tables
@@ -45,6 +45,14 @@ def test_a_ramp_does_not_tell_and_a_single_test_does_not_repeat() -> None:
     once = traced(Case("once", "magnetic_o", 14.0, 4000))
     assert once["verdict"] == "unreplicated"
     assert once["outcome"] == "unreplicated"
+
+
+def test_what_was_seen_in_one_run_does_not_explain_noise_in_all_but_in_that_run() -> None:
+    """Noise of 1/f**3 has fifty times the declared variance in each run, whatever one of them seems to show."""
+    line = traced(Case("excess", "steep_flicker", 0.0, 1630))
+    assert (line["verdict"], line["seen_once"]) == ("unexplained", ["function_of_time_since_power_on"])
+    line = traced(Case("once", "magnetic_o", DESIGN_Z, 4300))
+    assert (line["verdict"], line["seen_once"]) == ("unreplicated", ["magnetic_o"])
 
 
 def test_what_has_no_name_is_a_function() -> None:

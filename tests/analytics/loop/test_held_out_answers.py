@@ -147,13 +147,25 @@ def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Cam
     assert "(not significant)" in sentence(found, runs[0])
     assert found.document()["error"]["gain_within_at"]["rms_1800s"]["runs"] == 5
     expected = found.document()["error"]["gain"]
-    assert set(expected) == {"value", "lo", "hi", "runs", "significant"}
+    assert set(expected) == {"value", "lo", "hi", "runs", "significant", "averaging_s"}
     assert expected["value"] > 0
     assert row.gain_within is not None
     assert row.gain_within.lo is not None
     assert row.gain_within.hi is not None
     assert expected["hi"] - expected["lo"] < 0.7 * (row.gain_within.hi - row.gain_within.lo)
-    assert "in new runs like these its square is expected to fall by" in sentence(found, runs[0])
+    assert expected["averaging_s"] == 300.0  # longer averages are dominated by drift
+    said = sentence(found, runs[0])
+    assert "in new runs like these the square of that over 300 s, where the effect acts most, is expected" in said
+
+
+def test_what_acts_within_a_minute_is_expected_to_gain_there(campaign: Campaign) -> None:
+    """An error while the rate changes averages to nothing over half an hour: no gain is to be seen there."""
+    size = campaign.coefficients_for("angular_acceleration", {}, 10.0)
+    found = diagnose(campaign.runs([Planted("angular_acceleration", size)]), MODEL, declared_noise=DECLARED)
+    assert found.error is not None
+    assert found.error.gain is not None
+    assert found.error.gain.averaging_s == 30.0
+    assert found.error.gain.is_significant
 
 
 @pytest.mark.long

@@ -59,6 +59,10 @@ def verdicts() -> Sequence[Diagnosis]:
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.99),), **head),
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, effects=(jump,), **head),
         Diagnosis(verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, **head),
+        Diagnosis(verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, effects=(jump,), **head),
+        Diagnosis(
+            verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, unreplicated=(a_finding(confirmed=False),), **head
+        ),
         Diagnosis(verdict=ModelVerdict.UNEXPLAINED, effects=(jump, jump), **head),
         Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, missing=(NINE_BLOCKS,), **head),
     ]  # fmt: skip

@@ -1,14 +1,13 @@
 """The error before and after at several averaging times, the noise floor, and the gain with its bounds over runs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fit_with_training, fitted_error, information
-from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
+from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable, ExpectedGain
 from analytics.loop.tracing.search.effect_search import Search
 from analytics.loop.tracing.whitening.noise_variance import (
     Averages,
@@ -82,15 +81,15 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
         fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
     whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if has_effect else (None, None)
     unit_of_measure = record.stack.runs[0].unit_of_measure
-    table_of = ErrorTable(tuple(names), is_held_out, unit_of_measure, tuple(table), whole, on_excited)
-    reference = table_of.reference
-    if not has_effect or reference is None:
-        return table_of
-    return msgspec.structs.replace(table_of, gain=expected_gain(box, averages_at[reference.averaging_s], noise))
+    gain = expected_gain(box, averages_at, noise) if has_effect else None
+    return ErrorTable(tuple(names), is_held_out, unit_of_measure, tuple(table), whole, on_excited, gain)
 
 
-def expected_gain(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> ErrorGain | None:
+def expected_gain(box: HeldOutSet, averages_at: Mapping[float, Averages], noise: ModelNoise) -> ExpectedGain | None:
     """Relative decrease of the mean squared error about the mean of each run, expected of new runs like these.
+
+    It is that at the averaging time, up to 1800 s, at which the predictions exceed the noise model most: an effect of
+    seconds takes nothing away from averages of half an hour. The signal of the held-out runs does not choose it.
 
     The systematic error is Z u with the declared model alone and Z v with the effects; Z are the averages, about the
     mean of each run, of the predictions and of the declared columns. Generalised least squares in the held-out runs
@@ -100,12 +99,17 @@ def expected_gain(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> Err
     difference of squared errors, which drift dominates (`error_gain`). None where the effects predict nothing within
     runs.
     """
+    strength = {
+        seconds: _strength(box, averages, noise) for seconds, averages in averages_at.items() if seconds <= REFERENCE_S
+    }
+    seconds = max(strength, key=lambda each: (strength[each], each), default=None)
+    if seconds is None or not strength[seconds] > 0:
+        return None
+    averages = averages_at[seconds]
     run = box.record.stack.run_number[averages.first]
     columns = np.column_stack([box.predictions, box.record.design])
     within = np.column_stack([less_run_means(each, run) for each in averages.of(columns).T])
     width = box.predictions.shape[1]
-    if not within[:, :width].any():
-        return None
     power, fitted = within.T @ within, fitted_error(box)
     left = less_run_means(averages.of(box.before), run) - within @ fitted.coefficients
     alone = fitted.coefficients + np.concatenate([np.zeros(width), box.declared - box.declared_alone.coefficients])
@@ -115,7 +119,15 @@ def expected_gain(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> Err
     by_size = 2 * power @ (alone - effects - gain * alone) / before
     by_noise = gain * float(left @ left) / before * squares_spread(box.record, noise, averages)
     half = _NORMAL * float(np.sqrt(by_size @ fitted.covariance @ by_size + by_noise**2))
-    return ErrorGain(gain, gain - half, min(1.0, gain + half), np.unique(run).size)
+    return ExpectedGain(gain, gain - half, min(1.0, gain + half), np.unique(run).size, averaging_s=seconds)
+
+
+def _strength(box: HeldOutSet, averages: Averages, noise: ModelNoise) -> float:
+    """Mean square of the predictions about the mean of each run over the variance of the noise."""
+    predicted = averages.of(box.predictions.sum(axis=1))
+    within = less_run_means(predicted, box.record.stack.run_number[averages.first])
+    variance = within_run_variance(box.record, noise, averages)
+    return float(np.mean(within**2)) / variance if variance > 0 else 0.0
 
 
 def error_shares(box: HeldOutSet, found: Search) -> dict[str, float]:

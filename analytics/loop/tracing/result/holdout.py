@@ -111,6 +111,12 @@ class ErrorGain(msgspec.Struct, frozen=True):
         return self.hi is not None and self.hi < 0
 
 
+class ExpectedGain(ErrorGain, frozen=True, kw_only=True):
+    """The decrease that is expected of new runs, of averages over a time."""
+
+    averaging_s: float
+
+
 class ErrorAt(msgspec.Struct, frozen=True):
     """RMS of the residual at one averaging time, in the signal's unit."""
 
@@ -139,8 +145,8 @@ class ErrorTable(msgspec.Struct, frozen=True):
     # (MSE before - after) / (before - floor) at 1800 s; None if nothing exceeds the floor
     achievable_fraction: float | None = None
     achievable_fraction_excited: float | None = None  # over averages that excite the effect
-    # of the error within runs at the averaging time of `reference`, expected of new runs like these
-    gain: ErrorGain | None = None
+    # of the error within runs, expected of new runs like these, at the averaging time at which the effects act most
+    gain: ExpectedGain | None = None
 
     @property
     def reference(self) -> ErrorAt | None:
@@ -154,9 +160,9 @@ class ErrorTable(msgspec.Struct, frozen=True):
         by_time = {f"rms_{row.averaging_s:g}s": row for row in self.rows}
         return {
             **{part: {key: getattr(row, part) for key, row in by_time.items()} for part in _PARTS},
-            "gain": _gain(self.gain),
-            "gain_at": {key: _gain(row.gain) for key, row in by_time.items()},
-            "gain_within_at": {key: _gain(row.gain_within) for key, row in by_time.items()},
+            "gain": self.gain and {**_document(self.gain), "averaging_s": self.gain.averaging_s},
+            "gain_at": {key: row.gain and _document(row.gain) for key, row in by_time.items()},
+            "gain_within_at": {key: row.gain_within and _document(row.gain_within) for key, row in by_time.items()},
             "achievable_fraction": self.achievable_fraction,
             "achievable_fraction_excited": self.achievable_fraction_excited,
             "unit_of_measure": self.unit_of_measure,
@@ -165,7 +171,5 @@ class ErrorTable(msgspec.Struct, frozen=True):
         }
 
 
-def _gain(gain: ErrorGain | None) -> dict[str, Any] | None:
-    if gain is None:
-        return None
+def _document(gain: ErrorGain) -> dict[str, Any]:
     return {"value": gain.fraction, "lo": gain.lo, "hi": gain.hi, "runs": gain.runs, "significant": gain.is_significant}

@@ -76,7 +76,10 @@ def conclude(
     effects = tuple(with_clock_bounds(each, declared_model) for each in effects)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
     is_excess = declared is not None and excess.is_excess
-    verdict = verdict_of(effects, seen_once, is_excess=is_excess, within_run=case.replication == "within_run")
+    verdict = verdict_of(
+        effects, seen_once, is_excess=is_excess and (excess.repeats or not (effects or seen_once)),
+        within_run=case.replication == "within_run",
+    )  # fmt: skip
     unexplained = unexplained_error(error) if case.held_out else None
     # turn-on scatter explains neither an error within runs nor an undetermined term
     is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)
@@ -184,7 +187,7 @@ def _alternatives(effects: Sequence[FoundEffect]) -> set[str]:
 def verdict_of(
     effects: Sequence[FoundEffect], seen_once: Sequence[FoundEffect], *, is_excess: bool, within_run: bool
 ) -> ModelVerdict:
-    """The verdict on these findings."""
+    """The verdict on these findings; `is_excess` if there is more noise than declared, and they do not explain it."""
     lasting = [each for each in effects if each.replicates]
     if any(each.unknown_function_of for each in lasting) and not within_run:
         return ModelVerdict.UNKNOWN_FUNCTION
@@ -193,11 +196,9 @@ def verdict_of(
     if lasting:
         is_confirmed = not within_run and any(each.confirmed for each in lasting)
         return ModelVerdict.EFFECT_FOUND if is_confirmed else ModelVerdict.UNREPLICATED
-    if len(effects) > 1:
+    if is_excess or len(effects) > 1:
         return ModelVerdict.UNEXPLAINED
-    if effects or seen_once:
-        return ModelVerdict.UNREPLICATED
-    return ModelVerdict.UNEXPLAINED if is_excess else ModelVerdict.NOTHING_MISSING
+    return ModelVerdict.UNREPLICATED if effects or seen_once else ModelVerdict.NOTHING_MISSING
 
 
 def denied(verdict: ModelVerdict, left_out: Sequence[LeftOut]) -> ModelVerdict:

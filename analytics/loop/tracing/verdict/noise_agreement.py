@@ -180,14 +180,15 @@ def scatter_caveat(finding: FoundEffect | None, scatter: RunScatter, runs: Seque
 class NoiseExcess:
     """Test of the declared noise: largest and least ratio of measured to declared variance of averages.
 
-    `slow_p_value` is that of the slow noise, whose ratio is `slow_ratio`; `white_p_value` that of a white noise of
-    `WHITE_EXCESS` times the declared one.
+    `slow_p_value` is that of the slow noise, whose ratio is `slow_ratio`, and `other_slow_p_value` that without the
+    replicate that contributes most; `white_p_value` that of a white noise of `WHITE_EXCESS` times the declared one.
     """
 
     ratio: float
     least_ratio: float
     slow_ratio: float
     slow_p_value: float
+    other_slow_p_value: float
     white_p_value: float
 
     @property
@@ -198,14 +199,26 @@ class NoiseExcess:
     @property
     def is_excess(self) -> bool:
         """Whether there is more noise than declared."""
-        return self.is_slow_excess or (self.white_p_value < NOISE_P_VALUE and self.ratio > NOISE_RATIO)
+        return self.is_slow_excess or self.is_white_excess
+
+    @property
+    def is_white_excess(self) -> bool:
+        """Whether the white noise itself is far larger than declared."""
+        return self.white_p_value < NOISE_P_VALUE and self.ratio > NOISE_RATIO
+
+    @property
+    def repeats(self) -> bool:
+        """Whether there is more noise than declared in several replicates: no event of one of them explains it."""
+        return self.is_white_excess or (self.is_slow_excess and self.other_slow_p_value < NOISE_P_VALUE)
 
 
 def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
     """Compare the noise of the first record, as fitted and measured, with the centre of its prior."""
     fitted, declared = joint.noises[0], record.prior.center
     columns = joint.hypothesis.designs[0]
-    gain = evaluate(record, columns, fitted).log_likelihood - evaluate(record, columns, declared).log_likelihood
+    as_fitted, as_declared = evaluate(record, columns, fitted), evaluate(record, columns, declared)
+    gain = as_fitted.log_likelihood - as_declared.log_likelihood
+    gains = np.bincount(record.stack.replicate, as_fitted.of_blocks - as_declared.of_blocks)
     degrees = int(np.count_nonzero(as_array(declared)))
     slow, ratios = (
         [_variance_ratio(record, each, declared, s) for s in NOISE_AVERAGES_S]
@@ -219,6 +232,7 @@ def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
         least_ratio=min(slow),
         slow_ratio=max(slow),
         slow_p_value=float(chi_square_sf(max(0.0, 2 * gain), degrees)),
+        other_slow_p_value=float(chi_square_sf(max(0.0, 2 * (gain - float(gains.max()))), degrees)),
         white_p_value=float(normal_sf(beyond / deviation)),
     )
 

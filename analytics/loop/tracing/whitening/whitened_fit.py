@@ -31,6 +31,11 @@ class WhitenedFit:
         """Whitened residual."""
         return np.asarray(self.whitened[:, 0] - self.whitened[:, 1:] @ self.solution.coefficients)
 
+    @property
+    def of_blocks(self) -> FloatArray:
+        """Logarithm of the likelihood of each block, given the preceding blocks of its run, without a constant."""
+        return np.asarray(-0.5 * (np.log(self.innovation) + self.residual**2))
+
 
 @dataclass(frozen=True)
 class _Data:
