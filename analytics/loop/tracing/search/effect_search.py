@@ -7,7 +7,7 @@ import numpy as np
 
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.tracing.search.evidence import PRICE, look_alike
-from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, fitted_candidates
+from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, as_if_replicated, fitted_candidates
 from analytics.loop.tracing.search.pair_round import best_pair
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
@@ -46,6 +46,7 @@ class Search:
     null: JointFit  # fit of the declared model alone
     joint: JointFit  # fit with all selected effects
     unreplicated: tuple[FittedCandidate, ...]  # with evidence in the first round, but without replication
+    first: tuple[FittedCandidate, ...] = ()  # all candidates of the first round, if none was selected
 
     @property
     def common(self) -> list[Selected]:
@@ -98,9 +99,11 @@ def search(candidates: Candidates, rng: np.random.Generator) -> Search:
     null = joint = fit_jointly(records, nothing_more(records))
     selected: list[Selected] = []
     unreplicated: tuple[FittedCandidate, ...] = ()
+    first: tuple[FittedCandidate, ...] = ()
     for _ in range(MOST_EFFECTS):
         found = fitted_candidates(candidates, joint, rng, [each.name for each in selected])
         if not selected:
+            first = tuple(found)
             unreplicated = tuple(each for each in found if not (each.replicates or each.is_rival) and each.evidence > 0)
         best = _chosen(found)
         if best is None:
@@ -113,7 +116,21 @@ def search(candidates: Candidates, rng: np.random.Generator) -> Search:
     elif common >= 2:
         selected, joint = _refined(candidates, selected, joint, rng)
     joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises, restricted=True)
-    return Search(tuple(selected), null, joint, unreplicated)
+    return Search(tuple(selected), null, joint, unreplicated, () if selected else first)
+
+
+def provisional(found: Search) -> Search | None:
+    """The search with the best effect that only one replicate shows clearly, for held-out runs to judge; None if none.
+
+    Its look-alikes are those that would be confounded with it if all of them replicated.
+    """
+    every = [as_if_replicated(each) if each.is_common else each for each in found.first]
+    best = _chosen(sorted((each for each in every if each.is_common), key=lambda each: -each.evidence))
+    if best is None:
+        return None
+    records = found.joint.records
+    joint = fit_jointly(records, _hypothesis_of(records, [best]), found.joint.noises, restricted=True)
+    return replace(found, selected=(best,), joint=joint, unreplicated=(), first=())
 
 
 def _with_pair(

@@ -202,14 +202,24 @@ def _evidence(joint: JointFit, ratio: float, degrees: int, effect: Effect) -> fl
 def _discounted(each: FittedCandidate) -> FittedCandidate:
     """The candidate with its replication, and its evidence reduced by the noise inflation."""
     replicates = [record.stack.replicate for record in each.joint.records]
+    replication = leave_one_out(each.joint, replicates, each.columns[0].shape[1])
+    each = replace(each, replication=replication, replicates=replication.replicates)
+    return _inflated(each) if each.replicates else each
+
+
+def as_if_replicated(each: FittedCandidate) -> FittedCandidate:
+    """A candidate of one replicate as if it replicated."""
+    return each if each.replicates else _inflated(replace(each, replicates=True))
+
+
+def _inflated(each: FittedCandidate) -> FittedCandidate:
+    """The candidate with its evidence reduced by the noise inflation."""
+    replicates = [record.stack.replicate for record in each.joint.records]
     runs = [record.stack.run_number for record in each.joint.records]
     width = each.columns[0].shape[1]
-    replication = leave_one_out(each.joint, replicates, width)
-    if not replication.replicates:
-        return replace(each, replication=replication, replicates=False)
     ratio = each.likelihood_ratio / noise_inflation(each.joint, replicates, runs, width)
     evidence = _evidence(each.joint, ratio, each.degrees, each.effect)
-    return replace(each, likelihood_ratio=ratio, evidence=evidence, replication=replication, at_most=each.evidence)
+    return replace(each, likelihood_ratio=ratio, evidence=evidence, at_most=each.evidence)
 
 
 def _line(base: JointFit) -> FittedCandidate | None:

@@ -16,7 +16,7 @@ from analytics.loop.tracing.held_out.error_report import error_shares, error_tab
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open_held_out_set
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
-from analytics.loop.tracing.search.effect_search import Search
+from analytics.loop.tracing.search.effect_search import Search, provisional
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
 from analytics.loop.tracing.verdict.adequacy import detection_limits
@@ -30,6 +30,8 @@ from analytics.loop.tracing.verdict.effect_findings import (
 )
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
+# standard errors by which the slope must exceed zero where the training runs show an effect in one of them: 1 in 2000
+BEYOND_CHANCE = 3.29
 FUNCTION = "function_of_"  # prefix of the names of free functions
 _COLLINEAR = Bilingual("these runs cannot separate it from the terms of the model", "这些试验无法将其与模型的项区分")
 
@@ -46,6 +48,7 @@ def conclude(
 ) -> Diagnosis:
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
     training = case.training
+    found = _replicated_later(case, found)
     every = [with_causes(each, case.stack.runs, model.effects) for each in findings(candidates, found)]
     answered = _answered(case, found)
     holdout, kept, box, error = answered.holdout, answered.kept, answered.box, answered.error
@@ -132,6 +135,21 @@ class _Answered(NamedTuple):
     box: HeldOutSet
     error: ErrorTable
     worse: tuple[Bilingual, ...]
+
+
+def _replicated_later(case: Case, found: Search) -> Search:
+    """The search with an effect that one training run shows, if held-out runs show it as well, far beyond chance."""
+    if not case.held_out or found.selected or case.replication == "within_run":
+        return found
+    tried = provisional(found)
+    if tried is None:
+        return found
+    box = open_held_out_set(case.stack, case.held_out_blocks, case.training, tried)
+    answer = judge([box], tried, case.held_out)
+    slope = None if answer is None else answer.slope(tried.selected[0].name)
+    if slope is None or not slope.accepted or slope.slope < BEYOND_CHANCE * slope.slope_se:
+        return found
+    return tried
 
 
 def _answered(case: Case, found: Search) -> _Answered:
