@@ -1,7 +1,7 @@
 """Compaction: the parts of a finished day become one, many small parts of the present day become few.
 
-Rows do not change; samples are sorted by channel and number, in full row groups. It takes effect with the manifest: a
-crash leaves the parts as they were.
+Rows do not change; samples are sorted by channel and number, rollups by channel and time. It takes effect with the
+manifest: a crash leaves the parts as they were.
 """
 
 import hashlib
@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 
 from storage.lake.drops import Drops
 from storage.lake.part import BuiltPart, fresh_folder
+from storage.lake.rows_by_channel import rows_by_channel
 from storage.lake.tables import CHANNEL_COLUMNS, ROW_GROUP, SAMPLES_FILE, TABLES, damaged, open_table, part_writers
 from storage.manifests.lake import Manifest
 from storage.manifests.part import Part, PartFile, hull, with_sources, write_part
@@ -33,7 +34,8 @@ MOST_BYTES = 4 << 30
 _MOST_ROW_GROUPS = 20_000  # whose footers are in memory at a time
 _DAY_NS = 86_400 * 10**9
 _DAY_GRACE_NS = 600 * 10**9  # a segment of the day before may still be open
-_JOINED = ("events", "estimates", "rollup_1s", "rollup_10s", "clocks")
+_JOINED = ("events", "estimates", "clocks")
+_ROLLUPS = ("rollup_1s", "rollup_10s")
 
 
 class Compacted(NamedTuple):
@@ -110,6 +112,9 @@ def _merged_files(lake: "Lake", group: list[Part], folder: Path) -> dict[str, Pa
         files["channels.parquet"] = writer("channels").write_all([_merged_channels(lake, group)])
         for name in _JOINED:
             files[f"{name}.parquet"] = writer(name).write_all(_joined_rows(lake, group, name))
+        for name in _ROLLUPS:
+            with ExitStack() as stack:
+                files[f"{name}.parquet"] = writer(name).write_all(_sorted_rollups(lake, group, name, stack))
     return files
 
 
@@ -164,6 +169,14 @@ def _sorted_samples(lake: "Lake", group: list[Part], stack: ExitStack) -> Iterat
                 whole = rows if is_last else rows - rows % ROW_GROUP
                 yield table.slice(0, whole).combine_chunks()
                 pending = [] if whole == rows else [table.slice(whole)]
+    except (pa.ArrowException, OSError) as error:
+        raise damaged(lake.store.lake, error) from error
+
+
+def _sorted_rollups(lake: "Lake", group: list[Part], name: str, stack: ExitStack) -> Iterator[pa.Table]:
+    paths = [lake.store.lake / part.name / f"{name}.parquet" for part in group]
+    try:
+        yield from rows_by_channel([stack.enter_context(open_table(path)) for path in paths])
     except (pa.ArrowException, OSError) as error:
         raise damaged(lake.store.lake, error) from error
 
