@@ -6,14 +6,18 @@ from itertools import chain
 from typing import Generic, TypeVar
 
 from analytics.cluster.engine import Done, Engine
+from analytics.cluster.process_engine import ProcessEngine
 from analytics.cluster.store_slice import UNITS_A_TASK, StoreSlice, sliced
-from analytics.loop.unit_reduction import Progress, Question, ReadUnits, read_units, silent
+from analytics.loop.unit_reduction import Progress, Question, Read, ReadUnits, read_units, silent
 from storage.sql.catalog import Catalog
+from storage.store import Store
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 _ROUNDS = 4  # tasks for each that runs at the same time
+_FEWEST_UNITS = 8  # fewer do not repay the start of processes
+_MOST_PROCESSES = 8  # each has the libraries and a catalogue in memory
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class ClusterTracing:
         self, catalog: Catalog, units: Sequence[str], question: Question, positions: Mapping[str, float], _: Progress
     ) -> ReadUnits:
         """Units as blocks, see `read_units`."""
-        slices = sliced(catalog, units, self._engine.slots, sees_all=True)
+        slices = sliced(catalog, units, self._engine.slots, rounds=_ROUNDS, sees_all=True)
         tasks = [ReadTask(each, question, positions) for each in slices]
         found = self._engine.map(read_slice, tasks, [len(each.units) for each in slices], self._reading)
         reduced = {unit: each for part in found for unit, each in part.units.items()}
@@ -78,3 +82,16 @@ class ClusterTracing:
         yield from chain.from_iterable(
             self._engine.map(_Each(work), tasks, [len(each) for each in tasks], self._tracing)
         )
+
+
+def local_reading(store: Store, units: int, processes: int, report: Callable[[str], None]) -> Read:
+    """Reads so many units of a store: by processes of this machine where that is quicker, with the same result."""
+    processes = min(processes, _MOST_PROCESSES)
+    if units < _FEWEST_UNITS or processes < 2 or not store.is_local:
+        return read_units
+
+    def reading(done: int, total: int) -> None:
+        report(f"reading: {done:,} of {total:,} units")
+
+    report(f"reading {units:,} units by {processes} processes")
+    return ClusterTracing(ProcessEngine(processes), reading, reading).read

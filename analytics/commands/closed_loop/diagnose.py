@@ -112,6 +112,7 @@ def diagnose(
     gyrofleet diagnose --unit FOG-1 --model 'rate = bias + temperature'
     gyrofleet diagnose --fleet --signal rate --model bias --report nov.html
     """  # noqa: D301  \b keeps the lines apart
+    from analytics.cluster.diagnosis_tasks import local_reading
     from analytics.loop.tracing.processors import processors
     from analytics.loop.unit_diagnosis import trace_units, with_explainable, with_next_tests, with_recovery
     from analytics.loop.unit_reduction import Question, reduce_units, units_with
@@ -132,7 +133,9 @@ def diagnose(
         with opened_tracing(engine, report) as tracing:
             with opened_catalog(folder, quiet=as_json) as catalog:
                 chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
-                by = None if tracing is None else tracing.read
+                by = (
+                    local_reading(catalog.store, len(chosen), processors(), report) if tracing is None else tracing.read
+                )
                 read = reduce_units(catalog, chosen, question, read=by, on_progress=report)
             _refuse_wrong_bounds(read, allowed, limits)
             # the catalogue is closed to free its memory for the trace

@@ -2,17 +2,20 @@
 
 import shutil
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pytest
 
-from analytics.cluster.diagnosis_tasks import ClusterTracing, ReadTask
+from analytics.cluster import diagnosis_tasks
+from analytics.cluster.diagnosis_tasks import ClusterTracing, ReadTask, local_reading
 from analytics.cluster.metric_tasks import RecordsTask, ValuesTask
 from analytics.cluster.store_slice import sliced
+from analytics.loop.blocks.step_channels import position_numbers
 from analytics.loop.unit_diagnosis import UnitsDiagnosis, trace_units
-from analytics.loop.unit_reduction import Question, reduce_units, units_with
+from analytics.loop.unit_reduction import Question, read_units, reduce_units, units_with
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import StoreError
@@ -119,6 +122,34 @@ def test_a_fleet_is_diagnosed_by_slices_as_by_the_whole(filled: Any) -> None:
                 name: each.mean.tobytes() for name, each in same.channels.items()
             }
     assert sorted(task.of.units for task in engine.tasks if isinstance(task, ReadTask)) == [(u,) for u in sorted(UNITS)]
+
+
+def test_processes_read_what_one_process_reads(filled: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    reports: list[str] = []
+    assert local_reading(filled.store, 7, 2, reports.append) is read_units
+    assert local_reading(filled.store, 100, 1, reports.append) is read_units
+    assert not reports
+    monkeypatch.setattr(diagnosis_tasks, "_FEWEST_UNITS", 2)
+    question = replace(QUESTION, block_s=30.0)
+    with Catalog(filled.store) as catalog:
+        units = units_with(catalog, "rate")
+        positions = position_numbers(catalog)
+        one = read_units(catalog, units, question, positions, nobody_listens)
+        several = local_reading(filled.store, len(units), 2, reports.append)(
+            catalog, units, question, positions, nobody_listens
+        )
+    assert reports[0] == f"reading {len(units)} units by 2 processes"
+    assert reports[-1] == f"reading: {len(units)} of {len(units)} units"
+    assert list(one.units) == list(several.units) == sorted(UNITS)
+    assert {unit: str(error) for unit, error in one.errors.items()} == {u: str(e) for u, e in several.errors.items()}
+    for unit, read in one.units.items():
+        for run, same in zip(read.runs, several.units[unit].runs, strict=True):
+            assert run.value.tobytes() == same.value.tobytes()
+            assert run.white_variance.tobytes() == same.white_variance.tobytes()
+
+
+def nobody_listens(_: str) -> None:
+    """Progress that nobody reads."""
 
 
 def test_units_are_in_one_slice_each_and_the_largest_come_first(filled: Any) -> None:
