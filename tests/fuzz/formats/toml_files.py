@@ -24,9 +24,12 @@ from ingest.station.station import load_station
 from ingest.station.station_security import station_security
 from storage.specifications.specification import check_names, parse_specification, read_specification
 from stream.roles.config_file import check_config
+from stream.security.certificate_authority import Site
+from stream.security.rights import Role
 from stream.security.site_rules import read_site_rules
 from tests.fuzz.format import Format
 from tests.fuzz.mutations import mutated_toml
+from tests.fuzz.trees import made_by
 
 _DOCS = Path(__file__).resolve().parents[3] / "docs"
 _LAYOUT = """sync = "AA 55"
@@ -104,10 +107,13 @@ def _mapping_database(folder: Path) -> None:
     write_station(folder, ["G-1", "G-2"], speed=1.0, rate_hz=10.0, seed=1, now_s=1.7e9)
 
 
+def _make_what_settings_name(folder: Path) -> None:
+    Site.create(folder / "site").add(Role.RECORDER, "recorder", days=30)
+    add_person(folder / "users.toml", "li", PersonRole.ENGINEER, "a long pass phrase")
+
+
 def _settings_around(folder: Path) -> None:
-    """What the settings name."""
-    (folder / "site" / "recorder" / "recorder").mkdir(parents=True)
-    (folder / "users.toml").touch()
+    made_by(_make_what_settings_name).write(folder)
 
 
 def _roles() -> dict[str, click.Command]:
