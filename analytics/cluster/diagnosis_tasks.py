@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 from analytics.cluster.engine import Done, Engine
 from analytics.cluster.process_engine import ProcessEngine
 from analytics.cluster.store_slice import UNITS_A_TASK, StoreSlice, sliced
+from analytics.loop.tracing.processors import MOST_PROCESSES
 from analytics.loop.unit_reduction import Progress, Question, Read, ReadUnits, read_units, silent
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -17,7 +18,6 @@ R = TypeVar("R")
 
 _ROUNDS = 4  # tasks for each that runs at the same time
 _FEWEST_UNITS = 8  # fewer do not repay the start of processes
-_MOST_PROCESSES = 8  # each has the libraries and a catalogue in memory
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class ClusterTracing:
 
 def local_reading(store: Store, units: int, processes: int, report: Callable[[str], None]) -> Read:
     """Reads so many units of a store: by processes of this machine where that is quicker, with the same result."""
-    processes = min(processes, _MOST_PROCESSES)
+    processes = min(processes, MOST_PROCESSES)
     if units < _FEWEST_UNITS or processes < 2 or not store.is_local:
         return read_units
 

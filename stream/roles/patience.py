@@ -7,6 +7,7 @@ that was lost.
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from typing import TypeVar
 
 from stream.terminal.console import seconds_since_stop
@@ -22,27 +23,21 @@ class GivenUp(Exception):
 
 def answered(request: Callable[[], T]) -> T:
     """What a request returns or raises; GivenUp if the process was asked to end some seconds ago."""
-    results: list[T] = []
-    errors: list[BaseException] = []
-    done = threading.Event()
+    answer: Future[T] = Future()
 
     def ask() -> None:
         try:
-            results.append(request())
-        except BaseException as error:  # noqa: BLE001  raised where it is waited for
-            errors.append(error)
-        finally:
-            done.set()
+            answer.set_result(request())
+        except BaseException as error:  # noqa: BLE001  raised again below; a panic of the client is no Exception
+            answer.set_exception(error)
 
     if _is_over():
         raise GivenUp
     threading.Thread(target=ask, name="gyrofleet-request", daemon=True).start()
-    while not done.wait(_LOOK_S):
+    while wait([answer], _LOOK_S).not_done:
         if _is_over():
             raise GivenUp
-    if errors:
-        raise errors[0]
-    return results[0]
+    return answer.result()
 
 
 def _is_over() -> bool:

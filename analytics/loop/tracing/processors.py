@@ -12,7 +12,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _FEWEST_UNITS = 4  # fewer do not repay the start of processes
-_MOST_PROCESSES = 8  # each has the libraries and the data of a unit in memory
+MOST_PROCESSES = 8  # each has the libraries and the data of a unit in memory
 
 
 class Spread(Protocol):
@@ -37,7 +37,7 @@ def single_blas() -> threadpool_limits:
 
 def by_processes(work: Callable[[T], R], items: Sequence[T], processes: int) -> Iterator[R]:
     """Results of work on each item, in their order; with one process, or few items, in this process."""
-    processes = min(processes, len(items) // 2, _MOST_PROCESSES)
+    processes = min(processes, len(items) // 2, MOST_PROCESSES)
     if processes < 2 or len(items) < _FEWEST_UNITS:
         yield from map(work, items)
         return

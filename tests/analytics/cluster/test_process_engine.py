@@ -32,4 +32,4 @@ def test_results_are_in_the_order_of_the_tasks_and_units_are_counted() -> None:
 
 def test_what_a_task_raises_is_raised_here() -> None:
     with pytest.raises(BadInput, match="unit FOG-1: no rate"):
-        ProcessEngine(2).map(refusing, [0, 1, 2], [1, 1, 1], nobody)
+        ProcessEngine(2).map(refusing, [0, 1, 2, 3], [1, 1, 1, 1], nobody)

@@ -95,7 +95,7 @@ def test_a_role_ends_soon_where_the_store_is_silent(
 def test_a_silent_time_stamp_authority_holds_up_no_end(
     every: tuple[str, ...], code: int, tmp_path: Path, silent: Silent, spawn: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    """The attestation is kept, without a stamp, which is said."""
+    """The attestation is kept without a stamp, and a message says so."""
     plant(tmp_path / "night", 1)
     process = spawn("attest", "--store", "night", "--key", "k.pem", "--timestamp-url", silent.url, *every)
     assert silent.asked.wait(60.0)

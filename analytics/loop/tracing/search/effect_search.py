@@ -124,8 +124,8 @@ def provisional(found: Search) -> Search | None:
 
     Its look-alikes are those that would be confounded with it if all of them replicated.
     """
-    every = [as_if_replicated(each) if each.is_common else each for each in found.first]
-    best = _chosen(sorted((each for each in every if each.is_common), key=lambda each: -each.evidence))
+    every = [as_if_replicated(each) for each in found.first if each.is_common]
+    best = _chosen(sorted(every, key=lambda each: -each.evidence))
     if best is None:
         return None
     records = found.joint.records
