@@ -91,6 +91,20 @@ def command_server() -> Iterator[CommandServer]:
         yield server
 
 
+@pytest.fixture(scope="session", autouse=True)
+def forked_sandbox(command_server: CommandServer) -> Iterator[None]:
+    """Processes that answer statements of tests are forked, but where a test asks for `own_sandbox`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("storage.sql.door.subprocess", command_server.forking())
+        yield
+
+
+@pytest.fixture
+def own_sandbox(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that answer statements are started as for users."""
+    monkeypatch.setattr("storage.sql.door.subprocess", subprocess)
+
+
 @pytest.fixture(scope="session")
 def run_command(command_server: CommandServer) -> Callable[..., Outcome]:
     """Run a command in a process of its own, which must not fail with a traceback."""

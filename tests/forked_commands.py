@@ -2,33 +2,42 @@
 
 What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
 files, signals and end; only the start, one to three seconds of importing, is that of the server
-(``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked from the command's, but
-where its time or memory is limited, or the command is a server, which has threads; so are those of a simulated station.
-A few tests start the installed program itself.
+(``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked as well, but where its
+time or memory is limited: from the command's, from the server where a test asks in its own process, and from a process
+beside a command that is a server, which has threads. So are the processes of a simulated station. A few tests start the
+installed program itself.
 """
 
 import array
-import contextlib
 import ctypes
+import fcntl
 import gc
 import importlib
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import traceback
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, AnyStr, NoReturn
 
 # variable of the environment with other limits of a server's statements, the fields of `QueryLimits` in JSON
 SERVER_LIMITS = "GYROFLEET_TESTS_SERVER_LIMITS"
-_PR_SET_CHILD_SUBREAPER = 36
+_PR_SET_CHILD_SUBREAPER, _PR_SET_PDEATHSIG = 36, 1
+_M_ARENA_MAX = -8
 _PARTS = 23
+_MOST_FILES = 16
+_ABOVE = 200  # numbers of files that nobody asks for
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
+    "gyrofleet",
     "analytics.evaluation.inner_page",
     "analytics.evaluation.layer",
     "analytics.evaluation.selection",
@@ -38,6 +47,7 @@ _WANTED = (
     "analytics.serve.server",
     "ingest.can.bus.interface",
     "ingest.can.plan",
+    "ingest.commands.simulate",
     "ingest.importing.importer",
     "ingest.procedures.run_steps",
     "ingest.simulator.processes",
@@ -53,37 +63,50 @@ _WANTED = (
     "rich.status",
     "scipy.signal",
     "scipy.stats",
+    "storage.sql.door",
     "storage.sql.reading",
 )
 
 
 class CommandServer:
-    """Starts commands of the program in forked processes; a context."""
+    """Starts commands of the program in forked processes; a context. Its process begins with the first of them."""
 
     def __enter__(self) -> "CommandServer":
-        # a process whose parent has ended becomes a child of this one, and is waited for here
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        self._process: subprocess.Popen[str] | None = None
+        self._beginning = threading.Lock()
         self._folder = tempfile.TemporaryDirectory()
-        self.socket = str(Path(self._folder.name) / "socket")
-        self._process = subprocess.Popen(
-            # -P: beside its folder's packages, which are named like those of the program
-            [sys.executable, "-P", __file__, self.socket],
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONWARNINGS": "error"},
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline(), f"the server of commands ended with {self._process.wait()}"
+        self._socket = str(Path(self._folder.name) / "socket")
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.communicate()
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
         self._folder.cleanup()
 
-    def start(self, arguments: list[str], **options: Any) -> "ForkedProcess":
+    def socket(self) -> str:
+        """Where the process listens, which is begun if it has not been."""
+        with self._beginning:
+            if self._process is None:
+                _adopt()
+                self._process = subprocess.Popen(
+                    # -P: beside its folder's packages, which are named like those of the program
+                    [sys.executable, "-P", __file__, self._socket],
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    env={**os.environ, "PYTHONWARNINGS": "error"},
+                )
+                assert self._process.stdout is not None
+                assert self._process.stdout.readline(), f"the server of commands ended with {self._process.wait()}"
+        return self._socket
+
+    def start(self, arguments: list[str], **options: Any) -> "ForkedProcess[str]":
         """Start a command; the options are those of `subprocess.Popen` for its folder, environment and files."""
-        return ForkedProcess(self.socket, arguments, **options)
+        return ForkedProcess(self.socket, arguments, text=True, **options)
+
+    def forking(self) -> SimpleNamespace:
+        """In place of `subprocess` in a module that starts processes of the program's modules."""
+        return _forking(partial(ForkedProcess[bytes], self.socket))
 
     def run(self, arguments: list[str], *, timeout_s: float, **options: Any) -> "subprocess.CompletedProcess[str]":
         """Run a command to its end.
@@ -102,34 +125,46 @@ class CommandServer:
         return subprocess.CompletedProcess(arguments, process.returncode, out, err)
 
 
-class ForkedProcess(subprocess.Popen[str]):
-    """A process that the server has forked and this process has adopted; in text mode.
+def _adopt() -> None:
+    """Make a process below this one whose parent has ended a child of this one, which can wait for it."""
+    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
-    Input, output and errors may be left alone, be pipes of their own, or go to files.
+
+def _forking(popen: Callable[..., Any]) -> SimpleNamespace:
+    return SimpleNamespace(**{**vars(subprocess), "Popen": popen})
+
+
+class ForkedProcess(subprocess.Popen[AnyStr]):
+    """A process that a server has forked and this process has adopted.
+
+    It is that of a command, or of a module where the arguments say so (``-m MODULE``). Input, output and errors may be
+    left alone, be pipes of their own, or go to files.
     """
 
-    def __init__(self, server: str, arguments: list[str], **options: Any) -> None:
+    def __init__(self, server: Callable[[], str], arguments: list[str], **options: Any) -> None:
         self._server = server
         given = [options.get(name) for name in ("stdin", "stdout", "stderr")]
         if wrong := [each for each in given if isinstance(each, int) and each != subprocess.PIPE]:
             raise ValueError(f"{wrong} as a file of a forked process: give subprocess.PIPE or an open file")
         self._files = {each.fileno() for each in given if not isinstance(each, int | None)}
-        super().__init__(arguments, text=True, **options)
+        super().__init__(arguments, **options)
 
     def _execute_child(self, *parts: Any) -> None:
         """Have the server fork, in place of forking here; the parts are those of Python 3.11 to 3.14."""
         assert len(parts) == _PARTS, f"Popen of Python {sys.version} hands {len(parts)} parts on, not {_PARTS}"
         arguments, cwd, env = parts[0], parts[5], parts[6]
+        passed: Sequence[int] = parts[4]
         into, out, err = parts[10], parts[13], parts[15]
         request = {
             "arguments": arguments,
             "folder": str(cwd or Path.cwd()),
             "env": {**(env or os.environ)},
             "new_session": parts[21],
+            "files": [0, 1, 2, *passed],
         }
-        files = [own if given == -1 else given for own, given in ((0, into), (1, out), (2, err))]
+        files = [own if given == -1 else given for own, given in ((0, into), (1, out), (2, err))] + list(passed)
         with socket.socket(socket.AF_UNIX) as line:
-            line.connect(self._server)
+            line.connect(self._server())
             message = json.dumps(request).encode()
             socket.send_fds(line, [len(message).to_bytes(8, "little")], files)
             line.sendall(message)
@@ -157,21 +192,25 @@ class ForkedModule(subprocess.Popen[Any]):
                     os.dup2(end, number)
             for end in {*ends, *others} - {-1}:
                 os.close(end)
-            code = 1
-            try:
-                main(parts[0])
-                code = 0
-            except SystemExit as end_:
-                code = int(end_.code or 0)
-            except BaseException:  # noqa: BLE001  printed as the interpreter would
-                traceback.print_exc()
-            finally:
-                for file in (sys.stdout, sys.stderr):
-                    file.flush()
-                os._exit(code)
+            _run_to_the_end(main, parts[0])
         self._child_created = True
         for end in {*ends} - {-1}:
             os.close(end)
+
+
+def _run_to_the_end(main: Callable[[list[str]], None], words: list[str]) -> NoReturn:
+    code = 1
+    try:
+        main(words)
+        code = 0
+    except SystemExit as end:
+        code = int(end.code or 0)
+    except BaseException:  # noqa: BLE001  printed as the interpreter would
+        traceback.print_exc()
+    finally:
+        for file in (sys.stdout, sys.stderr):
+            file.flush()
+        os._exit(code)
 
 
 def _answer_statements(_: list[str]) -> None:
@@ -182,6 +221,7 @@ def _answer_statements(_: list[str]) -> None:
 
     vars(numba.config)["DISABLE_JIT"] = True  # as the variable of its environment does
     vars(compiled)["_IS_DISABLED"] = True
+    ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 2)  # as well
     child.main()
     raise SystemExit(1)
 
@@ -198,9 +238,6 @@ _MAINS = {"storage.sql.sandbox.child": _answer_statements, "ingest.simulator.pro
 
 
 def _serve(path: str) -> None:
-    import ingest.commands.simulate
-    import storage.sql.door
-    from gyrofleet import front_door
     from stream.compiled import Kernel
     from stream.quantities import is_angular_rate
     from stream.worker.compile_kernels import warm_up
@@ -224,35 +261,69 @@ def _serve(path: str) -> None:
         server.bind(path)
         server.listen()
         print("ready", flush=True)
-        while True:
-            line, _ = server.accept()
-            request, files = _received(line)
-            between = os.fork()
-            if between == 0:
-                process = os.fork()
-                if process:  # its parent ends here, so that the test's process adopts it
-                    line.sendall(process.to_bytes(8, "little"))
-                    os._exit(0)
-                line.close()
-                server.close()
-                _become(request, files)
-                forking = SimpleNamespace(**{**vars(subprocess), "Popen": ForkedModule})
-                if not {"--max-time", "--max-memory", "serve"}.intersection(request["arguments"]):
-                    vars(storage.sql.door)["subprocess"] = forking
-                vars(ingest.commands.simulate)["subprocess"] = forking
-                if limits := request["env"].get(SERVER_LIMITS):
-                    pool = sys.modules["analytics.serve.sql_pool"].SqlPool
-                    pool.__init__.__defaults__ = (storage.sql.door.QueryLimits(**json.loads(limits)),)
-                sys.argv = ["gyrofleet", *request["arguments"]]
-                front_door()
-            os.waitpid(between, 0)
+        _fork_for(server)
+
+
+def _fork_for(server: socket.socket) -> NoReturn:
+    """Fork a process for each that connects."""
+    while True:
+        line, _ = server.accept()
+        request, files = _received(line)
+        between = os.fork()
+        if between == 0:
+            process = os.fork()
+            if process:  # its parent ends here, so that the test's process adopts it
+                line.sendall(process.to_bytes(8, "little"))
+                os._exit(0)
             line.close()
-            for file in files:
-                os.close(file)
+            server.close()
+            _become(request, files)
+            words = request["arguments"]
+            if "-m" in words:
+                _run_to_the_end(_MAINS[words[words.index("-m") + 1]], words)
+            _run_command(words, request["env"])
+        os.waitpid(between, 0)
+        line.close()
+        for file in files:
+            os.close(file)
+
+
+def _run_command(words: list[str], env: dict[str, str]) -> NoReturn:
+    import ingest.commands.simulate
+    import storage.sql.door
+    from gyrofleet import front_door
+
+    if limits := env.get(SERVER_LIMITS):
+        pool = sys.modules["analytics.serve.sql_pool"].SqlPool
+        pool.__init__.__defaults__ = (storage.sql.door.QueryLimits(**json.loads(limits)),)
+    elif "serve" in words:
+        vars(storage.sql.door)["subprocess"] = _forking_beside()
+    elif not {"--max-time", "--max-memory"}.intersection(words):
+        vars(storage.sql.door)["subprocess"] = _forking(ForkedModule)
+    vars(ingest.commands.simulate)["subprocess"] = _forking(ForkedModule)
+    sys.argv = ["gyrofleet", *words]
+    front_door()
+    raise SystemExit(0)
+
+
+def _forking_beside() -> SimpleNamespace:
+    """The same in a command with threads: a process without them, which ends with this one, forks for it."""
+    path = f"\0gyrofleet-tests-{os.getpid()}"
+    _adopt()
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(path)
+        server.listen()
+        if os.fork() == 0:
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+            nothing = os.open(os.devnull, os.O_RDWR)
+            for number in range(3):  # whoever reads what the command prints does not wait for this process
+                os.dup2(nothing, number)
+            _fork_for(server)
+    return _forking(partial(ForkedProcess[bytes], lambda: path))
 
 
 def _received(line: socket.socket) -> tuple[dict[str, Any], list[int]]:
-    size, files, _, _ = socket.recv_fds(line, 8, 3)
+    size, files, _, _ = socket.recv_fds(line, 8, _MOST_FILES)
     with line.makefile("rb") as stream:  # a statement of tens of kilobytes comes in parts
         request: dict[str, Any] = json.loads(stream.read(int.from_bytes(size, "little")))
     return request, list(array.array("i", files))
@@ -264,12 +335,12 @@ def _become(request: dict[str, Any], files: list[int]) -> None:
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["env"])
-    for number, file in enumerate(files):
-        os.dup2(file, number)
+    above = [fcntl.fcntl(file, fcntl.F_DUPFD_CLOEXEC, _ABOVE) for file in files]
     for file in files:
-        if file > 2:
-            with contextlib.suppress(OSError):
-                os.close(file)
+        os.close(file)
+    for number, file in zip(request["files"], above, strict=True):
+        os.dup2(file, number)
+        os.close(file)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,8 @@ from tests.analytics.serve.conftest import TOKEN, start
 from tests.forked_commands import SERVER_LIMITS, CommandServer
 from tests.storage.sql_corpus import oversized
 
+pytestmark = pytest.mark.usefixtures("own_sandbox")
+
 CORPUS = Path(__file__).parents[1] / "storage" / "sql" / "hostile.jsonl"
 OF_FILE, OF_ENVIRONMENT = "s3cr3t-of-a-file", "s3cr3t-of-the-environment"
 LIMITS = QueryLimits(time_s=2.0, memory_bytes=256 << 20, rows=100_000)

@@ -19,6 +19,8 @@ from storage.store import Store
 from stream.errors import QueryError
 from tests.storage import sql_corpus
 
+pytestmark = pytest.mark.usefixtures("own_sandbox")
+
 COUNT = "select count(*) as n from samples"
 BY_COMMAND = [
     "explain analyze copy (select 42) to 'PLACE'",

@@ -99,9 +99,10 @@ def test_figures_on_a_page_are_those_of_the_api(api: httpx.Client) -> None:
     assert f"{max(rows['max']):.6g}" in api.get("/signals/FOG-0001/run-1/rate").text
 
 
-def test_values_of_a_characteristic_are_told_apart_and_reasons_are_translated(api: httpx.Client) -> None:
-    rows = api.get("/api/units/FOG-0001").json()["metrics"]
-    english, chinese = (unescape(api.get(f"/units/FOG-0001?lang={language}").text) for language in ("en", "zh"))
+def test_values_of_a_characteristic_are_told_apart_and_reasons_are_translated(served: Served) -> None:
+    with served.program() as own:  # which remembers the language
+        rows = own.get("/api/units/FOG-0001").json()["metrics"]
+        english, chinese = (unescape(own.get(f"/units/FOG-0001?lang={language}").text) for language in ("en", "zh"))
     for text in (english, chinese):
         assert "earth_rate = none" in text
         assert "earth_rate = removed" in text

@@ -111,6 +111,7 @@ def test_a_question_about_one_unit_and_time_fetches_little(
     assert again.cache.fetched_bytes == 0
 
 
+@pytest.mark.usefixtures("own_sandbox")
 def test_the_sandboxed_process_has_neither_credentials_nor_cache(lake: Store, url: str, aws: str) -> None:
     remote = PublishedStore.open_url(url, aws)
     with SqlDoor(remote) as door:

@@ -252,6 +252,7 @@ def test_python_sees_live_rows_and_notes(three: Filler) -> None:
         assert answer.notes == ()
 
 
+@pytest.mark.usefixtures("own_sandbox")
 def test_live_rows_count_for_the_memory_of_a_statement(filler: Filler) -> None:
     for part in range(4):
         values, t0_ns = filler.rng.normal(0, 1, 10**6), START_NS + part * 1000 * SECOND_NS
