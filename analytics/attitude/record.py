@@ -24,7 +24,7 @@ where s.run = $run and s.unit = $unit and s.n > 1 and s.frequency is null and na
 order by s."index"
 """
 _SAMPLES = """
-select signal, t_ns, value from samples
+select signal, t_ns, value from internal.samples_in($paths)
 where run = $run and unit = $unit and list_contains($signals, signal) and t_ns between $first and $last
 order by signal, t_ns, seq
 """
@@ -110,7 +110,7 @@ def rates_of(catalog: Catalog, run: str, unit: str, step: AttitudeStep) -> Rates
     """The samples of a step; raises BadInput where they are no longer in the store, or too many are missing."""
     signals = [own.signal for own in step.axes.values()]
     asked = {"run": run, "unit": unit, "signals": signals, "first": step.t_from_ns, "last": step.t_to_ns}
-    table = catalog.reader(_SAMPLES, asked).read_all()
+    table = catalog.reader(_SAMPLES, {"paths": catalog.paths_of([run]), **asked}).read_all()
     names, t_ns = np.asarray(table["signal"].to_numpy(zero_copy_only=False)), table["t_ns"].to_numpy()
     values = np.asarray(table["value"].to_numpy(), np.float64)
     series = list(_of_axes(step, names, t_ns, values))

@@ -17,7 +17,7 @@ _EVALUATED = 200
 _QUARTERS = ("north towards crossing", "crossing towards south", "south towards crossing", "crossing towards north")
 
 _MEANS = """
-select (t_ns - $start) / 1e9 as t_s, mean from rollup_1s
+select (t_ns - $start) / 1e9 as t_s, mean from internal.rollup_1s_in($paths)
 where run = $run and unit = $unit and signal = $signal and t_ns >= $start and t_ns + 1000000000 <= $end + 1
 order by t_ns
 """
@@ -95,7 +95,7 @@ def _last_of_run(holds: np.ndarray[Any, np.dtype[np.bool_]], size: FloatArray) -
 def of_slow_turn(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
     """The threshold of a recorded turn, see `threshold_in_turn`."""
     asked = {name: row[name] for name in ("run", "unit", "signal")} | {"start": row["t_from_ns"], "end": row["t_to_ns"]}
-    means = catalog.reader(_MEANS, asked).read_all()
+    means = catalog.reader(_MEANS, {"paths": catalog.paths_of([row["run"]]), **asked}).read_all()
     t_s, output = (np.asarray(means[name].to_numpy(), np.float64) for name in ("t_s", "mean"))
     if t_s.size < 8 * len(_QUARTERS):
         return {"reason": f"{t_s.size} means of 1 s in the turn, too few to see four crossings"}

@@ -30,7 +30,7 @@ where run = $run and kept_raw > 0 and regexp_matches(signal, '^(table|input|refe
 order by unit <> $unit, sample_interval_s, signal desc, unit
 """
 _SAMPLES = """
-select t_ns, value from samples
+select t_ns, value from internal.samples_in($paths)
 where run = $run and unit = $unit and signal = $signal and t_ns between $first and $last order by t_ns, seq
 """
 
@@ -157,7 +157,7 @@ def _reference(
 def _fetched(catalog: Catalog, run: str, unit: str, signal: str, steps: Iterable[Mapping[str, Any]]) -> _Series:
     spans = [(step["t_from_ns"], step["t_to_ns"]) for step in steps]
     asked = {"run": run, "unit": unit, "signal": signal, "first": min(spans)[0], "last": max(end for _, end in spans)}
-    table = catalog.reader(_SAMPLES, asked).read_all()
+    table = catalog.reader(_SAMPLES, {"paths": catalog.paths_of([run]), **asked}).read_all()
     return _Series(table["t_ns"].to_numpy(), table["value"].to_numpy())
 
 

@@ -117,14 +117,14 @@ _Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 _WITHIN = """
-where run = $run and unit between $lower and $upper and unit in (select unnest($units))
-  and signal in (select unnest($signals)) and t_ns between $first and $last"""
+where run = $run and unit between $lower and $upper and unit in $units and signal in $signals
+  and t_ns between $first and $last"""
 _RAW = (
-    f"select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples {_WITHIN} "  # noqa: S608
-    "order by unit, signal, t_ns, seq"
+    "select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 "
+    f"from internal.samples_in($paths) {_WITHIN} order by unit, signal, t_ns, seq"  # noqa: S608
 )
 # not sorted: the lake has them in order but for runs in several parts, and sorting takes as long as reading
-_SECONDS = f"select unit, signal, t_ns, n, mean, m2 from rollup_1s {_WITHIN}"  # noqa: S608
+_SECONDS = f"select unit, signal, t_ns, n, mean, m2 from internal.rollup_1s_in($paths) {_WITHIN}"  # noqa: S608
 
 
 def _fetched(
@@ -134,6 +134,7 @@ def _fetched(
     sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
     units = sorted({each.unit for each in group})
     parameters = {
+        "paths": catalog.paths_of([run]),
         "run": run,
         "units": units,
         # by which row groups of other units are not read

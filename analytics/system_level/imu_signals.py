@@ -15,7 +15,7 @@ from stream.quantities import conversion, is_angular_rate
 
 _AXIS = re.compile(r"(?:^|_|rate|gyro|acc|accel|acceleration|force)([xyz])(?:_|$)")
 _SAMPLES = """
-select signal, t_ns, value from samples
+select signal, t_ns, value from internal.samples_in($paths)
 where run = $run and unit = $unit and list_contains($signals, signal) and t_ns between $first and $last
 order by signal, t_ns, seq
 """
@@ -95,7 +95,7 @@ def imu_series(
     """
     signals = [channel.signal for channel in channels.all]
     asked = {"run": run, "unit": unit, "signals": signals, "first": span[0], "last": span[1]}
-    table = catalog.reader(_SAMPLES, asked).read_all()
+    table = catalog.reader(_SAMPLES, {"paths": catalog.paths_of([run]), **asked}).read_all()
     own, t_ns = np.asarray(table["signal"].to_numpy(zero_copy_only=False)), table["t_ns"].to_numpy()
     values = np.asarray(table["value"].to_numpy(), np.float64)
     series = {}

@@ -2,6 +2,7 @@
 
 import os
 import threading
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -30,6 +31,7 @@ from stream.errors import QueryError
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
 _ALWAYS_READ = {"channels"}
+_OF_CHANNELS = ("samples", "rollup_1s", "rollup_10s")
 _SMALL_BYTES = 8 << 20  # of a lake that one thread reads as soon as several
 Progress = Callable[[int, int], None]
 
@@ -120,6 +122,7 @@ class Catalog(Closing):
             self._attach(f"internal.lake_channels_{name}", "channels", own)
         self._live = LiveTables.beyond(store, self.parts, self._connection) if live else None
         self._has_views = False
+        self._folders_of_runs: dict[str, list[str]] | None = None
         if self._live is None:
             self._add_views()
         if file is not None:  # others open it
@@ -202,6 +205,16 @@ class Catalog(Closing):
     def stored(self, name: str) -> pa.Table:
         """The rows of a table that was put."""
         return self._tables.stored(name)
+
+    def paths_of(self, runs: Iterable[str]) -> list[str]:
+        """Files that have all samples and rollups of some runs, for `internal.samples_in` and its like."""
+        if self._folders_of_runs is None:
+            found: defaultdict[str, list[str]] = defaultdict(list)
+            for run, path in self.rows("select distinct run, filename from internal.lake_channel_parts"):
+                found[run].append(path.rpartition("/")[0])
+            self._folders_of_runs = dict(found)
+        folders = {folder for run in runs for folder in self._folders_of_runs.get(run, ())}
+        return [f"{folder}/{table}.parquet" for folder in sorted(folders) for table in _OF_CHANNELS]
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str],

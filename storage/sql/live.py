@@ -36,9 +36,9 @@ _ROLLED = ("rollup_1s", "rollup_10s", "clocks")
 # tables of samples in memory have a list of counts or values for each message
 _SAMPLES = """
 create view internal.lake_samples as
-select * exclude (filename) from {lake}.internal.lake_samples
+from {lake}.internal.lake_samples
 union all
-select channel, seq + i, coalesce(at_ns, t0_ns + i * dt_ns), count, 0, val, flag
+select channel, seq + i, coalesce(at_ns, t0_ns + i * dt_ns), count, 0, val, flag, null
 from (
   select channel, seq, t0_ns, dt_ns, unnest(range(n)) as i, unnest(counts) as count, unnest(vals) as val,
     unnest(times_ns) as at_ns, unnest(flags) as flag

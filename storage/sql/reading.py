@@ -168,8 +168,8 @@ def stored_between(
     table = catalog.reader(
         'select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value '
         "from internal.lake_samples s join internal.lake_channels c using (channel) "
-        "where c.unit = $unit and c.signal = $signal and c.run = $run and s.t_ns between $first and $last "
-        "order by s.t_ns",
-        where,
+        "where list_contains($paths, s.filename) and c.unit = $unit and c.signal = $signal "
+        "and c.run = $run and s.t_ns between $first and $last order by s.t_ns",
+        {"paths": catalog.paths_of([run]), **where},
     ).read_all()
     return numbers(table.column(0)), numbers(table.column(1))

@@ -57,13 +57,13 @@ where list_contains($units, s.unit) and list_contains($signals, s.signal) and li
 _ROLLED_UP = """
 select w.number, s.t_ns as start_ns, s.t_ns + 500000000 as t_ns, s.t_ns + 1000000000 * (s.n - 1) // s.n as end_ns,
   s.n, s.mean, s.m2, s.lo, s.hi
-from rollup_1s s WANTED and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns
+from internal.rollup_1s_in($paths) s WANTED and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns
 """
 _FROM_SAMPLES = """
 select w.number, min(s.t_ns) as start_ns, avg(s.t_ns - w.t0_ns)::bigint + any_value(w.t0_ns) as t_ns,
   max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
   min(s.value) as lo, max(s.value) as hi
-from samples s WANTED and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
+from internal.samples_in($paths) s WANTED and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
 group by w.number, (s.t_ns - w.t0_ns) // $piece_ns
 """
 
@@ -94,6 +94,7 @@ def rows_of(
     """
     keys = list(grids)
     wanted = {
+        "paths": catalog.paths_of(key.run for key in keys),
         "units": [key.unit for key in keys],
         "signals": [key.signal for key in keys],
         "runs": [key.run for key in keys],

@@ -16,10 +16,10 @@ MOST_READINGS = 500_000  # of the signals that are read together
 _MOST_AHEAD = 2_000_000  # readings in memory before they are asked for; others are read when they are
 _MOST_EXTREMES = 30
 _READINGS = """
-select w.number, s.t_ns, s.value from samples s WANTED
+select w.number, s.t_ns, s.value from internal.samples_in($paths) s WANTED
 and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
 """
-_EXTREMES = "select w.number, (s.t_ns - w.t0_ns) / 1e9 as t_s, s.lo, s.hi from rollup_1s s WANTED"
+_EXTREMES = "select w.number, (s.t_ns - w.t0_ns) / 1e9 as t_s, s.lo, s.hi from internal.rollup_1s_in($paths) s WANTED"
 
 
 class StoredReadings:
@@ -65,10 +65,11 @@ class StoredReadings:
         if known is not None:
             yield known
             return
+        asked = {**source.key._asdict(), "first": grid.first_ns, "last": grid.last_ns}
         batches = self._catalog.batches(
-            "select t_ns, value from samples where unit = $unit and signal = $signal and run = $run "
-            "and t_ns between $first and $last and isfinite(value) order by t_ns",
-            {**source.key._asdict(), "first": grid.first_ns, "last": grid.last_ns},
+            "select t_ns, value from internal.samples_in($paths) where unit = $unit and signal = $signal "
+            "and run = $run and t_ns between $first and $last and isfinite(value) order by t_ns",
+            {"paths": self._catalog.paths_of([source.run]), **asked},
         )
         for batch in batches:
             yield numbers(batch.column("t_ns")), numbers(batch.column("value"))

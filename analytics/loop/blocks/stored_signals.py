@@ -233,7 +233,8 @@ def _ordered(
 
 def _span(catalog: Catalog, source: ChannelSource) -> float:
     rows = catalog.rows(
-        "select max(hi) - min(lo) from rollup_10s where unit = $unit and signal = $signal and run = $run",
-        {"unit": source.unit, "signal": source.signal, "run": source.run},
+        "select max(hi) - min(lo) from internal.rollup_10s_in($paths) "
+        "where unit = $unit and signal = $signal and run = $run",
+        {"paths": catalog.paths_of([source.run]), "unit": source.unit, "signal": source.signal, "run": source.run},
     )
     return float(rows[0][0] or 0.0)

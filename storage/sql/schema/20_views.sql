@@ -23,7 +23,9 @@ select
 from internal.lake_channels
 group by unit, signal, run;
 
-create or replace view samples as
+-- The macros `..._in` read only these files of the lake, of all where none are given: DuckDB opens every file of a table
+-- to see whether it has rows of a channel.
+create or replace macro internal.samples_in(paths) as table
 select
   c.unit, c.signal, c.run,
   make_timestamp_ns(s.t_ns) as "time",
@@ -32,7 +34,10 @@ select
   s.base + s.above as counts,
   s.t_ns, s.seq, s.flags,
   c.epoch
-from internal.lake_samples s join internal.lake_channels c using (channel);
+from internal.lake_samples s join internal.lake_channels c using (channel)
+where paths is null or list_contains(paths, s.filename);
+
+create or replace view samples as from internal.samples_in(null);
 
 create or replace view runs as
 with started as (
