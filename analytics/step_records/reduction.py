@@ -1,6 +1,7 @@
-"""Reduction of one run: the samples of each step and signal become one row of statistics."""
+"""Reduction of runs: the samples of each step and signal become one row of statistics."""
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -19,6 +20,9 @@ SECOND_NS = 1_000_000_000
 # In a shorter stretch the whole seconds are too small a part, or none: irregular samples are used as they are.
 SHORT_NS = 10 * SECOND_NS
 _ROWS_AT_ONCE = 5_000_000
+_RUNS_AT_ONCE = 50
+# a statement that reads several runs also reads what lies between the steps of each
+_LEAST_EVALUATED = 0.5
 
 _TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
 _AVERAGES = {
@@ -32,8 +36,9 @@ COLUMNS = pa.schema({
 
 
 class _EvaluatedSignal(NamedTuple):
-    """A signal of the run, and its evaluated stretches."""
+    """A signal of a run, and its evaluated stretches."""
 
+    run: str
     unit: str
     signal: str
     unit_of_measure: str
@@ -51,9 +56,16 @@ class _EvaluatedSignal(NamedTuple):
         is_short = is_slow or is_integrated(self.signal) or (expected <= MOST_RAW and is_gridded)
         return self.kept_raw == self.samples and is_short
 
+    def rows(self, *, is_raw: bool, whole: bool = False) -> float:
+        """Rows to read of its evaluated stretches, or of the whole signal if it has any."""
+        spans_ns = [max(end - start, 0) for start, end in self.windows if self.is_raw((start, end)) == is_raw]
+        dt_ns = max(self.dt_ns, 1)
+        spanned_ns = float(self.samples * dt_ns if whole and spans_ns else sum(spans_ns))
+        return spanned_ns / (dt_ns if is_raw else SECOND_NS)
 
-def reduce_run(catalog: Catalog, run: str) -> pa.Table:
-    """Reduce every completed step of a run.
+
+def reduce_runs(catalog: Catalog, runs: Sequence[str]) -> Iterator[tuple[int, pa.Table]]:
+    """Reduce every completed step of runs; yields how many runs are done, and their records.
 
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
     the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over at least
@@ -61,7 +73,14 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
     output, whose record is of its rate. One row of `COLUMNS` for each signal and stretch; `reason` where it holds no
     sample.
     """
-    signals = list(_signals(catalog, run))
+    for begin in range(0, len(runs), _RUNS_AT_ONCE):
+        some = runs[begin : begin + _RUNS_AT_ONCE]
+        signals = _signals(catalog, some)
+        for together in _together({run: signals[run] for run in some}):
+            yield len(together), _reduce(catalog, [each for run in together for each in signals[run]])
+
+
+def _reduce(catalog: Catalog, signals: Sequence[_EvaluatedSignal]) -> pa.Table:
     rows: list[dict[str, Any]] = []
     for is_raw in (True, False):
         wanted = [
@@ -70,31 +89,54 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
             if (chosen := tuple(window for window in each.windows if each.is_raw(window) == is_raw))
         ]
         for group in _groups(wanted, is_raw=is_raw):
-            found = _fetched(catalog, run, group, is_raw=is_raw)
+            found = _fetched(catalog, group, is_raw=is_raw)
             for each in group:
-                rows.extend(_reduced(run, each, found.get((each.unit, each.signal)), is_raw=is_raw))
-    rows.sort(key=lambda row: (row["unit"], row["signal"], row["t_from_ns"], row["t_to_ns"]))
+                rows.extend(_reduced(each, found.get((each.run, each.unit, each.signal)), is_raw=is_raw))
+    rows.sort(key=lambda row: (row["run"], row["unit"], row["signal"], row["t_from_ns"], row["t_to_ns"]))
     return pa.Table.from_pylist(rows, schema=COLUMNS)
 
 
-def _signals(catalog: Catalog, run: str) -> Iterator[_EvaluatedSignal]:
-    windows: dict[str, dict[tuple[int, int], None]] = {}  # in order, and each once: steps may be alike
-    for unit, start, end in catalog.rows(
-        "select unit, t_start_ns + round(coalesce(settle, 0) * 1e9)::bigint, t_end_ns from steps "
-        "where run = $run and outcome = 'completed' order by unit, t_start_ns",
-        {"run": run},
+def _signals(catalog: Catalog, runs: Sequence[str]) -> defaultdict[str, list[_EvaluatedSignal]]:
+    """Signals by run."""
+    # in order, and each once: steps may be alike
+    windows: defaultdict[str, dict[str, dict[tuple[int, int], None]]] = defaultdict(dict)
+    for run, unit, start, end in catalog.rows(
+        "select run, unit, t_start_ns + round(coalesce(settle, 0) * 1e9)::bigint, t_end_ns from steps "
+        "where run in $runs and outcome = 'completed' order by run, unit, t_start_ns",
+        {"runs": runs},
     ):
-        windows.setdefault(unit, {})[start, end] = None
-    everywhere = sorted({window for each in windows.values() for window in each})
-    for unit, signal, unit_of_measure, interval_s, irregular, samples, kept_raw, is_counts, scale in catalog.rows(
-        "select unit, signal, unit_of_measure, sample_interval_s, irregular, samples, kept_raw, is_counts, scale "
-        "from signals where run = $run order by unit, signal",
-        {"run": run},
+        windows[run].setdefault(unit, {})[start, end] = None
+    everywhere = {run: sorted({window for each in own.values() for window in each}) for run, own in windows.items()}
+    found: defaultdict[str, list[_EvaluatedSignal]] = defaultdict(list)
+    for run, unit, signal, unit_of_measure, interval_s, irregular, samples, kept_raw, is_counts, scale in catalog.rows(
+        "select run, unit, signal, unit_of_measure, sample_interval_s, irregular, samples, kept_raw, is_counts, scale "
+        "from signals where run in $runs order by run, unit, signal",
+        {"runs": runs},
     ):
-        yield _EvaluatedSignal(
-            unit, signal, unit_of_measure, round((interval_s or 0.0) * 1e9), bool(irregular), samples, kept_raw,
-            abs(scale) if is_counts and scale else 0.0, tuple(windows.get(unit, everywhere)),
-        )  # fmt: skip
+        found[run].append(_EvaluatedSignal(
+            run, unit, signal, unit_of_measure, round((interval_s or 0.0) * 1e9), bool(irregular), samples, kept_raw,
+            abs(scale) if is_counts and scale else 0.0, tuple(windows[run].get(unit, everywhere.get(run, ()))),
+        ))  # fmt: skip
+    return found
+
+
+def _together(signals: Mapping[str, Sequence[_EvaluatedSignal]]) -> Iterator[list[str]]:
+    """Runs that are read together: small ones of which most is evaluated."""
+    together: list[str] = []
+    rows = 0.0
+    for run, own in signals.items():
+        within, whole = (
+            sum(each.rows(is_raw=is_raw, whole=of_all) for each in own for is_raw in (True, False))
+            for of_all in (False, True)
+        )
+        size = whole if within >= _LEAST_EVALUATED * whole else _ROWS_AT_ONCE
+        if together and rows + size > _ROWS_AT_ONCE:
+            yield together
+            together, rows = [], 0.0
+        together.append(run)
+        rows += size
+    if together:
+        yield together
 
 
 def _groups(signals: list[_EvaluatedSignal], *, is_raw: bool) -> Iterator[list[_EvaluatedSignal]]:
@@ -102,8 +144,7 @@ def _groups(signals: list[_EvaluatedSignal], *, is_raw: bool) -> Iterator[list[_
     group: list[_EvaluatedSignal] = []
     rows = 0.0
     for each in signals:
-        spanned_s = sum(max(end - start, 0) for start, end in each.windows) / 1e9
-        size = spanned_s * 1e9 / max(each.dt_ns, 1) if is_raw else spanned_s
+        size = each.rows(is_raw=is_raw)
         if group and rows + size > _ROWS_AT_ONCE:
             yield group
             group, rows = [], 0.0
@@ -117,25 +158,23 @@ _Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 _WITHIN = """
-where run = $run and unit between $lower and $upper and unit in $units and signal in $signals
+where run in $runs and unit between $lower and $upper and unit in $units and signal in $signals
   and t_ns between $first and $last"""
-_RAW = (
-    "select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 "
-    f"from internal.samples_in($paths) {_WITHIN} order by unit, signal, t_ns, seq"  # noqa: S608
-)
+_RAW = f"""
+select run, unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2
+from internal.samples_in($paths) {_WITHIN} order by run, unit, signal, t_ns, seq
+"""  # noqa: S608
 # not sorted: the lake has them in order but for runs in several parts, and sorting takes as long as reading
-_SECONDS = f"select unit, signal, t_ns, n, mean, m2 from internal.rollup_1s_in($paths) {_WITHIN}"  # noqa: S608
+_SECONDS = f"select run, unit, signal, t_ns, n, mean, m2 from internal.rollup_1s_in($paths) {_WITHIN}"  # noqa: S608
 
 
-def _fetched(
-    catalog: Catalog, run: str, group: list[_EvaluatedSignal], *, is_raw: bool
-) -> dict[tuple[str, str], _Blocks]:
-    """Samples, or means of seconds, of each signal by time."""
+def _fetched(catalog: Catalog, group: list[_EvaluatedSignal], *, is_raw: bool) -> dict[tuple[str, str, str], _Blocks]:
+    """Samples, or means of seconds, of each run, unit and signal by time."""
     sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
-    units = sorted({each.unit for each in group})
+    runs, units = (sorted({getattr(each, name) for each in group}) for name in ("run", "unit"))
     parameters = {
-        "paths": catalog.paths_of([run]),
-        "run": run,
+        "paths": catalog.paths_of(runs),
+        "runs": runs,
         "units": units,
         # by which row groups of other units are not read
         "lower": units[0],
@@ -147,15 +186,14 @@ def _fetched(
     table = catalog.reader(sql, parameters).read_all().combine_chunks()
     if table.num_rows == 0:
         return {}
-    names = [table[name].combine_chunks().dictionary_encode() for name in ("unit", "signal")]
-    codes = [np.asarray(each.indices) for each in names]
-    changes = (np.diff(codes[0]) != 0) | (np.diff(codes[1]) != 0)
+    names = [table[name].combine_chunks().dictionary_encode() for name in ("run", "unit", "signal")]
+    changes = np.logical_or.reduce([np.diff(np.asarray(each.indices)) != 0 for each in names])
     t_ns, n, mean, m2 = (table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2"))
-    stretches: dict[tuple[str, str], list[tuple[int, int]]] = {}
+    stretches: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
     edges = np.flatnonzero(np.r_[True, changes, True])
     for start, end in pairwise(edges.tolist()):
-        unit, signal = (each[start].as_py() for each in names)
-        stretches.setdefault((unit, signal), []).append((start, end))
+        run, unit, signal = (each[start].as_py() for each in names)
+        stretches.setdefault((run, unit, signal), []).append((start, end))
     found = {}
     for name, own in stretches.items():
         parts = [[each[start:end] for start, end in own] for each in (t_ns, n, mean, m2)]
@@ -167,11 +205,11 @@ def _fetched(
     return found
 
 
-def _reduced(run: str, signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) -> Iterator[dict[str, Any]]:
+def _reduced(signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) -> Iterator[dict[str, Any]]:
     base_ns = max(signal.dt_ns, 1) if is_raw else SECOND_NS
     per_block = 1.0 if is_raw else SECOND_NS / max(signal.dt_ns, 1)
     for window in signal.windows:
-        row: dict[str, Any] = {"run": run, "unit": signal.unit, "signal": signal.signal, "n": 0}
+        row: dict[str, Any] = {"run": signal.run, "unit": signal.unit, "signal": signal.signal, "n": 0}
         measure = f"{signal.unit_of_measure}/s" if is_integrated(signal.signal) else signal.unit_of_measure
         row |= {"t_from_ns": window[0], "t_to_ns": window[1], "unit_of_measure": measure}
         # a block has the time of its beginning: that of the last whole one, whose last sample may be the window's end

@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from analytics.step_records import FOLDER
-from analytics.step_records.reduction import COLUMNS, reduce_run
+from analytics.step_records.reduction import COLUMNS, reduce_runs
 from storage.sql.catalog import Catalog, NotKept
 from storage.sql.columns import distinct_pairs
 from storage.sql.parquet_content import ParquetContent
@@ -83,10 +83,12 @@ def kept_prints(kept: ParquetContent) -> dict[str, str]:
 def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str], progress: Progress | None) -> pa.Table:
     """Records of runs, whose fingerprints are given."""
     reduced = [COLUMNS.empty_table()]
-    for done, run in enumerate(runs):
-        reduced.append(reduce_run(catalog, run))
+    done = 0
+    for count, records in reduce_runs(catalog, runs):
+        reduced.append(records)
+        done += count
         if progress is not None:
-            progress(done + 1, len(runs))
+            progress(done, len(runs))
     catalog.put("reduced", pa.concat_tables(reduced))
     catalog.put("reduced_runs", pa.table({"run": pa.array(runs, pa.string())}))
     table = catalog.reader(_SQL).read_all()

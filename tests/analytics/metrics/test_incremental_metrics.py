@@ -1,7 +1,7 @@
 """Metrics that are brought up to date are those computed from scratch, bit for bit; only what changed is computed."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from analytics.evaluation import evaluation
 from analytics.evaluation.kept_check import kept_findings
 from analytics.evaluation.selection import Selection, selected
 from analytics.step_records import step_table
-from analytics.step_records.reduction import reduce_run
+from analytics.step_records.reduction import reduce_runs
 from analytics.step_records.step_table import write_kept
 from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact
@@ -38,12 +38,12 @@ class Work:
             self._units += [unit for (unit,) in catalog.rows("select distinct unit from step_means order by unit")]
             return evaluate(catalog, chosen)
 
-        def reduced(catalog: Any, run: str) -> pa.Table:
-            self._runs.append(run)
-            return reduce_run(catalog, run)
+        def reduced(catalog: Any, runs: list[str]) -> Iterator[tuple[int, pa.Table]]:
+            self._runs += runs
+            return reduce_runs(catalog, runs)
 
         monkeypatch.setattr(evaluation, "evaluate", evaluated)
-        monkeypatch.setattr(step_table, "reduce_run", reduced)
+        monkeypatch.setattr(step_table, "reduce_runs", reduced)
 
     def done(self) -> tuple[list[str], list[str]]:
         units, runs = self._units.copy(), self._runs.copy()
