@@ -83,8 +83,8 @@ class ClusterComputation:
         units = [unit for (unit,) in catalog.rows(sql)]
         slices = sliced(catalog, units, self._engine.slots, runs=runs)
         tasks = [RecordsTask(each, {run: prints[run] for run in each.runs if run in prints}) for each in slices]
-        nothing = records_of(catalog, [], {}, None)
-        return pa.concat_tables([nothing, *self._map(compute_records, tasks)])
+        found = self._map(compute_records, tasks)
+        return pa.concat_tables(found) if found else records_of(catalog, [], {}, None)
 
     def values(self, catalog: Catalog, units: list[str], names: Collection[str]) -> pa.Table:
         """These metrics of units; a task has at most 1000."""

@@ -54,6 +54,9 @@ _SETTINGS = {
         f"spark.executorEnv.{name}": "1"
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS")
     },
+    # bytes: memory that one task has freed stays with the process, for the next one
+    "spark.executorEnv.MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "spark.executorEnv.MALLOC_TRIM_THRESHOLD_": str(256 << 20),
 }
 
 
@@ -141,7 +144,7 @@ class SparkEngine(Closing):
         # one partition a task; `repartition` would put all on one executor
         tried = context.parallelize(pairs, len(pairs)).map(attempted)
         answer: Future[list[R]] = Future()
-        group = f"gyrofleet-{id(answer):x}"
+        group = f"gyrofleet-job-{id(answer):x}"
 
         def run() -> None:
             try:

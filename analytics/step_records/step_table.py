@@ -91,7 +91,7 @@ def records_of(catalog: Catalog, runs: Sequence[str], prints: Mapping[str, str],
             progress(done, len(runs))
     catalog.put("reduced", pa.concat_tables(reduced))
     catalog.put("reduced_runs", pa.table({"run": pa.array(runs, pa.string())}))
-    table = catalog.reader(_SQL).read_all()
+    table = catalog.table(_SQL)
     marks = pa.array([prints[run] for run in table["run"].to_pylist()], pa.string())
     return table.append_column(_PRINT, marks)
 

@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,7 @@ from tests.bench.fleet_metrics import machine
 from tests.bench.spark_cluster import StandaloneCluster
 
 RATE_HZ = 10
+_TURNS = 3  # in turn with one process; the quickest counts
 SPECIFICATION = 'revision = "A"\n[[limit]]\nmetric = "bias"\nlower = -2.0\nupper = 2.0\nunit_of_measure = "deg/h"\n'
 Progress = Callable[[int, int], None]
 
@@ -141,25 +143,30 @@ def records(store: Store, engine: Engine | None, progress: Progress, units: int 
 def scaling(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]:
     written_s, store = timed(lambda: write_days(folder / "days", units, days))
     half = units // 2
-    one_s, one_processor_s, one = processor_timed(lambda: records(store, None, ignore), time.process_time)
-    one_half_s, one_half = timed(lambda: records(store, None, ignore, half))
-    found: dict[str, Any] = {
-        "units": units, "days": days, "step_records": one.num_rows, "written_s": written_s,
-        "one_process_s": one_s, "one_process_processor_s": one_processor_s, "one_process_half_s": one_half_s,
-    }  # fmt: skip
+    one, one_half = records(store, None, ignore), records(store, None, ignore, half)
+    found: dict[str, Any] = {"units": units, "days": days, "step_records": one.num_rows, "written_s": written_s}
+
+    def take(name: str, work: Callable[[], pa.Table], processor_s: Callable[[], float], expected: pa.Table) -> None:
+        """Time work; the least of all turns counts."""
+        took_s, used_s, table = processor_timed(work, processor_s)
+        found[f"{name}_s"] = min(took_s, found.get(f"{name}_s", took_s))
+        found[f"{name}_processor_s"] = min(used_s, found.get(f"{name}_processor_s", used_s))
+        found[f"{name}_same_bits"] = table.equals(expected) and found.get(f"{name}_same_bits", True)
+
     for workers in (1, 2):
         with on_workers(folder, workers) as (engine, progress, _, cluster):
             records(store, engine, progress)  # starts the Python of each executor
-            took = processor_timed(lambda: records(store, engine, progress), cluster.processor_s)
-            found |= {f"workers_{workers}_s": took[0], f"workers_{workers}_processor_s": took[1]}
-            found[f"workers_{workers}_same_bits"] = took[2].equals(one)
-            if workers == 1:
-                weak_s, table = timed(lambda: records(store, engine, progress, half))
-                found |= {"weak_half_on_1_s": weak_s, "weak_same_bits": table.equals(one_half)}
+            here, there = partial(records, store, None, ignore), partial(records, store, engine, progress)
+            for _ in range(_TURNS):
+                take("one_process", here, time.process_time, one)
+                take(f"workers_{workers}", there, cluster.processor_s, one)
+                if workers == 1:
+                    take("one_process_half", partial(here, half), time.process_time, one_half)
+                    take("weak_half_on_1", partial(there, half), cluster.processor_s, one_half)
     found["strong_speedup"] = found["workers_1_s"] / found["workers_2_s"]
     found["weak_efficiency"] = found["weak_half_on_1_s"] / found["workers_2_s"]
-    found["overhead_of_tasks"] = found["workers_1_s"] / one_s - 1.0
-    found["overhead_in_processor_time"] = found["workers_1_processor_s"] / one_processor_s - 1.0
+    found["overhead_of_tasks"] = found["workers_1_s"] / found["one_process_s"] - 1.0
+    found["overhead_in_processor_time"] = found["workers_1_processor_s"] / found["one_process_processor_s"] - 1.0
     if kills:
         with on_workers(folder, 2, kills=True) as (engine, progress, killed, _):
             records(store, engine, ignore)

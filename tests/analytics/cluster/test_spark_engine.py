@@ -136,7 +136,7 @@ def test_an_interrupted_job_is_cancelled(engine: Engine, tmp_path: Path) -> None
     assert engine.map(abs, [-1, -2], [1, 1], ignore) == [1, 2]
     assert time.monotonic() - began < 60.0
     assert len(list(tmp_path.iterdir())) == 2
-    assert not [each for each in threading.enumerate() if each.name.startswith("gyrofleet-")]
+    assert not [each for each in threading.enumerate() if each.name.startswith("gyrofleet-job-")]
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,8 @@ where unit = $unit and signal = $signal and run = $run order by t_first_ns
 _OF_ROLLUP = """
 select bucket - (bucket % {k} + {k}) % {k} as slot, sum(n)::bigint as n, sum(n * mean) / sum(n) as mean, min(lo) as lo,
   max(hi) as hi
-from internal.lake_rollup_{seconds}s where channel in ({channels}) and bucket >= $first and bucket < $stop
+from internal.lake_rollup_{seconds}s
+where filename in ({files}) and channel in ({channels}) and bucket >= $first and bucket < $stop
 group by slot order by slot
 """
 _VALUE = """
@@ -145,6 +146,11 @@ class _Stretch:
         """Channels as a list in SQL."""
         return ", ".join(str(each) for each in sorted({part["channel"] for part in self.parts}))
 
+    def files(self, table: str) -> str:
+        """Files of a table that have its rows, as a list in SQL."""
+        paths = {str(Path(part["filename"]).with_name(table)) for part in self.parts}
+        return ", ".join("'" + path.replace("'", "''") + "'" for path in sorted(paths))
+
     @property
     def raw_samples(self) -> float:
         """About how many samples it has."""
@@ -227,7 +233,8 @@ def _buckets(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any
     unit_ns = seconds * _NS
     rows: list[dict[str, Any]] = []
     if of.parts:
-        sql = _OF_ROLLUP.format(k=k, seconds=seconds, channels=of.channels)
+        files = of.files(f"rollup_{seconds}s.parquet")
+        sql = _OF_ROLLUP.format(k=k, seconds=seconds, files=files, channels=of.channels)
         bounds = {"first": of.first_ns // unit_ns // k * k, "stop": -(-of.stop_ns // unit_ns // k) * k + k}
         rows = [row | {"slot": row["slot"] * unit_ns} for row in dictionaries(views, sql, bounds)]
     width = k * unit_ns
@@ -242,9 +249,7 @@ def _of_samples(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, 
     first, stop = of.first_ns // width * width, -(-of.stop_ns // width) * width
     rows: list[dict[str, Any]] = []
     if of.parts:
-        paths = {str(Path(part["filename"]).with_name(SAMPLES_FILE)) for part in of.parts}
-        files = ", ".join("'" + path.replace("'", "''") + "'" for path in sorted(paths))
-        values = _VALUE.format(files=files, channels=of.channels)
+        values = _VALUE.format(files=of.files(SAMPLES_FILE), channels=of.channels)
         bounds = {"first": first, "stop": stop}
         rows = dictionaries(views, _OF_SAMPLES.format(width=width, values=values), bounds)
     rows = _together(rows, of.live_buckets(width, first, stop))
