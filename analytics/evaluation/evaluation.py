@@ -39,7 +39,7 @@ _MOST_THREADS = 2
 # Scripts of tables that many metrics use.
 _SHARED = ("13_scale_fits.sql", "14_measured_scale_factors.sql", "30_static_steps.sql")
 _RATE_POINT = "select 1 from internal.rate_points limit 1"
-_SCALE_FIT = "select 1 from internal.scale_fits limit 1"
+_WITHOUT_RATES = ("scale_fits", "scale_factors")
 # What metrics ask of all units, also where they are computed for a part of them.
 _OF_RECORDS = """
 create or replace table internal.units_of_runs as select distinct run, unit, "procedure" from internal.step_records;
@@ -124,11 +124,14 @@ def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor)
 def keep_scale_factors(catalog: Catalog) -> None:
     """Make the tables that many metrics use of the chosen steps: ``scale_fits``, ``scale_factors``, ``still_steps``."""
     scripts: tuple[str, ...] = _SHARED
-    # planning the lines takes a fifth of a second, in each range of units
-    if not catalog.rows(_RATE_POINT) and not catalog.rows(_SCALE_FIT):
-        scripts = _SHARED[-1:]  # the others are of a range, or of all, and empty as well
+    if not catalog.rows(_RATE_POINT):
+        # planning the lines takes longer than all else of a store without rates, and this in each range of units
+        scripts = _SHARED[-1:]
+        for name in _WITHOUT_RATES:
+            folder = files("analytics.evaluation").joinpath("without_rates")
+            catalog.create(name, folder.joinpath(f"{name}.sql").read_text(encoding="utf-8"))
     define_scripts(catalog, "views", scripts)
-    catalog.fill(("scale_fits", "scale_factors", "still_steps"))
+    catalog.fill((*_WITHOUT_RATES, "still_steps"))
 
 
 def _values(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:

@@ -173,6 +173,12 @@ class Catalog(Closing):
             self._deferred.define(words_of(sql))
             self._execute(sql)
 
+    def create(self, name: str, sql: str) -> None:
+        """Run the statement that makes a table, in place of the definition that may wait."""
+        with self._defining:
+            self._deferred.discard(name)
+            self._execute(sql)
+
     def defer(self, script: str) -> None:
         """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
         with self._defining:

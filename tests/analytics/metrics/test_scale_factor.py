@@ -1,6 +1,7 @@
 """Scale factor, fitted zero, nonlinearity and asymmetry against NumPy, and what a test that is cut short says."""
 
 from collections.abc import Callable, Sequence
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -197,6 +198,23 @@ def test_the_scale_factors_that_others_may_use(tested: Any, table: Callable[...,
     assert (unit, signal, run) == ("U1", "rate", "r1")
     assert value == pytest.approx(0.02, rel=1e-5)
     assert t_to_ns < first_ns
+
+
+@pytest.mark.parametrize("name", ["scale_fits", "scale_factors"])
+def test_without_rates_the_tables_have_the_same_columns(tested: Any, table: Callable[..., Table], name: str) -> None:
+    table(gyro=cubic, unit="V").rates(procedure="scale_factor")
+    script = files("analytics.evaluation").joinpath("without_rates", f"{name}.sql").read_text(encoding="utf-8")
+    described, counted = f"describe internal.{name}", f"select count(*) from internal.{name}"
+    with tested.catalog() as catalog:
+        steps = step_means(catalog)
+        catalog._unfilled.clear()
+        define_views(catalog, steps)
+        keep_scale_factors(catalog)
+        columns = catalog.rows(described)
+        assert catalog.rows(counted) == [(1,)]
+        catalog.create(name, script)
+        assert catalog.rows(described) == columns
+        assert catalog.rows(counted) == [(0,)]
 
 
 @pytest.mark.parametrize("rates", [BOTH[:6], (50.0, -50.0)])
