@@ -3,8 +3,8 @@
 Makes ``.venv-check`` and installs there the wheel that it builds, as users do. Runs ruff, and pytest beside nothing of
 the checkout but its tests and documents, so that only the wheel can be imported; mypy, import-linter and the build of
 the documentation run while tests wait. Files of tests are in memory where there is room. With ``--all``, they are on
-the disk, the long forms of the tests run as well, and some against the lowest versions of the libraries. The folders
-``.venv-*`` may be deleted.
+the disk, the pages of the documentation are written and not only checked, the long forms of the tests run as well, and
+some against the lowest versions of the libraries. The folders ``.venv-*`` may be deleted.
 """
 
 import argparse
@@ -167,8 +167,9 @@ def main() -> None:
         collected = pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)
         run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
         collected.result()
-        # runs the notebook; a warning, as of a link that leads nowhere, fails
-        sphinx = (bin_ / "sphinx-build", "-q", "-W", "--keep-going", "docs", "docs/_build/html")
+        # runs the notebook; a warning, as of a link that leads nowhere, fails, also where no pages are written
+        builder = "html" if everything else "dummy"
+        sphinx = (bin_ / "sphinx-build", "-b", builder, "-q", "-W", "--keep-going", "docs", f"docs/_build/{builder}")
         meanwhile.append(pool.submit(check_meanwhile, logs[1], sphinx))
         testing = (*pytest, *PARALLEL, *chosen, "tests", *PACKAGES)
         print(f"\n$ {' '.join(map(str, testing))}", flush=True)

@@ -58,5 +58,5 @@ def warm_up() -> None:
             estimator.estimate()
         BlockMeans(1.0).push(batch)
     descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
-    least_deviances(np.ones((2, 1)), np.ones(2), np.ones((2, 1)))
+    least_deviances(np.ones((2, 1)), np.ones(2), np.ones((2, 2), order="F"))  # as the likelihood has them
     weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))
