@@ -220,15 +220,13 @@ def put_part(
             seconds.append(second)
             tens.append(ten)
         files["samples.parquet"] = samples.finish()
-        for table_name, table in (
-            ("channels", pa.Table.from_pylist(rows, schema=CHANNEL_COLUMNS)),
-            ("events", document_table(documents)),
-            ("rollup_1s", pa.concat_tables(seconds).combine_chunks()),
-            ("rollup_10s", pa.concat_tables(tens).combine_chunks()),
+        for table_name, tables in (
+            ("channels", [pa.Table.from_pylist(rows, schema=CHANNEL_COLUMNS)]),
+            ("events", [document_table(documents)]),
+            ("rollup_1s", seconds),  # channel by channel, as a builder does, which decides on the row groups
+            ("rollup_10s", tens),
         ):
-            each = writer(table_name)
-            each.write(table)
-            files[f"{table_name}.parquet"] = each.finish()
+            files[f"{table_name}.parquet"] = writer(table_name).write_all(tables)
     part = Part(
         name=name,
         segments=(name,),

@@ -1,6 +1,6 @@
 """A fleet on a standalone Spark cluster against one process: ``python -m tests.bench.spark_scaling MODE``.
 
-`scaling` writes a lake of units that stand still for an hour a day at 10 Hz, and times their step records (from the
+`scaling` writes a lake of units that stand still for `--hours` a day at 10 Hz, by default one, and times their step records (from the
 lake's means of seconds) in one process with one thread, and on one and two workers of one core with 100 units a task:
 strong scaling on all units, weak scaling on half of them on one worker, and the overhead of the tasks, by the clock and
 in seconds of the processor. `fleet` takes
@@ -62,10 +62,10 @@ SPECIFICATION = 'revision = "A"\n[[limit]]\nmetric = "bias"\nlower = -2.0\nupper
 Progress = Callable[[int, int], None]
 
 
-def write_days(folder: Path, units: int, days: int) -> Store:
-    """Units that stand still for an hour a day; a part for each day, as after its compaction."""
+def write_days(folder: Path, units: int, days: int, hours: int = 1) -> Store:
+    """Units that stand still for some hours a day; a part for each day, as after its compaction."""
     store, rng = Store.create(folder), np.random.default_rng(3)
-    dt_ns, n = SECOND_NS // RATE_HZ, HOUR_S * RATE_HZ
+    dt_ns, n = SECOND_NS // RATE_HZ, hours * HOUR_S * RATE_HZ
     for day in range(days):
         run, t0_ns = f"day-{day:02d}", START_NS + day * DAY_NS
         documents: list[AnyDocument] = [RunStarted(run=run, t_ns=t0_ns, procedure="static_bias")]
@@ -140,11 +140,12 @@ def records(store: Store, engine: Engine | None, progress: Progress, units: int 
         return found.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
 
 
-def scaling(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]:
-    written_s, store = timed(lambda: write_days(folder / "days", units, days))
+def scaling(folder: Path, units: int, days: int, kills: bool, hours: int) -> dict[str, Any]:
+    written_s, store = timed(lambda: write_days(folder / "days", units, days, hours))
     half = units // 2
     one, one_half = records(store, None, ignore), records(store, None, ignore, half)
-    found: dict[str, Any] = {"units": units, "days": days, "step_records": one.num_rows, "written_s": written_s}
+    sizes = {"units": units, "days": days, "hours_a_day": hours, "step_records": one.num_rows}
+    found: dict[str, Any] = {**sizes, "written_s": written_s}
 
     def take(name: str, work: Callable[[], pa.Table], processor_s: Callable[[], float], expected: pa.Table) -> None:
         """Time work; the least of all turns counts."""
@@ -184,7 +185,7 @@ def judged(store: Store, kept: Path, engine: Engine | None, progress: Progress) 
         return metrics, verdicts_of(catalog)
 
 
-def fleet(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]:
+def fleet(folder: Path, units: int, days: int, kills: bool, _hours: int) -> dict[str, Any]:
     """Metrics and verdicts from the kept step records, which are copied for each try."""
     made = Fleet(folder / "fleet", units, days)
     written_s, _ = timed(made.write)
@@ -235,7 +236,7 @@ def traced(store: Store, engine: Engine | None, progress: Progress) -> FleetDiag
     return trace_units(read, question, is_pooled=True, spread=None if tracing is None else tracing.spread).fleet
 
 
-def diagnose(folder: Path, units: int, days: int, kills: bool) -> dict[str, Any]:
+def diagnose(folder: Path, units: int, days: int, kills: bool, _hours: int) -> dict[str, Any]:
     written_s, store = timed(lambda: write_days(folder / "days", units, days))
     one_s, one = timed(lambda: traced(store, None, ignore))
     found: dict[str, Any] = {"units": units, "days": days, "written_s": written_s, "one_process_s": one_s}
@@ -255,6 +256,7 @@ def main() -> None:
     parser.add_argument("mode", nargs="?", choices=sorted(MODES), default="scaling")
     parser.add_argument("--units", type=int, help="by default 200 (scaling), 2000 (fleet), 8 (diagnose)")
     parser.add_argument("--days", type=int, help="by default 5, 30, 6")
+    parser.add_argument("--hours", type=int, default=1, help="a day, of scaling")
     parser.add_argument("--kill", action="store_true", help="kill a worker in the middle")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -262,7 +264,7 @@ def main() -> None:
     print(machine(), flush=True)
     folder = Path(tempfile.mkdtemp(prefix="gyrofleet-spark-"))
     try:
-        found = run(folder, options.units or units, options.days or days, options.kill)
+        found = run(folder, options.units or units, options.days or days, options.kill, options.hours)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     if options.json:
