@@ -2,8 +2,8 @@
 
 `scaling` writes a lake of units that stand still for `--hours` a day at 10 Hz, by default one, and times their step
 records (from the lake's means of seconds) in one process with one thread, and on one and two workers of one core with
-100 units a task: strong scaling on all units, weak scaling on half of them on one worker, and the overhead of the tasks,
-by the clock and in seconds of the processor. `fleet` takes
+100 units a task: strong scaling on all units, weak scaling on half of them on one worker, and the overhead of tasks, by
+the clock and in seconds of the processor. `fleet` takes
 2,000 units over 30 days from their kept step records to metrics and verdicts. `diagnose` traces a fleet, each unit
 alone and all pooled. All compare the results with those of one process, to the last bit; with `--kill` a worker is
 killed in the middle.
