@@ -69,6 +69,11 @@ def _defined() -> "pint.UnitRegistry[float]":
     return registry
 
 
+def read_definitions() -> None:
+    """Read the definitions of all units now: the first unit of measure that is not a usual one waits for them."""
+    _powers("deg/h/degC")
+
+
 @cache
 def check_unit(text: str) -> str:
     """Return `text` if it is a unit of measure that pint can parse; an empty text means dimensionless, ``1``.

@@ -17,7 +17,7 @@ from storage.store import writer_is_active
 from stream.batch import SampleBatch
 from stream.closing import Closing
 from stream.errors import GyrofleetError
-from stream.quantities import report_unit
+from stream.quantities import read_definitions
 
 _LOOK_S = 0.1
 _METRICS_LOOK_S = 1.0
@@ -31,8 +31,9 @@ _WANTED_S = 10.0
 _FIRST_PAGES_S = 3.0
 # imported by what answers when it is first needed
 _MODULES = (
-    "analytics.curves.allan_curve", "analytics.evaluation.selection", "analytics.specifications.verdicts",
-    "analytics.trends.document", "analytics.trends.trend",
+    "analytics.certificate.record", "analytics.curves.allan_curve", "analytics.evaluation.selection",
+    "analytics.evaluation.table", "analytics.loop.model.model_use", "analytics.specifications.verdicts",
+    "analytics.trends.document", "analytics.trends.trend", "anyio.streams.tls",
 )  # fmt: skip
 
 
@@ -138,9 +139,7 @@ class Warming(Closing):
         until_s = time.monotonic() + _FIRST_PAGES_S
         while self._is_busy() and time.monotonic() < until_s:
             self._ends.wait(_LOOK_S)
-        report_unit("deg/s")  # the definitions of units are read once
-        for name in _MODULES:
-            importlib.import_module(name)
+        _load_libraries()
         for task in self.tasks:
             task()
         metrics, uses, has_kernels = self._lake.metrics, -1, False
@@ -164,6 +163,13 @@ class Warming(Closing):
                 _load_kernels()
             pause_s = _METRICS_PAUSES * (time.monotonic() - began_s)
             self._asked.wait(max(_METRICS_LOOK_S, pause_s, _METRICS_NEXT_S if has_opened else 0.0))
+
+
+def _load_libraries() -> None:
+    """Load what the first requests would wait for."""
+    read_definitions()
+    for name in _MODULES:
+        importlib.import_module(name)
 
 
 def _load_kernels() -> None:

@@ -1,7 +1,7 @@
 """Reading a store's log from given positions, to catch up with it, and where each run begins in every stream."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from contextlib import suppress
 from functools import partial
 from itertools import islice
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from storage.log.files import is_own
 from storage.log.recovery import left_open
+from storage.log.sealed_documents import documents_of_sealed
 from storage.log.sequence import LogPlace, place_of, positions_of, raise_positions
 from storage.manifests.log import read_log_manifest
 from storage.segments.reader import SegmentScan, read_marks, read_segment
@@ -150,25 +151,31 @@ def open_records(store: Store) -> Iterator[LogRecord]:
         yield from _open_segment(path)
 
 
-def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool]) -> Iterator[LogRecord]:
-    """Messages of a log in their order, of the segments needed and the keys wanted; the log may be being written."""
+def records_of(
+    store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool],
+    sealed: Callable[[Path], Iterable[LogRecord]] = read_segment,
+) -> Iterator[LogRecord]:  # fmt: skip
+    """Messages of a log in their order, of the segments needed and the keys wanted; the log may be being written.
+
+    `sealed` reads a sealed segment, at least the messages wanted.
+    """
     done: set[str] = set()
-    begun: Counter[str] = Counter()  # messages read of a segment before it was sealed
+    begun: Counter[str] = Counter()  # messages wanted that were read of a segment before it was sealed
     while True:
         fresh = [name for name in _sealed(store, done) if name not in done]
         for name in fresh:
             done.add(name)
             if is_needed(name):
-                rest = islice(read_segment(store.log / name), begun[name], None)
-                yield from (record for record in rest if wanted(record.topic))
+                found = (record for record in sealed(store.log / name) if wanted(record.topic))
+                yield from islice(found, begun[name], None)
         if fresh:
             continue
         for path in left_open(store):
             name = path.name.partition(".mcap")[0] + ".mcap"
-            for record in islice(_open_segment(path), begun[name], None):
+            found = (record for record in _open_segment(path) if wanted(record.topic))
+            for record in islice(found, begun[name], None):
                 begun[name] += 1
-                if wanted(record.topic):
-                    yield record
+                yield record
         if done.issuperset(_sealed(store, done)):  # none was sealed meanwhile
             return
 
@@ -176,7 +183,11 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
 def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocument, int]]:
     """Documents of the log that are not in the lake yet, each with its arrival time in ns."""
     is_event = partial(_is_of, EventKey)
-    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, is_event):
+
+    def is_beyond(segment: str) -> bool:
+        return segment.removesuffix(".mcap") not in in_lake
+
+    for record in records_of(store, is_beyond, is_event, documents_of_sealed):
         if record.schema != EVENTS:
             continue  # rejected messages keep their key
         with suppress(WireError):  # `gyrofleet verify` reports it

@@ -2,8 +2,9 @@
 
 A source offers 5 million samples a second of 1,000 signals to `gyrofleet record`. In turn, without and with
 `gyrofleet serve` and so many viewers: each listens to the floor, and every two seconds opens a page or asks for a
-signal. What is acknowledged a second with viewers is compared with that without; the
-times are those of the viewers' requests.
+signal. A server that has just started loads libraries and opens the store; `--settle` says how long the source sends
+before viewers come. What is acknowledged a second with viewers is compared with that without; the times are those of
+the viewers' requests.
 """
 
 import argparse
@@ -89,7 +90,7 @@ class Viewers:
             await asyncio.sleep(max(0.0, _EVERY_S - (time.perf_counter() - begin)) * rng.uniform(0.5, 1.5))
 
 
-def run(folder: Path, seconds: float, offer_per_s: float, viewers: int) -> dict[str, Any]:
+def run(folder: Path, seconds: float, offer_per_s: float, viewers: int, settle_s: float) -> dict[str, Any]:
     """One run; its rate and the viewers' times."""
     endpoint, store = free_endpoint(), folder / "store"
     program = str(Path(sys.executable).with_name("gyrofleet"))
@@ -103,9 +104,9 @@ def run(folder: Path, seconds: float, offer_per_s: float, viewers: int) -> dict[
         command = [program, "serve", "--store", str(store), "--port", "0", "--token", TOKEN, "--json"]
         server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         seen = Viewers(json.loads(line(server))["url"], viewers)
-    sending = role("source", endpoint, BATCH, SIGNALS, seconds, offer_per_s)
+    sending = role("source", endpoint, BATCH, SIGNALS, settle_s + seconds, offer_per_s)
     if seen is not None:
-        time.sleep(4.0)
+        time.sleep(settle_s)
         seen.start()
     sent = json.loads(line(sending))
     if seen is not None:
@@ -116,7 +117,7 @@ def run(folder: Path, seconds: float, offer_per_s: float, viewers: int) -> dict[
         server.terminate()
         memory_mb, cpu_s = ended(server)
         found |= {
-            "server_mb": memory_mb, "server_cores": cpu_s / seconds, "events": seen.events,
+            "server_mb": memory_mb, "server_cores": cpu_s / (settle_s + seconds), "events": seen.events,
             "requests": sum(map(len, seen.took.values())), "failed": {k: n for k, n in seen.failed.items() if n},
             "ms": {name: _of(times) for name, times in seen.took.items()}
             | {"all": _of([each for times in seen.took.values() for each in times])},
@@ -136,6 +137,7 @@ def main() -> None:
     parser.add_argument("--viewers", type=int, default=50)
     parser.add_argument("--offer", type=float, default=5.0, help="million samples a second")
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--settle", type=float, default=4.0, help="seconds that are sent before viewers come")
     parser.add_argument("--turns", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -145,7 +147,7 @@ def main() -> None:
         for viewers in rates:
             folder = Path(tempfile.mkdtemp(prefix="gyrofleet-viewers-"))
             try:
-                found = run(folder, options.seconds, options.offer * 1e6, viewers)
+                found = run(folder, options.seconds, options.offer * 1e6, viewers, options.settle)
             finally:
                 shutil.rmtree(folder)
             rates[viewers].append(found["samples_per_s"])

@@ -7,6 +7,7 @@ from starlette.routing import Route
 from analytics.serve.doors.login_file import DONE_PATH
 from analytics.serve.pages import at_work, diagnosis, events, floor, proposals, runs, signal, sql, store, trends, units
 from analytics.serve.pages.frame import actions
+from analytics.serve.pages.frame.render import compiled, templates
 from analytics.serve.pages.sign_in import login, single_sign_on
 from analytics.serve.service import Service
 
@@ -32,6 +33,8 @@ PAGES = (
 def page_routes(service: Service) -> list[Route]:
     """Routes of the pages."""
     both = ["GET", "POST"]
+    # also those that others extend or include
+    service.warming.tasks += [functools.partial(compiled, name) for name in templates()]
     return [
         *(each.route(service) for each in PAGES),
         Route("/sql", functools.partial(sql.sql, service=service), methods=both, name="page_sql"),

@@ -17,7 +17,7 @@ from analytics.serve.api.operation import Call
 from analytics.serve.doors.admission import admitted
 from analytics.serve.doors.roles import Role
 from analytics.serve.pages.frame.language import language_of
-from analytics.serve.pages.frame.render import compiled, page_of, rendered
+from analytics.serve.pages.frame.render import page_of, rendered
 from analytics.serve.pages.frame.waiting import Waiting
 from analytics.serve.pages.frame.zones import common_zone
 from analytics.serve.service import Service
@@ -46,7 +46,6 @@ class Page(Generic[Asked]):
 
     def route(self, service: Service) -> Route:
         """Its route."""
-        service.warming.tasks.append(functools.partial(compiled, self.template))
         respond = functools.partial(_respond, shown=self, service=service, waiting=Waiting())
         return Route(self.path, respond, name=f"page_{self.handler.__name__}")
 

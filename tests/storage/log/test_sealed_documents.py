@@ -1,0 +1,102 @@
+"""Documents beyond the lake: a sealed segment is read for them once, and what is read is always what the log has."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from storage.log import sealed_documents
+from storage.log.tail import documents_beyond
+from storage.segments import reader
+from stream.errors import StoreError
+from stream.events import RunStarted
+from tests.storage.log.test_log_tail import Writer
+
+
+@pytest.fixture
+def writer(tmp_path: Path) -> Iterator[Writer]:
+    """Two sealed segments and an open one, each with a document between samples."""
+    writer = Writer(tmp_path / "store")
+    for run in ("r1", "r2", "r3"):
+        writer.samples(run, 1)
+        writer.event(RunStarted(run=run, t_ns=0))
+        writer.samples(run, 1)
+        if run != "r3":
+            writer.seal()
+    writer.log.sync()
+    yield writer
+    writer.log.abandon()
+    writer.lock.close()
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the sealed segments that were read, each time."""
+    names: list[str] = []
+    read_chunks = reader.read_chunks
+
+    def counted(path: Path) -> Iterator[bytes]:
+        names.append(path.name)
+        return read_chunks(path)
+
+    monkeypatch.setattr(sealed_documents, "read_chunks", counted)
+    return names
+
+
+def runs(writer: Writer, in_lake: frozenset[str] = frozenset()) -> list[str]:
+    return [document.run for document, _ in documents_beyond(writer.store, in_lake)]
+
+
+def test_a_sealed_segment_is_read_once(writer: Writer, reads: list[str]) -> None:
+    assert [runs(writer) for _ in range(3)] == [["r1", "r2", "r3"]] * 3
+    assert reads == ["00000001.mcap", "00000002.mcap"]
+
+
+def test_a_segment_of_the_lake_is_not_read(writer: Writer, reads: list[str]) -> None:
+    assert runs(writer, frozenset({"00000001"})) == ["r2", "r3"]
+    assert reads == ["00000002.mcap"]
+
+
+def test_what_is_written_and_sealed_later_is_found_once(writer: Writer, reads: list[str]) -> None:
+    assert runs(writer) == ["r1", "r2", "r3"]
+    writer.event(RunStarted(run="r4", t_ns=0))
+    writer.seal()
+    writer.event(RunStarted(run="r5", t_ns=0))
+    writer.log.sync()
+    assert runs(writer) == ["r1", "r2", "r3", "r4", "r5"]
+    assert reads == ["00000001.mcap", "00000002.mcap", "00000003.mcap"]
+
+
+@pytest.mark.parametrize("read_first", range(5))
+def test_a_segment_that_is_sealed_while_it_is_read_is_read_once(writer: Writer, read_first: int) -> None:
+    writer.event(RunStarted(run="r4", t_ns=0))
+    writer.log.sync()
+    documents = documents_beyond(writer.store, frozenset())
+    found = [next(documents)[0].run for _ in range(read_first)]
+    writer.log.seal()
+    found += [document.run for document, _ in documents]
+    assert found == ["r1", "r2", "r3", "r4"]
+
+
+def test_damage_that_comes_later_is_found(writer: Writer) -> None:
+    assert runs(writer) == ["r1", "r2", "r3"]
+    path = writer.store.log / "00000002.mcap"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match="00000002"):
+        runs(writer)
+
+
+def test_segments_of_many_documents_are_not_kept(
+    writer: Writer, reads: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sealed_documents, "_MOST_BYTES", 0)
+    assert runs(writer) == runs(writer) == ["r1", "r2", "r3"]
+    assert reads == ["00000001.mcap", "00000002.mcap"] * 2
+
+
+def test_the_oldest_are_forgotten(writer: Writer, reads: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sealed_documents, "_MOST_SEGMENTS", 1)
+    assert runs(writer) == runs(writer) == ["r1", "r2", "r3"]
+    assert reads == ["00000001.mcap", "00000002.mcap"] * 2
