@@ -1,9 +1,9 @@
 """Reduction of runs: the samples of each step and signal become one row of statistics."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -34,9 +34,11 @@ COLUMNS = pa.schema({
     "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, **_AVERAGES, "reason": _TEXT,
 })  # fmt: skip
 
+T = TypeVar("T")
+
 
 class _EvaluatedSignal(NamedTuple):
-    """A signal of a run, and its evaluated stretches."""
+    """A signal of a run, and those of its evaluated stretches that are read from raw samples, or from means of 1 s."""
 
     run: str
     unit: str
@@ -48,20 +50,36 @@ class _EvaluatedSignal(NamedTuple):
     kept_raw: int
     step: float
     windows: tuple[tuple[int, int], ...]
+    is_raw: bool = True
 
-    def is_raw(self, window: tuple[int, int]) -> bool:
+    def halves(self) -> Iterator["_EvaluatedSignal"]:
+        """The stretches of a signal that are read from raw samples, and the others, where there are any."""
+        raw = [self._is_raw(window) for window in self.windows]
+        for is_raw in (True, False):
+            windows = tuple(window for window, each in zip(self.windows, raw, strict=True) if each == is_raw)
+            if windows:
+                yield self._replace(windows=windows, is_raw=is_raw)
+
+    def _is_raw(self, window: tuple[int, int]) -> bool:
         expected = (window[1] - window[0]) / max(self.dt_ns, 1)
         is_slow = self.dt_ns >= SECOND_NS // 2
         is_gridded = not self.irregular or window[1] - window[0] < SHORT_NS
         is_short = is_slow or is_integrated(self.signal) or (expected <= MOST_RAW and is_gridded)
         return self.kept_raw == self.samples and is_short
 
-    def rows(self, *, is_raw: bool, whole: bool = False) -> float:
-        """Rows to read of its evaluated stretches, or of the whole signal if it has any."""
-        spans_ns = [max(end - start, 0) for start, end in self.windows if self.is_raw((start, end)) == is_raw]
-        dt_ns = max(self.dt_ns, 1)
-        spanned_ns = float(self.samples * dt_ns if whole and spans_ns else sum(spans_ns))
-        return spanned_ns / (dt_ns if is_raw else SECOND_NS)
+    @property
+    def rows(self) -> float:
+        """Rows of its stretches."""
+        return sum(max(end - start, 0) for start, end in self.windows) / self._row_ns
+
+    @property
+    def all_rows(self) -> float:
+        """Rows of the whole signal."""
+        return self.samples * max(self.dt_ns, 1) / self._row_ns
+
+    @property
+    def _row_ns(self) -> int:
+        return max(self.dt_ns, 1) if self.is_raw else SECOND_NS
 
 
 def reduce_runs(catalog: Catalog, runs: Sequence[str]) -> Iterator[tuple[int, pa.Table]]:
@@ -76,19 +94,14 @@ def reduce_runs(catalog: Catalog, runs: Sequence[str]) -> Iterator[tuple[int, pa
     for begin in range(0, len(runs), _RUNS_AT_ONCE):
         some = runs[begin : begin + _RUNS_AT_ONCE]
         signals = _signals(catalog, some)
-        for together in _together({run: signals[run] for run in some}):
+        for together in _filled((run, _rows_of_run(signals[run])) for run in some):
             yield len(together), _reduce(catalog, [each for run in together for each in signals[run]])
 
 
 def _reduce(catalog: Catalog, signals: Sequence[_EvaluatedSignal]) -> pa.Table:
     rows: list[dict[str, Any]] = []
     for is_raw in (True, False):
-        wanted = [
-            each._replace(windows=chosen)
-            for each in signals
-            if (chosen := tuple(window for window in each.windows if each.is_raw(window) == is_raw))
-        ]
-        for group in _groups(wanted, is_raw=is_raw):
+        for group in _filled((each, each.rows) for each in signals if each.is_raw == is_raw):
             found = _fetched(catalog, group, is_raw=is_raw)
             for each in group:
                 rows.extend(_reduced(each, found.get((each.run, each.unit, each.signal)), is_raw=is_raw))
@@ -113,38 +126,24 @@ def _signals(catalog: Catalog, runs: Sequence[str]) -> defaultdict[str, list[_Ev
         "from signals where run in $runs order by run, unit, signal",
         {"runs": runs},
     ):
-        found[run].append(_EvaluatedSignal(
+        found[run] += _EvaluatedSignal(
             run, unit, signal, unit_of_measure, round((interval_s or 0.0) * 1e9), bool(irregular), samples, kept_raw,
             abs(scale) if is_counts and scale else 0.0, tuple(windows[run].get(unit, everywhere.get(run, ()))),
-        ))  # fmt: skip
+        ).halves()  # fmt: skip
     return found
 
 
-def _together(signals: Mapping[str, Sequence[_EvaluatedSignal]]) -> Iterator[list[str]]:
-    """Runs that are read together: small ones of which most is evaluated."""
-    together: list[str] = []
-    rows = 0.0
-    for run, own in signals.items():
-        within, whole = (
-            sum(each.rows(is_raw=is_raw, whole=of_all) for each in own for is_raw in (True, False))
-            for of_all in (False, True)
-        )
-        size = whole if within >= _LEAST_EVALUATED * whole else _ROWS_AT_ONCE
-        if together and rows + size > _ROWS_AT_ONCE:
-            yield together
-            together, rows = [], 0.0
-        together.append(run)
-        rows += size
-    if together:
-        yield together
+def _rows_of_run(signals: Sequence[_EvaluatedSignal]) -> float:
+    """Rows of a run for reading it together with others: as many as fit where little of it is evaluated."""
+    within, whole = sum(each.rows for each in signals), sum(each.all_rows for each in signals)
+    return whole if within >= _LEAST_EVALUATED * whole else _ROWS_AT_ONCE
 
 
-def _groups(signals: list[_EvaluatedSignal], *, is_raw: bool) -> Iterator[list[_EvaluatedSignal]]:
-    """Groups that fit into memory, whole units where they do."""
-    group: list[_EvaluatedSignal] = []
+def _filled(sized: Iterable[tuple[T, float]]) -> Iterator[list[T]]:
+    """Neighbours that fit into memory together, by the numbers of their rows; whole units where they do."""
+    group: list[T] = []
     rows = 0.0
-    for each in signals:
-        size = each.rows(is_raw=is_raw)
+    for each, size in sized:
         if group and rows + size > _ROWS_AT_ONCE:
             yield group
             group, rows = [], 0.0

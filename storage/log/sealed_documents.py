@@ -42,7 +42,8 @@ def documents_of_sealed(path: Path) -> tuple[LogRecord, ...]:
     return found
 
 
-def _is_of_documents(topic: str) -> bool:
+def is_of_documents(topic: str) -> bool:
+    """Whether messages of a topic are documents."""
     try:
         return isinstance(parse_key(topic), EventKey)
     except BadInput:
@@ -55,6 +56,6 @@ def _read(path: Path) -> Iterator[LogRecord]:
     for content in read_chunks(path):
         for topic, schema, arrival_ns, publish_ns, begin, end, _ in spans_in(path, content, channels):
             if topic not in is_document:
-                is_document[topic] = _is_of_documents(topic)
+                is_document[topic] = is_of_documents(topic)
             if is_document[topic]:
                 yield LogRecord(topic, schema, arrival_ns, publish_ns, content[begin:end])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from storage.log.files import is_own
 from storage.log.recovery import left_open
-from storage.log.sealed_documents import documents_of_sealed
+from storage.log.sealed_documents import documents_of_sealed, is_of_documents
 from storage.log.sequence import LogPlace, place_of, positions_of, raise_positions
 from storage.manifests.log import read_log_manifest
 from storage.segments.reader import SegmentScan, read_marks, read_segment
@@ -18,7 +18,7 @@ from storage.store import Store
 from stream.delivery.recorded_log import LogBeginning, LoggedMessage
 from stream.errors import BadInput, WireError
 from stream.events import AnyDocument, SpectralLinesFound, decode_event
-from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.identity import EstimateKey, SampleKey, parse_key
 from stream.wire.acknowledgement import StreamId
 
 
@@ -182,12 +182,11 @@ def records_of(
 
 def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocument, int]]:
     """Documents of the log that are not in the lake yet, each with its arrival time in ns."""
-    is_event = partial(_is_of, EventKey)
 
     def is_beyond(segment: str) -> bool:
         return segment.removesuffix(".mcap") not in in_lake
 
-    for record in records_of(store, is_beyond, is_event, documents_of_sealed):
+    for record in records_of(store, is_beyond, is_of_documents, documents_of_sealed):
         if record.schema != EVENTS:
             continue  # rejected messages keep their key
         with suppress(WireError):  # `gyrofleet verify` reports it

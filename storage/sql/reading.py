@@ -166,10 +166,8 @@ def stored_between(
     if dropped[1]:
         raise _gone(catalog, unit, signal, run, dropped[0], dropped[0])
     table = catalog.reader(
-        'select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value '
-        "from internal.lake_samples s join internal.lake_channels c using (channel) "
-        "where list_contains($paths, s.filename) and c.unit = $unit and c.signal = $signal "
-        "and c.run = $run and s.t_ns between $first and $last order by s.t_ns",
+        "select t_ns, value from internal.samples_in($paths) where unit = $unit and signal = $signal and run = $run "
+        "and t_ns between $first and $last order by t_ns",
         {"paths": catalog.paths_of([run]), **where},
     ).read_all()
     return numbers(table.column(0)), numbers(table.column(1))
