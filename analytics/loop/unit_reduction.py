@@ -127,10 +127,13 @@ def read_units(
     reduced: dict[str, ReducedUnit] = {}
     models: dict[str, ErrorModel] = {}
     errors: dict[str, GyrofleetError] = {}
+    each_unit = reducer.reduce_each(units)
     for number, unit in enumerate(units, start=1):
         on_progress(f"reading {unit} ({number} of {len(units)})")
+        found = next(each_unit)
         try:
-            found = reducer.reduce(unit)
+            if isinstance(found, GyrofleetError):
+                raise found
             runs, left_out = _with_channels_of(question, found.runs)
             models[unit] = model_on(question, runs)
             gone = {run for note in left_out for run in note.runs}

@@ -4,9 +4,9 @@
 records (from the lake's means of seconds) in one process with one thread, and on one and two workers of one core with
 100 units a task: strong scaling on all units, weak scaling on half of them on one worker, and the overhead of tasks, by
 the clock and in seconds of the processor. `fleet` takes
-2,000 units over 30 days from their kept step records to metrics and verdicts. `diagnose` traces a fleet, each unit
-alone and all pooled. All compare the results with those of one process, to the last bit; with `--kill` a worker is
-killed in the middle.
+2,000 units over 30 days from their kept step records to metrics and verdicts. `diagnose` traces a fleet of such a lake,
+each unit alone and all pooled, by the processes of the command and on the cluster. All compare the results with those
+of one machine, to the last bit; with `--kill` a worker is killed in the middle.
 """
 
 import argparse
@@ -23,12 +23,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from analytics.cluster.diagnosis_tasks import ClusterTracing
+from analytics.cluster.diagnosis_tasks import ClusterTracing, local_reading
 from analytics.cluster.engine import Engine
 from analytics.cluster.metric_tasks import ClusterComputation
 from analytics.cluster.spark import SparkEngine
 from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.loop.tracing.fleet import FleetDiagnosis
+from analytics.loop.tracing.processors import processors
 from analytics.loop.unit_diagnosis import trace_units
 from analytics.loop.unit_reduction import Question, reduce_units
 from analytics.specifications.verdicts import Verdicts, verdicts_of
@@ -62,10 +63,10 @@ SPECIFICATION = 'revision = "A"\n[[limit]]\nmetric = "bias"\nlower = -2.0\nupper
 Progress = Callable[[int, int], None]
 
 
-def write_days(folder: Path, units: int, days: int, hours: int = 1) -> Store:
+def write_days(folder: Path, units: int, days: int, hours: float) -> Store:
     """Units that stand still for some hours a day; a part for each day, as after its compaction."""
     store, rng = Store.create(folder), np.random.default_rng(3)
-    dt_ns, n = SECOND_NS // RATE_HZ, hours * HOUR_S * RATE_HZ
+    dt_ns, n = SECOND_NS // RATE_HZ, round(hours * HOUR_S) * RATE_HZ
     for day in range(days):
         run, t0_ns = f"day-{day:02d}", START_NS + day * DAY_NS
         documents: list[AnyDocument] = [RunStarted(run=run, t_ns=t0_ns, procedure="static_bias")]
@@ -97,6 +98,11 @@ def write_days(folder: Path, units: int, days: int, hours: int = 1) -> Store:
 
 def ignore(_done: int, _total: int) -> None:
     """Progress that nobody reads."""
+
+
+def say(text: str) -> None:
+    """Progress of long work."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
@@ -140,7 +146,7 @@ def records(store: Store, engine: Engine | None, progress: Progress, units: int 
         return found.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
 
 
-def scaling(folder: Path, units: int, days: int, kills: bool, hours: int) -> dict[str, Any]:
+def scaling(folder: Path, units: int, days: int, kills: bool, hours: float) -> dict[str, Any]:
     written_s, store = timed(lambda: write_days(folder / "days", units, days, hours))
     half = units // 2
     one, one_half = records(store, None, ignore), records(store, None, ignore, half)
@@ -185,7 +191,7 @@ def judged(store: Store, kept: Path, engine: Engine | None, progress: Progress) 
         return metrics, verdicts_of(catalog)
 
 
-def fleet(folder: Path, units: int, days: int, kills: bool, _hours: int) -> dict[str, Any]:
+def fleet(folder: Path, units: int, days: int, kills: bool, _hours: float) -> dict[str, Any]:
     """Metrics and verdicts from the kept step records, which are copied for each try."""
     made = Fleet(folder / "fleet", units, days)
     written_s, _ = timed(made.write)
@@ -228,24 +234,33 @@ def put_specification(store: Store, document: SpecificationEntered, number: int)
 
 
 def traced(store: Store, engine: Engine | None, progress: Progress) -> FleetDiagnosis | None:
+    """As `gyrofleet diagnose --fleet`, with an engine or by the processes of this machine."""
     question = Question("rate = bias + temperature")
     tracing = None if engine is None else ClusterTracing(engine, ignore, progress)
     with Catalog(store) as catalog:
         units = [unit for (unit,) in catalog.rows("select distinct unit from signals where signal = 'rate' order by 1")]
-        read = reduce_units(catalog, units, question, read=None if tracing is None else tracing.read)
-    return trace_units(read, question, is_pooled=True, spread=None if tracing is None else tracing.spread).fleet
+        read = local_reading(store, len(units), processors(), say) if tracing is None else tracing.read
+        found = reduce_units(catalog, units, question, read=read)
+    spread = None if tracing is None else tracing.spread
+    return trace_units(found, question, is_pooled=True, processes=processors(), spread=spread).fleet
 
 
-def diagnose(folder: Path, units: int, days: int, kills: bool, _hours: int) -> dict[str, Any]:
-    written_s, store = timed(lambda: write_days(folder / "days", units, days))
-    one_s, one = timed(lambda: traced(store, None, ignore))
-    found: dict[str, Any] = {"units": units, "days": days, "written_s": written_s, "one_process_s": one_s}
+def diagnose(folder: Path, units: int, days: int, kills: bool, hours: float) -> dict[str, Any]:
+    """Each unit alone and all pooled, here and on the cluster."""
+    written_s, store = timed(lambda: write_days(folder / "days", units, days, hours))
+    sizes = {"units": units, "days": days, "hours_a_day": hours, "written_s": written_s}
+    here_s, here = timed(lambda: traced(store, None, ignore))
+    found: dict[str, Any] = sizes | {"processes": processors(), "processes_s": here_s}
+    print(found, flush=True)  # the cluster takes as long again
     with on_workers(folder, 2, kills) as (engine, progress, killed, _):
-        found["workers_2_s"], two = timed(lambda: traced(store, engine, progress))
+        found["workers_2_s"], there = timed(lambda: traced(store, engine, progress))
         found |= killed
-    assert one is not None
-    assert two is not None
-    return found | {"verdict": one.verdict.value, "same_bits": one.document() == two.document()}
+    assert here is not None
+    assert there is not None
+    return found | {
+        "verdict": here.verdict.value, "named_alone": sum(map(bool, (each.effects for each in here.units.values()))),
+        "same_bits": here.document() == there.document(),
+    }  # fmt: skip
 
 
 MODES = {"scaling": (scaling, 200, 5), "fleet": (fleet, 2000, 30), "diagnose": (diagnose, 8, 6)}
@@ -256,7 +271,7 @@ def main() -> None:
     parser.add_argument("mode", nargs="?", choices=sorted(MODES), default="scaling")
     parser.add_argument("--units", type=int, help="by default 200 (scaling), 2000 (fleet), 8 (diagnose)")
     parser.add_argument("--days", type=int, help="by default 5, 30, 6")
-    parser.add_argument("--hours", type=int, default=1, help="a day, of scaling")
+    parser.add_argument("--hours", type=float, default=1.0, help="a day, of scaling and diagnose")
     parser.add_argument("--kill", action="store_true", help="kill a worker in the middle")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

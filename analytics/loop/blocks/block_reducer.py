@@ -1,8 +1,10 @@
 """From the store to blocks: runs of a unit as block means of its signal, with the channels of unit and station."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,13 +23,14 @@ from analytics.loop.blocks.step_channels import position_numbers, read_steps
 from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal, reach, records_of, sources_of
 from analytics.loop.blocks.unit_run import UnitRun, left_out_of, notes_on_samples
 from storage.sql.catalog import Catalog
-from stream.errors import BadInput, NotFound
+from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.quantities import conversion, is_angular_rate, report_unit
 
 BLOCK_S = 30.0
 _FEWEST_BLOCKS = 2
 _MOST_SLOTS = 10_000_000
 _LONGEST_S = 1e9
+_MOST_ROWS = 1_000_000  # of the signal that are read together of several units
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,14 @@ class Reduction:
     def limits(self) -> tuple[str, ...]:
         """The notes that limit what can be concluded, as sentences."""
         return tuple(note.text for note in self.notes if note.is_limit)
+
+
+class _Ahead(NamedTuple):
+    """What was read of a unit: the records and blocks of its signal by run, and its channels with notes on them."""
+
+    records: Mapping[str, RecordedSignal]
+    blocks: Mapping[str, SignalBlocks]
+    sources: tuple[dict[str, list[ChannelSource]], list[Note]]
 
 
 @dataclass
@@ -71,10 +82,24 @@ class BlockReducer:
         if self.tolerance_s is not None and not (np.isfinite(self.tolerance_s) and self.tolerance_s > 0):
             raise BadInput(f"a tolerance of {self.tolerance_s:g} s: give a positive number of seconds")
         self._joiner = ChannelJoiner(self.catalog, self.block_s, self.tolerance_s)
+        self._ahead: dict[str, _Ahead] = {}
 
     @cached_property
     def _clock_offsets(self) -> dict[tuple[str, str], dict[str, float]]:
         return clock_offsets(self.catalog)
+
+    def reduce_each(self, units: Sequence[str]) -> Iterator[Reduction | GyrofleetError]:
+        """Each unit as by `reduce`, or why it cannot be reduced; units of few rows are read together."""
+        waiting = list(units)
+        while waiting:
+            batch = self._read_ahead(waiting)
+            for unit in batch:
+                try:
+                    yield self._reduced(unit)
+                except GyrofleetError as error:
+                    yield error
+            self._joiner.forget_readings()
+            del waiting[: len(batch)]
 
     def reduce(self, unit: str) -> Reduction:
         """Runs of a unit as blocks, with notes on the reduction.
@@ -82,15 +107,58 @@ class BlockReducer:
         NotFound if the store lacks the signal in that time range, or a named run; BadInput if the runs have the signal
         in incompatible units of measure.
         """
+        found = self._reduced(unit)
+        self._joiner.forget_readings()
+        return found
+
+    def _read_ahead(self, units: Sequence[str]) -> Sequence[str]:
+        """Read the first units, as many as have few rows; those whose signal or channels cannot be read are left."""
+        records: dict[str, dict[str, RecordedSignal]] = {}
+        rows, count = 0.0, 0
+        for unit in units:
+            with suppress(GyrofleetError):  # found again by who reduces the unit
+                own = records_of(self.catalog, unit, self.signal, self.runs)
+                rows += sum(each.rows for each in own.values())
+                if records and rows > _MOST_ROWS:
+                    break
+                self._check_blocks(unit, own)
+                records[unit] = own
+            count += 1
+        if len(records) > 1:
+            try:
+                self._ahead = self._read_together(records)
+            except GyrofleetError:
+                self._joiner.forget_expected()
+        return units[:count]
+
+    def _read_together(self, records: Mapping[str, Mapping[str, RecordedSignal]]) -> dict[str, "_Ahead"]:
+        means = self._means(records)
+        found: dict[str, _Ahead] = {}
+        for unit, own in records.items():
+            blocks = {run: means[key] for run in own if (key := SignalKey(unit, self.signal, run)) in means}
+            if not blocks:
+                continue
+            own = {run: each for run, each in own.items() if run in blocks}
+            sources = sources_of(self.catalog, unit, self.signal, list(own), self.channels)
+            self._joiner.expect(sources[0], *self._grids_of(own))
+            found[unit] = _Ahead(own, blocks, sources)
+        self._joiner.read_expected()
+        return found
+
+    def _read(self, unit: str) -> "_Ahead":
         records = records_of(self.catalog, unit, self.signal, self.runs)
-        found = self._means(unit, records)
+        self._check_blocks(unit, records)
+        found = {key.run: blocks for key, blocks in self._means({unit: records}).items()}
         if not found:
             raise NotFound(
                 f"unit {unit}, signal {self.signal}: no sample lies in the time that was asked for; the record "
                 f"reaches {reach(records)}"
             )
         records = {run: each for run, each in records.items() if run in found}
-        sources, notes = sources_of(self.catalog, unit, self.signal, list(records), self.channels)
+        return _Ahead(records, found, sources_of(self.catalog, unit, self.signal, list(records), self.channels))
+
+    def _reduced(self, unit: str) -> Reduction:
+        records, found, (sources, notes) = self._ahead.pop(unit, None) or self._read(unit)
         runs = self._joined(unit, records, found, sources)
         is_whole = self.since_ns is None and self.until_ns is None
         notes += notes_on_samples(self.catalog, runs, self._clock_offsets, is_whole=is_whole)
@@ -108,8 +176,8 @@ class BlockReducer:
         notes += [*notes_on.no_scatter(blocks), *check_runs(blocks), *check_channels(blocks), *check_labels(blocks)]
         return Reduction(tuple(blocks), tuple(notes), left_out_of(runs))
 
-    def _means(self, unit: str, records: Mapping[str, RecordedSignal]) -> dict[str, SignalBlocks]:
-        """Blocks of the signal by run, without runs that have none in the time range."""
+    def _check_blocks(self, unit: str, records: Mapping[str, RecordedSignal]) -> None:
+        """Refuse blocks that are too short for the records."""
         longest_s = max((record.last_ns - record.first_ns) / 1e9 for record in records.values())
         shortest_s = max(longest_s / _MOST_SLOTS, 1e-6)
         if self.block_s < shortest_s:
@@ -123,13 +191,26 @@ class BlockReducer:
                 f"unit {unit}, signal {self.signal}, run {', '.join(gone)}: raw samples were dropped, what is kept "
                 f"are seconds: give blocks of whole seconds, not {self.block_s:g} s"
             )
-        found: dict[str, SignalBlocks] = {}
+
+    def _means(self, records: Mapping[str, Mapping[str, RecordedSignal]]) -> dict[SignalKey, SignalBlocks]:
+        """Blocks of the signal by unit and run, without runs that have none in the time range."""
+        found: dict[SignalKey, SignalBlocks] = {}
         for rolled_up in (False, True):
-            grids = {run: self._grid(each) for run, each in records.items() if each.is_rolled_up is rolled_up}
-            of_signal = {SignalKey(unit, self.signal, run): grid for run, grid in grids.items()}
-            means = block_means(self.catalog, of_signal, self.block_s, rolled_up=rolled_up)
-            found |= {key.run: blocks for key, blocks in means.items()}
+            grids = {
+                SignalKey(unit, self.signal, run): self._grid(each)
+                for unit, own in records.items()
+                for run, each in own.items()
+                if each.is_rolled_up is rolled_up
+            }
+            found |= block_means(self.catalog, grids, self.block_s, rolled_up=rolled_up)
         return found
+
+    def _grids_of(self, records: Mapping[str, RecordedSignal]) -> tuple[dict[str, Grid], dict[str, tuple[float, int]]]:
+        """Grid of each run, and the interval and first of its samples."""
+        return (
+            {run: self._grid(record) for run, record in records.items()},
+            {run: (record.interval_s, record.first_ns) for run, record in records.items()},
+        )
 
     def _grid(self, record: RecordedSignal) -> Grid:
         return record.grid(self.since_ns, self.until_ns)
@@ -142,8 +223,7 @@ class BlockReducer:
         sources: Mapping[str, list[ChannelSource]],
     ) -> list[UnitRun]:
         """The runs with their recorded channels."""
-        grids = {run: self._grid(record) for run, record in records.items()}
-        sampled = {run: (record.interval_s, record.first_ns) for run, record in records.items()}
+        grids, sampled = self._grids_of(records)
         self._joiner.prepare(sources, grids, sampled)
         steps, power_ons = read_steps(self.catalog, unit), self._power_ons(unit)
         runs = []

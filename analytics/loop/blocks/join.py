@@ -59,6 +59,8 @@ class ChannelJoiner:
         self._tolerance_s = tolerance_s
         self._known: dict[tuple[SignalKey, Grid], SignalBlocks | None] = {}
         self._sampled: dict[str, tuple[float, int]] = {}
+        self._expected_means: dict[tuple[SignalKey, Grid], ChannelSource] = {}
+        self._expected_readings: list[tuple[ChannelSource, Grid]] = []
         self._stored = StoredReadings(catalog)
 
     def prepare(
@@ -71,24 +73,50 @@ class ChannelJoiner:
 
         `sampled` is the interval of the signal's samples in seconds and the time of the first, by run.
         """
+        self.expect(sources, grids, sampled)
+        self.read_expected()
+
+    def expect(
+        self,
+        sources: Mapping[str, Sequence[ChannelSource]],
+        grids: Mapping[str, Grid],
+        sampled: Mapping[str, tuple[float, int]],
+    ) -> None:
+        """Announce the channels of a unit's runs; those of several units are then read together."""
         self._sampled.update(sampled)
-        wanted = [
-            each
-            for run, own in sources.items()
-            for each in own
-            if self._is_dense(each) and not each.is_angle and (each.key, grids[run]) not in self._known
-        ]
-        for group in _groups(wanted):
-            wide = {each.key: self._wide(grids[each.run]) for each in group}
+        for run, own in sources.items():
+            self._expected_means |= {
+                (each.key, grids[run]): each
+                for each in own
+                if self._is_dense(each) and not each.is_angle and (each.key, grids[run]) not in self._known
+            }
+            self._expected_readings += [
+                (each, self._wide(grids[run])) for each in own if self._is_read_singly(each, own)
+            ]
+
+    def read_expected(self) -> None:
+        """Read the channels that were announced, many by one statement."""
+        expected = {each: grid for (_, grid), each in self._expected_means.items()}
+        readings = self._expected_readings
+        self.forget_expected()
+        for group in _groups(list(expected)):
+            wide = {each.key: self._wide(expected[each]) for each in group}
             found = block_means(self._catalog, wide, self._block_s, rolled_up=group[0].is_rolled_up)
-            self._known |= {(each.key, grids[each.run]): found.get(each.key) for each in group}
-        singly = [each for own in sources.values() for each in own if self._is_read_singly(each, own)]
-        self._stored.read_ahead([(each, self._wide(grids[each.run])) for each in singly])
+            self._known |= {(each.key, expected[each]): found.get(each.key) for each in group}
+        self._stored.read_ahead(readings)
 
     def forget(self, unit: str) -> None:
-        """Drop the blocks of a unit, which no other unit needs, and single readings."""
-        self._stored.forget()
+        """Drop the blocks and readings of a unit, which no other unit needs."""
+        self._stored.forget(unit)
         self._known = {key: each for key, each in self._known.items() if key[0].unit != unit}
+
+    def forget_expected(self) -> None:
+        """Read nothing of what was announced."""
+        self._expected_means, self._expected_readings = {}, []
+
+    def forget_readings(self) -> None:
+        """Drop all single readings."""
+        self._stored.forget()
 
     def channels(
         self, sources: Sequence[ChannelSource], signal: SignalBlocks, grid: Grid, own: RateSeries | None
@@ -259,10 +287,10 @@ def _groups(sources: Sequence[ChannelSource]) -> list[list[ChannelSource]]:
     """Channels that are read together: all runs of a signal, and several signals that have few readings."""
     ordered = sorted(sources, key=lambda each: (each.is_rolled_up, each.unit, each.signal))
     groups: list[list[ChannelSource]] = []
-    readings = 0
+    readings = 0.0
     for (rolled_up, *_), signal in groupby(ordered, key=lambda each: (each.is_rolled_up, each.unit, each.signal)):
         own = list(signal)
-        more = sum(each.samples for each in own)
+        more = sum(each.rows for each in own)
         if groups and groups[-1][0].is_rolled_up is rolled_up and readings + more <= MOST_READINGS:
             groups[-1] += own
             readings += more

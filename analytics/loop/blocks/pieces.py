@@ -51,7 +51,7 @@ _WANTED = """join (
     select unnest($units) as unit, unnest($signals) as signal, unnest($runs) as run, unnest($numbers) as number,
       unnest($t0) as t0_ns, unnest($first) as first_ns, unnest($last) as last_ns
   ) w on s.unit = w.unit and s.signal = w.signal and s.run = w.run
-where list_contains($units, s.unit) and list_contains($signals, s.signal) and list_contains($runs, s.run)"""
+where list_contains($all_units, s.unit) and list_contains($all_signals, s.signal) and list_contains($all_runs, s.run)"""
 """The conditions on the lists repeat what the join says, so that only the files that have these signals are read."""
 
 _ROLLED_UP = """
@@ -98,6 +98,9 @@ def rows_of(
         "units": [key.unit for key in keys],
         "signals": [key.signal for key in keys],
         "runs": [key.run for key in keys],
+        "all_units": sorted({key.unit for key in keys}),
+        "all_signals": sorted({key.signal for key in keys}),
+        "all_runs": sorted({key.run for key in keys}),
         "numbers": list(range(len(keys))),
         "t0": [grids[key].t0_ns for key in keys],
         "first": [grids[key].first_ns for key in keys],

@@ -34,8 +34,10 @@ class StoredReadings:
     def read_ahead(self, wanted: Sequence[tuple[ChannelSource, Grid]]) -> None:
         """Read signals that will be asked for, as many as fit into memory, by few statements."""
         group: dict[SignalKey, Grid] = {}
-        readings = total = 0
+        readings, total = 0, sum(len(value) for _, value in self._ahead.values())
         for source, grid in wanted:
+            if (source.key, grid) in self._ahead or (source.key in group):
+                continue
             if source.samples > MOST_READINGS or total + source.samples > _MOST_AHEAD:
                 continue
             if readings + source.samples > MOST_READINGS:
@@ -54,9 +56,9 @@ class StoredReadings:
         for key, columns in rows_of(self._catalog, _READINGS, grids, "t_ns"):
             self._ahead[key, grids[key]] = columns["t_ns"], columns["value"]
 
-    def forget(self) -> None:
-        """Drop what was read ahead."""
-        self._ahead.clear()
+    def forget(self, unit: str | None = None) -> None:
+        """Drop what was read ahead, of all units or of one."""
+        self._ahead = {} if unit is None else {key: each for key, each in self._ahead.items() if key[0].unit != unit}
         self._expected.clear()
 
     def pieces(self, source: ChannelSource, grid: Grid) -> Iterator[tuple[IntArray, FloatArray]]:

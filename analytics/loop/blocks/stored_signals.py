@@ -41,6 +41,11 @@ class RecordedSignal(NamedTuple):
         """Whether it is read from rollups: several samples a second, or raw samples were dropped."""
         return is_rolled_up(self.interval_s, self.samples, self.kept_raw)
 
+    @property
+    def rows(self) -> float:
+        """Rows that are read of it: seconds of a rollup, or samples."""
+        return (self.last_ns - self.first_ns) / SECOND_NS if self.is_rolled_up else self.samples
+
     def grid(self, since_ns: int | None, until_ns: int | None) -> Grid:
         """Blocks from a whole second on, the same for all units of the run."""
         return Grid(
@@ -84,6 +89,11 @@ class ChannelSource(NamedTuple):
     def is_rolled_up(self) -> bool:
         """Whether it is read from rollups, see `RecordedSignal`."""
         return is_rolled_up(self.interval_s, self.samples, self.kept_raw)
+
+    @property
+    def rows(self) -> float:
+        """Rows that are read of it: seconds of a rollup, or samples."""
+        return self.samples * min(self.interval_s, 1.0) if self.is_rolled_up else self.samples
 
 
 def is_rolled_up(interval_s: float, samples: int, kept_raw: int) -> bool:
