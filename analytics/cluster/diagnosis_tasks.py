@@ -32,6 +32,9 @@ class ReadTask:
 def read_slice(task: ReadTask) -> ReadUnits:
     """Units of a slice as blocks."""
     with task.of.open() as catalog:
+        for view in ("signals", "runs", "units", "steps"):
+            catalog.hold(view)
+        catalog.hold("events", task.of.units)
         return read_units(catalog, task.of.units, task.question, task.positions, silent)
 
 

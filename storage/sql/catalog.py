@@ -179,6 +179,14 @@ class Catalog(Closing):
             self._deferred.discard(name)
             self._execute(sql)
 
+    def hold(self, view: str, units: Collection[str] | None = None) -> None:
+        """Keep the rows of a view in memory, by default of all units, for many statements about a few rows each."""
+        held, of_units = f"internal.held_{view}", "" if units is None else f" where unit in ({_quoted(units)})"
+        with self._defining:
+            self._deferred.define(words_of(view))
+            self._execute(f"create table {held} as select * from {view}{of_units}")  # noqa: S608
+            self._execute(f"create or replace view {view} as select * from {held}")  # noqa: S608
+
     def defer(self, script: str) -> None:
         """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""
         with self._defining:

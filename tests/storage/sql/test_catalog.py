@@ -100,6 +100,20 @@ def test_a_signal_is_read_back_in_the_order_of_time(catalog: Catalog) -> None:
     assert values.tolist() == [6.0, 6.5, 7.0]
 
 
+def test_views_held_in_memory_have_the_same_rows(catalog: Catalog) -> None:
+    """Views that stand on them as well, whether they were named before or not; of chosen units only theirs."""
+    before = {view: sorted(map(repr, catalog.rows(f"select * from {view}"))) for view in ("steps", "runs", "signals")}
+    for view in ("signals", "steps"):
+        catalog.hold(view)
+    for view, rows in before.items():
+        assert sorted(map(repr, catalog.rows(f"select * from {view}"))) == rows
+    count = "select unit, count(*) from events group by unit order by unit nulls first"
+    assert catalog.rows(count) == [(None, 2), ("U1", 3)]
+    catalog.hold("events", ["U1", "it's another"])
+    assert catalog.rows(count) == [("U1", 3)]
+    assert catalog.rows("select count(*) from samples") == [SUM[0][:1]]
+
+
 def test_what_is_not_there_is_listed(catalog: Catalog) -> None:
     with pytest.raises(NotFound, match=r"unit 'U2' is not in .*; it holds U1"):
         find_signal(catalog, "U2", "rate")
