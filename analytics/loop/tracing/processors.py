@@ -1,6 +1,8 @@
 """Work on many units on all processors; the results do not depend on how many there are."""
 
 import os
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -13,6 +15,7 @@ R = TypeVar("R")
 
 _FEWEST_UNITS = 4  # fewer do not repay the start of processes
 MOST_PROCESSES = 8  # each has the libraries and the data of a unit in memory
+_LOOK_S = 0.5
 
 
 class Spread(Protocol):
@@ -36,13 +39,28 @@ def single_blas() -> threadpool_limits:
 
 
 def by_processes(work: Callable[[T], R], items: Sequence[T], processes: int) -> Iterator[R]:
-    """Results of work on each item, in their order; with one process, or few items, in this process."""
+    """Results of work on each item, in their order; with one process, or few items, in this process.
+
+    The processes end with this one, also where it is killed.
+    """
     processes = min(processes, len(items) // 2, MOST_PROCESSES)
     if processes < 2 or len(items) < _FEWEST_UNITS:
         yield from map(work, items)
         return
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:  # a fork would copy locks of threads
+    context = get_context("spawn")  # a fork would copy locks of threads
+    with ProcessPoolExecutor(processes, context, _end_with, (os.getpid(),)) as pool:
         yield from pool.map(work, items)
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after its parent has ended: nobody would take the result of its work."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="parent").start()
 
 
 def of_records(work: Callable[[int], R], records: int) -> list[R]:
