@@ -105,7 +105,8 @@ class Catalog(Closing):
             config["threads"] = threads
         self._units = units
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
-        self._connection.execute("set timezone = 'UTC'; create schema internal")
+        # a process without a file of its own, as of multiprocessing, would draw a bar into the output of a command
+        self._connection.execute("set timezone = 'UTC'; set enable_progress_bar = false; create schema internal")
         self._deferred = DeferredDefinitions(self._run_definition)
         self._tables = PutTables(
             self._connection, self._execute, self._deferred, known_tables, is_in_memory=file is None

@@ -32,7 +32,7 @@ class EffectKind(StrEnum):
 
     LIBRARY = "library"  # a named physical effect; tried in the first round
     FUNCTION = "function"  # a general function of one channel; if it is found, the verdict is "unknown function of"
-    SECOND_TIER = "second_tier"  # products and thresholds; tried only when the library leaves structure
+    SECOND_TIER = "second_tier"  # products; tried only when the library leaves structure
     LINE = "line"  # a periodic line of unknown frequency; found by a scan of its own spectrum, not over a grid
     EVENT = "event"  # an event at an unknown time in one run; found by its own matched filter
 
@@ -114,6 +114,7 @@ class Effect(ABC):
     needs: tuple[str, ...]  # standard channels, all of which must be present and vary
     role: Role = Role.CAUSE
     kind: EffectKind = EffectKind.LIBRARY
+    is_late_in_one_run: bool = False  # of a single run, tried only when the others leave structure, as a second tier
     parameters: tuple[ShapeParameter, ...] = ()
     coefficients: tuple[str, ...] = ("",)  # names of the columns where there are several, such as ``cos`` and ``sin``
     per: str = "1"  # divisor of the coefficient's unit; {temperature} stands for the unit of measure of that channel

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, number, positive
+from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, number, positive
 from analytics.loop.effects.block_kernels import lagged, played, share_above, slope_per_s
 from analytics.loop.effects.monomial import Monomial
 from stream.batch import FloatArray
@@ -85,7 +85,7 @@ class TemperatureThreshold(Effect):
 
     name, en, zh = "temperature_threshold", "temperature threshold", "温度阈值"
     needs = ("temperature",)
-    kind = EffectKind.SECOND_TIER
+    is_late_in_one_run = True  # of some ten blocks, steps at thirty places make chance five times as likely
     parameters = (ShapeParameter("threshold", "{temperature}", _PARTS, "threshold", "阈值"),)
     cause = (
         "A heater, a range switch or a mode hop of the source occurs at a certain temperature. The bias has two "

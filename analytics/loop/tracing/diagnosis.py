@@ -144,16 +144,19 @@ class _Trace:
 def _searched(
     case: Case, effects: Mapping[str, Effect], model: ErrorModel, rng: np.random.Generator
 ) -> tuple[Candidates, Search]:
-    """Search the library; if structure is left, products and thresholds as well."""
-    candidates = candidates_for([case.training], effects, model, FIRST_TIER, case.report.lost_channels)
+    """Search the library; if structure is left, what is tried late as well: products, in a single run thresholds."""
+
+    def is_late(its: Effect) -> bool:
+        return its.kind is EffectKind.SECOND_TIER or (its.is_late_in_one_run and case.replication == "within_run")
+
+    early = {name: each for name, each in effects.items() if not is_late(each)}
+    candidates = candidates_for([case.training], early, model, FIRST_TIER, case.report.lost_channels)
     found = search(candidates, rng)
     if not _leaves_structure(case, candidates, found):
         return candidates, found
     more = candidates_for([case.training], effects, model, SECOND_TIER, case.report.lost_channels)
     again = search(more, rng)
-    if any(each.fitted.effect.kind is EffectKind.SECOND_TIER for each in again.selected):
-        return more, again
-    return candidates, found
+    return (more, again) if any(is_late(each.fitted.effect) for each in again.selected) else (candidates, found)
 
 
 def _without_false_outliers(case: Case, found: Search, declared: ModelNoise | None) -> Case | None:
@@ -166,10 +169,7 @@ def _without_false_outliers(case: Case, found: Search, declared: ModelNoise | No
 
 
 def _leaves_structure(case: Case, candidates: Candidates, found: Search) -> bool:
-    """Whether excess noise, an unknown function, or the sign of a rarely crossed threshold is left.
-
-    The latter is a jump, or a function of temperature that does not replicate.
-    """
+    """Whether excess noise, an unknown function, a jump, or an effect that does not replicate is left."""
     if noise_excess(case.training, found.joint).is_slow_excess or (found.unreplicated and not found.selected):
         return True
     if any(each.fitted.effect.kind is EffectKind.EVENT for each in found.selected):

@@ -119,7 +119,8 @@ def diagnose_fleet(
     records = [case.training for case in cases]
     available = effects_for([run for case in cases for run in case.stack.runs]) if effects is None else effects
     lost = {name: why for case in cases for name, why in case.report.lost_channels.items()}
-    candidates = candidates_for(records, available, model, FIRST_TIER, lost)
+    early = {name: each for name, each in available.items() if not each.is_late_in_one_run}
+    candidates = candidates_for(records, early, model, FIRST_TIER, lost)
     found = search(candidates, np.random.default_rng(seed))
     answer = _held_out(cases, found)
     every = [
