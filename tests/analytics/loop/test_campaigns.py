@@ -33,6 +33,12 @@ def test_a_planted_effect_is_named(name: str) -> None:
     assert line["error"]["fraction"] is None or line["error"]["fraction"] > 0.8
 
 
+def test_a_threshold_is_found_though_nothing_else_is_left() -> None:
+    """Two levels of the bias: no smooth function of the temperature stands out, so that no second tier would open."""
+    line = traced(Case("planted", "temperature_threshold", 7.0, 2060))
+    assert line["outcome"] in RIGHT, line
+
+
 def test_two_effects_are_told_apart() -> None:
     line = traced(Case("two", "vibration_squared + scale_factor_cubic", 14.0, 3000))
     assert line["outcome"] in RIGHT, line

@@ -1,6 +1,9 @@
 """The views over the lake: there from the first moment, of one row for each sample, and read back in order."""
 
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from uuid import UUID
@@ -112,6 +115,22 @@ def test_views_held_in_memory_have_the_same_rows(catalog: Catalog) -> None:
     catalog.hold("events", ["U1", "it's another"])
     assert catalog.rows(count) == [("U1", 3)]
     assert catalog.rows("select count(*) from samples") == [SUM[0][:1]]
+
+
+def test_a_process_without_a_file_draws_no_bar_into_its_output(catalog: Catalog) -> None:
+    """As the processes of a pool, which DuckDB takes for an interactive session; the connection that defines does."""
+    program = """
+import sys
+from pathlib import Path
+from storage.sql.catalog import Catalog
+from storage.store import Store
+with Catalog(Store.open(Path(sys.argv[1]))) as catalog:
+    print(catalog._connection.execute("select current_setting('enable_progress_bar')").fetchall())
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-P", "-c", program, str(catalog.store.folder)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "[(False,)]\n"
 
 
 def test_what_is_not_there_is_listed(catalog: Catalog) -> None:
