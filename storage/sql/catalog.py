@@ -185,8 +185,8 @@ class Catalog(Closing):
         held, of_units = f"internal.held_{view}", "" if units is None else f" where unit in ({_quoted(units)})"
         with self._defining:
             self._deferred.define(words_of(view))
-            self._execute(f"create table {held} as select * from {view}{of_units}")  # noqa: S608
-            self._execute(f"create or replace view {view} as select * from {held}")  # noqa: S608
+            self._run_definition(f"create table {held} as select * from {view}{of_units}")  # noqa: S608
+            self._run_definition(f"create or replace view {view} as select * from {held}")  # noqa: S608
 
     def defer(self, script: str) -> None:
         """Define tables, views and macros of a layer when a statement first names them; see `DeferredDefinitions`."""

@@ -148,14 +148,13 @@ class BlockReducer:
     def _read(self, unit: str) -> "_Ahead":
         records = records_of(self.catalog, unit, self.signal, self.runs)
         self._check_blocks(unit, records)
-        found = {key.run: blocks for key, blocks in self._means({unit: records}).items()}
-        if not found:
+        found = self._read_together({unit: records}).get(unit)
+        if found is None:
             raise NotFound(
                 f"unit {unit}, signal {self.signal}: no sample lies in the time that was asked for; the record "
                 f"reaches {reach(records)}"
             )
-        records = {run: each for run, each in records.items() if run in found}
-        return _Ahead(records, found, sources_of(self.catalog, unit, self.signal, list(records), self.channels))
+        return found
 
     def _reduced(self, unit: str) -> Reduction:
         records, found, (sources, notes) = self._ahead.pop(unit, None) or self._read(unit)
@@ -224,7 +223,8 @@ class BlockReducer:
     ) -> list[UnitRun]:
         """The runs with their recorded channels."""
         grids, sampled = self._grids_of(records)
-        self._joiner.prepare(sources, grids, sampled)
+        self._joiner.expect(sources, grids, sampled)
+        self._joiner.read_expected()
         steps, power_ons = read_steps(self.catalog, unit), self._power_ons(unit)
         runs = []
         for name, record in records.items():

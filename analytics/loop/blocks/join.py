@@ -63,26 +63,16 @@ class ChannelJoiner:
         self._expected_readings: list[tuple[ChannelSource, Grid]] = []
         self._stored = StoredReadings(catalog)
 
-    def prepare(
-        self,
-        sources: Mapping[str, Sequence[ChannelSource]],
-        grids: Mapping[str, Grid],
-        sampled: Mapping[str, tuple[float, int]],
-    ) -> None:
-        """Reduce the channels of several runs, many in one query.
-
-        `sampled` is the interval of the signal's samples in seconds and the time of the first, by run.
-        """
-        self.expect(sources, grids, sampled)
-        self.read_expected()
-
     def expect(
         self,
         sources: Mapping[str, Sequence[ChannelSource]],
         grids: Mapping[str, Grid],
         sampled: Mapping[str, tuple[float, int]],
     ) -> None:
-        """Announce the channels of a unit's runs; those of several units are then read together."""
+        """Announce the channels of a unit's runs, of which `channels` follow; those of several units are read together.
+
+        `sampled` is the interval of the signal's samples in seconds and the time of the first, by run.
+        """
         self._sampled.update(sampled)
         for run, own in sources.items():
             self._expected_means |= {

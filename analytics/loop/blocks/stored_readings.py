@@ -36,7 +36,7 @@ class StoredReadings:
         group: dict[SignalKey, Grid] = {}
         readings, total = 0, sum(len(value) for _, value in self._ahead.values())
         for source, grid in wanted:
-            if (source.key, grid) in self._ahead or (source.key in group):
+            if (source.key, grid) in self._ahead or source.key in group:
                 continue
             if source.samples > MOST_READINGS or total + source.samples > _MOST_AHEAD:
                 continue
