@@ -15,6 +15,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, Asked, diagnosed
 from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.held_out.run_walk import against_walk
 from analytics.loop.tracing.processors import Spread, by_processes
 from analytics.loop.tracing.random_effect import RandomEffect, presence, random_effect
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
@@ -159,7 +160,7 @@ def _held_out(cases: Sequence[Case], found: Search) -> Holdout | None:
         if case.held_out
     ]
     names = [f"{case.training.unit} {name}" for case in cases for name in case.held_out]
-    return judge(boxes, found, names) if boxes else None
+    return against_walk(judge(boxes, found, names), boxes, found) if boxes else None
 
 
 def _by_unit(found: Search, which: Selected) -> tuple[UnitCoefficient, ...]:

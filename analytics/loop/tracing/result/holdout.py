@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 
 REFERENCE_S = 1800.0  # averaging time at which errors are compared, if the runs are long enough
+WALK_LOG_ODDS = 3.0  # odds of 20 that decide between an effect and a bias that walks from run to run
 _PARTS = ("before", "after", "floor", "before_within", "after_within", "floor_within")
 
 
@@ -23,7 +24,8 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     Accepted if slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large effect,
     the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2. Confirmed if accepted
     and 1.64*SE <= 1. Refused if the slope is three times as likely without the effect as with it, or differs from one
-    by 3.29 standard errors; else no power. An effect that raises the error far is refused whatever its slope.
+    by 3.29 standard errors; else no power. An effect that raises the error far is refused whatever its slope. An
+    effect that shifts whole runs is confirmed only if it is 20 times as likely as a bias that walks from run to run.
     """
 
     effect: str  # name; ``all`` for the sum of all
@@ -32,10 +34,25 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     training_se: float  # relative standard error of the frozen coefficient
     accepted: bool
     answer: HeldOutAnswer = HeldOutAnswer.REFUSED
+    # log likelihood less that of a bias that walks from run to run; None if the runs themselves show the effect
+    walk_log_odds: float | None = None
+
+    @property
+    def may_be_walk(self) -> bool:
+        """Whether a bias that walks from run to run explains the runs about as well as the effect, or better."""
+        return self.walk_log_odds is not None and self.walk_log_odds < WALK_LOG_ODDS
 
 
 def _refused(slope: HoldoutSlope) -> HoldoutSlope:
     return msgspec.structs.replace(slope, accepted=False, answer=HeldOutAnswer.REFUSED)
+
+
+def _beside_walk(slope: HoldoutSlope, log_odds: float) -> HoldoutSlope:
+    judged = msgspec.structs.replace(slope, walk_log_odds=log_odds)
+    if not judged.may_be_walk or slope.answer is HeldOutAnswer.REFUSED:
+        return judged
+    answer = HeldOutAnswer.REFUSED if log_odds < -WALK_LOG_ODDS else HeldOutAnswer.NO_POWER
+    return msgspec.structs.replace(judged, accepted=False, answer=answer)
 
 
 class Holdout(msgspec.Struct, frozen=True):
@@ -73,6 +90,15 @@ class Holdout(msgspec.Struct, frozen=True):
             self,
             total=_refused(self.total),
             effects=tuple(_refused(e) if e.effect == name else e for e in self.effects),
+        )
+
+    def beside_walk(self, name: str, log_odds: float) -> "Holdout":
+        """The answers with the odds of this effect over a bias that walks from run to run."""
+        is_only = self.total.effect == name
+        return msgspec.structs.replace(
+            self,
+            total=_beside_walk(self.total, log_odds) if is_only else self.total,
+            effects=tuple(_beside_walk(e, log_odds) if e.effect == name else e for e in self.effects),
         )
 
     def confirms(self, name: str) -> bool | None:

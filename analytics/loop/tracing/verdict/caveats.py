@@ -185,7 +185,9 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
         if slope is None:
             continue
         size = f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
-        if slope.answer is HeldOutAnswer.NO_POWER:
+        if slope.may_be_walk:
+            yield _walk_caveat(slope)
+        elif slope.answer is HeldOutAnswer.NO_POWER:
             advice = _better_holdout(effect)
             yield Bilingual(
                 f"{effect.name}: the held-out runs excite it too little and can neither confirm nor refuse it (slope "
@@ -197,6 +199,16 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
                 f"{effect.name}: the held-out runs show {size} times the prediction{why}",
                 f"{effect.name}：留出试验所示为预测值的{size}倍{why.zh}",
             )
+
+
+def _walk_caveat(slope: HoldoutSlope) -> Bilingual:
+    name, odds = slope.effect, f"{math.exp(slope.walk_log_odds or 0.0):.2g}"
+    return Bilingual(
+        f"{name}: it shifts whole runs, and a bias that walks from run to run explains them about as well or better "
+        f"(likelihood ratio {odds}; 20 is needed): measure more runs, in random order if the effect can be set",
+        f"{name}：该效应只使各次试验整体偏移，而零偏在各次试验之间随机游走的解释同样好或更好（似然比{odds}，需要20）："
+        "请测量更多试验，若该效应可设定则随机安排次序",
+    )
 
 
 def _wrong_size(slope: HoldoutSlope) -> Bilingual | None:

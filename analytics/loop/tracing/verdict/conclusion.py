@@ -14,6 +14,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open_held_out_set
+from analytics.loop.tracing.held_out.run_walk import against_walk
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.effect_search import Search, provisional
@@ -145,7 +146,7 @@ def _replicated_later(case: Case, found: Search) -> Search:
     if tried is None:
         return found
     box = open_held_out_set(case.stack, case.held_out_blocks, case.training, tried)
-    answer = judge([box], tried, case.held_out)
+    answer = against_walk(judge([box], tried, case.held_out), [box], tried)
     slope = None if answer is None else answer.slope(tried.selected[0].name)
     if slope is None or not slope.accepted or slope.slope < BEYOND_CHANCE * slope.slope_se:
         return found
@@ -160,7 +161,7 @@ def _answered(case: Case, found: Search) -> _Answered:
     holdout = None
     if case.held_out and found.selected:
         whole = open_held_out_set(case.stack, case.held_out_blocks, case.training, found)
-        holdout = judge([whole], found, case.held_out)
+        holdout = against_walk(judge([whole], found, case.held_out), [whole], found)
     worse: list[Bilingual] = []
     while True:
         kept = (
