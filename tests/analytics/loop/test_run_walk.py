@@ -31,8 +31,8 @@ def test_many_runs_decide_between_a_trend_and_a_walk() -> None:
     day = np.arange(60.0)
     walks = [np.cumsum(rng.standard_normal(60)) for _ in range(100)]
     trends = [0.1 * day + rng.standard_normal(60) for _ in range(100)]
-    for_walk = sum(log_odds(each, day, day) < -WALK_LOG_ODDS for each in walks)
-    for_trend = sum(log_odds(each, day, day) > WALK_LOG_ODDS for each in trends)
+    for_walk = sum((log_odds(each, day, day) or 0.0) < -WALK_LOG_ODDS for each in walks)
+    for_trend = sum((log_odds(each, day, day) or 0.0) > WALK_LOG_ODDS for each in trends)
     assert for_walk > binom.ppf(0.999, 100, 0.5)
     assert for_trend > binom.ppf(0.999, 100, 0.5)
 
