@@ -17,6 +17,10 @@ _ANSWERS = {
     HeldOutAnswer.REFUSED: ("refused", "予以否定"),
     HeldOutAnswer.NO_POWER: ("these runs excite it too little to tell", "这些试验对该效应激励不足，无法判别"),
 }
+_MAY_BE_WALK = (
+    "a bias that walks from run to run explains them about as well or better",
+    "零偏在各次试验之间随机游走的解释同样好或更好",
+)
 _ZH_VERDICTS = {
     ModelVerdict.NOTHING_MISSING: "无缺项",
     ModelVerdict.EFFECT_FOUND: "发现效应",
@@ -42,7 +46,8 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
         yield _by_run(found, diagnosis, words)
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
     if slope is not None:
-        value, answer = f"{slope.slope:.3f} ± {slope.slope_se:.3f}", words.of(*_ANSWERS[slope.answer])
+        value = f"{slope.slope:.3f} ± {slope.slope_se:.3f}"
+        answer = words.of(*(_MAY_BE_WALK if slope.may_be_walk else _ANSWERS[slope.answer]))
         yield words.of(
             f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
             f"{answer}.",

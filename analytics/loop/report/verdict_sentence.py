@@ -161,8 +161,13 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
     if found.name == JUMP:
         size = words.coefficient(found)
         return words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")
+    slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
     if found.confirmed is False:
-        slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
+        if slope is not None and slope.may_be_walk:
+            return words.of(
+                f"{name} was seen in the training runs, but a bias that walks from run to run explains all runs better",
+                f"训练试验中见到{name}，但零偏在各次试验之间随机游走能更好地解释全部试验",
+            )
         size = "" if slope is None else words.of(f" (slope {_slope(slope)})", f"（斜率{_slope(slope)}）")
         return words.of(
             f"{name} was seen in the training runs, but the held-out runs do not confirm it{size}",
@@ -176,6 +181,11 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
         )
     if diagnosis.holdout is None:
         return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
+    if slope is not None and slope.may_be_walk:
+        return words.of(
+            f"{sized}; a bias that walks from run to run explains the runs about as well",
+            f"{sized}；零偏在各次试验之间随机游走的解释同样好",
+        )
     return words.of(
         f"{sized}; the held-out runs excite it too little and can neither confirm nor refuse it",
         f"{sized}；留出试验对该效应激励不足，既不能证实也不能否定",
@@ -210,6 +220,12 @@ def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
         return words.of(f"; no runs were held out to confirm {them}", "；无留出试验可供证实")
     count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
+        if any(each.may_be_walk for each in diagnosis.holdout.effects):
+            return words.of(
+                f"; the held-out runs do not confirm {them}: a bias that walks from run to run explains the runs about "
+                "as well",
+                "；留出试验不能证实：零偏在各次试验之间随机游走的解释同样好",
+            )
         return words.of(
             f"; the held-out runs excite {them} too little to confirm {them} (slope {slope})",
             f"；留出试验对该效应激励不足，不能证实（斜率{slope}）",

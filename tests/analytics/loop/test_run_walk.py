@@ -1,17 +1,24 @@
 """An effect that shifts whole runs, beside a bias that walks from run to run."""
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
+from analytics.loop.report.finding_sentences import evidence
+from analytics.loop.report.verdict_sentence import verdict_sentence
+from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.held_out.run_walk import log_odds
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.result.holdout import WALK_LOG_ODDS, HeldOutAnswer, Holdout, HoldoutSlope
 from tests.bench.tracing_cases import Case
 from tests.bench.tracing_outcomes import RIGHT, traced
+from tests.diagnosed_units import a_finding
 
 _DAY = np.arange(15.0)
+_LANGUAGES: tuple[Language, ...] = ("en", "zh")
 
 
 @pytest.mark.parametrize("seed", [1014, 1015])
@@ -88,3 +95,26 @@ def test_the_odds_decide_what_the_slope_confirmed(log_odds_of_effect: float, ans
 def test_what_the_slope_refuses_stays_refused() -> None:
     slope = HoldoutSlope("ageing", 0.1, 0.1, 0.1, accepted=False)
     assert Holdout(("r1",), slope, (slope,)).beside_walk("ageing", 9.0).confirms("ageing") is False
+
+
+@pytest.mark.parametrize(("log_odds_of_effect", "words"), [(1.0, ("as well", "同样好")), (-5.0, ("better", "更好"))])
+def test_the_sentences_name_the_walk_and_no_lack_of_excitation(
+    log_odds_of_effect: float, words: tuple[str, str]
+) -> None:
+    found = a_finding(name="ageing")
+    slope = HoldoutSlope("ageing", 0.9, 0.1, 0.1, accepted=True, answer=HeldOutAnswer.CONFIRMED)
+    holdout = Holdout(("r1",), slope, (slope,)).beside_walk("ageing", log_odds_of_effect)
+    found = msgspec.structs.replace(found, confirmed=holdout.confirms("ageing"))
+    is_refused = found.confirmed is False
+    diagnosis = Diagnosis(
+        verdict=ModelVerdict.UNREPLICATED, units=("FOG-1",), signal="rate", runs=("a", "b", "c"), holdout=holdout,
+        effects=() if is_refused else (found,), unreplicated=(found,) if is_refused else (),
+    )  # fmt: skip
+    for language, word in zip(_LANGUAGES, words, strict=True):
+        wording = Wording(language)
+        text = verdict_sentence(diagnosis, wording)
+        assert word in text
+        text += " ".join(evidence(found, diagnosis, wording))
+        assert text.count({"en": "walks from run to run", "zh": "随机游走"}[language]) == 2
+        assert "excite" not in text
+        assert "激励不足" not in text

@@ -15,7 +15,7 @@ class HeldOutAnswer(StrEnum):
 
     CONFIRMED = "confirmed"
     REFUSED = "refused"
-    NO_POWER = "no_power"  # they excite the effect too little to tell whether it is there
+    NO_POWER = "no_power"  # they cannot tell: they excite it too little, or a bias that walks resembles it
 
 
 class HoldoutSlope(msgspec.Struct, frozen=True):
