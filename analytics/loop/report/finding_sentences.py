@@ -17,10 +17,16 @@ _ANSWERS = {
     HeldOutAnswer.REFUSED: ("refused", "予以否定"),
     HeldOutAnswer.NO_POWER: ("these runs excite it too little to tell", "这些试验对该效应激励不足，无法判别"),
 }
-_MAY_BE_WALK = (
-    "a bias that walks from run to run explains them about as well or better",
-    "零偏在各次试验之间随机游走的解释同样好或更好",
-)
+_WALKS = {
+    HeldOutAnswer.REFUSED: (
+        "refused; a bias that walks from run to run explains the runs better",
+        "予以否定；零偏在各次试验之间随机游走的解释更好",
+    ),
+    HeldOutAnswer.NO_POWER: (
+        "not confirmed; a bias that walks from run to run explains the runs about as well",
+        "未证实；零偏在各次试验之间随机游走的解释同样好",
+    ),
+}
 _ZH_VERDICTS = {
     ModelVerdict.NOTHING_MISSING: "无缺项",
     ModelVerdict.EFFECT_FOUND: "发现效应",
@@ -47,7 +53,9 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
     if slope is not None:
         value = f"{slope.slope:.3f} ± {slope.slope_se:.3f}"
-        answer = words.of(*(_MAY_BE_WALK if slope.may_be_walk else _ANSWERS[slope.answer]))
+        answer = words.of(*_ANSWERS[slope.answer])
+        if slope.may_be_walk:
+            answer = words.of(*_WALKS[slope.answer])
         yield words.of(
             f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
             f"{answer}.",

@@ -40,7 +40,14 @@ def case_of(
     return split(*stacked(runs, model.shaped(runs)), declared, holdout)
 
 
-def split(stack: Stack, report: StackReport, declared: ModelNoise | None, holdout: Sequence[str] | None) -> Case:
+def split(
+    stack: Stack,
+    report: StackReport,
+    declared: ModelNoise | None,
+    holdout: Sequence[str] | None,
+    *,
+    turn_on_is_declared: bool = True,
+) -> Case:
     """Split stacked blocks; the last third is held out unless runs are named."""
     is_single = len(stack.runs) == 1
     whole = in_segments(stack) if is_single else stack
@@ -51,7 +58,8 @@ def split(stack: Stack, report: StackReport, declared: ModelNoise | None, holdou
     else:
         held_out = tuple(name for name in names if name in holdout)
     training = whole.part(~whole.of_replicates(held_out)) if held_out else whole
-    return Case(whole, report, "within_run" if is_single else "runs", held_out, record_of(training, declared))
+    record = record_of(training, declared, turn_on_is_declared=turn_on_is_declared)
+    return Case(whole, report, "within_run" if is_single else "runs", held_out, record)
 
 
 def check_runs(runs: Sequence[RunBlocks], holdout: Sequence[str] | None) -> None:

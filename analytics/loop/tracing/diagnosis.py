@@ -130,14 +130,14 @@ class _Trace:
                 limits=(*(each.sentence for each in report.left_out if each.is_grave), *report.limits),
                 left_out=report.left_out,
             )
-        case = split(stack, report, declared, self.holdout)
+        known = self.turn_on_is_declared
+        case = split(stack, report, declared, self.holdout, turn_on_is_declared=known)
         available = effects_for(stack.runs) if self.effects is None else self.effects
         rng = np.random.default_rng(self.seed)
         candidates, found = _searched(case, available, model, rng)
         if better := _without_false_outliers(case, found, declared):
             case = better
             candidates, found = _searched(case, available, model, rng)
-        known = self.turn_on_is_declared
         return conclude(case, candidates, found, model, declared, rng, turn_on_is_declared=known)
 
 
@@ -164,7 +164,8 @@ def _without_false_outliers(case: Case, found: Search, declared: ModelNoise | No
     columns = found.joint.hypothesis.common[0]
     if not columns.shape[1] or not has_outliers(case.training):
         return None
-    record = record_of(case.training.stack, declared, columns)
+    known = case.training.prior.turn_on_is_declared
+    record = record_of(case.training.stack, declared, columns, turn_on_is_declared=known)
     return None if np.array_equal(record.white, case.training.white) else replace(case, training=record)
 
 

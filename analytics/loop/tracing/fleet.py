@@ -130,7 +130,9 @@ def diagnose_fleet(
     ]
     kept = tuple(each for each in every if each.replicates and each.confirmed is not False)
     gone = tuple(each for each in every if not each.replicates or each.confirmed is False)
-    verdict = verdict_of(kept, gone, is_excess=False, within_run=False)
+    walks = [each for each in kept if answer is not None and answer.may_be_walk(each.name)]
+    certain = [each for each in kept if each not in walks]
+    verdict = verdict_of(certain, (*gone, *walks), is_excess=False, within_run=False)
     by_unit = {
         each.name: _by_unit(found, each)
         for each in found.selected

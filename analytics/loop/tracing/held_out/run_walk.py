@@ -7,12 +7,11 @@ from scipy.linalg import null_space
 
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
 from analytics.loop.tracing.result.holdout import Holdout
+from analytics.loop.tracing.search.between_runs import free_biases
 from analytics.loop.tracing.search.effect_search import Search
-from analytics.loop.tracing.whitening.stack import from_array
 from stream.batch import FloatArray
 
 SEEN_WITHIN_RUNS = 5.0  # standard errors, with a free bias in each run, from which the runs themselves show an effect
-_FREE_TURN_ON = 1e3  # factor on the turn-on scatter with which the bias of each run is free
 _WALK_SHARES = np.linspace(0.0, 1.0, 41)
 _FEWEST_RUNS = 3
 
@@ -29,24 +28,28 @@ def against_walk(holdout: Holdout | None, boxes: Sequence[HeldOutSet], found: Se
         slope = holdout.slope(each.name)
         if slope is None or _seen_within_runs(boxes, found, number):
             continue
-        odds = [log_odds(*_of_runs(box, number)) for box in boxes]
+        columns = found.common_columns(each)
+        odds = [log_odds(*_of_runs(box, number), columns.stop - columns.start) for box in boxes]
         known = [one for one in odds if one is not None]
         if known:
             holdout = holdout.beside_walk(each.name, float(sum(known)))
     return holdout
 
 
-def log_odds(bias: FloatArray, effect: FloatArray, day: FloatArray) -> float | None:
+def log_odds(bias: FloatArray, effect: FloatArray, day: FloatArray, coefficients: int = 1) -> float | None:
     """Log likelihood of independent biases beside the effect, less that of a random walk of the bias without it.
 
     Likelihoods are of contrasts between runs, at the best size of the effect, variance and share of the walk. The walk
-    proceeds with the days or with the number of runs, whichever fits better.
+    proceeds with the days or with the number of runs, whichever fits better. Further coefficients of the effect cost as
+    in the corrected criterion of Akaike (Hurvich and Tsai, doi:10.1093/biomet/76.2.297); with too many of them for so
+    few runs nothing is compared, and the odds are even.
 
     Parameters
     ----------
     bias: Mean of each run, in the order of time.
     effect: Prediction of each run.
     day: Start of each run, days.
+    coefficients: How many the effect has, fitted to these runs.
 
     Returns
     -------
@@ -73,7 +76,14 @@ def log_odds(bias: FloatArray, effect: FloatArray, day: FloatArray) -> float | N
     independent = -0.5 * value.size * np.log(max(float(left @ left) / value.size, least, 1e-300))
     clocks = [np.arange(size, dtype=float), day - day[0]]
     walks = [_walk(value, contrasts, clock, least) for clock in clocks if np.ptp(clock) > 0]
-    return float(independent - max(walks))
+    more = _cost(coefficients + 1, value.size) - _cost(2, value.size) if coefficients > 1 else 0.0
+    return float(independent - max(walks) - more) if np.isfinite(more) else 0.0
+
+
+def _cost(parameters: int, values: int) -> float:
+    """Half of the penalty of the corrected criterion of Akaike; infinite with too few values."""
+    left = values - parameters - 1
+    return parameters + parameters * (parameters + 1) / left if left > 0 else np.inf
 
 
 def _walk(value: FloatArray, contrasts: FloatArray, clock: FloatArray, least: float) -> float:
@@ -90,9 +100,7 @@ def _seen_within_runs(boxes: Sequence[HeldOutSet], found: Search, number: int) -
     """Whether the blocks show an effect of this size about the bias of each run."""
     squared = 0.0
     for at, box in enumerate(boxes):
-        noise = found.joint.noises[at]
-        free = from_array(np.array([noise.N, noise.B, noise.K, _FREE_TURN_ON * max(noise.turn_on, noise.N, noise.B)]))
-        whitened = box.record.whitener(free)(box.predictions[:, number : number + 1])
+        whitened = box.record.whitener(free_biases(found.joint.noises[at]))(box.predictions[:, number : number + 1])
         squared += float((whitened**2).sum())
     return squared >= SEEN_WITHIN_RUNS**2
 

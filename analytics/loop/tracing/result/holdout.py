@@ -84,6 +84,11 @@ class Holdout(msgspec.Struct, frozen=True):
         slope = self.slope(name)
         return None if slope is None else slope.answer
 
+    def may_be_walk(self, name: str) -> bool:
+        """Whether a bias that walks from run to run explains the runs about as well as an effect, or better."""
+        slope = self.slope(name)
+        return slope is not None and slope.may_be_walk
+
     def refusing(self, name: str) -> "Holdout":
         """The answers with this effect, and so the sum of all, refused."""
         return msgspec.structs.replace(

@@ -9,6 +9,7 @@ import numpy as np
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.search.between_runs import calibrated_ratio, unmasked
 from analytics.loop.tracing.search.event_scans import jump_column, line_columns, scan_jumps, scan_lines
 from analytics.loop.tracing.search.evidence import (
     PRICE,
@@ -145,8 +146,13 @@ def _rivals(effects: Sequence[Effect], first: Screen) -> list[list[Screened]]:
 
 
 def least_noises(base: JointFit) -> Sequence[ModelNoise] | None:
-    """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect."""
+    """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect.
+
+    Of a single unit whose turn-on scatter was estimated from these runs, a tenth of that scatter.
+    """
     least = [_least(noise, record) for noise, record in zip(base.noises, base.records, strict=True)]
+    if len(base.records) == 1:
+        least = [unmasked(least[0] or base.noises[0], base.records[0]) or least[0]]
     if not any(least):
         return None
     return [each or noise for noise, each in zip(base.noises, least, strict=True)]
@@ -176,6 +182,7 @@ def _fitted(
         item = result.candidate
         columns = candidates.of_all(item)
         joint, ratio = beside(base, base.hypothesis.with_common(columns))
+        ratio = calibrated_ratio(joint, ratio, columns[0].shape[1])
         p_value = float(chi_square_sf(max(ratio, 0.0), result.degrees))
         is_by_chance = family_p_value(p_value, screened.tests) >= ALPHA
         if (is_by_chance and not may_be_rival) or (best and ratio <= best.likelihood_ratio):

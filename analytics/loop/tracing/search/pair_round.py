@@ -12,6 +12,7 @@ from scipy import special
 
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.search.between_runs import calibrated_ratio
 from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, noise_inflation, one_degree
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, beside, least_noises
 from analytics.loop.tracing.search.screening import (
@@ -105,6 +106,7 @@ def _fitted(
     hypothesis = base.hypothesis.with_common(columns[0]).with_common(columns[1])
     joint, ratio = beside(base, hypothesis)
     degrees = sum(each.width for each in pair)
+    ratio = calibrated_ratio(joint, ratio, degrees)
     stacks = [record.stack for record in base.records]
     replicates = [stack.replicate for stack in stacks]
     if not leave_one_out(joint, replicates, degrees).replicates:

@@ -79,11 +79,14 @@ def conclude(
     declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
     effects = tuple(with_clock_bounds(each, declared_model) for each in effects)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
+    walks = [each for each in effects if holdout is not None and holdout.may_be_walk(each.name)]
     is_excess = declared is not None and excess.is_excess
     verdict = verdict_of(
-        effects, seen_once, is_excess=is_excess and (excess.repeats or not (effects or seen_once)),
+        [each for each in effects if each not in walks],
+        (*seen_once, *walks),
+        is_excess=is_excess and (excess.repeats or not (effects or seen_once)),
         within_run=case.replication == "within_run",
-    )  # fmt: skip
+    )
     unexplained = unexplained_error(error) if case.held_out else None
     # turn-on scatter explains neither an error within runs nor an undetermined term
     is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)

@@ -191,6 +191,7 @@ class NoisePrior:
 
     center: ModelNoise  # declared, or estimated from the data
     spread: FloatArray  # shape (4,); standard deviations of the logarithms
+    turn_on_is_declared: bool = True  # else the scatter was estimated from these runs, and may be an effect
 
     @property
     def values(self) -> FloatArray:

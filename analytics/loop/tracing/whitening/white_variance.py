@@ -32,19 +32,23 @@ TENTH_TO_SIGMA = 0.608
 COARSE = 0.3  # variance by the median over that by the upper tenth: 1 for Gaussian noise, 0.8 for Student t(3)
 
 
-def record_of(stack: Stack, declared: ModelNoise | None, beside: FloatArray | None = None) -> UnitRecord:
+def record_of(
+    stack: Stack, declared: ModelNoise | None, beside: FloatArray | None = None, *, turn_on_is_declared: bool = True
+) -> UnitRecord:
     """The blocks with the white variance of each; their noise is estimated unless declared.
 
-    Blocks that effects explain, whose columns are `beside`, are no outliers.
+    Blocks that effects explain, whose columns are `beside`, are no outliers. Turn-on scatter of a `declared` noise may
+    be an estimate from these runs.
     """
     value, steps, noise_model = stack.value, stack.steps, stack.noise_model
     residual = np.asarray(value - stack.design @ fit(stack.design, value).coefficients)
     if declared is not None:
-        prior = NoisePrior(declared, DECLARED_SPREAD)
+        spread = DECLARED_SPREAD if turn_on_is_declared else np.append(DECLARED_SPREAD[:3], ESTIMATED_SPREAD[3])
+        prior = NoisePrior(declared, spread, turn_on_is_declared)
     elif len(stack.runs) == 1:
         prior = NoisePrior(_from_one_run(stack, residual, steps, noise_model), SINGLE_RUN_SPREAD)
     else:
-        prior = NoisePrior(_estimated(stack, residual, steps, noise_model), ESTIMATED_SPREAD)
+        prior = NoisePrior(_estimated(stack, residual, steps, noise_model), ESTIMATED_SPREAD, False)
     white = _relative_white(stack, residual, steps, noise_model.space(prior.center).white)
     record = UnitRecord(stack, value, stack.design, steps, noise_model, prior, white)
     white[_outliers(record, beside)] *= OUTLIER_RATIO

@@ -1,0 +1,77 @@
+"""Evidence that only the biases of few runs bear is worth less than the same evidence of many blocks."""
+
+import numpy as np
+
+from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.whitening.joint_fit import JointFit
+from analytics.loop.tracing.whitening.least_squares import project, solve
+from analytics.loop.tracing.whitening.stack import UnitRecord
+from analytics.methods.distributions import chi_square_isf, f_sf
+from stream.batch import FloatArray
+
+FREE_TURN_ON = 1e3  # factor on the turn-on scatter with which the bias of each run is free
+UNMASKED_SHARE = 0.1  # of the turn-on scatter that is left where an effect explains most of it
+_DEGREES_OF_DECLARED = 1.0  # of freedom that a declared scatter adds, known within a factor of two
+_ALIKE = 1e-3  # part of a column between runs, over its scale, below which it does not differ between them
+
+
+def free_biases(noise: ModelNoise) -> ModelNoise:
+    """The noise with a free bias in each run."""
+    return replace_turn_on(noise, FREE_TURN_ON * max(noise.turn_on, noise.N, noise.B, noise.K))
+
+
+def replace_turn_on(noise: ModelNoise, turn_on: float) -> ModelNoise:
+    """The noise with another turn-on scatter."""
+    return ModelNoise(N=noise.N, B=noise.B, K=noise.K, turn_on=turn_on)
+
+
+def within_runs(joint: JointFit, number: int, tried: int) -> float:
+    """Chi-square of the last `tried` columns in one record with a free bias in each run."""
+    record, designs = joint.records[number], joint.hypothesis.designs[number]
+    free = free_biases(joint.noises[number])
+    whitened = record.whitener(free)(np.column_stack([record.value, designs]))
+    left = project(whitened.T @ whitened, designs.shape[1] - tried)
+    return float(left.right @ solve(left.normal, left.right).coefficients)
+
+
+def calibrated_ratio(joint: JointFit, ratio: float, tried: int) -> float:
+    """The likelihood ratio of the last `tried` columns of a single unit, as a chi-square of as many degrees.
+
+    The part that the biases of n runs bear is n*ln(1 + k*F/v) with k coefficients and v = n - 1 - k degrees left, where
+    the turn-on scatter is fitted to the same runs: the chi-square with the p-value of F takes its place. Where the
+    scatter is declared, only of effects with more coefficients than degrees left: these runs cannot test them.
+    """
+    if len(joint.records) > 1 or ratio <= 0:
+        return ratio
+    record = joint.records[0]
+    runs = len(record.stack.runs)
+    differing = _differing(record, joint.hypothesis.designs[0][:, -tried:]) if runs > 1 else 0
+    if not differing:
+        return ratio
+    is_declared = record.prior.turn_on_is_declared
+    left = runs - 1 - differing + (_DEGREES_OF_DECLARED if is_declared else 0.0)
+    if is_declared and left > differing:
+        return ratio
+    within = min(within_runs(joint, 0, tried), ratio)
+    if left <= 0:
+        return within
+    statistic = float(np.expm1(min((ratio - within) / runs, 100.0))) * left / differing
+    between = float(chi_square_isf(max(f_sf(statistic, differing, left), 1e-300), differing))
+    return min(ratio, within + between)
+
+
+def _differing(record: UnitRecord, columns: FloatArray) -> int:
+    """How many of the columns differ between runs, as combinations that are independent."""
+    number = record.stack.run_number
+    blocks = np.bincount(number)
+    means = np.column_stack([np.bincount(number, column) / blocks for column in columns.T])
+    scale = np.abs(columns).max(axis=0)
+    scaled = (means - means.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
+    return int(np.linalg.matrix_rank(scaled, tol=_ALIKE))
+
+
+def unmasked(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:
+    """The noise with a tenth of the turn-on scatter where that was estimated from these runs: it may be an effect."""
+    if record.prior.turn_on_is_declared or len(record.stack.runs) < 2:
+        return None
+    return replace_turn_on(noise, UNMASKED_SHARE * noise.turn_on)
