@@ -106,6 +106,11 @@ def _resolved(name: str, channels: Collection[str]) -> str:
     bare = name.removeprefix(PREFIX)
     if bare in channels or bare in STANDARD_CHANNELS or name.startswith(PREFIX):
         return PREFIX + bare
+    if re.fullmatch(r"scale_factor\*\w+", name):
+        raise BadInput(
+            f"error model: term {name!r} is not known; the scale factor is written {_WRITTEN['scale_factor']}, which "
+            "follows from table_rate and the position of the unit where only these were recorded"
+        )
     known = list(dict.fromkeys([BIAS, *(each for each in effects() if "*" not in each), *sorted(channels)]))
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     hint = f"did you mean {', '.join(near)}? A" if near else "a"

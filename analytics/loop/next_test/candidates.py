@@ -71,12 +71,12 @@ def repetitions(runs: Sequence[RunBlocks]) -> Iterator[CandidateTest]:
 def rests(bounds: StationBounds, hours: Sequence[float] = (1.0, 2.0, 4.0)) -> list[CandidateTest]:
     """At rest, with everything held."""
     at = {} if bounds.least_deg_c is None else {"temperature_deg_c": bounds.middle_deg_c, "wait_settled": []}
-    where = "" if bounds.least_deg_c is None else f" at {bounds.middle_deg_c:g} degC"
+    where = "" if bounds.least_deg_c is None else f", at {bounds.middle_deg_c:g} degC"
     where_zh = "" if bounds.least_deg_c is None else f"，{bounds.middle_deg_c:g} degC"
     return [
         CandidateTest(
             name=f"rest_{each:g}_h",
-            what=Bilingual(f"{each:g} h at rest from power-on on{where}", f"通电后静止{each:g} h{where_zh}"),
+            what=Bilingual(f"{each:g} h at rest from power-on{where}", f"通电后静止{each:g} h{where_zh}"),
             steps=({"name": "rest", "record_s": each * 3600.0} | at,),
         )
         for each in hours

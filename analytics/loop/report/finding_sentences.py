@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effect
 from analytics.loop.report.report_tables import TextTable
-from analytics.loop.report.wording import Wording, number
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number
 from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
 from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import HeldOutAnswer
@@ -61,7 +61,7 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
             f"{answer}.",
             f"留出数据、系数冻结：残差对预测的斜率为{value}（正确时为1）：{answer}。",
         )
-    if found.error_share is not None:
+    if found.error_share is not None and abs(found.error_share) >= LEAST_SHARE:
         share = f"{found.error_share:.1%}"
         yield words.of(
             f"Of the squared error about the mean of each run it takes away {share}.",

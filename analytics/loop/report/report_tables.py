@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.report.drivers import ErrorOverDriver
-from analytics.loop.report.wording import Wording, measured, number
+from analytics.loop.report.wording import LEAST_SHARE, Wording, measured, number
 from analytics.loop.residuals import DeviationAt
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.result.holdout import ErrorGain, ErrorTable
@@ -80,7 +80,7 @@ def achieved(table: ErrorTable, words: Wording) -> str | None:
                 f"1800 s处可消除的平方误差中已消除：{shares}。",
             )
         )
-    if table.gain is not None and table.is_held_out:
+    if table.gain is not None and table.is_held_out and abs(table.gain.fraction) >= LEAST_SHARE:
         seconds, gain = f"{table.gain.averaging_s:g} s", _gain(table.gain)
         sentences.append(
             words.of(

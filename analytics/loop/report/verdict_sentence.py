@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from analytics.loop.effects.events import TURN_ON
-from analytics.loop.report.wording import Wording, number
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number
 from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorGain, HeldOutAnswer, HoldoutSlope
 from analytics.loop.tracing.search.fitted_candidates import JUMP
@@ -202,8 +202,8 @@ def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
     if len(diagnosis.effects) > 1:
         effects = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
         return words.of(
-            f"the error has changes that happened once each and that no channel explains: {effects}",
-            f"误差有若干仅出现一次的变化，通道中无可解释者：{effects}",
+            f"the error has changes that happened once each and that no channel explains in all runs alike: {effects}",
+            f"误差有若干仅出现一次的变化，没有通道能在各次试验中一致地解释：{effects}",
         )
     ratio = number(diagnosis.noise_excess)
     seen = [_seen_once(each, diagnosis, words) for each in (*diagnosis.effects, *diagnosis.unreplicated)]
@@ -262,6 +262,8 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     )
     expected = table.gain
     if expected is None or expected.lo is None or expected.hi is None or not mark or not table.is_held_out:
+        return text
+    if abs(expected.fraction) < LEAST_SHARE:  # the effect shifts whole runs
         return text
     falls, lo, hi = (f"{100 * each:.2g} %" for each in (expected.fraction, expected.lo, expected.hi))
     its = ("its square", "其平方")

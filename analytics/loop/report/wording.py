@@ -14,6 +14,7 @@ from stream.quantities import format_unit
 Language = Literal["en", "zh"]
 
 _MOST_COLUMNS = 3
+LEAST_SHARE = 1e-3  # of an error, below which a change is not worth a sentence
 _USUAL_DIGITS, _MOST_DIGITS, _SMALL = 3, 15, 1e-3
 _RUN = {"en": "run", "zh": "试验"}
 

@@ -84,6 +84,7 @@ def test_a_channel_that_is_no_effect_takes_part_in_proportion(cycled: RunBlocks)
     ("text", "says"),
     [
         ("rate = bias + temprature", "did you mean temperature"),
+        ("rate = bias + scale_factor*table_rate", "is written scale_factor\\*input_rate"),
         ("bias + zzzz", "a term is bias, an effect or a channel: bias, "),
         ("bias + compresor", "did you mean compressor"),
         ("bias ++ temperature", "a term is missing beside a '\\+'"),

@@ -22,6 +22,7 @@ COPY = 1 - 1e-9  # correlation above which channels are copies, perhaps in other
 DERIVED_PAIRS = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"day", "time_since_power_on"})})
 """Pairs of which one is derived from the other if it is not recorded; the reduction reports it."""
 _MOST_NAMED = 3
+_PLATEAU = 6  # blocks on each side of a jump on which a channel must stand still to be said to step there
 _NO_NOISE = Bilingual(
     "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
     "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
@@ -56,7 +57,37 @@ def caveats(
     if is_excess:
         found.append(_EXCESS)
     block_s = case.training.noise_model.block_s
-    return (*found, *holdout_caveats(holdout, effects), *_event_caveats([each.name for each in effects], block_s))
+    events = _event_caveats([each.name for each in effects], block_s)
+    return (*found, *holdout_caveats(holdout, effects), *events, *_coincidences(case, effects))
+
+
+def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
+    """Channels that step where the bias jumps: what they cause may differ in that run."""
+    for found in effects:
+        if found.name != JUMP:
+            continue
+        name, at_s = str(found.parameters["run"]), float(found.parameters["at_s"])
+        run = next(each for each in case.stack.runs if each.run == name)
+        at = int(np.searchsorted(run.slot, round(at_s / run.block_s)))
+        stepping = [each for each in sorted(run.channels) if _steps_at(run.mean(each), at)]
+        if stepping:
+            channels, channels_zh = ", ".join(stepping), "、".join(stepping)
+            verb = "steps" if len(stepping) == 1 else "step"
+            yield Bilingual(
+                f"jump in run {name} at {at_s:,.0f} s: {channels} {verb} there, so that the coefficient of an effect "
+                "of it, such as the scale factor, may differ in this run instead",
+                f"试验{name}在{at_s:,.0f} s处的跳变：{channels_zh}在该处阶跃，也可能是其效应的系数"
+                "（如标度因数）在该次试验中不同",
+            )
+
+
+def _steps_at(values: FloatArray, at: int) -> bool:
+    """Whether a channel changes within two blocks of a place by a third of its range in the run, between plateaus."""
+    before, after = values[max(at - _PLATEAU, 0) : max(at - 1, 0)], values[at + 2 : at + 1 + _PLATEAU]
+    if before.size < 2 or after.size < 2 or not np.isfinite([*before, *after]).all():
+        return False
+    step, range_ = abs(float(np.median(after) - np.median(before))), float(np.nanmax(values) - np.nanmin(values))
+    return step > range_ / 3 > 0 and step > 3 * max(float(np.ptp(before)), float(np.ptp(after)))
 
 
 def _event_caveats(names: Sequence[str], block_s: float) -> Iterator[Bilingual]:

@@ -1,0 +1,108 @@
+"""Effects that only the biases of runs show, where nobody declared how much these scatter from power-on to power-on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.loop.report.verdict_sentence import verdict_sentence
+from analytics.loop.report.wording import Wording
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
+from analytics.loop.tracing.search.between_runs import calibrated_ratio
+from analytics.loop.tracing.search.fitted_candidates import beside
+from analytics.loop.tracing.whitening.joint_fit import fit_jointly, nothing_more
+from analytics.loop.tracing.whitening.stack import stacked
+from analytics.loop.tracing.whitening.white_variance import record_of
+from stream.batch import FloatArray
+
+DAY_NS = 86_400 * 10**9
+START_NS = 20_000 * DAY_NS
+BLOCKS = 120
+MODEL = ErrorModel.parse("rate = bias")
+SLOPE, SCATTER, WHITE = 0.02, 0.05, 0.11
+WITHIN = ModelNoise(N=WHITE * np.sqrt(30.0 / 3600.0), B=0.005, K=0.005, turn_on=SCATTER)
+
+
+def runs_at(levels: Sequence[float], biases: Sequence[float], rng: np.random.Generator) -> list[RunBlocks]:
+    """A run a day, each at one temperature."""
+    ones = np.ones(BLOCKS)
+    return [
+        RunBlocks(
+            "U1", f"r{number:02}", "rate", np.arange(BLOCKS), 30.0, START_NS + number * DAY_NS,
+            bias + WHITE * rng.standard_normal(BLOCKS), 300 * ones.astype(int), WHITE**2 * ones, "deg/h",
+            {"temperature": Channel(level + 0.02 * rng.standard_normal(BLOCKS), 0.02 * ones, "degC")},
+        )
+        for number, (level, bias) in enumerate(zip(levels, biases, strict=True))
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("declared", [None, WITHIN])
+def test_a_temperature_that_differs_between_runs_only_is_found(declared: ModelNoise | None) -> None:
+    """Its effect on the biases is twelve times their scatter, which was estimated with the effect in it."""
+    rng = np.random.default_rng(501)
+    levels = rng.permutation(np.linspace(-20.0, 60.0, 12))
+    biases = SCATTER * rng.standard_normal(12) + SLOPE * levels
+    if declared is not None:  # as from Allan fits: the turn-on scatter is that of these very runs
+        declared = ModelNoise(N=WITHIN.N, B=WITHIN.B, K=WITHIN.K, turn_on=float(np.std(biases, ddof=1)))
+    found = diagnose(runs_at(levels, biases, rng), MODEL, declared_noise=declared, turn_on_is_declared=False)
+    assert (found.verdict, found.names) == (ModelVerdict.EFFECT_FOUND, ("temperature",))
+    size = found.effects[0].coefficients[0]
+    assert size.lo < SLOPE < size.hi
+    sentence = verdict_sentence(found, Wording("en"))
+    assert "e-" not in sentence  # no decrease of nothing within the runs
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_walk_of_the_bias_at_rising_temperatures_is_no_function_of_temperature(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    biases = np.cumsum(0.1 * rng.standard_normal(12))
+    found = diagnose(runs_at(np.linspace(-20.0, 60.0, 12), biases, rng), MODEL, declared_noise=WITHIN)
+    assert found.verdict not in (ModelVerdict.EFFECT_FOUND, ModelVerdict.UNKNOWN_FUNCTION, ModelVerdict.CONFOUNDED)
+
+
+def p_value(columns: FloatArray, biases: FloatArray, rng: np.random.Generator) -> float:
+    """Of columns that are constant in each run."""
+    stack, _ = stacked(runs_at(np.zeros(biases.size), biases, rng), MODEL)
+    record = record_of(stack, None)
+    base = fit_jointly([record], nothing_more([record]))
+    tried = columns[stack.run_number]
+    joint, ratio = beside(base, base.hypothesis.with_common([tried]))
+    return float(chi2.sf(calibrated_ratio(joint, ratio, tried.shape[1]), tried.shape[1]))
+
+
+def test_few_runs_show_nothing_more_often_than_promised() -> None:
+    """Biases of five independent runs against any two columns: p below 0.05 in 5 % (of 160, by chance 1 in 1000).
+
+    Without regard to the few runs it would be in 24 %.
+    """
+    rng = np.random.default_rng(8)
+    found = [p_value(rng.standard_normal((5, 2)), SCATTER * rng.standard_normal(5), rng) for _ in range(160)]
+    assert sum(each < 0.05 for each in found) <= binom.ppf(0.999, 160, 0.05)
+
+
+def test_as_many_coefficients_as_runs_show_nothing() -> None:
+    rng = np.random.default_rng(9)
+    found = [p_value(rng.standard_normal((6, 5)), SCATTER * rng.standard_normal(6), rng) for _ in range(10)]
+    assert min(found) > 0.9
+
+
+def test_a_jump_where_a_channel_steps_says_so() -> None:
+    """A scale factor that differs from run to run, with steps of the rate: no channel explains it alike in all runs."""
+    rng = np.random.default_rng(4)
+    rate = np.repeat([0.0, 40.0, -40.0, 20.0], BLOCKS // 4)
+    ones = np.ones(BLOCKS)
+    runs = [
+        RunBlocks(
+            "U1", f"r{number}", "rate", np.arange(BLOCKS), 30.0, START_NS + number * DAY_NS,
+            0.05 * rng.standard_normal(BLOCKS) + (0.05 * rate if number == 2 else 0.0), 300 * ones.astype(int),
+            0.05**2 * ones, "deg/h", {"input_rate": Channel(rate * 1.0, 0.01 * ones, "deg/s")},
+        )
+        for number in range(6)
+    ]  # fmt: skip
+    found = diagnose(runs, MODEL)
+    assert "jump" in found.names
+    assert "jump in run r2 at 1,800 s: input_rate steps there" in " ".join(map(str, found.limits))
