@@ -56,6 +56,14 @@ def test_a_temperature_that_differs_between_runs_only_is_found(declared: ModelNo
     assert "e-" not in sentence  # no decrease of nothing within the runs
 
 
+def test_ageing_is_found_whose_trend_is_the_scatter_of_the_runs() -> None:
+    """The estimate is of all runs, over which the bias ages further than over those of the training."""
+    rng = np.random.default_rng(5)
+    biases = 0.03 * rng.standard_normal(15) + 0.05 * np.arange(15)
+    found = diagnose(runs_at(np.full(15, 25.0), biases, rng), MODEL)
+    assert (found.verdict, found.names) == (ModelVerdict.EFFECT_FOUND, ("ageing",))
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_walk_of_the_bias_at_rising_temperatures_is_no_function_of_temperature(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -1,10 +1,13 @@
 """Evidence that only the biases of few runs bear is worth less than the same evidence of many blocks."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
+from analytics.loop.tracing.search.screening import Screened
 from analytics.loop.tracing.whitening.joint_fit import JointFit
-from analytics.loop.tracing.whitening.least_squares import project, solve
+from analytics.loop.tracing.whitening.least_squares import fit, project, solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.methods.distributions import chi_square_isf, f_sf
 from stream.batch import FloatArray
@@ -12,6 +15,7 @@ from stream.batch import FloatArray
 FREE_TURN_ON = 1e3  # factor on the turn-on scatter with which the bias of each run is free
 UNMASKED_SHARE = 0.1  # of the turn-on scatter that is left where an effect explains most of it
 _DEGREES_OF_DECLARED = 1.0  # of freedom that a declared scatter adds, known within a factor of two
+_LARGEST_SHARE = 1 - 1e-6
 _ALIKE = 1e-3  # part of a column between runs, over its scale, below which it does not differ between them
 
 
@@ -68,6 +72,45 @@ def _differing(record: UnitRecord, columns: FloatArray) -> int:
     scale = np.abs(columns).max(axis=0)
     scaled = (means - means.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
     return int(np.linalg.matrix_rank(scaled, tol=_ALIKE))
+
+
+def is_turn_on_unmasked(base: JointFit) -> bool:
+    """Whether effects are screened with less turn-on scatter than was estimated: of single units, see `unmasked`."""
+    return len(base.records) == 1 and unmasked(base.noises[0], base.records[0]) is not None
+
+
+@dataclass(frozen=True)
+class BetweenRuns:
+    """The scatter of the biases of n runs, which was estimated with an effect in it."""
+
+    runs: int
+    chi_square: float  # of the biases, with the fitted scatter
+
+    @staticmethod
+    def of(base: JointFit, less: ModelNoise) -> "BetweenRuns":
+        """The biases beside the model of a single unit; `less` is its noise with a tenth of the scatter."""
+        record, designs = base.records[0], base.hypothesis.designs[0]
+        data = np.column_stack([record.value, designs])
+
+        def left(noise: ModelNoise) -> float:
+            whitened = record.whitener(noise)(data)
+            residual = whitened[:, 0] - whitened[:, 1:] @ fit(whitened[:, 1:], whitened[:, 0]).coefficients
+            return float(residual @ residual)
+
+        return BetweenRuns(len(record.stack.runs), _between(left(base.noises[0]), left(less)))
+
+    def p_value(self, whole: Screened, unmasked: Screened) -> float:
+        """P-value of what an effect explains of the biases, by its tests with the whole scatter and with a tenth."""
+        left = self.runs - 1 - whole.degrees
+        if left <= 0 or self.chi_square <= 0:
+            return 1.0
+        share = min(max(_between(whole.statistic, unmasked.statistic) / self.chi_square, 0.0), _LARGEST_SHARE)
+        return f_sf(share / (1 - share) * left / whole.degrees, whole.degrees, left)
+
+
+def _between(whole: float, unmasked: float) -> float:
+    """The part of a chi-square that the biases of runs bear: with a tenth of their scatter it is a hundred times it."""
+    return (unmasked - whole) / (UNMASKED_SHARE**-2 - 1)
 
 
 def unmasked(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:

@@ -9,7 +9,7 @@ import numpy as np
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
-from analytics.loop.tracing.search.between_runs import calibrated_ratio, unmasked
+from analytics.loop.tracing.search.between_runs import BetweenRuns, calibrated_ratio, is_turn_on_unmasked, unmasked
 from analytics.loop.tracing.search.event_scans import jump_column, line_columns, scan_jumps, scan_lines
 from analytics.loop.tracing.search.evidence import (
     PRICE,
@@ -119,7 +119,8 @@ def _worth_fitting(
     """Effects that pass the screening, each with its shapes, best first.
 
     Fitted noise far above the declared one may hide an effect (ageing in the turn-on scatter, warm-up in the random
-    walk): a second screening at the declared noise unmasks it.
+    walk): a second screening at the declared noise unmasks it. Of effects unmasked from an estimated turn-on scatter,
+    those pass that explain enough of the biases of the runs.
     """
     worth = max(SCREENED, SCREENED_FROM_FEW * ALPHA / first.tests)
     chosen = [group for group in first.by_effect() if group[0].p_value < worth]
@@ -130,7 +131,15 @@ def _worth_fitting(
     second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
     names = {group[0].candidate.effect.name for group in chosen}
     others = [group for group in second.by_effect() if group[0].candidate.effect.name not in names]
+    if is_turn_on_unmasked(base):
+        between = BetweenRuns.of(base, noises[0])
+        others = [group for group in others if between.p_value(_result(first, group[0]), group[0]) < worth]
     return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
+
+
+def _result(screened: Screen, of: Screened) -> Screened:
+    """The test of the same candidate in another screening."""
+    return next((each for each in screened.results if each.candidate is of.candidate), of)
 
 
 def _rivals(effects: Sequence[Effect], first: Screen) -> list[list[Screened]]:
