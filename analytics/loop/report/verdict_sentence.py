@@ -9,6 +9,7 @@ from analytics.loop.tracing.result.holdout import ErrorGain, HeldOutAnswer, Hold
 from analytics.loop.tracing.search.fitted_candidates import JUMP
 
 _OR, _AND = ("or", "或"), ("and", "和")
+_FROM_ONE = 0.9  # share of the evidence from one run that is the reason why an effect does not replicate
 
 
 def verdict_sentence(diagnosis: Diagnosis, words: Wording) -> str:
@@ -172,6 +173,11 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
         return words.of(
             f"{name} was seen in the training runs, but the held-out runs do not confirm it{size}",
             f"训练试验中见到{name}，但留出试验未予证实{size}",
+        )
+    if not found.replicates and found.largest_share < _FROM_ONE:
+        return words.of(
+            f"{name} was seen, but fitted to the other runs it does not predict a run better than the model without it",
+            f"见到{name}，但由其他试验拟合后，对一次试验的预测并不优于不含它的模型",
         )
     if not found.replicates:
         share = f"{found.largest_share:.0%}"

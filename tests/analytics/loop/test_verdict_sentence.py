@@ -57,6 +57,12 @@ def verdicts() -> Sequence[Diagnosis]:
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, effects=(a_finding(),), replication="within_run", **head),
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(confirmed=False),), **head),
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.99),), **head),
+        Diagnosis(
+            verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.99, replicates=False),), **head
+        ),
+        Diagnosis(
+            verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.34, replicates=False),), **head
+        ),
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, effects=(jump,), **head),
         Diagnosis(verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, **head),
         Diagnosis(verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, effects=(jump,), **head),
@@ -79,6 +85,12 @@ def test_every_verdict_is_a_sentence_of_its_own_in_both_languages() -> None:
             assert text.count(stop + " ") == 0
             assert not re.search(r"[{}]|None|nan|_", text), text
             assert bool(re.search("[\u4e00-\u9fff]", text)) is (language == "zh")
+
+
+def test_evidence_of_many_runs_is_not_said_to_come_from_one() -> None:
+    texts = [verdict_sentence(each, Wording("en")) for each in verdicts()]
+    assert [each for each in texts if "99% of its evidence comes from one run" in each]
+    assert not [each for each in texts if "34%" in each]
 
 
 def test_a_sentence_names_what_was_found_its_alternatives_and_what_it_wins() -> None:
