@@ -39,11 +39,18 @@ def _nothing_missing(diagnosis: Diagnosis, words: Wording) -> str:
     data = words.of(f"{count} runs", f"{count}次试验")
     if diagnosis.replication == "within_run":
         data = words.of(f"{count} segments of the only run", f"唯一一次试验的{count}段")
+    scatter = "" if diagnosis.scatter is None else f"{words.of('; ', '；')}{words.text(diagnosis.scatter)}"
     if diagnosis.declared_noise is None:
         return words.of(
             f"no missing effect is detected: relative to the noise estimated from {data}, none of {tested} effects is "
-            "significant",
-            f"未检出缺项：以{data}自身估计的噪声衡量，所检验的{tested}种效应均不显著",
+            f"significant{scatter}",
+            f"未检出缺项：以{data}自身估计的噪声衡量，所检验的{tested}种效应均不显著{scatter}",
+        )
+    if scatter:
+        return words.of(
+            f"nothing is found to be missing: within the runs the residual of the declared model is noise, and none of "
+            f"the {tested} effects tested is seen{scatter}",
+            f"未发现缺项：已声明模型在各次试验内的残差为噪声，所检验的{tested}种效应均未见到{scatter}",
         )
     return words.of(
         f"nothing is missing: the residual of the declared model in {data} is noise, and none of the {tested} effects "

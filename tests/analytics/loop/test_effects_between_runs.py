@@ -75,6 +75,16 @@ def test_a_walk_of_the_bias_at_rising_temperatures_is_no_function_of_temperature
     assert found.verdict not in (ModelVerdict.EFFECT_FOUND, ModelVerdict.UNKNOWN_FUNCTION, ModelVerdict.CONFOUNDED)
 
 
+def test_a_verdict_that_takes_the_scatter_of_the_runs_for_turn_on_says_so_first() -> None:
+    rng = np.random.default_rng(2)
+    found = diagnose(runs_at(np.full(12, 25.0), 0.3 * rng.standard_normal(12), rng), MODEL)
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
+    assert "attributed to turn-on scatter, which was not declared" in verdict_sentence(found, Wording("en"))
+    assert "已视为逐次启动散布（未声明）" in verdict_sentence(found, Wording("zh"))
+    known = diagnose(runs_at(np.full(12, 25.0), SCATTER * rng.standard_normal(12), rng), MODEL, declared_noise=WITHIN)
+    assert "attributed" not in verdict_sentence(known, Wording("en"))
+
+
 def p_value(columns: FloatArray, biases: FloatArray, rng: np.random.Generator) -> float:
     """Of columns that are constant in each run."""
     stack, _ = stacked(runs_at(np.zeros(biases.size), biases, rng), MODEL)

@@ -42,6 +42,7 @@ def verdicts() -> Sequence[Diagnosis]:
     return [
         Diagnosis(verdict=ModelVerdict.NOTHING_MISSING, declared_noise=NOISE, **head),
         Diagnosis(verdict=ModelVerdict.NOTHING_MISSING, **head),
+        Diagnosis(verdict=ModelVerdict.NOTHING_MISSING, declared_noise=NOISE, scatter=NINE_BLOCKS, **head),
         Diagnosis(verdict=ModelVerdict.EFFECT_FOUND, effects=(a_finding(),), **head),
         Diagnosis(verdict=ModelVerdict.EFFECT_FOUND, effects=(a_finding(), a_finding(name="warm_up")), **head),
         Diagnosis(verdict=ModelVerdict.CONFOUNDED, effects=(a_finding(confounded=confounded), jump), **head),

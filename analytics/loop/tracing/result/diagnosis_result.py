@@ -150,6 +150,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     missing: tuple[Bilingual, ...] = ()  # what is missing if the verdict is not_enough_data
     left_out: tuple[LeftOut, ...] = ()  # of the record, the worst first
     tests: float = 1.0  # independent tests of the search, for the probability of a false alarm
+    # undeclared turn-on scatter far above the noise within the runs, which may hide an effect between runs
+    scatter: Bilingual | None = None
     unexplained: Bilingual | None = None  # by how much the held-out error exceeds the noise, if it is far above
 
     @property

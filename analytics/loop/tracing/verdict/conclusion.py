@@ -69,13 +69,14 @@ def conclude(
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     undetermined = undetermined_terms(case, model.labels())
     scatter = agreement.run_scatter(box.record, noises[0])
-    remarks = list(answered.worse)
+    remarks, hiding = list(answered.worse), None
     if declared is not None:
         remarks += agreement.disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
     if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= agreement.FAR:
         differing = agreement.scatter_finding(box.record, scatter, model.effects, effects_for(case.stack.runs))
         effects = effects if differing is None else (differing, *effects)
         remarks.append(agreement.scatter_caveat(differing, scatter, case.stack.runs))
+        hiding = remarks[-1] if differing is None else None
     declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
     effects = tuple(with_clock_bounds(each, declared_model) for each in effects)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
@@ -115,6 +116,7 @@ def conclude(
         not_tested=not_tested,
         limits=(*found_caveats, *remarks),
         missing=(*undetermined, *losses) if is_lacking else (),
+        scatter=hiding,
         unexplained=unexplained,
         tests=float(tests),
         replication=case.replication,
