@@ -29,7 +29,9 @@ def against_walk(holdout: Holdout | None, boxes: Sequence[HeldOutSet], found: Se
         if slope is None or _seen_within_runs(boxes, found, number):
             continue
         columns = found.common_columns(each)
-        odds = [log_odds(*_of_runs(box, number), columns.stop - columns.start) for box in boxes]
+        # all units share the coefficients, which are paid for once
+        fitted = [columns.stop - columns.start, *[1] * (len(boxes) - 1)]
+        odds = [log_odds(*_of_runs(box, number), many) for box, many in zip(boxes, fitted, strict=True)]
         known = [one for one in odds if one is not None]
         if known:
             holdout = holdout.beside_walk(each.name, float(sum(known)))

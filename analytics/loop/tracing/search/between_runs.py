@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
@@ -21,12 +22,8 @@ _ALIKE = 1e-3  # part of a column between runs, over its scale, below which it d
 
 def free_biases(noise: ModelNoise) -> ModelNoise:
     """The noise with a free bias in each run."""
-    return replace_turn_on(noise, FREE_TURN_ON * max(noise.turn_on, noise.N, noise.B, noise.K))
-
-
-def replace_turn_on(noise: ModelNoise, turn_on: float) -> ModelNoise:
-    """The noise with another turn-on scatter."""
-    return ModelNoise(N=noise.N, B=noise.B, K=noise.K, turn_on=turn_on)
+    turn_on = FREE_TURN_ON * max(noise.turn_on, noise.N, noise.B, noise.K)
+    return msgspec.structs.replace(noise, turn_on=turn_on)
 
 
 def within_runs(joint: JointFit, number: int, tried: int) -> float:
@@ -117,4 +114,4 @@ def unmasked(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:
     """The noise with a tenth of the turn-on scatter where that was estimated from these runs: it may be an effect."""
     if record.prior.turn_on_is_declared or len(record.stack.runs) < 2:
         return None
-    return replace_turn_on(noise, UNMASKED_SHARE * noise.turn_on)
+    return msgspec.structs.replace(noise, turn_on=UNMASKED_SHARE * noise.turn_on)
