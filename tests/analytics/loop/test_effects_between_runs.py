@@ -1,7 +1,5 @@
 """Effects that only the biases of runs show, where nobody declared how much these scatter from power-on to power-on."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
@@ -27,7 +25,7 @@ SLOPE, SCATTER, WHITE = 0.02, 0.05, 0.11
 WITHIN = ModelNoise(N=WHITE * np.sqrt(30.0 / 3600.0), B=0.005, K=0.005, turn_on=SCATTER)
 
 
-def runs_at(levels: Sequence[float], biases: Sequence[float], rng: np.random.Generator) -> list[RunBlocks]:
+def runs_at(levels: FloatArray, biases: FloatArray, rng: np.random.Generator) -> list[RunBlocks]:
     """A run a day, each at one temperature."""
     ones = np.ones(BLOCKS)
     return [
@@ -35,7 +33,7 @@ def runs_at(levels: Sequence[float], biases: Sequence[float], rng: np.random.Gen
             "U1", f"r{number:02}", "rate", np.arange(BLOCKS), 30.0, START_NS + number * DAY_NS,
             bias + WHITE * rng.standard_normal(BLOCKS), 300 * ones.astype(int), WHITE**2 * ones, "deg/h",
             {
-                "temperature": Channel(level + 0.02 * rng.standard_normal(BLOCKS), 0.02 * ones, "degC"),
+                "temperature": Channel(float(level) + 0.02 * rng.standard_normal(BLOCKS), 0.02 * ones, "degC"),
                 "day": Channel(number + (np.arange(BLOCKS) + 0.5) * 30.0 / 86_400.0, 0.0 * ones, "day"),
             },
         )
