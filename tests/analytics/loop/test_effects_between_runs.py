@@ -33,8 +33,8 @@ def runs_at(levels: FloatArray, biases: FloatArray, rng: np.random.Generator) ->
             "U1", f"r{number:02}", "rate", np.arange(BLOCKS), 30.0, START_NS + number * DAY_NS,
             bias + WHITE * rng.standard_normal(BLOCKS), 300 * ones.astype(int), WHITE**2 * ones, "deg/h",
             {
-                "temperature": Channel(float(level) + 0.02 * rng.standard_normal(BLOCKS), 0.02 * ones, "degC"),
-                "day": Channel(number + (np.arange(BLOCKS) + 0.5) * 30.0 / 86_400.0, 0.0 * ones, "day"),
+                "temperature": Channel(rng.normal(level, 0.02, BLOCKS), 0.02 * ones, "degC"),
+                "day": Channel(number * ones + (np.arange(BLOCKS) + 0.5) * 30.0 / 86_400.0, 0.0 * ones, "day"),
             },
         )
         for number, (level, bias) in enumerate(zip(levels, biases, strict=True))
