@@ -233,7 +233,8 @@ def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
         return words.of(f"; no runs were held out to confirm {them}", "；无留出试验可供证实")
     count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
-        if any(each.may_be_walk for each in diagnosis.holdout.effects):
+        undecided = [each for each in diagnosis.holdout.effects if each.answer is HeldOutAnswer.NO_POWER]
+        if any(each.may_be_walk for each in undecided):
             return words.of(
                 f"; the held-out runs do not confirm {them}: a bias that walks from run to run explains the runs about "
                 "as well",

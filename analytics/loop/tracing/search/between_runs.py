@@ -26,11 +26,10 @@ def free_biases(noise: ModelNoise) -> ModelNoise:
     return msgspec.structs.replace(noise, turn_on=turn_on)
 
 
-def within_runs(joint: JointFit, number: int, tried: int) -> float:
-    """Chi-square of the last `tried` columns in one record with a free bias in each run."""
-    record, designs = joint.records[number], joint.hypothesis.designs[number]
-    free = free_biases(joint.noises[number])
-    whitened = record.whitener(free)(np.column_stack([record.value, designs]))
+def _within_runs(joint: JointFit, tried: int) -> float:
+    """Chi-square of the last `tried` columns of a single unit with a free bias in each run."""
+    record, designs = joint.records[0], joint.hypothesis.designs[0]
+    whitened = record.whitener(free_biases(joint.noises[0]))(np.column_stack([record.value, designs]))
     left = project(whitened.T @ whitened, designs.shape[1] - tried)
     return float(left.right @ solve(left.normal, left.right).coefficients)
 
@@ -53,7 +52,7 @@ def calibrated_ratio(joint: JointFit, ratio: float, tried: int) -> float:
     left = runs - 1 - differing + (_DEGREES_OF_DECLARED if is_declared else 0.0)
     if is_declared and left > differing:
         return ratio
-    within = min(within_runs(joint, 0, tried), ratio)
+    within = min(_within_runs(joint, tried), ratio)
     if left <= 0:
         return within
     statistic = float(np.expm1(min((ratio - within) / runs, 100.0))) * left / differing
@@ -71,35 +70,37 @@ def _differing(record: UnitRecord, columns: FloatArray) -> int:
     return int(np.linalg.matrix_rank(scaled, tol=_ALIKE))
 
 
-def is_turn_on_unmasked(base: JointFit) -> bool:
-    """Whether effects are screened with less turn-on scatter than was estimated: of single units, see `unmasked`."""
-    return len(base.records) == 1 and unmasked(base.noises[0], base.records[0]) is not None
-
-
 @dataclass(frozen=True)
 class BetweenRuns:
     """The scatter of the biases of n runs, which was estimated with an effect in it."""
 
     runs: int
     chi_square: float  # of the biases, with the fitted scatter
+    less: ModelNoise  # the fitted noise with a tenth of the scatter
 
     @staticmethod
-    def of(base: JointFit, less: ModelNoise) -> "BetweenRuns":
-        """The biases beside the model of a single unit; `less` is its noise with a tenth of the scatter."""
-        record, designs = base.records[0], base.hypothesis.designs[0]
-        data = np.column_stack([record.value, designs])
+    def of(base: JointFit) -> "BetweenRuns | None":
+        """The biases beside the model of a single unit; None of several, of one run, or if the scatter is declared."""
+        record = base.records[0]
+        if len(base.records) > 1 or record.prior.turn_on_is_declared or len(record.stack.runs) < 2:
+            return None
+        data = np.column_stack([record.value, base.hypothesis.designs[0]])
 
         def left(noise: ModelNoise) -> float:
             whitened = record.whitener(noise)(data)
             residual = whitened[:, 0] - whitened[:, 1:] @ fit(whitened[:, 1:], whitened[:, 0]).coefficients
             return float(residual @ residual)
 
-        return BetweenRuns(len(record.stack.runs), _between(left(base.noises[0]), left(less)))
+        fitted = base.noises[0]
+        less = msgspec.structs.replace(fitted, turn_on=UNMASKED_SHARE * fitted.turn_on)
+        return BetweenRuns(len(record.stack.runs), _between(left(fitted), left(less)), less)
 
-    def p_value(self, whole: Screened, unmasked: Screened) -> float:
-        """P-value of what an effect explains of the biases, by its tests with the whole scatter and with a tenth."""
-        left = self.runs - 1 - whole.degrees
-        if left <= 0 or self.chi_square <= 0:
+    def p_value(self, whole: Screened | None, unmasked: Screened) -> float:
+        """P-value of what an effect explains of the biases, by its tests with the whole scatter and with a tenth.
+
+        1 if it was tested with one of them only.
+        """
+        if whole is None or (left := self.runs - 1 - whole.degrees) <= 0 or self.chi_square <= 0:
             return 1.0
         share = min(max(_between(whole.statistic, unmasked.statistic) / self.chi_square, 0.0), _LARGEST_SHARE)
         return f_sf(share / (1 - share) * left / whole.degrees, whole.degrees, left)
@@ -108,10 +109,3 @@ class BetweenRuns:
 def _between(whole: float, unmasked: float) -> float:
     """The part of a chi-square that the biases of runs bear: with a tenth of their scatter it is a hundred times it."""
     return (unmasked - whole) / (UNMASKED_SHARE**-2 - 1)
-
-
-def unmasked(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:
-    """The noise with a tenth of the turn-on scatter where that was estimated from these runs: it may be an effect."""
-    if record.prior.turn_on_is_declared or len(record.stack.runs) < 2:
-        return None
-    return msgspec.structs.replace(noise, turn_on=UNMASKED_SHARE * noise.turn_on)

@@ -9,7 +9,7 @@ import numpy as np
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
-from analytics.loop.tracing.search.between_runs import BetweenRuns, calibrated_ratio, is_turn_on_unmasked, unmasked
+from analytics.loop.tracing.search.between_runs import BetweenRuns, calibrated_ratio
 from analytics.loop.tracing.search.event_scans import jump_column, line_columns, scan_jumps, scan_lines
 from analytics.loop.tracing.search.evidence import (
     PRICE,
@@ -119,27 +119,30 @@ def _worth_fitting(
     """Effects that pass the screening, each with its shapes, best first.
 
     Fitted noise far above the declared one may hide an effect (ageing in the turn-on scatter, warm-up in the random
-    walk): a second screening at the declared noise unmasks it. Of effects unmasked from an estimated turn-on scatter,
-    those pass that explain enough of the biases of the runs.
+    walk): a second screening at the declared noise unmasks it. So may a turn-on scatter that was estimated with the
+    effect in it: of effects screened with less scatter, those pass that explain enough of the biases of the runs.
     """
     worth = max(SCREENED, SCREENED_FROM_FEW * ALPHA / first.tests)
     chosen = [group for group in first.by_effect() if group[0].p_value < worth]
     del chosen[MOST_FITTED if len(base.records) == 1 else MOST_FITTED_IN_FLEET :]
-    noises = least_noises(base)
-    if noises is None:
-        return chosen
-    second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
+    if (noises := least_noises(base)) is not None:
+        second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
+        chosen += [group for group in _others(second, chosen) if group[0].p_value < UNMASKED][:MOST_UNMASKED]
+    if (between := BetweenRuns.of(base)) is not None:
+        third = screen(candidates, base.hypothesis.designs, [between.less], rng, taken)
+        before = {id(each.candidate): each for each in first.results}
+        chosen += [
+            group
+            for group in _others(third, chosen)
+            if between.p_value(before.get(id(group[0].candidate)), group[0]) < worth
+        ][:MOST_UNMASKED]
+    return chosen
+
+
+def _others(screened: Screen, chosen: Sequence[Sequence[Screened]]) -> list[list[Screened]]:
+    """Results of the effects that are not chosen yet, by effect, best first."""
     names = {group[0].candidate.effect.name for group in chosen}
-    others = [group for group in second.by_effect() if group[0].candidate.effect.name not in names]
-    if is_turn_on_unmasked(base):
-        between = BetweenRuns.of(base, noises[0])
-        others = [group for group in others if between.p_value(_result(first, group[0]), group[0]) < worth]
-    return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
-
-
-def _result(screened: Screen, of: Screened) -> Screened:
-    """The test of the same candidate in another screening."""
-    return next((each for each in screened.results if each.candidate is of.candidate), of)
+    return [group for group in screened.by_effect() if group[0].candidate.effect.name not in names]
 
 
 def _rivals(effects: Sequence[Effect], first: Screen) -> list[list[Screened]]:
@@ -155,13 +158,8 @@ def _rivals(effects: Sequence[Effect], first: Screen) -> list[list[Screened]]:
 
 
 def least_noises(base: JointFit) -> Sequence[ModelNoise] | None:
-    """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect.
-
-    Of a single unit whose turn-on scatter was estimated from these runs, a tenth of that scatter.
-    """
+    """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect."""
     least = [_least(noise, record) for noise, record in zip(base.noises, base.records, strict=True)]
-    if len(base.records) == 1:
-        least = [unmasked(least[0] or base.noises[0], base.records[0]) or least[0]]
     if not any(least):
         return None
     return [each or noise for noise, each in zip(base.noises, least, strict=True)]

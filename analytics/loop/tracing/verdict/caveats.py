@@ -22,7 +22,7 @@ COPY = 1 - 1e-9  # correlation above which channels are copies, perhaps in other
 DERIVED_PAIRS = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"day", "time_since_power_on"})})
 """Pairs of which one is derived from the other if it is not recorded; the reduction reports it."""
 _MOST_NAMED = 3
-_PLATEAU = 6  # blocks on each side of a jump on which a channel must stand still to be said to step there
+_PLATEAU = 6  # blocks before and after a step in which the channel has to be constant
 _NO_NOISE = Bilingual(
     "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
     "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
