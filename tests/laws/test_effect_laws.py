@@ -55,7 +55,7 @@ MISSED_BY = MappingProxyType(
         "rate_clock_rate": 0.25,
         "rate_time_offset": 0.25,
         "saturation": 0.12,
-        "stale_input_rate": 0.45,
+        "stale_input_rate": 0.3,
         "stale_temperature": 0.45,
         "supply_voltage*gravity_s": 0.13,
         "supply_voltage*input_rate": 0.13,

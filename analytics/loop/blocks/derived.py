@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.edge_slope import mean_slope_per_s
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel, RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks
@@ -77,7 +78,7 @@ def with_motion(
         elif np.isfinite(commanded).any():
             channels["input_rate"] = Channel(commanded * along, none, "deg/s")
     if "table_acceleration" not in channels and table is not None and table.unit_of_measure == "deg/s":
-        turning = np.where(is_steady(table, commanded), 0.0, _slope(run.slot, run.block_s, table.mean))
+        turning = np.where(is_steady(table, commanded), 0.0, mean_slope_per_s(run, "table_rate"))
         channels["table_acceleration"] = Channel(turning, none, "deg/s^2")
     return replace(run, channels=channels)
 
@@ -94,19 +95,6 @@ def _at_ns(run: RunBlocks, seconds: FloatArray) -> IntArray:
 def is_steady(rate: Channel, commanded: FloatArray) -> BoolArray:
     """Mark blocks that lie in a step of one rate and measured that rate: a step begins when its rate has settled."""
     return np.asarray(np.abs(rate.mean - commanded) <= _SETTLED * np.abs(commanded) + AT_REST_DEG_PER_S, dtype=np.bool_)
-
-
-def _slope(slot: IntArray, block_s: float, mean: FloatArray) -> FloatArray:
-    """Rate of change of a channel, per second: from the blocks on both sides, at a gap from one side.
-
-    >>> _slope(np.array([0, 1, 2, 9]), 10.0, np.array([0.0, 10.0, 40.0, 0.0])).tolist()
-    [1.0, 2.0, 3.0, nan]
-    """
-    rises = np.diff(mean) / (np.diff(slot) * block_s)
-    rises = np.where(np.diff(slot) == 1, rises, np.nan)
-    sides = np.array([np.concatenate([[np.nan], rises]), np.concatenate([rises, [np.nan]])])
-    count = np.isfinite(sides).sum(axis=0)
-    return np.where(count > 0, np.nansum(sides, axis=0) / np.maximum(count, 1), np.nan)
 
 
 def assumed_axis(steps: Mapping[str, Sequence[Step]], runs: Sequence[RunBlocks]) -> tuple[float | None, list[Note]]:

@@ -3,14 +3,16 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.edge_slope import mean_slope_per_s
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.base import Effect, Inputs, Role, Shape
-from analytics.loop.effects.block_kernels import mean_slope_per_s, slope_per_s
+from analytics.loop.effects.block_kernels import slope_per_s
 from stream.batch import FloatArray
 
 _OFFSET_S = 5.0
@@ -21,6 +23,8 @@ _LEAST_BLOCKS = 4
 _LEAST_REACH_BLOCKS = 40
 _HANGS_FROM_TO = ((0.03, 0.07), (0.23, 0.27), (0.63, 0.67), (0.82, 0.86))
 _SLOPE_BLOCKS = 12
+_GRAVITY = ("gravity_i", "gravity_o", "gravity_s")
+_SAME_ATTITUDE_G = 0.02
 
 
 @dataclass(kw_only=True, eq=False)
@@ -207,7 +211,11 @@ class StaleTemperature(_StaleChannel):
 
 
 class StaleInputRate(_StaleChannel):
-    """Frozen rate reference; its true values are estimated from the table rate, by their ratio beside the gap."""
+    """Frozen rate reference; its true values are estimated from the table rate, by their ratio in the same attitude.
+
+    The blocks beside the gap give the ratio, or others of the run if the gyro has another attitude there. Without
+    gravity channels the attitude is taken to be that beside the gap.
+    """
 
     name, en, zh = "stale_input_rate", "rate reference frozen or dropped out", "速率基准停滞或中断"
     needs = ("input_rate", "table_rate")
@@ -225,22 +233,38 @@ class StaleInputRate(_StaleChannel):
         rate, table = run.mean("input_rate"), run.mean("table_rate")
         good = ~is_frozen & np.isfinite(rate) & np.isfinite(table)
         truth = rate.copy()
+        attitude = _attitude(run)
         for first, end in _stretches(is_frozen):
             reach = max(end - first, _LEAST_REACH_BLOCKS)
-            near = np.zeros(len(run), bool)
-            near[max(first - reach, 0) : end + reach] = True
-            near &= good
-            turning = float(table[near] @ table[near])
-            if turning > 0.0:
-                along = float(rate[near] @ table[near]) / turning
-                estimated = along * table[first:end]
-                truth[first:end] = np.where(np.isfinite(estimated), estimated, rate[first:end])
+            near = good & (np.abs(np.arange(len(run)) - (first + end - 1) / 2) <= reach + (end - first) / 2)
+            for start, stop in _of_one_attitude(attitude, first, end):
+                same = (np.abs(attitude - np.median(attitude[start:stop], axis=0)) < _SAME_ATTITUDE_G).all(axis=1)
+                beside = near & same
+                if not table[beside].any():
+                    beside = good & same
+                turning = float(table[beside] @ table[beside])
+                if turning > 0.0:
+                    estimated = float(rate[beside] @ table[beside]) / turning * table[start:stop]
+                    truth[start:stop] = np.where(np.isfinite(estimated), estimated, rate[start:stop])
         return truth[is_frozen]
 
 
 def _slope(at: FloatArray, value: FloatArray) -> float:
     off = at - at.mean()
     return float(off @ value / (off @ off)) if at.size > 1 else 0.0
+
+
+def _attitude(run: RunBlocks) -> FloatArray:
+    """Recorded components of gravity of each block, (blocks, 0 to 3), in g_0; 0 where there is no reading."""
+    names = [name for name in _GRAVITY if name in run.channels]
+    return np.column_stack([np.zeros((len(run), 0)), *(np.nan_to_num(run.mean(name)) for name in names)])
+
+
+def _of_one_attitude(attitude: FloatArray, first: int, end: int) -> list[tuple[int, int]]:
+    """Parts of the blocks from `first` to before `end` in which gravity does not change."""
+    turned = (np.abs(np.diff(attitude[first:end], axis=0)) >= _SAME_ATTITUDE_G).any(axis=1)
+    edges = [first, *(first + 1 + np.flatnonzero(turned)).tolist(), end]
+    return list(pairwise(edges))
 
 
 def _stretches(is_true: Mask) -> list[tuple[int, int]]:

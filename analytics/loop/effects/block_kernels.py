@@ -9,6 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from analytics.loop.blocks.edge_slope import slope_to_neighbours
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from stream.batch import FloatArray, IntArray
 from stream.compiled import kernel
@@ -137,20 +138,6 @@ def _play(value: FloatArray, width: float) -> FloatArray:
 
 
 @kernel
-def _slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
-    """Slope per slot from the last reading before block i to the first after it."""
-    before = i - 1
-    while before >= 0 and math.isnan(value[before]):
-        before -= 1
-    after = i + 1
-    while after < value.size and math.isnan(value[after]):
-        after += 1
-    first = before if before >= 0 else i
-    last = after if after < value.size else i
-    return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
-
-
-@kernel
 def _local_slope(slot: IntArray, value: FloatArray, half_width: int) -> FloatArray:
     """Slope per slot of a straight line through the readings at most `half_width` slots away."""
     slope = np.full(value.size, np.nan)
@@ -176,30 +163,7 @@ def _local_slope(slot: IntArray, value: FloatArray, half_width: int) -> FloatArr
         if count >= 2:
             slope[i] = (at_value - at * total / count) / (at_at - at * at / count)
         else:
-            slope[i] = _slope_to_neighbours(slot, value, i)
-    return slope
-
-
-@kernel
-def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatArray:
-    """Change of a channel from start to end of each block, per slot.
-
-    The value at the edge between two blocks is their mean weighted by 1/spread**2: where the channel steps within one
-    of them, the other, in which it is constant, determines the value at the edge.
-    """
-    slope = np.full(value.size, np.nan)
-    for i in range(value.size):
-        if math.isnan(value[i]):
-            continue
-        change, reach = 0.0, 0.0
-        for side in (-1, 1):
-            j = i + side
-            if 0 <= j < value.size and slot[j] - slot[i] == side and not math.isnan(value[j]):
-                mine, its = spread[i] ** 2 + 1e-18, spread[j] ** 2 + 1e-18
-                edge = (value[i] * its + value[j] * mine) / (mine + its)
-                change += side * (edge - value[i])
-                reach += 0.5
-        slope[i] = change / reach if reach > 0 else _slope_to_neighbours(slot, value, i)
+            slope[i] = slope_to_neighbours(slot, value, i)
     return slope
 
 
@@ -227,9 +191,3 @@ def slope_per_s(run: RunBlocks, channel: str, values: FloatArray | None = None) 
     half_width = max(1, round(_SLOPE_HALF_WIDTH_S / run.block_s))
     slope = _local_slope(run.slot, run.mean(channel) if values is None else values, half_width)
     return np.asarray(slope / run.block_s)
-
-
-def mean_slope_per_s(run: RunBlocks, channel: str) -> FloatArray:
-    """Mean time derivative within each block of a channel that may step, such as a rate; per second."""
-    its = run.channels[channel]
-    return np.asarray(_edge_slope(run.slot, its.mean, its.spread) / run.block_s)

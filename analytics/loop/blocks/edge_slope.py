@@ -1,0 +1,78 @@
+"""Rate of change within the blocks of a channel that may step, such as a rate."""
+
+import math
+
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from stream.batch import FloatArray, IntArray
+from stream.compiled import kernel
+
+
+def mean_slope_per_s(run: RunBlocks, channel: str) -> FloatArray:
+    """Mean time derivative within each block of a channel that may step, such as a rate; per second.
+
+    A step within the third block, of which only the mean is known:
+
+    >>> from analytics.loop.blocks.run_blocks import Channel
+    >>> one = np.ones(5)
+    >>> step = Channel(np.array([0.0, 0.0, 4.0, 10.0, 10.0]), 0 * one, "deg/s")
+    >>> run = RunBlocks("U", "r", "rate", np.arange(5), 10.0, 0, one, np.ones(5, int), one, "deg/h",
+    ...                 {"table_rate": step})
+    >>> mean_slope_per_s(run, "table_rate").round(6).tolist()
+    [0.0, 0.0, 1.0, 0.0, 0.0]
+    """
+    its = run.channels[channel]
+    return np.asarray(_edge_slope(run.slot, its.mean, its.spread) / run.block_s)
+
+
+@kernel
+def slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
+    """Slope per slot from the last reading before block i to the first after it."""
+    before = i - 1
+    while before >= 0 and math.isnan(value[before]):
+        before -= 1
+    after = i + 1
+    while after < value.size and math.isnan(value[after]):
+        after += 1
+    first = before if before >= 0 else i
+    last = after if after < value.size else i
+    return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
+
+
+@kernel
+def _smaller_change(slot: IntArray, value: FloatArray) -> FloatArray:
+    """The smaller of the changes from each block to those before and after it; 0 without such a block."""
+    change = np.full(value.size, np.inf)
+    for i in range(1, value.size):
+        if slot[i] - slot[i - 1] == 1 and not (math.isnan(value[i]) or math.isnan(value[i - 1])):
+            step = abs(value[i] - value[i - 1])
+            change[i - 1] = min(change[i - 1], step)
+            change[i] = step
+    return np.where(np.isinf(change), 0.0, change)
+
+
+@kernel
+def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatArray:
+    """Change of a channel from start to end of each block, per slot.
+
+    The value at the edge between two blocks is their mean weighted by 1/spread**2: where the channel steps within one
+    of them, the other, in which it is constant, determines the value at the edge. Blocks of one reading each, such as
+    a mean, have no spread: the smaller of the changes to both neighbours replaces it (the minmod limiter).
+    """
+    slope = np.full(value.size, np.nan)
+    smaller = _smaller_change(slot, value)
+    for i in range(value.size):
+        if math.isnan(value[i]):
+            continue
+        change, reach = 0.0, 0.0
+        for side in (-1, 1):
+            j = i + side
+            if 0 <= j < value.size and slot[j] - slot[i] == side and not math.isnan(value[j]):
+                width = spread if spread[i] > 0 or spread[j] > 0 else smaller
+                mine, its = width[i] ** 2 + 1e-18, width[j] ** 2 + 1e-18
+                edge = (value[i] * its + value[j] * mine) / (mine + its)
+                change += side * (edge - value[i])
+                reach += 0.5
+        slope[i] = change / reach if reach > 0 else slope_to_neighbours(slot, value, i)
+    return slope
