@@ -25,6 +25,7 @@ _HANGS_FROM_TO = ((0.03, 0.07), (0.23, 0.27), (0.63, 0.67), (0.82, 0.86))
 _SLOPE_BLOCKS = 12
 _GRAVITY = ("gravity_i", "gravity_o", "gravity_s")
 _SAME_ATTITUDE_G = 0.02
+_LEAST_TURNING = 0.1  # of the table's rate in the gap; the ratio is not taken from the noise of a table at rest
 
 
 @dataclass(kw_only=True, eq=False)
@@ -232,20 +233,20 @@ class StaleInputRate(_StaleChannel):
     def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
         rate, table = run.mean("input_rate"), run.mean("table_rate")
         good = ~is_frozen & np.isfinite(rate) & np.isfinite(table)
-        truth = rate.copy()
+        truth, moved = rate.copy(), np.abs(np.nan_to_num(table))
         attitude = _attitude(run)
         for first, end in _stretches(is_frozen):
             reach = max(end - first, _LEAST_REACH_BLOCKS)
             near = good & (np.abs(np.arange(len(run)) - (first + end - 1) / 2) <= reach + (end - first) / 2)
             for start, stop in _of_one_attitude(attitude, first, end):
                 same = (np.abs(attitude - np.median(attitude[start:stop], axis=0)) < _SAME_ATTITUDE_G).all(axis=1)
-                beside = near & same
-                if not table[beside].any():
-                    beside = good & same
-                turning = float(table[beside] @ table[beside])
-                if turning > 0.0:
-                    estimated = float(rate[beside] @ table[beside]) / turning * table[start:stop]
-                    truth[start:stop] = np.where(np.isfinite(estimated), estimated, rate[start:stop])
+                least = _LEAST_TURNING * moved[start:stop].max()
+                beside = next((of for of in (near & same, good & same) if moved[of].max(initial=0.0) > least), None)
+                if beside is None:
+                    continue  # unknown, the table only ever turned in other attitudes
+                along = float(rate[beside] @ table[beside]) / float(table[beside] @ table[beside])
+                estimated = along * table[start:stop]
+                truth[start:stop] = np.where(np.isfinite(estimated), estimated, rate[start:stop])
         return truth[is_frozen]
 
 

@@ -80,3 +80,13 @@ def test_an_attitude_never_seen_with_a_live_reference_gives_no_error() -> None:
     read[50:100] = 3.0
     run = of_means(input_rate=read, table_rate=table, gravity_i=gravity_i, gravity_o=gravity_o)
     assert not effect("stale_input_rate").regressors(run, {}).any()
+
+
+def test_the_noise_of_a_table_at_rest_gives_no_ratio() -> None:
+    rng = np.random.default_rng(1)
+    table = 1e-7 * rng.standard_normal(200)
+    table[90:100] = 4.0  # turned across the input axis, which reads exact zeros at rest as well
+    read = 1e-7 * rng.standard_normal(200)
+    read[60:130] = 0.0
+    run = of_means(input_rate=read, table_rate=table, gravity_i=np.zeros(200), gravity_o=np.ones(200))
+    assert np.abs(effect("stale_input_rate").regressors(run, {})).max() < 1e-6
