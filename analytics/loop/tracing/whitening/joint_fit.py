@@ -11,7 +11,7 @@ from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.processors import of_records
 from analytics.loop.tracing.whitening.least_squares import Solution, project, solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
-from analytics.loop.tracing.whitening.whitened_fit import WhitenedFit, fit_noise
+from analytics.loop.tracing.whitening.whitened_fit import ENOUGH, WhitenedFit, fit_noise
 from stream.batch import FloatArray
 
 _ALTERNATIONS = 3
@@ -120,13 +120,21 @@ def fit_jointly(
     if len(records) == 1:
         one = fit_noise(records[0], hypothesis.designs[0], noises[0], restricted=restricted)
         return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened])
-    has_common = hypothesis.common[0].shape[1] > 0
-    for _ in range(_ALTERNATIONS if has_common else 1):
-        theta = _common(_whitened(records, hypothesis, noises), hypothesis).coefficients
+    theta = solve(*_normal_equations(_whitened(records, hypothesis, noises), hypothesis)).coefficients
+    for _ in range(_ALTERNATIONS):
         fits = _fits(records, hypothesis, theta, noises, restricted=restricted)
         noises = [each.noise for each in fits]
-    whitened = _whitened(records, hypothesis, noises)
-    return _joined(records, hypothesis, noises, sum(each.log_likelihood for each in fits), whitened)
+        whitened = _whitened(records, hypothesis, noises)
+        normal, right = _normal_equations(whitened, hypothesis)
+        common = solve(normal, right)
+        # with this noise the likelihood is quadratic in the common coefficients: what their best values gain
+        step = common.coefficients - theta
+        gain = 0.5 * float(step @ normal @ step)
+        if gain < ENOUGH:
+            break
+        theta = common.coefficients
+    log_likelihood = gain + sum(each.log_likelihood for each in fits)
+    return _joined(records, hypothesis, noises, log_likelihood, whitened)
 
 
 def _fits(
@@ -156,9 +164,10 @@ def _whitened(records: Sequence[UnitRecord], hypothesis: Hypothesis, noises: Seq
     return of_records(of, len(records))
 
 
-def _common(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> Solution:
+def _normal_equations(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and right side of the common coefficients, beside those of each record."""
     parts = [project(each.T @ each, own.shape[1]) for each, own in zip(whitened, hypothesis.own, strict=True)]
-    return solve(np.sum([each.normal for each in parts], axis=0), np.sum([each.right for each in parts], axis=0))
+    return np.sum([each.normal for each in parts], axis=0), np.sum([each.right for each in parts], axis=0)
 
 
 def _joined(
@@ -168,7 +177,7 @@ def _joined(
     log_likelihood: float,
     whitened: Sequence[FloatArray],
 ) -> JointFit:
-    common = _common(whitened, hypothesis)
+    common = solve(*_normal_equations(whitened, hypothesis))
     own = []
     for each, columns in zip(whitened, hypothesis.own, strict=True):
         width = 1 + columns.shape[1]

@@ -11,7 +11,7 @@ from stream.batch import FloatArray, IntArray
 
 _DIFFERENCE = 1e-3  # of a logarithm, for derivatives
 _LONGEST_STEP = 1.5
-_ENOUGH = 0.02  # nats gained by a further step
+ENOUGH = 0.02  # nats gained by a further step
 _MOST_STEPS = 8
 _FAR = 1.5  # logarithm of a ratio of noise coefficients
 
@@ -65,7 +65,7 @@ def fit_noise(
     for _ in range(_MOST_STEPS):
         score, information = _derivatives(data, current, active)
         step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
-        if 0.5 * float(score @ step) < _ENOUGH:
+        if 0.5 * float(score @ step) < ENOUGH:
             break
         step = step * min(1.0, _LONGEST_STEP / float(np.abs(step).max()))
         better = _climb(data, current, active, step)
