@@ -96,7 +96,7 @@ def candidates_for(
     not_tested: dict[str, Bilingual] = {}
     items: list[Candidate] = []
     scales: list[FloatArray] = []
-    last: list[FloatArray] = []  # columns of the last record
+    last: list[FloatArray] = []  # columns of a single record
     runs = [run for record in records for run in record.stack.runs]
     for name, effect in effects.items():
         if effect.kind not in kinds or name in model.effects:
@@ -123,29 +123,41 @@ def candidates_for(
 
 
 class _Spread(NamedTuple):
-    """Spread of each column of an effect over all records, and its columns on the last record."""
+    """Spread of each column of an effect over all records, and its columns if there is one record."""
 
     scale: FloatArray
     last: FloatArray
 
 
+class _Sums(NamedTuple):
+    """Sums of the columns of an effect on one record and of their squares, blocks without a value, the columns."""
+
+    bad: int
+    total: FloatArray
+    squares: FloatArray
+    columns: FloatArray
+
+
 def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> _Spread | Bilingual:
     """Spread of each column over all records, or why the effect cannot be tested."""
-    n, total, squares = 0, 0.0, 0.0
-    columns = np.empty((0, 0))
-    for record in records:
-        columns = effect_columns(record.stack, effect, shape)
-        if not np.isfinite(columns).all():
-            bad = int(np.count_nonzero(~np.isfinite(columns).all(axis=1)))
+
+    def of(number: int) -> _Sums:
+        columns = effect_columns(records[number].stack, effect, shape)
+        bad = int(np.count_nonzero(~np.isfinite(columns).all(axis=1)))
+        kept = columns if len(records) == 1 else columns[:0]
+        return _Sums(bad, columns.sum(axis=0), (columns**2).sum(axis=0), kept)
+
+    parts = of_records(of, len(records))
+    for record, part in zip(records, parts, strict=True):
+        if part.bad:
             return Bilingual(
-                f"no value in {bad} of {len(record)} blocks of unit {record.unit}",
-                f"产品{record.unit}的{len(record)}个数据块中有{bad}个无值",
+                f"no value in {part.bad} of {len(record)} blocks of unit {record.unit}",
+                f"产品{record.unit}的{len(record)}个数据块中有{part.bad}个无值",
             )
-        n += len(record)
-        total = total + columns.sum(axis=0)
-        squares = squares + (columns**2).sum(axis=0)
-    mean_square = np.asarray(squares / n)
-    spread = np.sqrt(np.maximum(mean_square - np.asarray(total / n) ** 2, 0.0))
+    n = sum(map(len, records))
+    mean_square = np.asarray(np.sum([part.squares for part in parts], axis=0) / n)
+    mean = np.asarray(np.sum([part.total for part in parts], axis=0) / n)
+    spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
     varies = spread > FLAT * np.sqrt(mean_square)
     if not varies.any():
         return Bilingual(
@@ -157,7 +169,7 @@ def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> _Spr
         return Bilingual(
             f"it varies by {size} in these runs, too little to test it", f"在这些试验中其变化仅为{size}，过小而无法检验"
         )
-    return _Spread(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)), columns)
+    return _Spread(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)), parts[-1].columns)
 
 
 @dataclass(frozen=True)
