@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 FIELDS = {"work", "unit", "ours", "peer", "ratio", "bar", "holds"}
 
 
+@pytest.mark.long
 def test_the_command_prints_a_row_as_json() -> None:
     command = [sys.executable, "tests/bench/table.py", "--only", "to the first row", "--json"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)

@@ -56,6 +56,7 @@ def test_without_a_store_units_complete_to_nothing(tmp_path: Path) -> None:
     assert complete("gyrofleet allan --unit FO", tmp_path) == []
 
 
+@pytest.mark.long
 def test_metrics_and_procedures_complete_without_a_store(tmp_path: Path) -> None:
     assert "bias_stability" in complete("gyrofleet metrics --metric bias_", tmp_path)
     assert "static_bias" in complete("gyrofleet procedure show static_", tmp_path)
@@ -79,6 +80,7 @@ gyrofleet.main({words}, prog_name="gyrofleet")
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", WITH_CAN)
 def test_without_the_station_extra_a_command_names_it(words: list[str], tmp_path: Path) -> None:
     (tmp_path / "drive.blf").write_bytes(b"LOGG")
@@ -90,6 +92,7 @@ def test_without_the_station_extra_a_command_names_it(words: list[str], tmp_path
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 def test_without_the_station_extra_files_are_imported_and_asked(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time[s],rate[deg/h]\n0,1\n1,2\n")
     for words in (["import", "a.csv", "--unit", "G-1"], ["sql", "select count(*) from samples", "--json"]):

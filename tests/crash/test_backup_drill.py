@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.live_source import LiveSource
 
 BY_UNIT = (
@@ -14,6 +16,7 @@ BY_UNIT = (
 )
 
 
+@pytest.mark.long
 def test_a_backup_under_load_holds_what_was_acknowledged(
     start: Callable[..., Any], gyrofleet: Callable[..., Any], endpoint: str, tmp_path: Path
 ) -> None:

@@ -86,7 +86,7 @@ def test_a_lake_is_rebuilt_when_a_full_disk_has_room_again(
     check(gyrofleet, store)
 
 
-@pytest.mark.in_gate("fsync-1-1")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("calls", "when", "files"),
     [

@@ -59,6 +59,7 @@ def test_the_planted_random_walk_is_within_its_limits(gyrofleet: Callable[..., A
     assert list(gyrofleet(*ask(store, "--json")).json) == CURVE
 
 
+@pytest.mark.long
 def test_the_second_table_is_bilingual(gyrofleet: Callable[..., Any], store: Path) -> None:
     done = gyrofleet(*ask(store, "--fit"))
     assert done.code == 0
@@ -75,6 +76,7 @@ def test_what_the_normalised_method_cannot_use_is_said(gyrofleet: Callable[..., 
     assert "less than 0.01 s" in found["angle_random_walk_normalised"]["reason"]
 
 
+@pytest.mark.long
 def test_a_temperature_has_a_curve_and_no_coefficients(
     gyrofleet: Callable[..., Any], store: Path, tmp_path: Path
 ) -> None:
@@ -89,6 +91,7 @@ def test_a_temperature_has_a_curve_and_no_coefficients(
     assert (tmp_path / "t.svg").exists()
 
 
+@pytest.mark.long
 def test_the_fit_is_drawn(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
     assert gyrofleet(*ask(store, "--fit", "--plot", "fit.png")).code == 0
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")

@@ -54,6 +54,7 @@ def test_every_deviation_agrees_with_allantools(gyrofleet: Callable[..., Any], s
     assert len(found["edf"]) == len(column)
 
 
+@pytest.mark.long
 def test_the_form_that_runs_while_data_flow_is_close_to_the_full_one(
     gyrofleet: Callable[..., Any], store: Path
 ) -> None:
@@ -66,6 +67,7 @@ def test_the_form_that_runs_while_data_flow_is_close_to_the_full_one(
         assert b == pytest.approx(a, rel=1e-12 if tau_s <= 16 / RATE_HZ else 0.25 / np.sqrt(2 * edf))
 
 
+@pytest.mark.long
 def test_given_averaging_times_have_the_values_of_the_whole_curve(gyrofleet: Callable[..., Any], store: Path) -> None:
     whole = gyrofleet(*ask(store, "--deviation", "mdev", "--json")).json
     some = gyrofleet(*ask(store, "--deviation", "mdev", "--tau", "0.64,10,100", "--json")).json
@@ -74,6 +76,7 @@ def test_given_averaging_times_have_the_values_of_the_whole_curve(gyrofleet: Cal
     assert list(some) == list(whole) == list(gyrofleet(*ask(store, "--json")).json)
 
 
+@pytest.mark.long
 def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
     done = gyrofleet(*ask(store, "--rolling", 0.1, "--step", 0.05, "--plot", "rolling.png", "--json"))
     surface = done.json
@@ -92,6 +95,7 @@ def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any
     assert table.code == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "why"),
     [

@@ -123,6 +123,7 @@ def test_what_is_no_store_is_told(tmp_path: Path) -> None:
         gf.open_store(tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "names"),
     [

@@ -105,6 +105,7 @@ def test_csv_and_parquet_carry_the_same_result(
     assert rows[1]["time"].endswith("000000")  # nanoseconds are there
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("statement", "word"),
     [
@@ -132,6 +133,7 @@ def test_what_would_write_or_fails_is_refused_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -170,6 +172,7 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_curves_are_of_the_run_measured_last_and_not_of_a_short_run_recorded_after_it(
     gyrofleet: Callable[..., Any], demo: tuple[Path, Any]
 ) -> None:
@@ -180,6 +183,7 @@ def test_curves_are_of_the_run_measured_last_and_not_of_a_short_run_recorded_aft
         assert done.json["run"] == demo[1]["run"]
 
 
+@pytest.mark.long
 def test_results_of_every_type_can_be_printed(
     gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
 ) -> None:
@@ -203,6 +207,7 @@ def test_results_of_every_type_can_be_printed(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_the_fleet_and_its_limits_are_drawn_behind_a_unit(
     gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
 ) -> None:

@@ -62,6 +62,7 @@ def ask(fleet: Path) -> Callable[..., Result]:
     return run
 
 
+@pytest.mark.long
 def test_every_row_in_sql_has_its_plant(ask: Callable[..., Result], fleet: Path) -> None:
     with FleetDoor(FleetStore.open(fleet)) as door:
 
@@ -90,6 +91,7 @@ def test_every_table_has_the_rows_of_each_plant_alone(fleet: Path) -> None:
                     assert all_of_them.table(of_plant).to_pylist() == expected, table
 
 
+@pytest.mark.long
 def test_metrics_and_verdicts_of_a_plant_are_those_of_its_store_alone(
     ask: Callable[..., Result], fleet: Path, tmp_path: Path
 ) -> None:
@@ -111,6 +113,7 @@ def test_metrics_and_verdicts_of_a_plant_are_those_of_its_store_alone(
     ask("metrics", "--annex-a", "FOG-1", code=1)
 
 
+@pytest.mark.long
 def test_a_copy_agrees_with_what_its_plant_has_attested(fleet: Path, run_command: Callable[..., Any]) -> None:
     words = ("attest", "--store", "xian", "--out", "xian.json", "--key", "key.pem")
     assert run_command(*words, cwd=fleet.parent).code == 0
@@ -120,6 +123,7 @@ def test_a_copy_agrees_with_what_its_plant_has_attested(fleet: Path, run_command
     assert (found.code, found.json["findings"]) == (0, [])
 
 
+@pytest.mark.long
 def test_one_serial_with_two_products_is_reported_and_not_merged(ask: Callable[..., Result], fleet: Path) -> None:
     (conflict,) = [
         each for each in json.loads(ask("verify", "--json").stdout)["findings"] if each["kind"] == "identity_conflict"

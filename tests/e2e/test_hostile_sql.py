@@ -145,6 +145,7 @@ def ask_all(room: Room, door: SqlDoor, statements: list[Hostile]) -> None:
     room.check_unchanged()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("landlock", [True, False], ids=["both walls", "without Landlock"])
 def test_python(room: Room, landlock: bool) -> None:
     """Without Landlock, as on an older kernel, the other guards refuse the same."""
@@ -152,6 +153,7 @@ def test_python(room: Room, landlock: bool) -> None:
         ask_all(room, door, sample(2))
 
 
+@pytest.mark.long
 def test_an_error_within_duckdb_ends_its_process_and_no_other_statement(room: Room) -> None:
     """It calls its database invalid from then on; who asked next was refused, on pages everybody."""
     fatal = Hostile("memory", "bounded", "select reservoir_quantile(i, 0.5, 1000000000) from range(1000) t(i)")
@@ -241,6 +243,7 @@ def over_http(room: Room, asking: Asking, statements: list[Hostile], *, page: bo
     room.check_unchanged()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", [False, True], ids=["API", "page"])
 def test_server(room: Room, asking: Asking, page: bool) -> None:
     over_http(room, asking, sample(40), page=page)

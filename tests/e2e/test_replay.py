@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import pytest
 
 Spawn = Callable[..., subprocess.Popen[str]]
 ASK = (
@@ -46,6 +47,7 @@ def stop(*processes: subprocess.Popen[str]) -> None:
         assert process.returncode == 0, err
 
 
+@pytest.mark.long
 def test_estimates_of_a_replay_equal_the_live_ones_bit_for_bit(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
 ) -> None:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from storage.fleet_store import FleetStore
 from tests.storage.replication.plants import plant, segments_of
 from tests.storage.verified_store import damage_last_chunk, fill
@@ -63,6 +65,7 @@ def test_recall_brings_segments_back_in_both_directions(tmp_path: Path, gyroflee
     assert gyrofleet("verify", "--store", "new").code == 0
 
 
+@pytest.mark.long
 def test_what_is_refused_is_named_and_the_exit_code_is_1(tmp_path: Path, gyrofleet: Command) -> None:
     store = plant(tmp_path / "night", 3)
     damage_last_chunk(store.log / "00000002.mcap")

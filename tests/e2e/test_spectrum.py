@@ -106,6 +106,7 @@ def test_segments_are_shortened_until_gaps_leave_some_whole(gyrofleet: Callable[
     assert "left out for missing samples" in gyrofleet(*ask(store, run="holed")).out
 
 
+@pytest.mark.long
 def test_what_has_no_spectrum_is_refused_with_the_reason(gyrofleet: Callable[..., Any], store: Path) -> None:
     for run, reason in (
         ("uneven", "the samples are irregular, and it needs equal intervals; gyrofleet allan --resample SECONDS"),
@@ -120,6 +121,7 @@ def test_what_has_no_spectrum_is_refused_with_the_reason(gyrofleet: Callable[...
     assert "it holds rate_x, rate_y, temperature" in gyrofleet(*ask(store, signal="rate")).err
 
 
+@pytest.mark.long
 def test_a_single_segment_will_do(gyrofleet: Callable[..., Any], store: Path) -> None:
     result = gyrofleet(*ask(store, "--json", run="one_segment")).json
     assert (result["segments"], result["segment_samples"], result["edf"]) == (1, 256, 2.0)

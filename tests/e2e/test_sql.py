@@ -74,12 +74,7 @@ def store(folder: Path) -> Store:
     return Store.open(folder / "S")
 
 
-@pytest.mark.in_gate(
-    "with x as (copy (select 42) to 'PLACE') from x",
-    "create table t as select 1",
-    "with x as (delete from internal.lake_channels returning *) select * from x",
-    "update extensions",
-)
+@pytest.mark.long
 @pytest.mark.parametrize("statement", BY_COMMAND)
 def test_the_command_ends_with_2(
     statement: str, folder: Path, place: Path, run_command: Callable[..., Any], unchanged: None
@@ -111,9 +106,7 @@ def test_without_landlock_the_rest_holds(store: Store, place: Path, unchanged: N
                 door.ask(statement.replace("PLACE", str(place))).read_all()
 
 
-@pytest.mark.in_gate(
-    "select length(repeat('x', 2000000000)) + length(repeat('y', 2000000000))", "select range(500000000)"
-)
+@pytest.mark.long
 @pytest.mark.parametrize("statement", sql_corpus.ENDLESS)
 def test_what_has_no_end_is_ended(statement: str, store: Store, unchanged: None) -> None:
     limits = QueryLimits(time_s=2.0, memory_bytes=256 << 20, rows=1_000_000)
@@ -137,6 +130,7 @@ def test_limits_are_options(folder: Path, run_command: Callable[..., Any]) -> No
     assert "more than 10 rows" in reported("from samples", "--max-rows", 10, "--csv")
 
 
+@pytest.mark.long
 def test_time_in_which_the_reader_rests_does_not_count(store: Store) -> None:
     with SqlDoor(store, QueryLimits(time_s=3.0)) as door:
         door.ask(COUNT).read_all()
@@ -146,6 +140,7 @@ def test_time_in_which_the_reader_rests_does_not_count(store: Store) -> None:
         assert rows + sum(batch.num_rows for batch in batches) == 100_000
 
 
+@pytest.mark.long
 def test_a_result_that_is_left_does_not_reach_the_next_statement(store: Store) -> None:
     with SqlDoor(store) as door:
         batches = door.ask("from range(1000000)").batches
@@ -164,6 +159,7 @@ def test_an_output_among_the_files_of_the_store_is_refused(
         assert "among the files of the store" in done.err
 
 
+@pytest.mark.long
 def test_python_asks_through_the_same_door(folder: Path, place: Path, tmp_path: Path) -> None:
     """A store as it was when it was opened, whatever happens to it or to a statement."""
     copy = tmp_path / "S"
@@ -182,6 +178,7 @@ def test_python_asks_through_the_same_door(folder: Path, place: Path, tmp_path: 
         manifest.write_bytes(hidden)
 
 
+@pytest.mark.long
 def test_metrics_are_computed_and_kept_once(bias_store: Path, run_command: Callable[..., Any]) -> None:
     """The process of a statement cannot write; who starts it computes and keeps what is lacking."""
     asked = ("sql", "select metric from unit_metrics where value is not null", "--json", "--store", bias_store)

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 _COUNTED = """
 import sys
 import numpy as np
@@ -25,5 +27,6 @@ def test_a_few_messages_are_read_without_machine_code() -> None:
     assert imports_numba(100, until_numba=False) == "False"
 
 
+@pytest.mark.long
 def test_many_messages_are_read_with_it() -> None:
     assert imports_numba(100, until_numba=True) == "True"

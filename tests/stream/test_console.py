@@ -34,6 +34,7 @@ def test_a_storm_of_signals_asks_once_and_locks_nothing_up() -> None:
     assert done.stdout == "True\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [2, 15])
 def test_a_service_that_does_not_end_is_ended_by_asking_again(number: int) -> None:
     with subprocess.Popen([sys.executable, "-c", STUCK], stdout=subprocess.PIPE, text=True) as process:

@@ -62,6 +62,7 @@ def telling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
     return run
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hint", HINTS)
 @pytest.mark.parametrize("way", ["note", "log", "error"])
 def test_a_hint_has_what_the_command_was_given(hint: str, way: str, tmp_path: Path, telling: Any) -> None:

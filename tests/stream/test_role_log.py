@@ -67,6 +67,7 @@ def test_text_has_times_and_levels_and_no_escapes_of_a_terminal() -> None:
     assert lines[-1].endswith("error: the end")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("level", "events"), [
     ("debug", ["detail", "recording", "disk_low", "library", "thread_failed", "failed"]),
     ("info", ["recording", "disk_low", "library", "thread_failed", "failed"]),

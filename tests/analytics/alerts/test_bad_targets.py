@@ -55,6 +55,7 @@ def test_nonsense_is_no_answer_and_ends_no_sender(tmp_path: Path) -> None:
     assert len(said) == 2 * len(NONSENSE)
 
 
+@pytest.mark.long
 def test_a_server_that_drips_keeps_nobody_for_ever(tmp_path: Path) -> None:
     def talk(line: socket.socket, number: int) -> None:
         read_post(line)
@@ -76,6 +77,7 @@ def test_a_server_that_drips_keeps_nobody_for_ever(tmp_path: Path) -> None:
     server.close()
 
 
+@pytest.mark.long
 def test_a_stalled_mail_server_does_not_hold_the_end(tmp_path: Path) -> None:
     server = LineServer(lambda line, _: time.sleep(20))
     target = EmailTarget(host="127.0.0.1", port=server.port, sender="a@b", to=("c@d",))
@@ -137,6 +139,7 @@ def box() -> Iterator[Box]:
     made.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("code", ["250 no such thing", "500 what", "421 gone"])
 def test_a_mail_that_is_taken_is_taken_however_the_line_ends(tmp_path: Path, code: str) -> None:
     """A QUIT that was answered otherwise made a failure of a mail that was taken: it was sent again for ever."""
@@ -188,6 +191,7 @@ def test_hostile_texts_reach_a_webhook_as_json(tmp_path: Path) -> None:
     assert msgspec.json.decode(taken[0].split(b"\r\n\r\n", 1)[1])["subject"] == HOSTILE
 
 
+@pytest.mark.long
 def test_ten_thousand_at_once_come_in_some_mails_each_named_once(tmp_path: Path, box: Box) -> None:
     many = [finding(f"key {number}", f"SIM-{number:05}") for number in range(10_000)]
     began_s = time.monotonic()

@@ -63,6 +63,7 @@ def written(run_command: Callable[..., Any], lab: Path, order: str, out: str, *m
     return done.json
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("language", ["zh", "en"])
 def test_every_item_of_clause_8_and_every_row_of_annex_c_is_printed(
     lab: Path, run_command: Callable[..., Any], language: str
@@ -83,6 +84,7 @@ def test_every_item_of_clause_8_and_every_row_of_annex_c_is_printed(
     assert is_archivable(lab / f"{language}.pdf")
 
 
+@pytest.mark.long
 def test_deviations_that_the_order_denies_make_a_draft(lab: Path, run_command: Callable[..., Any]) -> None:
     answer = written(run_command, lab, "none.toml", "denied.pdf")
     assert answer["is_draft"]
@@ -91,6 +93,7 @@ def test_deviations_that_the_order_denies_make_a_draft(lab: Path, run_command: C
     assert missing.startswith("the order states no deviation, and the records depart from the clause")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("language", "mark"), [("zh", "草稿"), ("en", "DRAFT")])
 def test_a_missing_item_gives_a_watermark_on_every_page(
     lab: Path, run_command: Callable[..., Any], language: str, mark: str
@@ -105,6 +108,7 @@ def test_a_missing_item_gives_a_watermark_on_every_page(
         assert f"{number}/{len(pages)}" in page
 
 
+@pytest.mark.long
 def test_a_table_out_of_date_refuses(lab: Path, run_command: Callable[..., Any]) -> None:
     answer = written(run_command, lab, "order.toml", "old.pdf", unit="AHRS-4")
     assert answer["is_draft"]
@@ -112,6 +116,7 @@ def test_a_table_out_of_date_refuses(lab: Path, run_command: Callable[..., Any])
     assert any("no expanded uncertainty" in each for each in answer["missing"])
 
 
+@pytest.mark.long
 def test_a_whole_one_is_issued_in_both_languages(lab: Path, run_command: Callable[..., Any]) -> None:
     answer = written(run_command, lab, "order.toml", "both.pdf", "--lang", "both")
     assert (answer["is_draft"], answer["missing"], answer["compensated"]) == (False, [], [])

@@ -24,6 +24,7 @@ def test_each_item_of_a_standard_is_filled() -> None:
         assert len({item.filled_by for item in standard.items}) == len(standard.items)
 
 
+@pytest.mark.long
 def test_without_an_order_a_draft_lists_what_is_missing(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -74,6 +75,7 @@ def annex(laboratory: Path, run_command: Callable[..., Any]) -> list[dict[str, A
     return rows
 
 
+@pytest.mark.long
 def test_the_file_is_pdf_a_with_the_digital_certificate_in_it(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -61,6 +61,7 @@ def test_a_whole_certificate_is_issued_genuine_and_valid(
     assert kept.read_bytes() == (folder / "first.pdf").read_bytes()
 
 
+@pytest.mark.long
 def test_one_changed_byte_is_noticed(issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]) -> None:
     folder, _ = issued
     content = bytearray((folder / "first.pdf").read_bytes())
@@ -88,6 +89,7 @@ def test_the_digital_certificate_has_the_results_with_u_and_k(
         assert float(quantity.findtext(".//si:coverageFactor", namespaces=DCC) or "nan") >= 2
 
 
+@pytest.mark.long
 def test_a_new_one_on_the_same_runs_has_to_supersede(
     issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

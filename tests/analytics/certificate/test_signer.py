@@ -45,6 +45,7 @@ def verified(run_command: Callable[..., Any], folder: Path, name: str, *more: st
     return done.code, done.json
 
 
+@pytest.mark.long
 def test_a_wrong_passphrase_takes_no_number(signed: tuple[Path, dict[str, Any]]) -> None:
     assert signed[1]["number"].endswith("-0001")
 
@@ -64,6 +65,7 @@ def test_a_signed_one_is_genuine_and_trusted_by_its_root(
     assert found["signature"] is None or not found["signature"]["intact"]
 
 
+@pytest.mark.long
 def test_another_store_does_not_know_it(
     signed: tuple[Path, dict[str, Any]], laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -74,6 +76,7 @@ def test_another_store_does_not_know_it(
     assert found["why"] == ["no certificate of this store has these bytes: it is changed, a draft, or of another store"]
 
 
+@pytest.mark.long
 def test_records_that_change_after_the_issue_are_noticed(
     signed: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -109,6 +112,7 @@ def served(
     process.communicate(timeout=30)
 
 
+@pytest.mark.long
 def test_the_certificates_of_a_unit_are_in_the_api_with_their_files(
     served: tuple[httpx.Client, Path, list[str]],
 ) -> None:
@@ -159,6 +163,7 @@ def test_the_log_has_the_hashes_of_data_and_specification(
     assert document["sha256"] == hashlib.sha256((folder / "signed.pdf").read_bytes()).hexdigest()
 
 
+@pytest.mark.long
 def test_the_audit_speaks_chinese(signed: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]) -> None:
     folder, answer = signed
     done = run_command("audit", "--unit", UNIT, "--store", "lab", "--lang", "zh", "--csv", "audit.csv", cwd=folder)

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from stream.security.rights import Role
 from tests.analytics.certificate.conftest import UNIT
 from tests.secured_sites import make_site
@@ -12,6 +14,7 @@ from tests.secured_sites import make_site
 ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
 
 
+@pytest.mark.long
 def test_a_certificate_is_issued_by_another_person(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -21,6 +21,7 @@ def refusing(number: int) -> int:
     return number
 
 
+@pytest.mark.long
 def test_results_are_in_the_order_of_the_tasks_and_units_are_counted() -> None:
     seen: list[tuple[int, int]] = []
     found = ProcessEngine(2).map(slow_first, [0, 1, 2, 3], [5, 1, 1, 1], lambda done, total: seen.append((done, total)))
@@ -30,6 +31,7 @@ def test_results_are_in_the_order_of_the_tasks_and_units_are_counted() -> None:
     assert seen[-1] == (8, 8)
 
 
+@pytest.mark.long
 def test_what_a_task_raises_is_raised_here() -> None:
     with pytest.raises(BadInput, match="unit FOG-1: no rate"):
         ProcessEngine(2).map(refusing, [0, 1, 2, 3], [1, 1, 1, 1], nobody)

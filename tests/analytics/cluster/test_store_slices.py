@@ -61,6 +61,7 @@ def test_metrics_of_slices_are_those_of_the_whole(filled: Any, tmp_path: Path, w
     assert {task.of.seen for task in records} == {tuple(sorted((unit, "chamber", "PSU-1"))) for unit in UNITS}
 
 
+@pytest.mark.long
 def test_only_what_changed_is_computed_and_only_its_parts_are_opened(filled: Any, tmp_path: Path) -> None:
     here, there = folders(tmp_path)
     computed(filled.store, there, Sequential(), ["bias"])
@@ -106,6 +107,7 @@ def traced(store: Store, engine: Sequential | None = None) -> UnitsDiagnosis:
     return trace_units(read, QUESTION, is_pooled=True, spread=None if tracing is None else tracing.spread)
 
 
+@pytest.mark.long
 def test_a_fleet_is_diagnosed_by_slices_as_by_the_whole(filled: Any) -> None:
     engine = Sequential()
     whole, found = traced(filled.store), traced(filled.store, engine)
@@ -124,6 +126,7 @@ def test_a_fleet_is_diagnosed_by_slices_as_by_the_whole(filled: Any) -> None:
     assert sorted(task.of.units for task in engine.tasks if isinstance(task, ReadTask)) == [(u,) for u in sorted(UNITS)]
 
 
+@pytest.mark.long
 def test_processes_read_what_one_process_reads(filled: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     reports: list[str] = []
     assert local_reading(filled.store, 7, 2, reports.append) is read_units

@@ -53,6 +53,7 @@ def texts(curves: list[AllanCurve], **options: object) -> list[str]:
     return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["fleet.png", "fleet.PNG"])
 def test_png_is_written(tmp_path: Path, name: str) -> None:
     plot_allan(FLEET, tmp_path / name, limits=demo_limits().live)
@@ -129,6 +130,7 @@ def test_labels_are_english_where_no_chinese_font_is_installed(monkeypatch: pyte
         assert "Overlapping Allan deviation; bands: 95 % confidence" in written
 
 
+@pytest.mark.long
 @pytest.mark.skipif(plot_fonts.chinese_font() is None, reason="no font with Chinese characters is installed")
 def test_labels_are_chinese_where_asked_for(tmp_path: Path) -> None:
     written = texts(FLEET, language="zh")
@@ -138,6 +140,7 @@ def test_labels_are_chinese_where_asked_for(tmp_path: Path) -> None:
     plot_allan(FLEET, tmp_path / "a.png", language="zh", title="陀螺")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("points", [1, 2])
 def test_few_points_are_drawn(tmp_path: Path, points: int) -> None:
     plot_allan([curve("FOG-1", points=points)], tmp_path / "a.png")

@@ -13,7 +13,7 @@ import gyrofleet as gf
 from stream.errors import BadInput, NotEnoughData
 
 
-@pytest.mark.in_gate("300.0-adev", "300.0-mdev", "300.0-hdev", "1.0-hdev")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["oadev", "adev", "mdev", "ohdev", "hdev"])
 @pytest.mark.parametrize("rate_hz", [1.0, 300.0])
 def test_deviations_are_those_of_allantools(kind: str, rate_hz: float) -> None:
@@ -120,6 +120,7 @@ def test_what_is_not_offered_is_told() -> None:
         gf.alan_deviation  # noqa: B018
 
 
+@pytest.mark.long
 def test_what_the_guide_shows_of_arrays_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     guide = (Path(__file__).parents[3] / "docs" / "how-to" / "python.md").read_text(encoding="utf-8")
     code = guide.split("```python\n")[1].split("```")[0]

@@ -41,6 +41,7 @@ def test_noise_of_the_model_shows_a_hump_no_more_often_than_promised(kind: str) 
     assert alarms <= stats.binom.ppf(0.999, series, ALARM)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sigma", [0.35, 0.6])
 def test_band_noise_is_found_where_it_is_with_its_power(sigma: float) -> None:
     rng = np.random.default_rng(7)

@@ -170,6 +170,7 @@ def test_a_model_that_describes_nothing_says_so_and_where_one_departs_is_told() 
     assert "do not describe the curve (模型不适用)" in str(noise_table(bent, useless).caption)
 
 
+@pytest.mark.long
 def test_the_plot_carries_the_model_of_the_chosen_unit(tmp_path: Path) -> None:
     found = noise_coefficients(curve(), NONE)
     assert isinstance(found, NoiseCoefficients)

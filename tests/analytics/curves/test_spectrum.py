@@ -66,6 +66,7 @@ def test_levels_leave_lines_out_and_bands_without_a_bin() -> None:
     assert (single.frequency_hz, single.psd, single.lo, single.hi) == pytest.approx(expected)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("segments_of", "n"), [(1024, 40_000), (256, 40_000), (1024, 5000)])
 def test_a_line_of_the_least_amplitude_is_found_as_often_as_not(segments_of: int, n: int) -> None:
     noise = spectrum(white(n), segments_of)
@@ -154,6 +155,7 @@ def test_labels_are_english_where_no_chinese_font_is_installed(monkeypatch: pyte
     assert all(ord(character) < 0x2E80 for text in written for character in text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["a.png", "a.PNG", "a.svg"])
 def test_a_plot_of_few_segments_is_written(tmp_path: Path, name: str) -> None:
     plot_spectrum(spectrum(white(128), 128, "degC"), tmp_path / name)

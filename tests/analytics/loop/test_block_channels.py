@@ -104,6 +104,7 @@ def rate_test(tested: TestedUnits, *, table_s: float, position: str | None = Non
         )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("table_s", [1.0, 5.0, 20.0])
 def test_blocks_across_an_edge_that_the_table_does_not_show_are_left_out(tested: TestedUnits, table_s: float) -> None:
     rate_test(tested, table_s=table_s)
@@ -121,6 +122,7 @@ def test_blocks_across_an_edge_that_the_table_does_not_show_are_left_out(tested:
     assert "taken from table_rate in run r1" in reduction.limits[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("position", "signal", "turned"),
     [("IRA_up", "rate", 1.0), ("IRA_down", "rate", -1.0), ("IRA_east_west", "rate", 0.0), ("X_down", "rate_x", -1.0)],

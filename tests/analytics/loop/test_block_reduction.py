@@ -24,6 +24,7 @@ def white_variance(values: FloatArray, per_piece: int) -> float:
     return float(np.mean(np.diff(pieces) ** 2) / 2.0 / len(pieces))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("block_s", [30.0, 10.0, 0.8])
 def test_means_and_scatter_are_those_of_numpy(tested: TestedUnits, block_s: float) -> None:
     rng = np.random.default_rng(1)
@@ -85,6 +86,7 @@ def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: TestedUnit
     assert note.text == "300 samples are not finite in run r1: left out"
 
 
+@pytest.mark.long
 def test_runs_and_time_are_chosen(tested: TestedUnits) -> None:
     for run, t0_ns in (("r1", START_NS), ("r2", START_NS + 3600 * SECOND_NS)):
         tested.run(run, t_ns=t0_ns)
@@ -107,6 +109,7 @@ def test_lengths_that_are_none_are_refused(tested: TestedUnits, options: dict[st
         reduced(tested, **options)
 
 
+@pytest.mark.long
 def test_dropped_samples_leave_the_rollups(tmp_path: Path) -> None:
     tested = TestedUnits(tmp_path / "store")
     rng = np.random.default_rng(8)
@@ -136,6 +139,7 @@ def test_runs_in_units_that_do_not_go_together_are_refused(tested: TestedUnits) 
         reduced(tested)
 
 
+@pytest.mark.long
 def test_a_table_of_means_is_a_block_a_row(gyrofleet: Any, tmp_path: Path) -> None:
     """The published means of a hemispherical resonator gyro (HIT 2012 table 1): what the paper's model leaves."""
     table = Path(__file__).parents[2] / "golden" / "hit2012_table1.csv"
@@ -168,6 +172,7 @@ def rms_mv(reduction: Reduction, model: ErrorModel) -> float:
     return float(1e3 * np.sqrt(np.mean((value - columns @ found) ** 2)))
 
 
+@pytest.mark.long
 def test_measured_bursts_in_a_cold_chamber(gyrofleet: Any, tmp_path: Path, measured: Path) -> None:
     file = measured / "psim_cold_chamber.parquet"
     assert gyrofleet("import", file, "--unit", "PSIM", "--start", "2020-01-01T15:45:00Z", "--store", "s").code == 0
@@ -180,6 +185,7 @@ def test_measured_bursts_in_a_cold_chamber(gyrofleet: Any, tmp_path: Path, measu
     assert np.isfinite(run.white_variance).all()
 
 
+@pytest.mark.long
 def test_blocks_shorter_than_the_interval_of_the_samples_are_told(tested: TestedUnits) -> None:
     tested.run("r1")
     values = np.random.default_rng(4).standard_normal(600)

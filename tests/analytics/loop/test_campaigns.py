@@ -53,6 +53,7 @@ def test_a_ramp_does_not_tell_and_a_single_test_does_not_repeat() -> None:
     assert once["outcome"] == "unreplicated"
 
 
+@pytest.mark.long
 def test_what_was_seen_in_one_run_does_not_explain_noise_in_all_but_in_that_run() -> None:
     """Noise of 1/f**3 has fifty times the declared variance in each run, whatever one of them seems to show."""
     line = traced(Case("excess", "steep_flicker", 0.0, 1630))
@@ -61,6 +62,7 @@ def test_what_was_seen_in_one_run_does_not_explain_noise_in_all_but_in_that_run(
     assert (line["verdict"], line["seen_once"]) == ("unreplicated", ["magnetic_o"])
 
 
+@pytest.mark.long
 def test_what_has_no_name_is_a_function() -> None:
     line = traced(Case("outside", "resonance of vibration", 16.0, 4000))
     assert line["verdict"] == "unknown_function"

@@ -77,6 +77,7 @@ def test_in_one_process_the_end_of_a_run_counts_what_was_compensated(store: Stor
     assert samples([(PLACE, batch) for key, batch in kept.batches if key.endswith("_compensated")]).size == RUN_S * 10
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_goes_on_and_nothing_is_lost_or_twice(
     store: Store, recording: tuple[LocalBus, DurablePublisher]
 ) -> None:

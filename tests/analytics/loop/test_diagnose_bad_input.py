@@ -91,6 +91,7 @@ def test_dead_runs_and_copies_are_noted() -> None:
     assert all(note.is_limit for note in reported.values())
 
 
+@pytest.mark.long
 def test_one_bad_unit_does_not_end_the_trace_of_others(tested: TestedUnits) -> None:
     rng = np.random.default_rng(5)
     for name in ("r1", "r2", "r3"):
@@ -116,6 +117,7 @@ def test_one_bad_unit_does_not_end_the_trace_of_others(tested: TestedUnits) -> N
             BlockReducer(catalog, "rate", block_s=1e300)
 
 
+@pytest.mark.long
 def test_a_fill_value_in_every_run_blinds_no_trace(tested: TestedUnits) -> None:
     rng = np.random.default_rng(6)
     for at in range(6):

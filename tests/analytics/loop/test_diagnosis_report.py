@@ -52,6 +52,7 @@ class Page(HTMLParser):
         self.text.append(data)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("language", ["en", "zh"])
 def test_the_report_needs_nothing_but_itself(language: Language) -> None:
     page = Page()
@@ -74,6 +75,7 @@ def test_the_report_needs_nothing_but_itself(language: Language) -> None:
         assert words in text
 
 
+@pytest.mark.long
 def test_of_several_units_those_without_a_finding_come_without_pictures() -> None:
     quiet = diagnosed("temperature_rate", 0.0)
     runs = tuple(replace(run, unit="FOG-<2>") for run in quiet.data.runs)
@@ -116,6 +118,7 @@ def test_what_units_have_in_common_stands_first_in_the_report() -> None:
     assert set(found.document()) >= {"verdict", "by_unit", "units", "own_findings", "failed"}
 
 
+@pytest.mark.long
 def test_pictures_are_the_same_bytes_each_time(tmp_path: Path) -> None:
     words = Wording("en", diagnosed().data.runs[0])
     first = {path.name: path.read_bytes() for path in write_figures(diagnosed(), tmp_path / "a", words)}
@@ -134,6 +137,7 @@ def test_chinese_pictures_are_drawn_with_the_fonts_that_are_there() -> None:
     assert not any("\N{WHITE SQUARE}" in text for text in texts)
 
 
+@pytest.mark.long
 def test_a_report_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="name another file"):
         write_report(as_units(diagnosed()), tmp_path / "missing" / "r.html", "en")

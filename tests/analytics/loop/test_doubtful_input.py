@@ -27,6 +27,7 @@ def reported(tested: TestedUnits, what: str) -> list[str]:
     return [note.text for note in reduced(tested).notes if note.what == what]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hz", [0.05, 0.2, 1 / 3, 0.45])
 def test_swings_between_rests_are_no_fill_values(tested: TestedUnits, hz: float) -> None:
     rng = np.random.default_rng(2)
@@ -48,6 +49,7 @@ def test_a_turn_of_one_second_is_borne_out_by_the_table(tested: TestedUnits) -> 
     np.testing.assert_allclose(run.value, 3600.0 * run.mean("input_rate"), atol=2.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fill", [-9999.0, 1e6])
 def test_a_fill_value_is_no_motion_though_every_column_has_it(tested: TestedUnits, fill: float) -> None:
     rng = np.random.default_rng(4)
@@ -66,6 +68,7 @@ def test_a_fill_value_is_no_motion_though_every_column_has_it(tested: TestedUnit
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("label", "factor", "is_wrong"), [
     ("deg/h", 1.0, True),
     ("deg/h", 3600.0, False),
@@ -114,6 +117,7 @@ def test_isolated_outliers_that_raise_n_are_reported(gyrofleet: Callable[..., An
     assert "2 samples of rate are isolated outliers in 1 of 2 runs (struck)" in text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_recorded", [True, False])
 def test_a_turn_of_the_table_is_no_outlier(tested: TestedUnits, is_recorded: bool) -> None:
     rng = np.random.default_rng(7)
@@ -125,6 +129,7 @@ def test_a_turn_of_the_table_is_no_outlier(tested: TestedUnits, is_recorded: boo
     assert bool(reported(tested, "outliers")) is not is_recorded
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", [0.5, 1.0])
 def test_rates_that_are_polled_too_seldom_forbid_to_say_that_nothing_is_missing(
     tested: TestedUnits, part: float

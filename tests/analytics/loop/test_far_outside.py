@@ -6,6 +6,7 @@ import pytest
 from tests.analytics.conftest import SECOND_NS, START_NS, TestedUnits, reduced
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("block_s", [30.0, 0.8])
 def test_a_reading_far_outside_costs_its_block_and_is_told(tested: TestedUnits, block_s: float) -> None:
     rng = np.random.default_rng(15)
@@ -37,6 +38,7 @@ def test_a_reading_far_outside_costs_its_block_and_is_told(tested: TestedUnits, 
         np.testing.assert_allclose(blocks.mean("temperature"), heat, rtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["pulses", "sweep", "vibration"])
 def test_motion_is_never_far_outside(tested: TestedUnits, what: str) -> None:
     """A unit that rests most of the time and moves for a second, with a quiet encoder and a noisy gyro."""
@@ -57,6 +59,7 @@ def test_motion_is_never_far_outside(tested: TestedUnits, what: str) -> None:
     assert not [note for note in reduced(tested).notes if note.what == "far_outside"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dt_s", "quantum"), [(1.0, 1.0), (10.0, 0.01), (20.0, 1.0)])
 def test_a_fill_value_of_a_slow_or_coarse_channel_is_no_reading(
     tested: TestedUnits, dt_s: float, quantum: float

@@ -96,6 +96,7 @@ def polled(*, alike: bool) -> list[RunBlocks]:
     return runs
 
 
+@pytest.mark.long
 def test_each_of_five_channels_that_are_polled_by_themselves_is_looked_at() -> None:
     found = diagnose(polled(alike=True), MODEL, declared_noise=NOISE)
     assert found.names == ("magnetic_o",)

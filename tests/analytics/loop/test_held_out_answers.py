@@ -100,7 +100,7 @@ def test_held_out_runs_that_do_not_excite_an_effect_neither_confirm_nor_refuse_i
     assert again.verdict is ModelVerdict.EFFECT_FOUND
 
 
-@pytest.mark.in_gate("None")
+@pytest.mark.long
 @pytest.mark.parametrize("holdout", [(), None])
 def test_nothing_is_found_for_sure_without_held_out_runs(campaign: Campaign, holdout: Sequence[str] | None) -> None:
     size = campaign.coefficients_for("gravity_o", {}, 14.0)
@@ -115,6 +115,7 @@ def test_nothing_is_found_for_sure_without_held_out_runs(campaign: Campaign, hol
         assert "no runs were held out to confirm it" in sentence(found, runs[0])
 
 
+@pytest.mark.long
 def test_a_slope_far_from_one_is_a_form_that_is_not_exact(campaign: Campaign) -> None:
     """0.57 +- 0.09 of what was predicted is there, and yet not what was predicted."""
     size = campaign.coefficients_for("gravity_o", {}, 14.0)
@@ -130,6 +131,7 @@ def test_a_slope_far_from_one_is_a_form_that_is_not_exact(campaign: Campaign) ->
     assert limits(0.9, 0.09) == []
 
 
+@pytest.mark.long
 def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Campaign) -> None:
     """A small effect beside turn-on scatter: found and confirmed, and the raw error tells nothing of it."""
     size = campaign.coefficients_for("magnetic_i", {}, 7.0)
@@ -158,6 +160,7 @@ def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Cam
     assert "in new runs like these the square of that over 300 s, where the effect acts most, is expected" in said
 
 
+@pytest.mark.long
 def test_what_acts_within_a_minute_is_expected_to_gain_there(campaign: Campaign) -> None:
     """An error while the rate changes averages to nothing over half an hour: no gain is to be seen there."""
     size = campaign.coefficients_for("angular_acceleration", {}, 10.0)

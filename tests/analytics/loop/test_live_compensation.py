@@ -49,6 +49,7 @@ def test_what_the_model_predicts_is_gone_and_the_bias_stays(store: Store) -> Non
     assert first.epoch == compensated_epoch(EPOCH, "r1", written.hash, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cuts", "delays_s"),
     [

@@ -248,6 +248,7 @@ def test_a_unit_without_versions_is_told_how_its_first_one_is_made(store: Store)
         assert "promote --unit U9 --model 'rate = bias" in json.loads(done.stdout.splitlines()[-1])["error"]["message"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

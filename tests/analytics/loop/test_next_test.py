@@ -51,6 +51,7 @@ def planned(test: CandidateTest) -> RunBlocks:
     return run
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("test", plans_for(), ids=lambda test: test.name)
 def test_every_plan_is_a_procedure_that_a_station_runs(test: CandidateTest, tmp_path: Path) -> None:
     path = tmp_path / "next.toml"
@@ -196,6 +197,7 @@ def test_nothing_is_planned_where_nothing_is_open() -> None:
     assert next_test(found, runs(), MODEL, declared_noise=DECLARED) is None
 
 
+@pytest.mark.long
 def test_the_power_of_a_repetition_is_that_of_the_held_out_answer() -> None:
     """An effect of one training run: planned is what confirms it in a held-out run."""
     size = campaign().coefficients_for("vibration", {}, 12.0, only_runs=(2,))

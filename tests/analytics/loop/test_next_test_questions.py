@@ -63,6 +63,7 @@ def test_runs_are_planned_with_that_have_the_channels_of_all_effects_found() -> 
     assert ([run.run for run in kept], list(beside)) == ([with_rate.run], ["scale_factor"])
 
 
+@pytest.mark.long
 def test_unexplained_noise_is_looked_for_at_rest() -> None:
     runs = Campaign(1, runs=5, types=("static",), duration_s=7200.0, noise=Noise(b=0.03)).runs()
     found = diagnose(runs, BIAS, declared_noise=DECLARED)

@@ -31,6 +31,7 @@ def declared(factor: float) -> ModelNoise:
     return ModelNoise(N=TRUE.N * factor, B=TRUE.B, K=TRUE.K, turn_on=TRUE.turn_on)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
 def test_white_noise_declared_wrongly_is_measured_and_said(quiet_runs: list[RunBlocks], factor: float) -> None:
     found = diagnose(quiet_runs, MODEL, declared_noise=declared(factor))
@@ -48,6 +49,7 @@ def test_noise_declared_rightly_raises_no_word(quiet_runs: list[RunBlocks]) -> N
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.05, 20.0])
 def test_slow_noise_declared_too_large_and_turn_on_scatter_declared_wrongly_are_said(
     quiet_runs: list[RunBlocks], factor: float

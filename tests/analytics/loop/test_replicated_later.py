@@ -24,6 +24,7 @@ def test_held_out_runs_replicate_what_one_training_run_shows(shown_by_one: Built
     assert found.holdout.total.slope > 3.29 * found.holdout.total.slope_se
 
 
+@pytest.mark.long
 def test_without_it_in_the_held_out_runs_it_was_seen_once(shown_by_one: Built) -> None:
     campaign = shown_by_one.campaign
     training = tuple(campaign.training)
@@ -34,6 +35,7 @@ def test_without_it_in_the_held_out_runs_it_was_seen_once(shown_by_one: Built) -
     assert "scale_factor_warm_up" in [each.name for each in found.unreplicated]
 
 
+@pytest.mark.long
 def test_without_held_out_runs_it_was_seen_once(shown_by_one: Built) -> None:
     found = diagnose(shown_by_one.runs[:10], MODEL, declared_noise=DECLARED, holdout=())
     assert found.verdict is ModelVerdict.UNREPLICATED

@@ -62,6 +62,7 @@ def test_the_channel_at_work_is_coherent_with_the_residual_until_it_is_in_the_mo
     assert left["vibration"].p_value > 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("campaigns", [15, pytest.param(60, marks=pytest.mark.long)])
 def test_coherence_by_chance_is_as_likely_as_stated(campaigns: int) -> None:
     """P-values of noise alone: the smallest of a campaign is not below 0.1 too often (binomial, 99.9 %)."""
@@ -93,6 +94,7 @@ def test_noise_of_the_model_is_what_the_whitening_inverts() -> None:
     assert np.allclose(whitener(whitener.colour(white)), white, atol=1e-9)
 
 
+@pytest.mark.long
 def test_what_was_found_is_found_again_when_it_is_planted() -> None:
     _, found, residuals = traced()
     again = recovered(found, residuals, MODEL, 3, declared_noise=DECLARED)

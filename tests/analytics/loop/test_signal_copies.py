@@ -20,6 +20,7 @@ def leaking(run: RunBlocks) -> RunBlocks:
     return replace(run, channels={**run.channels, "monitor": leak})
 
 
+@pytest.mark.long
 def test_a_copy_is_left_out_with_a_caveat_and_the_effect_behind_it_is_found() -> None:
     campaign = Campaign(5, runs=6, types=("temperature",), duration_s=14400.0)
     model = ErrorModel.parse("bias + scale_factor*input_rate + temperature")
@@ -37,6 +38,7 @@ def test_a_copy_is_left_out_with_a_caveat_and_the_effect_behind_it_is_found() ->
     assert "monitor" in caveat.zh
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("z", [20.0, 100.0])
 def test_a_cause_is_no_copy(z: float) -> None:
     campaign = Campaign(5, runs=4, types=("environment",), duration_s=7200.0)

@@ -46,7 +46,7 @@ def test_nothing_is_missing_where_nothing_is(campaign: Campaign) -> None:
     assert "gravity_o" in found.detection_limits
 
 
-@pytest.mark.in_gate("gravity_o")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["gravity_o", "supply_voltage_squared", "scale_factor_cubic"])
 def test_a_planted_effect_comes_back(campaign: Campaign, name: str) -> None:
     """Sign and size within 4 standard errors; the held-out runs confirm it and the error falls to the floor."""
@@ -74,6 +74,7 @@ def test_detection_limits_are_where_effects_are_found(campaign: Campaign) -> Non
     assert found.names == ("magnetic_o",)
 
 
+@pytest.mark.long
 def test_a_line_is_found_and_confirmed(campaign: Campaign) -> None:
     found = reported(planted(campaign, "periodic_line", 14.0, frequency_hz=1 / 400))
     assert found.names == ("periodic_line",)
@@ -104,6 +105,7 @@ def test_a_jump_is_told_but_cannot_be_confirmed(campaign: Campaign) -> None:
     assert any("a jump happens once" in each for each in found.limits)
 
 
+@pytest.mark.long
 def test_what_one_run_shows_is_not_an_effect(campaign: Campaign) -> None:
     """A gravity effect at work in a single run: never a finding."""
     size = campaign.coefficients_for("gravity_o", {}, 12.0, only_runs=(3,))
@@ -111,6 +113,7 @@ def test_what_one_run_shows_is_not_an_effect(campaign: Campaign) -> None:
     assert found.verdict in (ModelVerdict.UNREPLICATED, ModelVerdict.UNKNOWN_FUNCTION, ModelVerdict.UNEXPLAINED)
 
 
+@pytest.mark.long
 def test_a_single_run_never_gives_a_bare_effect(campaign: Campaign) -> None:
     runs = planted(campaign, "gravity_o", 25.0)
     found = reported([runs[3]])
@@ -130,6 +133,7 @@ def test_one_ramp_cannot_tell_what_moves_with_it() -> None:
     assert all(each.separating_test for each in found.confounded)
 
 
+@pytest.mark.long
 def test_a_copied_and_a_constant_channel_are_told(campaign: Campaign) -> None:
     runs = [
         replace(
@@ -198,6 +202,7 @@ def test_two_runs_have_no_held_out_set(campaign: Campaign) -> None:
     assert any("no held-out set" in each for each in found.limits)
 
 
+@pytest.mark.long
 def test_noise_that_is_not_declared_is_guessed(campaign: Campaign) -> None:
     found = diagnose(planted(campaign, "gravity_o", 14.0), MODEL)
     assert "gravity_o" in found.names
@@ -206,6 +211,7 @@ def test_noise_that_is_not_declared_is_guessed(campaign: Campaign) -> None:
     assert any("no noise was declared" in each for each in found.limits)
 
 
+@pytest.mark.long
 def test_json_has_the_agreed_form(campaign: Campaign) -> None:
     document = json.loads(msgspec.json.encode(reported(planted(campaign, "gravity_o", 14.0)).document()))
     assert {"verdict", "effects", "confounded", "holdout", "error", "noise", "detection_limits", "model"} <= set(

@@ -119,6 +119,7 @@ def test_clusters_alike_in_size_tell_the_standard_error_of_their_means() -> None
     assert fit_of_clusters(np.ones((50, 1)), value[0], np.zeros(50, dtype=int)) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("weighted_is_better", [True, False])
 def test_before_is_the_better_of_two_fits_with_its_own_uncertainty(weighted_is_better: bool) -> None:
     campaign = Campaign(seed=3)

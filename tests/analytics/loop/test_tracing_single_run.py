@@ -76,6 +76,7 @@ def test_a_long_run_tells_a_random_walk_by_itself(seed: int) -> None:
     assert pytest.approx(per_block / np.sqrt(30.0 / 3600.0), rel=0.3) == found.noise.K
 
 
+@pytest.mark.long
 def test_a_bias_of_each_mounting_is_named_beside_gravity(gyrofleet: Any, tmp_path: Path) -> None:
     """Each position of the table was mounted once: gravity, its square, and the mounting itself are all named."""
     assert gyrofleet("import", HIT_2012, "--unit", "HRG", "--store", "store").code == 0
@@ -93,6 +94,7 @@ def test_a_bias_of_each_mounting_is_named_beside_gravity(gyrofleet: Any, tmp_pat
     assert row.after < 0.3e-3
 
 
+@pytest.mark.long
 @pytest.mark.measured
 def test_a_measured_transient_in_a_cold_chamber_is_confounded(gyrofleet: Any, tmp_path: Path, measured: Path) -> None:
     file = measured / "psim_cold_chamber.parquet"

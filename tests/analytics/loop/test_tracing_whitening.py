@@ -99,6 +99,7 @@ def test_flicker_has_the_spectrum_that_its_coefficient_says() -> None:
         assert np.all(np.abs(10 * np.log10(ratio)) < 1.0), longest_s
 
 
+@pytest.mark.long
 def test_noise_fit_finds_the_noise() -> None:
     """Twelve runs of 6 h: N to 1 % (sqrt(1/2n) = 0.8 %), the others to a factor that their information allows."""
     of = record(5, runs=12, blocks=720)

@@ -34,6 +34,7 @@ def recorded(tested: TestedUnits, seconds: int = 600) -> np.ndarray:
     return values
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tau_s", [0.1, 0.5, 10, 32, 150])
 def test_it_is_the_overlapping_deviation_at_the_time_that_is_asked_for(tested: TestedUnits, tau_s: float) -> None:
     values = recorded(tested)
@@ -46,6 +47,7 @@ def test_it_is_the_overlapping_deviation_at_the_time_that_is_asked_for(tested: T
     assert row["tau_s"] == tau_s
 
 
+@pytest.mark.long
 def test_without_a_limit_there_is_no_value_and_too_short_a_record_says_so(tested: TestedUnits) -> None:
     recorded(tested)
     assert tested.metric("allan_deviation") == []

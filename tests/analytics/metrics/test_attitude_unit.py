@@ -58,6 +58,7 @@ def test_four_positions_in_any_order_and_under_other_names(recorded: Any) -> Non
     assert one(rows, run="plain")["heading_error_deg"] == pytest.approx(0.5, abs=1e-3)
 
 
+@pytest.mark.long
 def test_the_uncertainty_is_that_of_the_positions_or_their_scatter(recorded: Any) -> None:
     quiet = recorded(four(standard_uncertainty=0.02, freedom=9.0), "attitude_unit_bias")[0]
     assert quiet["standard_uncertainty"] == pytest.approx(0.02 / 2)
@@ -84,6 +85,7 @@ def test_records_of_different_lengths_count_alike(recorded: Any) -> None:
     assert all(remark in row["remark"] for remark in remarks)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("left_out", sorted(PLACES))
 def test_three_of_four_positions_are_refused_with_the_missing_one(recorded: Any, left_out: str) -> None:
     records = [record for record in four() if record["position"] != f"X_{left_out}"]
@@ -218,6 +220,7 @@ def test_turns_that_lack_something_say_what(recorded: Any) -> None:
     assert one(rows, run="volts", element="L_zx")["reason"].startswith("no scale factor for an output in V")
 
 
+@pytest.mark.long
 def test_the_earths_vertical_rate_is_taken_off_equal_angles_where_it_can_be(recorded: Any) -> None:
     """(5): Y sees L_yx of X, which points up at every angle; a latitude of 40 deg."""
     vertical = EARTH_DEG_PER_H * math.sin(math.radians(40.0)) * ELEMENTS["YX"]

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from tests.analytics.conftest import START_NS, Recorded
@@ -52,6 +53,7 @@ def test_static_records_are_those_of_the_samples(tested: Any) -> None:
     assert len(averaged) == 8
 
 
+@pytest.mark.long
 def test_a_short_record_is_flagged_an_empty_one_has_a_reason_and_the_others_go_on(recorded: Recorded) -> None:
     rows: Rows = [
         {"mean": 1.0, "sd": 2.0, "sd_freedom": 900.0, "procedure": "static_bias"},

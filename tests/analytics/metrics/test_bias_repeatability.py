@@ -63,6 +63,7 @@ def test_repeatability_and_its_components(recorded: Recorded) -> None:
     assert one(own, standard="GJB2426A")["reason"] == "4 power-ons measured, the clause asks for 6 or more"
 
 
+@pytest.mark.long
 def test_the_same_day_is_that_of_the_station(recorded: Recorded) -> None:
     biases = np.array([[1.0, 2.0, 4.0, 8.0]])
     late = power_ons(biases, t_start_ns=START_NS)
@@ -77,6 +78,7 @@ def test_the_same_day_is_that_of_the_station(recorded: Recorded) -> None:
     assert "the date is unknown" in one(undated, kind="day_to_day")["reason"]
 
 
+@pytest.mark.long
 def test_repeatability_of_too_few_power_ons(recorded: Recorded) -> None:
     found = recorded(power_ons(np.array([[1.0]])), "bias_repeatability")
     assert {row["reason"] for row in found} == {"1 power-on measured, at least 2 are needed, 6 by GJB 2426A"}
@@ -110,6 +112,7 @@ def test_raw_and_corrected_biases_are_never_in_one_repeatability(recorded: Recor
     assert (one(found, unit="U3")["earth_rate"], one(found, unit="U3")["value"]) == ("removed", pytest.approx(whole))
 
 
+@pytest.mark.long
 def test_the_scatter_of_short_records_is_their_noise(recorded: Recorded) -> None:
     """Seven records of 52 s: the means scatter by 2.9, each is uncertain by 3.0."""
     rng = np.random.default_rng(16)

@@ -43,6 +43,7 @@ def test_temperature_sensitivity(recorded: Recorded) -> None:
     assert (row["n"], row["steps"]) == (6 * 36_000, [1, 2, 3, 4, 5, 6])
 
 
+@pytest.mark.long
 def test_room_temperature_is_the_step_that_says_so_else_the_one_nearest_to_20_degc(recorded: Recorded) -> None:
     metric = "bias_temperature_sensitivity"
     named = recorded(curve({-40.0: 1.0, 25.0: 2.0, 60.0: 3.0}), metric)
@@ -95,6 +96,7 @@ def flips(means: Mapping[str, tuple[float, float]], **words: Any) -> Rows:
     ]
 
 
+@pytest.mark.long
 def test_acceleration_sensitivity(recorded: Recorded) -> None:
     means = {"X": (15.0, -6.0), "Y": (2.0, 1.0), "Z": (-3.0, 2.0)}
     found = recorded(flips(means, signal="rate_x"), "bias_acceleration_sensitivity")
@@ -127,6 +129,7 @@ def test_z_up_of_a_gyro_with_one_axis_is_its_input_axis(recorded: Recorded) -> N
     assert one(found, axis="largest", earth_rate="removed")["value"] == exact(1.2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cause", "other"), [("shock", "vibration"), ("vibration", "shock")])
 def test_changes_by_shock_and_vibration(recorded: Recorded, cause: str, other: str) -> None:
     means = {"X": (15.0, 14.0), "Y": (2.0, 2.5), "Z": (-3.0, 2.0)}

@@ -223,6 +223,7 @@ def test_a_changed_specification_computes_every_unit_anew(tested: Any, work: Wor
     assert table_of(tested).equals(before)
 
 
+@pytest.mark.long
 def test_a_unit_without_any_metric_is_not_evaluated_again(tested: Any, work: Work) -> None:
     tested.run("r1")
     values = {"pressure": (np.arange(20.0), "Pa")}

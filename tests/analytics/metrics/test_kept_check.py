@@ -67,6 +67,7 @@ def test_a_file_that_is_not_what_was_written_is_not_believed(store: Store) -> No
     assert kept_findings(store) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "column", "what"),
     [

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from analytics.evaluation.kept_check import kept_findings
 from analytics.step_records import FOLDER
@@ -31,6 +32,7 @@ def step(tested: TestedUnits, unit: str, mean: float, at_s: int) -> None:
     tested.step("r1", unit, values, t0_ns=t0_ns, dt_ns=SECOND_NS, procedure="static_bias", position="IRA_east_west")
 
 
+@pytest.mark.long
 def test_live_rows_stand_beside_metrics_and_change_none(tested: TestedUnits, tmp_path: Path) -> None:
     tested.run("r1", procedure="static_bias")
     step(tested, "G-1", 3.0, 0)
@@ -73,6 +75,7 @@ def test_live_rows_stand_beside_metrics_and_change_none(tested: TestedUnits, tmp
         assert [(row["unit"], row["live"]) for row in rows] == [("G-1", 0), ("G-2", 0)]
 
 
+@pytest.mark.long
 def test_metrics_that_are_not_kept_yet_are_computed_beside_live_rows(tested: TestedUnits) -> None:
     tested.run("r1", procedure="static_bias")
     step(tested, "G-1", 3.0, 0)

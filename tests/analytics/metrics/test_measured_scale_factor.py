@@ -50,6 +50,7 @@ def test_a_bias_is_of_the_input_whatever_the_output_is_in(
     assert only(tested.metric("bias_stability"), run="still")["value"] == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.long
 def test_noise_coefficients_are_of_the_input_too(tested: TestedUnits) -> None:
     t_ns = turned(tested, "deg/h", 3600.0)
     at_rest(tested, "deg/h", 3600.0, t_ns)
@@ -61,6 +62,7 @@ def test_noise_coefficients_are_of_the_input_too(tested: TestedUnits) -> None:
     assert [row[name] for name in ("value", "lo", "hi")] == pytest.approx([2.0, 1.0, 4.0])
 
 
+@pytest.mark.long
 def test_an_axis_that_did_not_turn_keeps_its_unit(tested: TestedUnits) -> None:
     t_ns = turned(tested, "deg/h", 3600.0, k=0.004)
     at_rest(tested, "deg/h", 3600.0, t_ns, k=1.0)
@@ -69,6 +71,7 @@ def test_an_axis_that_did_not_turn_keeps_its_unit(tested: TestedUnits) -> None:
     assert bias["scale_factor"] == "output is a rate"
 
 
+@pytest.mark.long
 def test_a_scale_factor_of_another_unit_of_measure_is_not_taken(tested: TestedUnits) -> None:
     at_rest(tested, "deg/h", 3600.0, turned(tested, "mV", 20.0), k=1.0)
     assert only(tested.metric("bias"), run="still", earth_rate="none")["value"] == pytest.approx(BIAS, abs=0.03)

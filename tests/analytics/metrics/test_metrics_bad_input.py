@@ -54,6 +54,7 @@ def test_steps_of_one_sample_are_points_of_a_line_without_an_interval_of_their_o
         assert (row["lo"], row["hi"], row["standard_uncertainty"]) == (None, None, None)
 
 
+@pytest.mark.long
 def test_an_output_that_does_not_answer_has_reasons_and_no_infinite_number(tested: TestedUnits) -> None:
     turn(tested, "DEAD", scale=0.0, noise=0.0)
     with tested.catalog() as catalog:
@@ -71,7 +72,7 @@ def test_an_output_that_does_not_answer_has_reasons_and_no_infinite_number(teste
         json.loads(row["parameters"], parse_constant=pytest.fail)
 
 
-@pytest.mark.in_gate("1e+150")
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [1e150, 1e-150, 1e300])
 def test_numbers_of_any_size_are_measured_and_spare_the_other_units(tested: TestedUnits, scale: float) -> None:
     turn(tested, "ODD", scale=scale, noise=scale * 1e-3, measure="mV")
@@ -82,6 +83,7 @@ def test_numbers_of_any_size_are_measured_and_spare_the_other_units(tested: Test
     assert found["U1"]["value"] == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.long
 def test_a_frozen_output_is_not_perfectly_stable(tested: TestedUnits) -> None:
     tested.run("r1", procedure="static_bias")
     tested.step("r1", "U1", np.full(3700, 0.25), t0_ns=START_NS, dt_ns=SECOND_NS, procedure="static_bias")
@@ -92,6 +94,7 @@ def test_a_frozen_output_is_not_perfectly_stable(tested: TestedUnits) -> None:
     assert tested.metric("bias")[0]["value"] == 0.25
 
 
+@pytest.mark.long
 def test_a_time_zone_that_nobody_knows_takes_only_the_day(tested: TestedUnits) -> None:
     rng = np.random.default_rng(3)
     for run, zone in (("r1", "Mars/Olympus"), ("r2", "asia/shanghai")):
@@ -129,6 +132,7 @@ def test_repeats_of_too_few_rates_say_so(tested: TestedUnits) -> None:
     assert all("0 scale factors measured" in row["reason"] and "11 in each" in row["reason"] for row in rows)
 
 
+@pytest.mark.long
 def test_repeats_of_a_dead_output_say_so(tested: TestedUnits) -> None:
     now = START_NS
     tested.run("r1", procedure="scale_factor_repeatability")
@@ -166,6 +170,7 @@ def test_steps_that_are_alike_count_once_each(tested: TestedUnits) -> None:
     assert all(row["value"] == pytest.approx(values.mean(), rel=1e-9) for row in rows)
 
 
+@pytest.mark.long
 def test_a_step_that_ended_before_its_settle_time_is_told(tested: TestedUnits) -> None:
     tested.run("r1", procedure="static_bias")
     tested.step("r1", "U1", np.ones(50), t0_ns=START_NS, procedure="static_bias", settle_s=3600.0)
@@ -176,7 +181,7 @@ def test_a_step_that_ended_before_its_settle_time_is_told(tested: TestedUnits) -
     assert (row["value"], row["reason"]) == (None, "no sample in the evaluated part of the step")
 
 
-@pytest.mark.in_gate("steps.parquet-PAR1 this is none")
+@pytest.mark.long
 @pytest.mark.parametrize("damage", [b"", b"PAR1 this is none", b"\0" * 4096])
 @pytest.mark.parametrize("file", ["steps.parquet", "unit_metrics.parquet"])
 def test_damaged_records_are_made_anew(tested: TestedUnits, file: str, damage: bytes) -> None:
@@ -212,6 +217,7 @@ def test_records_of_another_version_are_made_anew(tested: TestedUnits, file: str
             assert rows_of(catalog) == before
 
 
+@pytest.mark.long
 def test_what_cannot_be_kept_is_right_all_the_same(tested: TestedUnits) -> None:
     turn(tested, "U1")
     with tested.catalog() as catalog:

@@ -46,6 +46,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Store, pa.
     made.release()
 
 
+@pytest.mark.long
 def test_ranges_of_units_have_the_rows_of_one_pass(
     whole: tuple[Store, pa.Table], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -63,6 +64,7 @@ def test_ranges_of_units_have_the_rows_of_one_pass(
         assert catalog.table("from unit_metrics").equals(every)
 
 
+@pytest.mark.long
 def test_a_supply_of_two_units_is_one_also_where_one_of_them_changed(filled: Any) -> None:
     def of_power() -> pa.Table:
         with filled.catalog() as catalog:

@@ -15,6 +15,7 @@ ARCMIN = 10800 / np.pi
 OF_X, OF_Y, FIXTURE_X, FIXTURE_Y = 3e-4, -2e-4, 1e-3, -5e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("procedure", "names"),
     [
@@ -40,6 +41,7 @@ def test_misalignment_of_two_and_four_positions(tested: Any, procedure: str, nam
         assert 2 not in found
 
 
+@pytest.mark.long
 def test_misalignment_uncertainty_against_simulation(tested: Any) -> None:
     for number in range(9):
         bench = Bench(tested, f"r{number}", t_ns=START_NS + number * 3600 * SECOND_NS, seed=number)
@@ -56,6 +58,7 @@ def test_misalignment_uncertainty_against_simulation(tested: Any) -> None:
     assert np.median([row["standard_uncertainty"] for row in rows]) == pytest.approx(draws.std(), rel=0.3)
 
 
+@pytest.mark.long
 def test_misalignment_near_zero_covers_zero(tested: Any) -> None:
     bench = Bench(tested)
     for name in ("ox_up", "oy_up"):
@@ -84,7 +87,7 @@ def test_misalignment_without_a_scale_factor(tested: Any) -> None:
     assert "no scale factor for an output in V" in row["reason"]
 
 
-@pytest.mark.in_gate("6")
+@pytest.mark.long
 @pytest.mark.parametrize("repeats", [7, 6])
 def test_misalignment_repeatability(tested: Any, repeats: int) -> None:
     bench = Bench(tested)

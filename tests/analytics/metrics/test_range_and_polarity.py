@@ -16,6 +16,7 @@ def test_range_is_where_the_nonlinearity_meets_the_limit(tested: Any, table: Cal
         assert (row["value"], row["lo"], row["hi"]) == (160.0, 160.0, 250.0)
 
 
+@pytest.mark.long
 def test_range_needs_a_limit(tested: Any, table: Callable[..., Table]) -> None:
     tested.product("[product.FOG-70]\nmax_rate_deg_per_s = 300.0")
     table(product="FOG-70").rates(procedure="scale_factor")
@@ -24,6 +25,7 @@ def test_range_needs_a_limit(tested: Any, table: Callable[..., Table]) -> None:
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sign", "value"), [(1, 1.0), (-1, -1.0)])
 def test_polarity(tested: Any, table: Callable[..., Table], sign: int, value: float) -> None:
     rig = table(gyro=lambda rate: sign * rate)

@@ -39,6 +39,7 @@ def test_line_against_numpy(tested: Any, table: Callable[..., Table]) -> None:
     assert zeros["JJF2014"]["output_unit"] == "V"
 
 
+@pytest.mark.long
 def test_nonlinearity_and_asymmetry_against_numpy(tested: Any, table: Callable[..., Table]) -> None:
     rig = table(gyro=cubic, unit="V")
     rate, mean = rig.rates(procedure="scale_factor")
@@ -66,9 +67,7 @@ def test_rates_given_in_other_units_have_a_scale_factor_of_one(tested: Any, tabl
     assert row["value"] == pytest.approx(1.0001, rel=1e-8)
 
 
-@pytest.mark.in_gate(
-    "rates1-True-7 rates measured forwards and 7 backwards, 11-7 rates measured forwards and 7 backwards"
-)
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rates", "rests", "gjb", "jjf"),
     [
@@ -147,6 +146,7 @@ def test_more_rates_than_the_clause_has_are_stated_as_a_deviation(tested: Any) -
     assert row["remark"] == "12 rates: the clause has 7 to 11 (7.1.1 c)"
 
 
+@pytest.mark.long
 def test_attitude_units_are_refused_short_records_and_dead_axes(tested: Any) -> None:
     """7.1.1 d: at least 20 s at each rate; an axis that gives one value at every rate has no scale factor of 0."""
     tested.run("r1")
@@ -182,6 +182,7 @@ def test_a_run_cut_short_after_one_rate_says_so(tested: Any, table: Callable[...
     assert "no record of the table at rest after the rates" in found["GJB2426A"]["reason"]
 
 
+@pytest.mark.long
 def test_the_scale_factors_that_others_may_use(tested: Any, table: Callable[..., Table]) -> None:
     rig = table(unit="V", gyro=lambda rate: 0.02 * rate)
     rig.rates(rests=False, procedure="scale_factor_jjf2014")
@@ -200,6 +201,7 @@ def test_the_scale_factors_that_others_may_use(tested: Any, table: Callable[...,
     assert t_to_ns < first_ns
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["scale_fits", "scale_factors"])
 def test_without_rates_the_tables_have_the_same_columns(tested: Any, table: Callable[..., Table], name: str) -> None:
     table(gyro=cubic, unit="V").rates(procedure="scale_factor")
@@ -217,6 +219,7 @@ def test_without_rates_the_tables_have_the_same_columns(tested: Any, table: Call
         assert catalog.rows(counted) == [(0,)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rates", [BOTH[:6], (50.0, -50.0)])
 def test_fewer_rates_than_the_clauses_ask_for_have_an_informative_value(
     tested: Any, table: Callable[..., Table], rates: Sequence[float]

@@ -33,6 +33,7 @@ def test_temperature_sensitivity(tested: Any, table: Callable[..., Table]) -> No
     assert all(row["lo"] < 5.0 < row["hi"] for row in found)
 
 
+@pytest.mark.long
 def test_room_temperature_point_is_needed(tested: Any, table: Callable[..., Table]) -> None:
     rig = table()
     for temperature in (-40.0, 60.0):
@@ -43,7 +44,7 @@ def test_room_temperature_point_is_needed(tested: Any, table: Callable[..., Tabl
         assert "40.0 degC from it" in row["reason"]
 
 
-@pytest.mark.in_gate("-1")
+@pytest.mark.long
 @pytest.mark.parametrize("sign", [1, -1])
 def test_acceleration_sensitivity(tested: Any, table: Callable[..., Table], sign: int) -> None:
     rig = table(unit="V")
@@ -60,6 +61,7 @@ def test_acceleration_sensitivity(tested: Any, table: Callable[..., Table], sign
     assert row["lo"] < 0.02 * 3e-6 < row["hi"]
 
 
+@pytest.mark.long
 def test_acceleration_sensitivity_cut_short(tested: Any, table: Callable[..., Table]) -> None:
     table().rates(rests=False, procedure="scale_factor_acceleration_sensitivity", position="IRA_up")
     (row,) = tested.metric("scale_factor_acceleration_sensitivity")
@@ -67,7 +69,7 @@ def test_acceleration_sensitivity_cut_short(tested: Any, table: Callable[..., Ta
     assert "not measured with the IRA down" in row["reason"]
 
 
-@pytest.mark.in_gate("vibration")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["shock", "vibration"])
 def test_changes_by_shock_and_vibration(tested: Any, table: Callable[..., Table], kind: str) -> None:
     rig = table(unit="V")
@@ -88,6 +90,7 @@ def test_changes_by_shock_and_vibration(tested: Any, table: Callable[..., Table]
     assert found["largest"]["hi"] - found["largest"]["lo"] < 0.02 * 5e-6
 
 
+@pytest.mark.long
 def test_change_without_after_and_without_axes(tested: Any, table: Callable[..., Table]) -> None:
     rig = table()
     rig.rates(rests=False, procedure="scale_factor_shock", axis="X", phase="before")
@@ -97,6 +100,7 @@ def test_change_without_after_and_without_axes(tested: Any, table: Callable[...,
     assert tested.metric("scale_factor_vibration_change") == []
 
 
+@pytest.mark.long
 def test_repeatability(tested: Any, table: Callable[..., Table]) -> None:
     scatter = (0.0, 4e-6, -3e-6, 1e-6, -5e-6, 2e-6)
     day_ns = 86_400 * SECOND_NS
@@ -123,6 +127,7 @@ def test_repeatability(tested: Any, table: Callable[..., Table]) -> None:
     assert len(found) == 10
 
 
+@pytest.mark.long
 def test_repeatability_of_five_is_too_few_for_one_standard(tested: Any, table: Callable[..., Table]) -> None:
     rig = table()
     for repeat in range(1, 6):

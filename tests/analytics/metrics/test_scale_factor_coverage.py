@@ -63,6 +63,7 @@ def test_truth_lies_inside_the_limits(recorded: Any, asymmetry: float) -> None:
                 assert inside <= high, (metric, standard, inside)
 
 
+@pytest.mark.long
 def test_limits_of_a_maximum_cover_it(recorded: Any) -> None:
     """They hold for all points together, so they cover at least; a maximum itself comes out too large."""
     rows = units_of(300, 12, 40e-6)
@@ -76,6 +77,7 @@ def test_limits_of_a_maximum_cover_it(recorded: Any) -> None:
     assert np.mean([row["value"] for row in found]) > truth
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("freedom", [1.0, 2.5, 4.0, 20.0, 1e6])
 def test_quantiles_against_scipy(tested: Any, freedom: float) -> None:
     with tested.catalog() as catalog:

@@ -103,6 +103,7 @@ def test_the_published_accelerometer_table_comes_out(recorded: Any, product: Any
     assert np.mean(gammas) == pytest.approx(21.1, abs=0.1)  # erratum: 21.5 is printed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("measure", "per_g"), [("g_0", 1.0), ("m/s^2", 9.80665), ("mm/s^2", 9806.65)])
 def test_accelerations_need_no_scale_factor(recorded: Any, measure: str, per_g: float) -> None:
     outputs = tuple(per_g * each for each in (0.001, 0.0013, 0.0012, 0.0009))
@@ -156,6 +157,7 @@ def test_a_simulated_run_gives_what_was_planted(tested: Any) -> None:
         assert 0 < rows[name]["standard_uncertainty"] < 2
 
 
+@pytest.mark.long
 def test_what_is_missing_is_said_once(recorded: Any, product: Any) -> None:
     product(GYRO)
     (row,) = recorded(turnings(20.0, without="alpha90_beta180"), "gyro_separation")

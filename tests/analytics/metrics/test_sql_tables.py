@@ -96,6 +96,7 @@ def test_every_table_says_what_it_is(store: Store) -> None:
     assert [name for name, what in reported.items() if not what or "cannot be computed" in str(what)] == []
 
 
+@pytest.mark.long
 def test_every_column_says_what_it_holds(store: Store) -> None:
     with Catalog(store) as catalog:
         for table in known_tables():
@@ -105,6 +106,7 @@ def test_every_column_says_what_it_holds(store: Store) -> None:
             assert all(row["type"] for row in columns)
 
 
+@pytest.mark.long
 def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
     """A column that was renamed takes its words with it."""
     written = [
@@ -119,6 +121,7 @@ def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
             assert set(reported) - held - {"confidence"} == set(), table
 
 
+@pytest.mark.long
 def test_every_example_runs(store: Store) -> None:
     with Catalog(store) as catalog:
         for question, statement in examples().items():
@@ -150,6 +153,7 @@ def test_a_table_that_is_not_there_is_told(store: Store) -> None:
         columns_of(catalog, "lake_samples")
 
 
+@pytest.mark.long
 def test_the_command_tells_tables_and_columns(store: Store) -> None:
     runner = CliRunner()
     shown = runner.invoke(sql, ["--tables", "--store", str(store.folder)], catch_exceptions=False)
@@ -280,6 +284,7 @@ def test_words_of_a_table_go_before_those_of_every(store: Store) -> None:
     assert column_texts("estimates")["n"] == "number of averaged terms"
 
 
+@pytest.mark.long
 def test_what_the_guide_asks_runs(store: Store) -> None:
     section = GUIDE.read_text(encoding="utf-8")
     statements = re.findall(r'gyrofleet sql "(.*?)"\n', section, re.DOTALL)

@@ -73,6 +73,7 @@ def test_startup_time(tested: Any) -> None:
     assert tested.metric("warmup_time") == []
 
 
+@pytest.mark.long
 def test_the_limits_of_the_startup_time_hold_the_time_without_noise(tested: Any) -> None:
     rng = np.random.default_rng(22)
     tested.product(SPECIFICATION)

@@ -107,6 +107,7 @@ def test_a_short_step_is_that_of_its_samples(tested: Any, offset_ns: int) -> Non
     assert row["duration_s"] == exact((bounds[1] - bounds[0]) / 1e9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ends_early_ns", [0, 1, DT_NS, 350_000_000])
 def test_a_long_step_is_that_of_the_whole_seconds_within_it(tested: Any, ends_early_ns: int) -> None:
     n = MOST_RAW + 4000
@@ -255,7 +256,7 @@ with Catalog(Store.open(Path(sys.argv[1]))) as catalog:
 """
 
 
-@pytest.mark.in_gate("whole")
+@pytest.mark.long
 @pytest.mark.parametrize("moment", ["half", "whole"])
 def test_a_kill_while_the_records_are_written_leaves_the_old_ones_or_none(tested: Any, moment: str) -> None:
     tested.run("r1")
@@ -275,6 +276,7 @@ def test_a_kill_while_the_records_are_written_leaves_the_old_ones_or_none(tested
     assert Store.open(tested.store.folder).identity == tested.store.identity
 
 
+@pytest.mark.long
 def test_more_samples_of_white_noise_tell_the_mean_better() -> None:
     rng = np.random.default_rng(21)
     sizes = (5, 8, 10, 12, 16, 20, 24, 30, 48, 64, 100)

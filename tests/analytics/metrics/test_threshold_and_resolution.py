@@ -39,6 +39,7 @@ def test_threshold_on_the_rate_table(tested: Any) -> None:
     assert row["standard"] == "GJB2426A, JJF2014"
 
 
+@pytest.mark.long
 def test_threshold_without_rest_or_direction(tested: Any) -> None:
     bench = Bench(tested)
     words: dict[str, Any] = {"procedure": "threshold", "noise": 1e-7, "step": "small_rate"}
@@ -50,6 +51,7 @@ def test_threshold_without_rest_or_direction(tested: Any) -> None:
     assert row["reason"] == "no rate backwards was measured, the clause asks for both directions"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latitude_deg", [40.0, None])
 def test_threshold_on_the_indexing_head(tested: Any, latitude_deg: float | None) -> None:
     bench = Bench(tested, latitude_deg=latitude_deg)
@@ -70,6 +72,7 @@ def test_threshold_on_the_indexing_head(tested: Any, latitude_deg: float | None)
     assert (row["method"], row["standard"]) == ("indexing_head", "GJB2426A")
 
 
+@pytest.mark.long
 def test_threshold_in_one_slow_turn(tested: Any) -> None:
     bench = Bench(tested)
     level = EARTH_DEG_PER_H * np.cos(np.radians(40.0))

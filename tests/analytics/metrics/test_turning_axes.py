@@ -29,6 +29,7 @@ def turned(tested: TestedUnits, names: dict[str, str], **words: str) -> None:
             t_ns = tested.step("r1", "U1", signals, t0_ns=t_ns, rate_command_deg_per_s=rate, **at)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("names", [
     {"X": "rate_x", "Y": "rate_y", "Z": "rate_z"},
     {"X": "angularratex", "Y": "angularratey", "Z": "angularratez"},

@@ -43,6 +43,7 @@ def share_held(rng: np.random.Generator, bias_instability: float, trials: int) -
     return held / trials, float(np.median(halves))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bias_instability", [0.0, 0.1, 0.5, 2.0])
 def test_the_zero_is_held_whatever_it_drifts(bias_instability: float) -> None:
     trials = 200
@@ -52,6 +53,7 @@ def test_the_zero_is_held_whatever_it_drifts(bias_instability: float) -> None:
         assert half < 1.6 * 1.96 * NOISE / math.sqrt(22)
 
 
+@pytest.mark.long
 def test_records_of_the_bench_that_drift(tmp_path: Path) -> None:
     checks = [each for each in CHECKS if each.metric == "fitted_zero"]
     found = list(covered(Store.create(tmp_path / "store"), 40, 7, checks, flicker=0.5))

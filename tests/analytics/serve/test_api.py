@@ -19,6 +19,7 @@ def got(api: httpx.Client, path: str, **parameters: Any) -> Any:
     return answer.json()
 
 
+@pytest.mark.long
 def test_units_come_by_name_in_pages(api: httpx.Client) -> None:
     whole = got(api, "/api/units")
     names = [each["unit"] for each in whole["units"]]
@@ -71,6 +72,7 @@ def test_a_trend_without_values_says_why(api: httpx.Client) -> None:
     assert "bandwidth" in found["reason"]
 
 
+@pytest.mark.long
 def test_an_allan_curve_is_that_of_the_command(api: httpx.Client, served: Served, run_command: Run) -> None:
     found = got(api, "/api/allan/FOG-0001/run-1/rate", source="samples")
     told = run_command(

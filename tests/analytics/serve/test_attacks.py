@@ -51,6 +51,7 @@ def test_every_change_of_the_api_is_attacked_here() -> None:
     assert all(any(re.fullmatch(pattern, path) for path in attacked) for pattern in unknown), of_api
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("path", "body"), CHANGES, ids=str)
 def test_no_change_without_the_secret_of_the_session(
     served: Served, anna: httpx.Client, path: str, body: dict[str, Any]
@@ -125,6 +126,7 @@ PRIVATE = ("/", "/units", "/units/FOG-0001", "/events", "/sql", "/api/units", "/
            "/api/units?format=csv", "/login", "/api/nothing")  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", PRIVATE)
 def test_no_cache_on_the_way_keeps_a_private_answer(anna: httpx.Client, path: str) -> None:
     control = anna.get(path).headers["cache-control"]
@@ -145,6 +147,7 @@ def test_no_cell_or_name_of_a_column_is_a_formula(api: httpx.Client) -> None:
     assert api.post("/api/sql", json=body | {"parameters": ["-0.5"]}).text.split() == ["a", "-0.5"]
 
 
+@pytest.mark.long
 def test_an_unknown_user_takes_as_long_as_a_known_one() -> None:
     stored = hashed("correct horse battery")
 

@@ -137,6 +137,7 @@ def test_headers_of_the_proxy_from_elsewhere_are_ignored_and_reported(
     assert SECRET not in site.log.read_text()
 
 
+@pytest.mark.long
 def test_of_another_address_the_secret_is_worth_nothing(
     tmp_path: Path, command_server: CommandServer, run_command: Callable[..., Any]
 ) -> None:
@@ -182,6 +183,7 @@ def test_clients_behind_the_proxy_wait_for_their_own_wrong_passwords(site: Site)
     assert set(tries("10.0.0.77, 10.0.0.1")) == {429}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("login", "secret", "said"),
     [

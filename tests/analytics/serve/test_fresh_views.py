@@ -54,6 +54,7 @@ def test_without_documents_of_a_kind_its_tables_are_the_lakes(store: Store, monk
     assert before["runs"] == noted["runs"] == noted["internal.served_runs"] != []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("document", "table"),
     [

@@ -10,6 +10,7 @@ from tests.analytics.serve.conftest import TOKEN, Served
 from tests.analytics.serve.served_store import HOSTILE
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_name_is_a_name_everywhere(api: httpx.Client, name: str) -> None:
     quoted = quote(name, safe="")

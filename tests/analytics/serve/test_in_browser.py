@@ -78,6 +78,7 @@ def plotted(window: Browser, url: str, section: str = "#signal-plot") -> None:
     until(lambda: window.ask(f"!!document.querySelector('{section} canvas')"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width_s", [600.0, 60.0, 2.0, 0.1])
 def test_a_spike_of_one_sample_is_seen_at_every_zoom(window: Browser, served: Served, width_s: float) -> None:
     at_ns = START_NS + SPIKE_AT * 10**9 // RATE_HZ
@@ -131,6 +132,7 @@ def test_a_statement_is_answered_without_leaving_the_page(window: Browser, serve
     assert all("400" in each for each in window.complaints())
 
 
+@pytest.mark.long
 def test_allan_deviation_and_trend_are_drawn_and_read(window: Browser, served: Served) -> None:
     plotted(window, served.url + SIGNAL, "#allan-plot")
     plot = "document.querySelector('#allan-plot .plot')"
@@ -141,6 +143,7 @@ def test_allan_deviation_and_trend_are_drawn_and_read(window: Browser, served: S
     assert window.complaints() == []
 
 
+@pytest.mark.long
 def test_the_pictures_of_a_unit_are_drawn_read_and_lead_on(window: Browser, served: Served) -> None:
     window.open(f"{served.url}/units/FOG-0001")
     drawn = "document.querySelectorAll('[data-figure] canvas').length"
@@ -157,6 +160,7 @@ def test_the_pictures_of_a_unit_are_drawn_read_and_lead_on(window: Browser, serv
     assert window.complaints() == []
 
 
+@pytest.mark.long
 def test_forms_of_the_pages_are_taken_from_a_browser(window: Browser, served: Served) -> None:
     window.open(f"{served.url}/store")
     until(lambda: window.ask("!!document.querySelector('form[action=\"/act/verify_store\"]')"))
@@ -227,6 +231,7 @@ def test_what_a_first_visit_loads_is_small(window: Browser, served: Served) -> N
     assert 20_000 < loaded < 300_000
 
 
+@pytest.mark.long
 def test_the_curve_of_a_long_record_comes_after_its_page(
     window: Browser, tmp_path: Path, command_server: CommandServer, run_command: Callable[..., Any]
 ) -> None:

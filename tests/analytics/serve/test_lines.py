@@ -54,6 +54,7 @@ def logged_in(alone: Alone, name: str) -> Iterator[httpx.Client]:
         yield browser
 
 
+@pytest.mark.long
 def test_a_request_that_does_not_come_is_not_waited_for(alone: Alone) -> None:
     with ExitStack() as lines:
         slow = [lines.enter_context(alone.line()) for _ in range(3)]
@@ -88,6 +89,7 @@ def test_a_body_that_is_too_long_is_not_read(alone: Alone, length: bool) -> None
     assert sent < 20 << 20
 
 
+@pytest.mark.long
 def test_a_crowd_of_silent_lines_keeps_nobody_out(alone: Alone) -> None:
     with ExitStack() as lines:
         for _ in range(2300):
@@ -98,6 +100,7 @@ def test_a_crowd_of_silent_lines_keeps_nobody_out(alone: Alone) -> None:
     assert log.count("there are more than") <= 101  # of a flood some lines
 
 
+@pytest.mark.long
 def test_requests_that_are_none_do_not_fill_the_log(alone: Alone) -> None:
     before = alone.log.stat().st_size
     for _ in range(1000):
@@ -107,6 +110,7 @@ def test_requests_that_are_none_do_not_fill_the_log(alone: Alone) -> None:
     assert alone.log.stat().st_size - before < 20_000
 
 
+@pytest.mark.long
 def test_one_person_does_not_take_all_places_of_listeners(alone: Alone) -> None:
     with ExitStack() as ends:
         greedy = ends.enter_context(logged_in(alone, "vera"))
@@ -129,6 +133,7 @@ def test_one_person_does_not_take_all_places_of_listeners(alone: Alone) -> None:
                 status = stream.status_code
 
 
+@pytest.mark.long
 def test_who_is_thrown_out_hears_no_more(alone: Alone) -> None:
     """By a logout, by a lower role, by being removed; who stays hears on."""
     with ExitStack() as ends:
@@ -160,6 +165,7 @@ REPORTED = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 def test_what_is_refused_is_reported_in_one_line_each(alone: Alone) -> None:
     begin = len(alone.log.read_text())
     with httpx.Client(base_url=alone.url) as nobody, logged_in(alone, "vera") as vera:

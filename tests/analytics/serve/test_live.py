@@ -87,6 +87,7 @@ def arrival_ns(store: Path) -> int:
     return next(at_ns for document, at_ns in documents if isinstance(document, RunStarted) and document.run == "now")
 
 
+@pytest.mark.long
 def test_a_sample_is_seen_once_and_soon_after_its_acknowledgement(
     beside: Served, command_server: CommandServer
 ) -> None:
@@ -118,6 +119,7 @@ def test_a_sample_is_seen_once_and_soon_after_its_acknowledgement(
         assert client.get("/api/allan/SIM-0001/now/rate").json()["tau_s"]
 
 
+@pytest.mark.long
 def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server: CommandServer) -> None:
     """Documents, units and counts of samples are there soon and once, also while segments come to the lake."""
     words = ["run-simulated", "--run", "now", "--simulate", "2", "--hours", "0.04", "--speed", "3", "--rate-hz", "100"]

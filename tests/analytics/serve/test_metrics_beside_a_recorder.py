@@ -63,6 +63,7 @@ def service(tmp_path: Path, take: Import, monkeypatch: pytest.MonkeyPatch) -> It
     service.close()
 
 
+@pytest.mark.long
 def test_metrics_of_a_unit_that_is_looked_at_follow_the_lake(service: Service, take: Import) -> None:
     async def run() -> None:
         transport = httpx.ASGITransport(application(service, ("here",)))

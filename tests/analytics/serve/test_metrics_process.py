@@ -28,6 +28,7 @@ def store(tmp_path: Path, run_command: Callable[..., Any]) -> Store:
     return Store.open(tmp_path / "S")
 
 
+@pytest.mark.long
 def test_a_large_lake_has_the_same_metrics(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Catalog(store, kept=tmp_path) as catalog:
         expected = catalog.rows(VALUES)
@@ -41,6 +42,7 @@ def test_a_large_lake_has_the_same_metrics(store: Store, tmp_path: Path, monkeyp
         assert catalog.rows(VALUES) == expected
 
 
+@pytest.mark.long
 def test_a_server_that_ends_computes_nothing_more(store: Store) -> None:
     process = MetricsProcess(store)
     process.close()

@@ -139,6 +139,7 @@ def test_what_is_asked_of_the_provider(pair: Pair) -> None:
     assert oidc_provider.SECRET not in begun.headers["location"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("lies", "said"),
     [
@@ -243,6 +244,7 @@ def test_a_provider_that_refuses_is_quoted_by_nobody(pair: Pair) -> None:
         assert "alert(1)" not in browser.get(answer_of(browser)).text
 
 
+@pytest.mark.long
 def test_new_keys_of_the_provider_are_fetched(pair: Pair) -> None:
     pair.lie(keys="new", signed="new")
     time.sleep(5.5)  # no more often than each 5 s
@@ -282,6 +284,7 @@ def test_another_name_of_the_host_leads_to_the_one_that_the_provider_knows(pair:
     assert "set-cookie" not in answer.headers
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("issuer", "said"),
     [("http://127.0.0.1:9", "Connection refused"), ("{provider}/other", "answers 404"),

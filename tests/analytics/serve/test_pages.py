@@ -66,6 +66,7 @@ def test_a_page_is_whole_in_both_languages(api: httpx.Client, path: str) -> None
         assert "{{" not in answer.text.replace("{{7-7}}", "")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("each", [3, pytest.param(1000, marks=pytest.mark.long)])
 def test_every_link_of_the_pages_leads_somewhere(api: httpx.Client, each: int) -> None:
     seen: set[str] = set()

@@ -69,5 +69,6 @@ def test_a_window_shows_what_is_known_and_then_the_rest(service: Service) -> Non
     asyncio.run(run())
 
 
+@pytest.mark.long
 def test_a_unit_that_is_not_there_is_reported_before_metrics_are(service: Service) -> None:
     assert "FOG-1" in asyncio.run(seen(service, "/units/FOG-9", WINDOW, status=404))

@@ -84,6 +84,7 @@ def curves(picture: Any, style: str) -> list[Any]:
     return [each for each in picture["curves"] if each["style"] == style]
 
 
+@pytest.mark.long
 def test_a_characteristic_over_time_against_its_limits(pictures: httpx.Client) -> None:
     found = got(pictures, "/api/units/P-2/history", metric="bias")
     assert (found["x"]["scale"], found["y"]["unit"]) == ("time", "deg/h")
@@ -139,6 +140,7 @@ def test_the_data_of_a_picture_come_in_every_form(pictures: httpx.Client, form: 
     assert table.column_names == ["curve", "point", "x", "y", "lo", "hi"]
 
 
+@pytest.mark.long
 def test_every_value_of_a_trend_by_station_and_by_unit(pictures: httpx.Client) -> None:
     found = got(pictures, "/api/trends/values", metric="bias")
     assert [(each["name"]["en"], len(each["x"])) for each in curves(found, "points")] == [("A", 6), ("B", 3)]
@@ -229,6 +231,7 @@ def test_pages_have_their_tables_without_scripts(pictures: httpx.Client, page: s
         assert got(pictures, url.replace("&amp;", "&"))["curves"]
 
 
+@pytest.mark.long
 def test_a_diagnosis_is_a_page_with_its_pictures(pictures: httpx.Client) -> None:
     job = pictures.post("/api/diagnosis/P-1/jobs", json={"model": "rate = bias"}).json()["job"]["id"]
     while (found := got(pictures, f"/api/jobs/{job}"))["job"]["state"] in ("waiting", "running"):

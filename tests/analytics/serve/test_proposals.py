@@ -80,6 +80,7 @@ def test_an_engineer_proposes_and_an_approver_approves(site: tuple[str, dict[str
     assert "approved already, by anna" in again.text
 
 
+@pytest.mark.long
 def test_an_approver_does_not_approve_their_own_and_withdraws_it(site: tuple[str, dict[str, str]]) -> None:
     url, tokens = site
     headers = {"Authorization": f"Bearer {tokens['approver']}"}

@@ -30,6 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, run_command: Run) -> Path:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -62,6 +63,7 @@ def test_a_port_that_is_taken_is_named(folder: Path, run_command: Run) -> None:
     assert "--port" in done.err
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_it_at_once_while_pages_listen(folder: Path, command_server: CommandServer) -> None:
     process, ready = start(command_server, "--store", "S", "--port", 0, cwd=folder)
     # the address that it prints logs a browser in
@@ -85,6 +87,7 @@ def test_ctrl_c_ends_it_at_once_while_pages_listen(folder: Path, command_server:
     assert json.loads(out)["event"] == "ended"
 
 
+@pytest.mark.long
 def test_a_request_in_the_middle_is_answered_as_it_ends(folder: Path, command_server: CommandServer) -> None:
     process, ready = start(command_server, "--store", "S", "--port", 0, "--token", "T", cwd=folder)
     answers: list[httpx.Response] = []
@@ -117,6 +120,7 @@ def test_two_signals_at_once_are_one_end(folder: Path, command_server: CommandSe
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_users_come_and_go_while_it_runs(folder: Path, command_server: CommandServer, run_command: Run) -> None:
     users = ("--users", "people.toml")
     added = run_command("users", "add", "dashboard", "--role", "viewer", "--program", *users, "--json", cwd=folder)

@@ -50,6 +50,7 @@ def test_close_enough_each_sample_stands_alone(api: httpx.Client) -> None:
     assert found["min"] == found["max"] == found["mean"] == list(rates(1, 1)[SPIKE_AT - 2 : SPIKE_AT + 3])
 
 
+@pytest.mark.long
 @given(first=st.integers(-10, N), length=st.integers(1, N), points=st.integers(2, 400))
 @settings(max_examples=12)
 def test_buckets_are_those_of_the_samples(api: httpx.Client, first: int, length: int, points: int) -> None:

@@ -96,6 +96,7 @@ def ascii_json(text: str) -> bytes:
 BOMBS = ("select count(*) from range(1000000000000) a, range(1000) b", "select list(i) from range(3000000000) t(i)")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("statement", [BOMBS[1], pytest.param(BOMBS[0], marks=pytest.mark.long)])
 def test_a_bomb_ends_and_harms_nobody(api: httpx.Client, statement: str) -> None:
     began = time.monotonic()
@@ -125,6 +126,7 @@ def test_the_tables_and_examples_work(api: httpx.Client) -> None:
     assert api.post("/api/sql", json={"sql": found["examples"][0]["sql"]}).status_code == 200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("columns", ["true", "null"])
 @pytest.mark.parametrize("form", ["json", "csv"])
 def test_what_is_small_in_arrow_and_huge_as_text_is_refused(api: httpx.Client, columns: str, form: str) -> None:

@@ -93,6 +93,7 @@ def test_many_tries_at_once_are_no_more_than_may_be(tmp_path: Path) -> None:
         assert sum(threads.map(one, range(40))) == 3
 
 
+@pytest.mark.long
 def test_a_password_is_stored_as_a_slow_hash_with_its_own_salt() -> None:
     one, two = hashed(PASSWORD), hashed(PASSWORD)
     assert one != two

@@ -68,6 +68,7 @@ def test_a_window_is_told_at_once_and_gets_the_page_made_once(service: Service) 
     asyncio.run(run())
 
 
+@pytest.mark.long
 def test_readers_and_programs_do_not_get_the_pages_of_others(service: Service) -> None:
     async def run() -> None:
         waiting, slow = Waiting(), Slow(0.7)

@@ -62,7 +62,7 @@ def test_evidence_is_that_of_direct_fits() -> None:
         assert gained == pytest.approx(direct, abs=1e-8)
 
 
-@pytest.mark.in_gate("30-0.8-1.0-300")
+@pytest.mark.long
 @pytest.mark.parametrize("series", [300, 1000])
 @pytest.mark.parametrize(
     ("n", "correlation", "share"),
@@ -74,6 +74,7 @@ def test_noise_that_wanders_shows_a_change_in_few_series(n: int, correlation: fl
     assert alarms <= binom.isf(0.001 / 7, series, 0.015)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("series", [200, pytest.param(800, marks=pytest.mark.long)])
 def test_a_dearer_price_makes_alarms_rarer(series: int) -> None:
     noise = simulated(Noise(0.8, 1.0), series, 30, np.random.default_rng(20260712))
@@ -94,6 +95,7 @@ def test_a_step_of_three_sigma_is_found(n: int, correlation: float, least: float
     assert found >= binom.ppf(0.001 / 4, series, least)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("series", [35, pytest.param(100, marks=pytest.mark.long)])
 def test_a_bump_that_returns_is_two_changes(series: int) -> None:
     rng = np.random.default_rng(20261202)
@@ -104,6 +106,7 @@ def test_a_bump_that_returns_is_two_changes(series: int) -> None:
     assert both >= 0.97 * series
 
 
+@pytest.mark.long
 def test_changes_of_many_levels_are_found_in_a_long_series() -> None:
     values = np.random.default_rng(20261203).standard_normal(5000) + np.repeat([0.0, 1.0, 0.0, 2.0, 3.0], 1000)
     found = _found(values)
@@ -111,7 +114,7 @@ def test_changes_of_many_levels_are_found_in_a_long_series() -> None:
     assert all(each.lo < size < each.hi for each, size in zip(found.points, (1, -1, 2, 1), strict=True))
 
 
-@pytest.mark.in_gate("0.6-100")
+@pytest.mark.long
 @pytest.mark.parametrize("series", [100, 400])
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 def test_moment_and_size_of_a_change_are_covered(correlation: float, series: int) -> None:
@@ -137,6 +140,7 @@ def test_segments_keep_their_least_length() -> None:
     assert ChangeSearch(np.arange(12.0), (4, 8)).one() is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("series", [100, pytest.param(300, marks=pytest.mark.long)])
 def test_wild_points_are_no_change(series: int) -> None:
     rng = np.random.default_rng(20260715)

@@ -64,6 +64,7 @@ def test_rules_name_the_points_that_take_part() -> None:
     assert points_of(rule_flags(z), z) == {1: [7], 3: [0, 1, 2, 3, 4, 5]}
 
 
+@pytest.mark.long
 def test_a_chart_of_noise_seldom_has_too_many_signals_or_a_wild_point() -> None:
     rng = np.random.default_rng(20260702)
     series = 1500

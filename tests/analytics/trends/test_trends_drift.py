@@ -31,6 +31,7 @@ def test_slope_is_covered_though_neighbours_resemble_each_other(correlation: flo
     assert alarms <= binom.isf(0.001 / 3, trials, 0.01 if correlation < 0.9 else 0.02)
 
 
+@pytest.mark.long
 def test_slope_is_covered_where_a_slow_wander_hides_in_scatter() -> None:
     """A model without scatter takes such noise as fast, and holds the slope of 0.77 of these series."""
     rng = np.random.default_rng(20261127)

@@ -69,6 +69,7 @@ def test_station_offset_is_found_and_covered(trials: int) -> None:
         assert binom.ppf(0.001 / 2, trials, 0.95) <= count
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("trials", [15, pytest.param(40, marks=pytest.mark.long)])
 def test_scatter_of_units_is_covered(trials: int) -> None:
     rng = np.random.default_rng(20260731)
@@ -94,6 +95,7 @@ def test_scatter_of_stations() -> None:
     assert components(series_of(np.ones(20), np.arange(20)), GROUPS) == {}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("trials", [25, pytest.param(80, marks=pytest.mark.long)])
 def test_no_station_is_named_where_there_is_no_offset(trials: int) -> None:
     rng = np.random.default_rng(20260722)

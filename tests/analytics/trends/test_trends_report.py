@@ -57,6 +57,7 @@ def test_a_station_with_an_offset_is_named_and_sized(reported: Reported) -> None
     assert "差异来自试验台" in chinese
 
 
+@pytest.mark.long
 def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported) -> None:
     rng = np.random.default_rng(20260742)
     rows = [
@@ -68,6 +69,7 @@ def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported)
     assert said.count("cannot be distinguished") == 1
 
 
+@pytest.mark.long
 def test_a_change_is_dated_and_the_process_has_no_capability(reported: Reported) -> None:
     values = np.random.default_rng(20260743).normal(0, 1, 100)
     values[60:] += 3
@@ -79,6 +81,7 @@ def test_a_change_is_dated_and_the_process_has_no_capability(reported: Reported)
     assert isinstance(trend.capabilities[0], NotComputed)
 
 
+@pytest.mark.long
 def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capability(reported: Reported) -> None:
     rng = np.random.default_rng(20260751)
     rows = [
@@ -95,6 +98,7 @@ def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capabilit
     assert " to " not in chinese
 
 
+@pytest.mark.long
 def test_a_unit_that_drifts_is_named_among_others(reported: Reported) -> None:
     rng = np.random.default_rng(20260744)
     rows = [
@@ -124,6 +128,7 @@ def test_a_wild_point_stands_with_its_chance_and_a_deviation_has_no_limit_below_
     assert chart.limits.lower == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("trials", [30, pytest.param(100, marks=pytest.mark.long)])
 def test_nothing_stands_out_in_noise(trials: int) -> None:
     """Of trends of noise alone at most 5 in a hundred say anything."""
@@ -165,6 +170,7 @@ def test_nothing_is_said_so_and_capability_follows(reported: Reported, store: St
     assert found.cpk.value == pytest.approx((0.36 - values.mean()) / 3 / values.std(ddof=1))
 
 
+@pytest.mark.long
 def test_products_with_different_limits_have_none_in_common(reported: Reported, store: Store, tmp_path: Path) -> None:
     rows = _rows(np.random.default_rng(1).normal(size=30))
     for at, row in enumerate(rows):
@@ -208,7 +214,7 @@ def test_the_document_is_json_and_complete(reported: Reported) -> None:
     assert found["names"] == {"en": "Bias", "zh": "零偏"}
 
 
-@pytest.mark.in_gate("None-.png")
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 @pytest.mark.parametrize("by", [None, "station", "unit"])
 def test_pictures(reported: Reported, tmp_path: Path, by: str | None, suffix: str) -> None:

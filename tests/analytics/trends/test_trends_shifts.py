@@ -25,7 +25,7 @@ def shifts_of(plan: Plan, seed: int) -> LevelShifts:
     return found
 
 
-@pytest.mark.in_gate("rounds-80")
+@pytest.mark.long
 @pytest.mark.parametrize(("how", "series"), [("weekly", 80), ("rounds", 80), ("single", 30)])
 def test_independent_measurements_show_a_shift_in_at_most_one_of_a_hundred_series(how: str, series: int) -> None:
     found = counted(SMALL._replace(how=how), series, seed=2)
@@ -58,6 +58,7 @@ def test_shifts_in_many_series(how: str, series: int) -> None:
         assert not is_outside(plan, counted(plan, series), 9)
 
 
+@pytest.mark.long
 def test_all_stations_that_change_together_are_one_change() -> None:
     series = simulated(np.random.default_rng(5), Plan())
     late = series.t_ns >= series.t_ns[series.value.size // 2]
@@ -82,6 +83,7 @@ def test_other_units_from_then_on_may_be_the_cause_and_that_is_said() -> None:
     assert "0 units were measured there before and after, so it may be the units that changed" in said
 
 
+@pytest.mark.long
 def test_wild_values_are_no_shift() -> None:
     alarms = 0
     for seed in range(40):
@@ -172,6 +174,7 @@ def test_simulated_sums_have_the_moments_of_simulated_values() -> None:
     assert drawn.squares.std() == pytest.approx(squares.std(), rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("by", [None, "station"])
 def test_the_picture_has_every_value_and_ends_where_the_data_end(
     by: str | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -16,6 +16,7 @@ def test_single_limits_of_jcgm_106() -> None:
     assert probability_of_conformity(3.0, 1.0, Interval(lower=3.0)) == pytest.approx(0.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("u", [0.05, 0.2, 0.6])
 @pytest.mark.parametrize(("lower", "upper"), [(None, 1.0), (-1.0, 1.0), (0.0, None)])
 def test_probability_of_conformity_is_the_share_that_conforms(

@@ -64,6 +64,7 @@ def test_comparison_loss_of_jcgm_101_9_4() -> None:
     assert found.u == pytest.approx(50e-6, rel=0.01)
 
 
+@pytest.mark.long
 def test_few_degrees_of_freedom_are_wider_by_monte_carlo() -> None:
     """JCGM 101 6.4.9.4: the standard deviation of t is sqrt(v/(v - 2)) times the standard uncertainty of JCGM 100."""
     scatter = budget(Component.type_a("repeatability", "重复性", 0.05, 5, "1"))

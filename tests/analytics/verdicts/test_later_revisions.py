@@ -105,6 +105,7 @@ def test_a_run_recorded_after_a_revision_is_judged_by_it(store: Store, specify: 
     assert found == {"before": ("A", "PASS"), "after": ("B", "FAIL")}
 
 
+@pytest.mark.long
 def test_the_log_alone_gives_the_same_verdicts(measured_store: Store, specify: Specify, tmp_path: Path) -> None:
     specify(measured_store, "A", limit(2.0) + "[product.X]\naverage_s = 30.0\n")
     specify(measured_store, "B", limit(1.0, "valid_from = 2025-01-01") + "[product.X]\naverage_s = 50.0\n")

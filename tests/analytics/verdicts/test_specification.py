@@ -122,6 +122,7 @@ def test_a_revision_ends_where_the_next_begins(store: Store, add: Add) -> None:
         specification_named(store, "fog-D")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("first", "name", "second", "said"),
     [
@@ -147,6 +148,7 @@ def test_specifications_that_contradict_each_other_are_refused(
     assert len(stored_specifications(store)) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("more", "limits"),
     [

@@ -113,6 +113,7 @@ def test_a_check_alone_passes_no_unit(judged: Judged) -> None:
     assert (group["passed"], group["failed"], group["no_data"], group["yield"]) == (0, 1, 1, 0.0)
 
 
+@pytest.mark.long
 def test_limits_for_every_product_apply_to_a_unit_that_was_only_checked(judged: Judged) -> None:
     judged.specify(limits(BIAS, 'metric = "bias_stability"\nproduct = "X"\nupper = 1.0\nunit_of_measure = "deg/h"'))
     check(judged, "NOPE-9")
@@ -125,6 +126,7 @@ def test_limits_for_every_product_apply_to_a_unit_that_was_only_checked(judged: 
     assert [row["passed"] for row in yield_by(judged.catalog([], []), "lot")] == [0]
 
 
+@pytest.mark.long
 def test_a_unit_of_unknown_product_passes_only_where_no_limit_asks_for_the_product(judged: Judged) -> None:
     runs: Rows = [{"unit": "U1", "run": "r1", "product": None}]
     values: Rows = [{"value": 0.0, "lo": -0.1, "hi": 0.1}]
@@ -136,7 +138,7 @@ def test_a_unit_of_unknown_product_passes_only_where_no_limit_asks_for_the_produ
     assert unit["reason"].startswith("its product is not known, so that no limit of X is applied: name its product")
 
 
-@pytest.mark.in_gate("FOG_0231", "FOG-02.31")
+@pytest.mark.long
 @pytest.mark.parametrize("other", ["fog-0231", "FOG_0231", "FOG0231", "FOG-02.31"])
 def test_a_unit_under_two_names_is_warned_of(judged: Judged, other: str) -> None:
     runs = [{"unit": unit, "run": "r1"} for unit in ("FOG-0231", other, "FOG-0232")]

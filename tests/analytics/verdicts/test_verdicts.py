@@ -44,6 +44,7 @@ def test_a_value_is_judged_by_its_interval(judged: Judged) -> None:
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("upper", "unit", "verdict"), [(1.0 / 3600, "deg/s", "PASS"), (0.9 / 3600, "deg/s", "FAIL")])
 def test_a_limit_in_another_unit_is_the_same_limit(judged: Judged, upper: float, unit: str, verdict: str) -> None:
     judged.specify(limits(f'metric = "bias"\nupper = {upper!r}\nunit_of_measure = "{unit}"'))
@@ -61,6 +62,7 @@ def test_a_value_in_a_unit_that_does_not_fit_has_no_verdict(judged: Judged) -> N
     assert (row["verdict"], row["reason"]) == ("NO_DATA", "the value is in mV, the limit in deg/h")
 
 
+@pytest.mark.long
 def test_each_run_is_judged_by_the_revision_that_was_valid_when_it_began(judged: Judged) -> None:
     for revision, head, upper in (
         ("A", "valid_from = 2026-01-02", 3.0),
@@ -79,6 +81,7 @@ def test_each_run_is_judged_by_the_revision_that_was_valid_when_it_began(judged:
     assert "2026-01-05" in found["r4"]["reason"]
 
 
+@pytest.mark.long
 def test_a_value_over_several_runs_is_of_the_last_of_them(judged: Judged) -> None:
     judged.specify(limits(BIAS, revision="A"))
     judged.specify(limits(BIAS.replace("1.0", "5.0"), revision="B", head="valid_from = 2026-01-03"))
@@ -88,6 +91,7 @@ def test_a_value_over_several_runs_is_of_the_last_of_them(judged: Judged) -> Non
     assert (row["revision"], row["verdict"], row["day"]) == ("B", "PASS", "2026-01-04")
 
 
+@pytest.mark.long
 def test_a_run_without_a_date_has_a_verdict_only_where_there_is_one_revision(judged: Judged) -> None:
     runs = [{"unit": "U1", "run": "r1", "date_known": False, "t_start_ns": 0}]
     values = [{"value": 0.0, "lo": -0.1, "hi": 0.1}]

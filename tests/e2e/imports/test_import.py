@@ -33,6 +33,7 @@ def samples(gyrofleet: Callable[..., Any], where: str = "true") -> int:
     return int(gyrofleet("sql", f"select count(*) as n from samples where {where}", "--json").json[0]["n"])
 
 
+@pytest.mark.long
 def test_the_same_file_again_adds_nothing_and_says_so(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv")
     first = gyrofleet("import", path, "--unit", "U1", "--json").json["files"][0]
@@ -45,6 +46,7 @@ def test_the_same_file_again_adds_nothing_and_says_so(gyrofleet: Callable[..., A
     assert samples(gyrofleet) == 4000
 
 
+@pytest.mark.long
 def test_csv_and_parquet_of_the_same_samples_are_the_same_samples(
     gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -54,6 +56,7 @@ def test_csv_and_parquet_of_the_same_samples_are_the_same_samples(
     assert "Nothing to add" in gyrofleet("import", "a.parquet", "--unit", "U1").out
 
 
+@pytest.mark.long
 def test_other_values_at_the_same_time_are_refused_and_the_store_stays(
     gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -67,6 +70,7 @@ def test_other_values_at_the_same_time_are_refused_and_the_store_stays(
     assert fingerprint(tmp_path / "gyrofleet-data") == before
 
 
+@pytest.mark.long
 def test_samples_between_stored_ones_are_another_recording(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
     shifted = pl.read_csv(tmp_path / "a.csv").with_columns(pl.col("time[s]") + 0.005)
@@ -75,6 +79,7 @@ def test_samples_between_stored_ones_are_another_recording(gyrofleet: Callable[.
     assert samples(gyrofleet) == 4000
 
 
+@pytest.mark.long
 def test_a_file_may_add_signals_and_time_ranges_to_a_run(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
     later = gyrofleet("import", table(tmp_path / "b.csv", start=1500), "--unit", "U1", "--run", "r", "--json")
@@ -93,6 +98,7 @@ def test_a_file_may_add_signals_and_time_ranges_to_a_run(gyrofleet: Callable[...
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_start_gives_the_date_and_no_start_leaves_it_open(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv", n=10)
     gyrofleet("import", path, "--unit", "U1", "--run", "dated", "--start", "2026-03-01T20:00:00+08:00")
@@ -187,6 +193,7 @@ def test_a_store_on_an_unwritable_place_is_said_so(gyrofleet: Callable[..., Any]
     assert "cannot write the store /proc/gyrofleet" in refused.err
 
 
+@pytest.mark.long
 def test_several_units_in_one_file(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     lines = ["unit,time[s],rate[deg/s],temperature[degC]"]
     for i in range(500):
@@ -210,6 +217,7 @@ def test_the_same_file_at_another_start_is_another_stretch_of_the_run(
     assert row == {"n": 12_000, "m": 12_000}
 
 
+@pytest.mark.long
 def test_the_interval_of_rounded_times_is_not_that_of_the_rounding(
     gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -224,6 +232,7 @@ def test_the_interval_of_rounded_times_is_not_that_of_the_rounding(
     assert curve["tau_s"][0] == pytest.approx(1 / 102.4, rel=1e-5)
 
 
+@pytest.mark.long
 def test_it_ends_with_what_to_ask_next(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = tmp_path / "a(day).csv"
     path.write_text("time[s],temperature[degC],rate[deg/s]\n" + "".join(f"{i / 10},20,{i % 7}\n" for i in range(200)))

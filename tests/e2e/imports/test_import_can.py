@@ -68,6 +68,7 @@ def imported(gyrofleet: Run, tmp_path: Path) -> Callable[..., Any]:
     return do
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("identifier", "total"), [(0x101, 0.45), (0x102, 112.5)])
 def test_the_variant_of_a_message_that_occurs_is_taken(
     gyrofleet: Run, tmp_path: Path, imported: Run, identifier: int, total: float
@@ -93,6 +94,7 @@ def test_message_chooses_a_variant(gyrofleet: Run, tmp_path: Path, imported: Run
     assert found["frames"]["unknown"] == {str(0x101): 5}
 
 
+@pytest.mark.long
 def test_a_mapping_chooses_a_variant_by_its_id(gyrofleet: Run, tmp_path: Path, imported: Run) -> None:
     path = log(tmp_path / "a.blf", [(0x101 + i % 2, shorts(i, 5 * i)) for i in range(10)])
     entry = '[[message]]\nmessage = "IMU"\nunit = "{}"\nid = {}\nsignals = {{ YawRate = "rate" }}\n'
@@ -101,6 +103,7 @@ def test_a_mapping_chooses_a_variant_by_its_id(gyrofleet: Run, tmp_path: Path, i
     assert sums(gyrofleet) == {("A", "rate"): (5, 0.2), ("B", "rate"): (5, 62.5)}
 
 
+@pytest.mark.long
 def test_j1939_messages_are_known_by_their_pgn(gyrofleet: Run, tmp_path: Path, imported: Run) -> None:
     """Priorities 3 and 6, destination addresses 0x21 and 0xFF: the same messages, of one source."""
     frames = [(0x0CF00A33 if i % 2 else 0x18F00A33, shorts(i)) for i in range(10)]
@@ -111,6 +114,7 @@ def test_j1939_messages_are_known_by_their_pgn(gyrofleet: Run, tmp_path: Path, i
     assert sum(count["decoded"] for count in found["frames"]["messages"]) == 20
 
 
+@pytest.mark.long
 def test_j1939_sources_are_told_apart(gyrofleet: Run, tmp_path: Path, imported: Run) -> None:
     path = log(tmp_path / "a.blf", [(0x18F00A30 + i % 3, shorts(100 * (i % 3) + 1)) for i in range(30)])
     found = imported(path, J1939, "--unit", "U1")
@@ -122,6 +126,7 @@ def test_j1939_sources_are_told_apart(gyrofleet: Run, tmp_path: Path, imported: 
     assert "message GYRO comes from sources 0x30, 0x31, 0x32" in found["remarks"][0]
 
 
+@pytest.mark.long
 def test_a_mapping_gives_each_j1939_source_its_unit(gyrofleet: Run, tmp_path: Path, imported: Run) -> None:
     path = log(tmp_path / "a.blf", [(0x18F00A30 + i % 3, shorts(100 * (i % 3) + 1)) for i in range(30)])
     entry = '[[message]]\nmessage = "GYRO"\nsources = { A = 0x30, B = 0x32 }\n'
@@ -136,6 +141,7 @@ def test_a_mapping_gives_each_j1939_source_its_unit(gyrofleet: Run, tmp_path: Pa
     assert any("20 from another source address left out" in remark for remark in found["remarks"])
 
 
+@pytest.mark.long
 def test_scan_finds_j1939_messages_and_proposes_a_source(gyrofleet: Run, tmp_path: Path, imported: Run) -> None:
     path = log(tmp_path / "a.blf", [(0x0CF00A30 + i % 2, shorts(i)) for i in range(30)])
     (tmp_path / "a.dbc").write_text(J1939)
@@ -146,6 +152,7 @@ def test_scan_finds_j1939_messages_and_proposes_a_source(gyrofleet: Run, tmp_pat
     assert sums(gyrofleet) == {("A", "yawrate"): (15, 2.1)}
 
 
+@pytest.mark.long
 def test_an_unfinished_mf4_with_complete_data_is_no_error(gyrofleet: Run, tmp_path: Path) -> None:
     path = log(tmp_path / "a.mf4", [(0x101, shorts(i, 5 * i)) for i in range(50)])
     content = bytearray(path.read_bytes())
@@ -158,6 +165,7 @@ def test_an_unfinished_mf4_with_complete_data_is_no_error(gyrofleet: Run, tmp_pa
     assert sums(gyrofleet) == {("U1", "yawrate"): (50, 12.25)}
 
 
+@pytest.mark.long
 def test_an_unfinished_mf4_that_ends_inside_a_record_is_damaged(gyrofleet: Run, tmp_path: Path) -> None:
     path = log(tmp_path / "a.mf4", [(0x101, shorts(i, 5 * i)) for i in range(50)])
     content = bytearray(path.read_bytes())

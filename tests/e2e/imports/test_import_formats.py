@@ -40,6 +40,7 @@ def test_titles_with_units_in_round_brackets(gyrofleet: Run, tmp_path: Path) -> 
     assert found["remarks"] == ["column 'Gyro X (deg/s)' is signal gyro_x"]
 
 
+@pytest.mark.long
 def test_rename_gives_names_and_units_and_is_never_in_vain(gyrofleet: Run, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("Elapsed,rate x[deg/s],Status,Serial\n0,1,7,FOG-1\n0.5,2,8,FOG-1\n")
@@ -67,7 +68,7 @@ STAMPS: dict[str, tuple[Callable[[datetime], str], str]] = {
 }
 
 
-@pytest.mark.in_gate("time-zone", "Time (UTC)-blank")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("title", "kind"),
     [("time", "zone"), ("Time (s)", "utc"), ("Timestamp", "blank"), ("Date Time", "apart"), ("Time (UTC)", "blank")],
@@ -112,6 +113,7 @@ def test_time_stamps_of_a_parquet_file(gyrofleet: Run, tmp_path: Path) -> None:
     assert values(gyrofleet, "rate") == [(START_NS + i * 10**7, float(i)) for i in range(5)]
 
 
+@pytest.mark.long
 def test_comments_before_and_between_rows_are_skipped_and_counted(gyrofleet: Run, tmp_path: Path) -> None:
     rows = "".join(f"# block {i}\n{i / 100},{i}\n" for i in range(300))
     (tmp_path / "a.csv").write_text(f"# bench 3\n#operator: Li, Wang\n\ntime[s],rate[deg/s]\n{rows}#end\n4,x\n")
@@ -125,6 +127,7 @@ def test_comments_before_and_between_rows_are_skipped_and_counted(gyrofleet: Run
     assert "303 comment lines" in str(event)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
 def test_a_header_in_a_comment_as_numpy_writes_it(gyrofleet: Run, tmp_path: Path, delimiter: str) -> None:
     table = np.column_stack([np.arange(5) * 0.25, np.arange(5) - 2.5])
@@ -134,7 +137,7 @@ def test_a_header_in_a_comment_as_numpy_writes_it(gyrofleet: Run, tmp_path: Path
     assert "the header is the last comment before the rows" in found["remarks"]
 
 
-@pytest.mark.in_gate("dph-deg/h")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("unit", "stored"),
     [("dps", "dps"), ("deg/sec", "deg/sec"), ("°/s", "°/s"), ("rad/s", "rad/s"), ("dph", "deg/h"), ("º/h", "deg/h")],

@@ -69,6 +69,7 @@ def test_the_earth_rate_is_removed_where_the_station_is_known(ask: Callable[...,
     assert found["removed"]["standard"] == "JJF2014"
 
 
+@pytest.mark.long
 def test_without_a_latitude_the_corrected_value_of_that_unit_is_missing(ask: Callable[..., Outcome]) -> None:
     found = biases(ask, "U-UNKNOWN")
     assert found["none"]["value"] == pytest.approx(2.0 + EARTH_DEG_PER_H, abs=0.01)
@@ -77,6 +78,7 @@ def test_without_a_latitude_the_corrected_value_of_that_unit_is_missing(ask: Cal
     assert biases(ask, "U-KNOWN")["removed"]["value"] is not None
 
 
+@pytest.mark.long
 def test_days_are_those_of_the_station(ask: Callable[..., Outcome]) -> None:
     rows = ask("sql", "select unit, day::varchar as day from bias_by_day order by unit", "--json").json
     days = {row["unit"]: row["day"] for row in rows}
@@ -137,6 +139,7 @@ def test_words_that_a_column_says_too_are_refused(ask: Callable[..., Outcome], t
     assert "--procedure is given, but a column 'procedure' says it too" in done.err
 
 
+@pytest.mark.long
 def test_words_that_no_procedure_has_are_told(ask: Callable[..., Outcome]) -> None:
     known = ("import", "known.csv", "--unit", "U-WORDS", "--start", START)
     assert "warning" not in both(ask(*known, "--run", "w1", *UP))

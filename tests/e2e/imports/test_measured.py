@@ -39,7 +39,7 @@ def adis_store(stored: Stored) -> Path:
     return stored(1)
 
 
-@pytest.mark.in_gate("rate_z-1")
+@pytest.mark.long
 @pytest.mark.parametrize("run", [1, 2])
 @pytest.mark.parametrize("signal", RATES)
 def test_allan_agrees_with_an_independent_computation(
@@ -88,6 +88,7 @@ def test_every_sample_is_in_the_lake_once_with_its_value(
         assert row["mixed"] == pytest.approx((value * t_ns).sum(), rel=1e-9)
 
 
+@pytest.mark.long
 def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[..., Any], adis_store: Path) -> None:
     stored = gyrofleet(
         "sql",
@@ -121,7 +122,7 @@ def test_bias_stability_is_that_of_the_averages(
     }  # fmt: skip
 
 
-@pytest.mark.in_gate("rate_y-1")
+@pytest.mark.long
 @pytest.mark.parametrize("run", [1, 2])
 @pytest.mark.parametrize("signal", RATES)
 def test_the_fitted_random_walk_is_that_of_the_device(

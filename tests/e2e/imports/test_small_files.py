@@ -42,6 +42,7 @@ def test_many_files_of_one_command_go_through_one_recorder(
     assert [each["signals"][0]["already_stored"] for each in again] == [ROWS] * FILES
 
 
+@pytest.mark.long
 def test_signals_that_are_named_are_estimated_as_well(gyrofleet: Callable[..., Any], many: list[Path]) -> None:
     gyrofleet("import", many[0], "--unit", "U1", "--estimates", "supply_voltage")
     gyrofleet("import", many[1], "--unit", "U1", "--estimates", "all")
@@ -86,6 +87,7 @@ def test_files_that_give_a_run_a_date_and_none_are_refused_before_anything_is_st
     assert not list(tmp_path.glob("gyrofleet-data/log/*.mcap"))
 
 
+@pytest.mark.long
 def test_a_file_that_contradicts_the_store_keeps_its_group_out(
     gyrofleet: Callable[..., Any], tmp_path: Path, many: list[Path]
 ) -> None:

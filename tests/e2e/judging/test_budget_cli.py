@@ -83,6 +83,7 @@ def parts(found: dict[str, Any]) -> dict[str, float]:
     return {each["name"]: each["contribution"] for each in found["components"]}
 
 
+@pytest.mark.long
 def test_an_upright_axis_sees_level_and_latitude(ask: Ask) -> None:
     found = budget(ask, "up")
     cosine = math.cos(math.radians(40))
@@ -104,6 +105,7 @@ def test_an_axis_that_points_east_sees_level_and_north(ask: Ask) -> None:
     assert own["latitude"] == 0
 
 
+@pytest.mark.long
 def test_metrics_have_the_figures_of_the_budget(ask: Ask) -> None:
     rows = json.loads(ask("metrics", "--unit", "U1", "--metric", "bias", "--json").stdout)
     for run in ("up", "east"):
@@ -114,6 +116,7 @@ def test_metrics_have_the_figures_of_the_budget(ask: Ask) -> None:
         assert row["uncertainty_reason"] is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("run", "reason"),
     [
@@ -139,6 +142,7 @@ def test_a_given_coverage_factor_and_monte_carlo(ask: Ask) -> None:
     assert found["monte_carlo"]["p"] == found["p"]
 
 
+@pytest.mark.long
 def test_the_table_fits_80_columns_in_both_languages(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     for language, words in (("en", ("levelling", "combined")), ("zh", ("调平", "合成", "扩展不确定度"))):

@@ -143,6 +143,7 @@ def test_what_is_not_there_is_refused_and_named(ask: Ask, words: tuple[str, ...]
     assert said in json.loads(done.stdout)["error"]["message"]
 
 
+@pytest.mark.long
 def test_the_table_speaks_both_languages(ask: Ask) -> None:
     english = ask("metrics", "--unit", "FOG-0001").stdout
     chinese = ask("metrics", "--unit", "FOG-0001", "--lang", "zh").stdout
@@ -163,6 +164,7 @@ def test_a_csv_file_holds_the_same(ask: Ask, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["m.csv"]
 
 
+@pytest.mark.long
 def test_a_workbook_holds_numbers_as_numbers(ask: Ask, tmp_path: Path) -> None:
     ask("metrics", "--metric", "bias", "--xlsx", tmp_path / "m.xlsx", "--lang", "zh")
     rows = json.loads(ask("metrics", "--metric", "bias", "--json").stdout)
@@ -266,6 +268,7 @@ def test_a_serial_that_was_never_recorded_is_entered_with_a_warning_and_does_not
     assert units["FOG-0O01"]["lacking"] == ["bias", "bias_stability_averaged"]
 
 
+@pytest.mark.long
 def test_an_empty_store_has_nothing_to_tell(tmp_path: Path) -> None:
     folder = str(tmp_path / "S")
     assert CliRunner().invoke(main, ["metrics", "--store", folder]).exit_code == 1
@@ -276,6 +279,7 @@ def test_an_empty_store_has_nothing_to_tell(tmp_path: Path) -> None:
     assert [(row["unit"], row["verdict"]) for row in reported["units"]] == [("U1", "FAIL")]
 
 
+@pytest.mark.long
 def test_a_visual_check_alone_passes_no_unit(tmp_path: Path) -> None:
     folder = str(tmp_path / "S")
     words = ["check", "--store", folder, "--unit", "NOPE-9", "--item", "visual", "--by", "Li", "--verdict", "pass"]

@@ -68,6 +68,7 @@ def biases(ask: Callable[..., Result]) -> dict[str, dict[str, Any]]:
     return {row["unit"]: row for row in rows if row["signal"].startswith("rate")}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_that_only_begins_like_a_procedure_is_no_procedure(biases: dict[str, Any], name: str) -> None:
     assert biases[f"U-{name}"]["value"] == pytest.approx(5.0, abs=0.1)
@@ -82,6 +83,7 @@ def test_an_output_without_a_scale_factor_has_a_reason(biases: dict[str, Any]) -
     assert "no scale factor for an output in mV" in biases["U-MV"]["reason"]
 
 
+@pytest.mark.long
 def test_a_reference_is_no_gyro(ask: Callable[..., Result]) -> None:
     (found,) = json.loads(
         ask("sql", "select count(*) as n from unit_metrics where signal = 'reference_rate'", "--json").stdout

@@ -37,6 +37,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, A
     return {unit: [row for row in every if row["unit"] == unit] for unit in ("SAME", "OTHER")}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["all", "run_to_run", "within_day_component"])
 def test_noise_is_no_repeatability(rows: dict[str, list[dict[str, Any]]], kind: str) -> None:
     found = {unit: [row for row in of if row["parameters"]["kind"] == kind] for unit, of in rows.items()}

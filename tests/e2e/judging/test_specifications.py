@@ -142,6 +142,7 @@ def test_a_revision_that_is_there_judges_anew_when_it_is_asked_to(ask: Ask, fold
     assert json.loads(ask("limits", "history", "--json").stdout) == history
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "said"),
     [

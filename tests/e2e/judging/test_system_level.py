@@ -95,6 +95,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[.
     return made
 
 
+@pytest.mark.long
 def test_the_worked_case_comes_out_of_a_file(laboratory: Laboratory) -> None:
     found = {row["signal"]: row for row in laboratory.rows("whole", method="average")}
     assert found["rate_x"]["value"] == pytest.approx(10.786, abs=0.005)
@@ -166,6 +167,7 @@ def test_what_is_good_beside_it_is_calibrated(laboratory: Laboratory) -> None:
         assert "no latitude of the station" in row["reason"]
 
 
+@pytest.mark.long
 def test_no_step_of_a_calibration_is_left_unjudged(laboratory: Laboratory) -> None:
     assert laboratory.rows("whole")
     done = laboratory._run("metrics", "--store", "S", "--standard", "CN 102680005", cwd=laboratory.folder)

@@ -98,6 +98,7 @@ def test_the_metric_is_an_argument_or_an_option(ask: Ask) -> None:
         assert "name one metric" in " ".join(ask(*words, code=1).output.split())
 
 
+@pytest.mark.long
 def test_capability_is_against_the_specification(ask: Ask) -> None:
     (chart,) = json.loads(ask("trend", "bias", "--station", "bench-A", "--json").stdout)["charts"]
     capability = chart["capability"]

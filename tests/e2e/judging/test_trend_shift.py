@@ -68,6 +68,7 @@ def ask(folder: Path) -> Ask:
     return run
 
 
+@pytest.mark.long
 def test_a_shift_of_one_chamber_is_dated_and_sized(ask: Ask) -> None:
     found = json.loads(ask("trend", "bias", "--json").stdout)
     assert (found["values"], found["units"]) == (4 * 2 * UNITS, UNITS)

@@ -98,7 +98,7 @@ def test_a_unit_without_an_effect_lacks_nothing(gyrofleet: Callable[..., Any], s
     assert limit["absent_above"] < SHUPE / 3
 
 
-@pytest.mark.in_gate("zh-words1")
+@pytest.mark.long
 @pytest.mark.parametrize(("language", "words"), [
     ("en", ("these data cannot separate", "held-out runs", "separating test:", "absent above", "Next test: ")),
     ("zh", ("现有数据无法区分", "留出试验", "区分方法", "不高于", "下一项试验：")),
@@ -168,6 +168,7 @@ def test_several_units_are_a_list(gyrofleet: Callable[..., Any], store: Path) ->
     assert list(failed.json["units"]) == ["FOG-2"]
 
 
+@pytest.mark.long
 def test_a_fleet_is_counted_on_standard_error(fleet: Result) -> None:
     assert [line for line in fleet.stderr.splitlines() if line.startswith(("reading", "tracing", "searching"))] == [
         "reading FOG-1 (1 of 2)",
@@ -229,6 +230,7 @@ def refusal(*words: object) -> str:
     return str(json.loads(done.stdout)["error"]["message"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("model", "message"), [
     ("rate = bias + temprature", "did you mean temperature"),
     ("bias + temperature", "which signal is it of? give --signal"),
@@ -242,6 +244,7 @@ def test_nobody_is_diagnosed_unasked(store: Path) -> None:
     assert "give --unit, once or several times, or --fleet" in refusal("", "--model", MODEL, "--store", store)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not browser.IS_THERE, reason="no chromium and chromedriver to look with")
 @pytest.mark.parametrize(
     ("language", "words"),

@@ -29,6 +29,7 @@ def test_hit_2012_lacks_something_that_the_table_cannot_name(gyrofleet: Callable
     assert any("remounted" in note["text"] for note in found["reduction"])
 
 
+@pytest.mark.long
 def test_the_next_test_of_hit_2012_mounts_each_position_several_times(
     gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -61,6 +62,7 @@ def test_adis16405_has_no_reproducible_effect_of_time_on_y_and_z(gyrofleet: Call
         assert found["effects"] == []
 
 
+@pytest.mark.long
 @pytest.mark.measured
 def test_psim_x_lacks_a_thermal_transient_of_a_kind_that_the_record_cannot_tell(
     gyrofleet: Callable[..., Any], measured: Path

@@ -38,6 +38,7 @@ def test_what_makes_the_held_out_error_worse_is_not_confirmed(gyrofleet: Callabl
     assert any("is refused whatever its slope" in each for each in found["limits"])
 
 
+@pytest.mark.long
 def test_bounds_that_no_station_has_are_refused(gyrofleet: Callable[..., Any], store: Path) -> None:
     ask = ("diagnose", "--store", store, "--unit", "P", "--model", "rate = bias", "--no-explainable", "--next-test")
     for bounds, text in (
@@ -53,6 +54,7 @@ def test_bounds_that_no_station_has_are_refused(gyrofleet: Callable[..., Any], s
         assert text in refused.err
 
 
+@pytest.mark.long
 def test_a_single_run_is_recovered_in_its_segments(gyrofleet: Callable[..., Any], store: Path) -> None:
     ask = ("diagnose", "--store", store, "--unit", "P", "--run", "r0", "--model", "rate = bias", "--no-explainable")
     found = gyrofleet(*ask, "--recover", 1, "--json").json

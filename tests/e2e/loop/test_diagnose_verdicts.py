@@ -50,6 +50,7 @@ def written(path: Path, unit: str, run: str, columns: Mapping[str, FloatArray]) 
     pl.DataFrame(frame).write_parquet(path)
 
 
+@pytest.mark.long
 def test_a_scale_factor_that_no_fitted_run_tells_is_not_nothing_missing(
     gyrofleet: Callable[..., Any], store: Path
 ) -> None:

@@ -35,6 +35,7 @@ def store(tmp_path_factory: pytest.TempPathFactory, run_command: Command) -> Pat
     return folder / "S"
 
 
+@pytest.mark.long
 def test_what_no_effect_explains_is_named_with_its_channels(gyrofleet: Command, store: Path, tmp_path: Path) -> None:
     ask = ("diagnose", "--store", store, "--unit", "X-1", *MODEL)
     assert gyrofleet(*ask, "--no-explainable", "--json").json["explainable"] is None

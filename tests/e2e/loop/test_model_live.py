@@ -181,6 +181,7 @@ def until(seen: Callable[[], bool], what: str) -> None:
         time.sleep(0.2)
 
 
+@pytest.mark.long
 def test_a_killed_process_goes_on_and_nothing_is_lost_or_twice(
     tmp_path: Path, spawn: Callable[..., subprocess.Popen[str]], endpoint: str
 ) -> None:

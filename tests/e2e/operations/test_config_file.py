@@ -112,6 +112,7 @@ def test_files_of_the_program_and_a_site_are_well(tmp_path: Path) -> None:
     assert len(found) == len(procedures) + 2
 
 
+@pytest.mark.long
 def test_a_recorder_takes_its_settings_and_its_certificate_from_the_file(
     tmp_path: Path, spawn: Callable[..., subprocess.Popen[str]], gyrofleet: Callable[..., Any], endpoint: str
 ) -> None:
@@ -147,6 +148,7 @@ def test_a_file_of_settings_that_is_wrong_ends_the_command(tmp_path: Path, gyrof
     assert not (tmp_path / "gyrofleet-data").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

@@ -160,6 +160,7 @@ def test_the_composition_reads_its_root_only_and_turns_its_logs_over() -> None:
         assert written == set(json.loads(of("VOLUME")[0]))
 
 
+@pytest.mark.long
 def test_the_health_check_asks_what_a_role_answers(
     tmp_path: Path, spawn: Callable[..., "subprocess.Popen[str]"], endpoint: str
 ) -> None:

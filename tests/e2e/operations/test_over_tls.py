@@ -52,6 +52,7 @@ def connected(site: Path, who: str, endpoint: str) -> ZenohBus:
             time.sleep(0.05)
 
 
+@pytest.mark.long
 def test_an_import_lets_those_of_the_site_read_and_nobody_write(
     site: Path, tmp_path: Path, spawn: Spawn, gyrofleet: Callable[..., Any], endpoint: str
 ) -> None:
@@ -79,6 +80,7 @@ def test_an_import_lets_those_of_the_site_read_and_nobody_write(
         assert catalog.rows("select unit, count(*)::int from samples group by all") == [("U1", n)]
 
 
+@pytest.mark.long
 def test_a_plant_is_replicated_to_the_fleets_certificate_alone(
     site: Path, tmp_path: Path, spawn: Spawn, gyrofleet: Callable[..., Any], endpoint: str
 ) -> None:

@@ -29,6 +29,7 @@ def documents(folder: Path) -> list[dict[str, Any]]:
         return [json.loads(text) for (text,) in catalog.rows(sql)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_recorded", [False, True], ids=["no_recorder", "recorder"])
 def test_an_act_is_of_whom_the_certificate_names(
     is_recorded: bool, tmp_path: Path, gyrofleet: Callable[..., Any], spawn: Callable[..., subprocess.Popen[str]],

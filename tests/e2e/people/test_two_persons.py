@@ -92,6 +92,7 @@ def test_a_rejected_proposal_stays_without_effect(store: Store, added: ModelVers
     assert isinstance(activate(store, added, Stage.SHADOW, reason="new run", by=LI), ActProposed)
 
 
+@pytest.mark.long
 def test_one_person_takes_a_model_out_of_use_and_puts_back_what_two_had_approved(store: Store) -> None:
     registry = ModelRegistry(store)
     one, two = registry.add(version()), registry.add(version(note="again"))
@@ -103,6 +104,7 @@ def test_one_person_takes_a_model_out_of_use_and_puts_back_what_two_had_approved
     assert live(store).live == documents[1]
 
 
+@pytest.mark.long
 def test_the_recorder_refuses_what_goes_around_the_rule(store: Store, added: ModelVersion) -> None:
     """Documents that a process writes itself."""
     proposal = activate(store, added, Stage.LIVE, reason="", by=LI)

@@ -129,6 +129,7 @@ def watching(spawn: Spawn, path: Path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.long
 def test_each_alert_comes_once_through_kills_and_servers_that_are_away(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, mailbox: Mailbox,
     hook: tuple[int, list[dict[str, Any]]], tmp_path: Path,
@@ -208,6 +209,7 @@ def test_wrong_rules_are_refused(gyrofleet: Callable[..., Any], tmp_path: Path, 
     assert told in refused.err
 
 
+@pytest.mark.long
 def test_a_change_of_level_is_told_of_the_unit_that_changes(
     gyrofleet: Callable[..., Any], spawn: Spawn, hook: tuple[int, list[dict[str, Any]]], tmp_path: Path
 ) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.e2e.station.test_alerts import Spawn, hook, until, watching
 
 __all__ = ["hook"]
@@ -32,6 +34,7 @@ def killed(process: subprocess.Popen[str]) -> None:
     process.communicate()
 
 
+@pytest.mark.long
 def test_what_lasts_is_told_once_through_restarts_rules_and_seals(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, hook: tuple[int, list[dict[str, Any]]], tmp_path: Path
 ) -> None:

@@ -129,7 +129,7 @@ def test_a_source_survives_the_recorder_being_killed(
     assert {"what": "segment_recovered"} in gyrofleet("sql", reported, "--json").json
 
 
-@pytest.mark.in_gate("2")
+@pytest.mark.long
 @pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGINT])
 def test_an_interrupted_import_is_completed_by_giving_it_again(
     gyrofleet: Callable[..., Any], spawn: Spawn, tmp_path: Path, fault: signal.Signals
@@ -148,6 +148,7 @@ def test_an_interrupted_import_is_completed_by_giving_it_again(
     assert_each_is_there_once(gyrofleet, 3_000_000)
 
 
+@pytest.mark.long
 def test_nobody_to_connect_to_and_an_address_in_use_are_said_so(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
 ) -> None:
@@ -176,6 +177,7 @@ def test_nobody_to_connect_to_and_an_address_in_use_are_said_so(
     assert f"--connect {endpoint}" in locked.err
 
 
+@pytest.mark.long
 def test_the_embedded_path_opens_no_port(spawn: Spawn, tmp_path: Path) -> None:
     source = spawn("import", table(tmp_path / "a.parquet", 2_000_000), "--unit", "U1")
     log = tmp_path / "gyrofleet-data" / "log"

@@ -38,6 +38,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, simulated: Callable[..., Ben
     finish(found)
 
 
+@pytest.mark.long
 def test_released_units_are_on_the_pages(gyrofleet: Gyrofleet, bench: Bench, spawn: Spawn, tmp_path: Path) -> None:
     specify(gyrofleet, tmp_path, SPECIFICATION + AFTER)
     server = spawn("serve", "--store", "S", "--port", "0", "--token", TOKEN, "--json")

@@ -71,6 +71,7 @@ def stays(store: Path, run: str, for_s: float = 1.0) -> int:
     return step
 
 
+@pytest.mark.long
 def test_an_operator_pauses_resumes_and_aborts_over_http(
     served: Served, store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept, gyrofleet: Gyrofleet
 ) -> None:
@@ -151,6 +152,7 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
     assert note["author"] == "operator-program"
 
 
+@pytest.mark.long
 def test_a_run_that_sends_to_a_recorder_takes_commands_too(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept, endpoint: str
 ) -> None:
@@ -184,6 +186,7 @@ def stopped(process: "subprocess.Popen[str]") -> Iterator[None]:
         process.send_signal(signal.SIGCONT)
 
 
+@pytest.mark.long
 def test_a_station_that_does_not_answer_is_told_of_and_does_nothing_later(
     served: Served, store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
@@ -212,6 +215,7 @@ def command(run: str, action: RunAction, name: str) -> RunCommand:
     )
 
 
+@pytest.mark.long
 def test_a_command_is_carried_out_at_most_once_through_kills(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
@@ -265,6 +269,7 @@ def test_a_command_is_carried_out_at_most_once_through_kills(
     assert len(reasons) == sum(1 for row in rows if row["reason"]) == 6, "each once"
 
 
+@pytest.mark.long
 def test_an_abort_that_was_accepted_is_finished_after_a_kill(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
@@ -290,6 +295,7 @@ def test_an_abort_that_was_accepted_is_finished_after_a_kill(
     assert last["outcome"] == "aborted"
 
 
+@pytest.mark.long
 def test_a_command_that_others_can_write_is_not_carried_out(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:

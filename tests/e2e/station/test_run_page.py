@@ -77,6 +77,7 @@ def text(window: Browser, selector: str) -> str:
     return str(window.ask(f"document.querySelector({json.dumps(selector)})?.textContent ?? ''"))
 
 
+@pytest.mark.long
 def test_a_run_is_followed_and_commanded_on_its_page(
     served: Served, store: Path, bench: Bench, spawn: Spawn, state: State, window: Browser
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_run_is_followed_and_commanded_on_its_page(
     assert [each for each in window.complaints() if "409" not in each] == []
 
 
+@pytest.mark.long
 def test_the_allan_deviation_of_chosen_units_is_followed_with_its_limit(
     served: Served, store: Path, bench: Bench, spawn: Spawn, state: State, window: Browser
 ) -> None:

@@ -119,6 +119,7 @@ def check_documents(kept: Kept, gyrofleet: Gyrofleet) -> None:
         assert value["value"] == pytest.approx(check["value"], rel=tolerance)
 
 
+@pytest.mark.long
 def test_units_of_two_products_are_judged_by_their_own_limits(
     gyrofleet: Gyrofleet, kept: Kept, products: Bench, specify: Callable[..., None]
 ) -> None:

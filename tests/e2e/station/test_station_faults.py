@@ -89,6 +89,7 @@ def test_an_instrument_that_falls_silent_is_reported_once_and_the_run_goes_on(
     kept.sound()
 
 
+@pytest.mark.long
 def test_units_that_deliver_nothing_do_not_pass_silently(
     gyrofleet: Gyrofleet, kept: Kept, spawn: Spawn, bench: Bench, state: Callable[..., dict[str, Any]]
 ) -> None:

@@ -18,6 +18,7 @@ Gyrofleet = Callable[..., Any]
 SHORT = ("--set", "startup_s=4", "--set", "rate_record_s=4", "--set", "off_between_rates_s=1")
 
 
+@pytest.mark.long
 def test_stopped_by_ctrl_c_the_station_is_safe_and_the_run_goes_on_later(
     gyrofleet: Gyrofleet, store: Path, kept: Kept, spawn: Spawn, bench: Bench, state: Callable[..., dict[str, Any]]
 ) -> None:
@@ -94,6 +95,7 @@ def test_an_operator_confirms_pauses_and_aborts(
         process.communicate()
 
 
+@pytest.mark.long
 def test_without_an_operator_a_prompt_ends_the_run_instead_of_waiting_for_ever(
     gyrofleet: Gyrofleet, bench: Bench
 ) -> None:

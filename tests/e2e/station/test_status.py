@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.free_ports import free_endpoint
@@ -32,6 +33,7 @@ def until(look: Callable[[], Any], is_so: Callable[[Any], bool], timeout_s: floa
     return found
 
 
+@pytest.mark.long
 def test_status_follows_roles_from_work_to_death(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
 ) -> None:
@@ -79,6 +81,7 @@ def test_status_follows_roles_from_work_to_death(
     assert (tmp_path / "gyrofleet-data").is_dir()
 
 
+@pytest.mark.long
 def test_a_store_where_nothing_works_is_well(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time[s],rate[deg/h]\n0,1\n1,2\n2,1\n")
     assert gyrofleet("import", tmp_path / "a.csv", "--unit", "U", "--run", "r").code == 0

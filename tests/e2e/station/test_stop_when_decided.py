@@ -74,6 +74,7 @@ def verdicts(gyrofleet: Gyrofleet) -> dict[str, dict[str, Any]]:
     return {row["unit"]: row for row in reported["verdicts"] if row["metric"] == "allan_deviation"}
 
 
+@pytest.mark.long
 def test_all_are_decided_and_the_run_ends_early(gyrofleet: Gyrofleet, kept: Kept, bench: Bench, tmp_path: Path) -> None:
     specify(gyrofleet, tmp_path, SPECIFICATION)
     done = gyrofleet(*bench.run("static_bias", *SHORT))
@@ -113,6 +114,7 @@ def test_all_are_decided_and_the_run_ends_early(gyrofleet: Gyrofleet, kept: Kept
     assert f"{saved_s / 3600:,.1f} unit hours saved" in shown
 
 
+@pytest.mark.long
 def test_a_unit_with_limits_after_the_run_is_released_only_as_a_failure(
     gyrofleet: Gyrofleet, kept: Kept, bench: Bench, tmp_path: Path
 ) -> None:
@@ -155,6 +157,7 @@ def test_decisions_of_estimators_in_other_processes_release_units(
     }
 
 
+@pytest.mark.long
 def test_a_run_that_is_killed_after_a_release_goes_on_with_the_others(
     gyrofleet: Gyrofleet, kept: Kept, bench: Bench, spawn: Spawn, tmp_path: Path
 ) -> None:

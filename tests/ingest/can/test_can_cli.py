@@ -54,6 +54,7 @@ def test_a_log_comes_in_once_and_a_cut_one_is_completed(tmp_path: Path) -> None:
     assert run("sql", query, "--store", store) == [{"least": 0.0, "most": 79.99, "times": 8000}]
 
 
+@pytest.mark.long
 def test_scan_proposes_a_mapping_that_import_takes(tmp_path: Path) -> None:
     store, mapping = tmp_path / "store", tmp_path / "mapping.toml"
     logs = [write(tmp_path / f"{i}.log", i * 2000, (i + 1) * 2000) for i in range(2)]
@@ -73,6 +74,7 @@ def test_scan_proposes_a_mapping_that_import_takes(tmp_path: Path) -> None:
     assert run("allan", "--unit", "FOG-1", "--signal", "yawrate", "--run", "r1", "--store", store)
 
 
+@pytest.mark.long
 def test_a_log_without_a_date_counts_from_its_start(tmp_path: Path) -> None:
     log = tmp_path / "bench.log"
     log.write_text("".join(f"({i * 0.01:.6f}) can0 101#{i:02x}00000000000000\n" for i in range(100)))

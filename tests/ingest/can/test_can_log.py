@@ -56,6 +56,7 @@ def read(log: CanLog) -> list[tuple[int, int, int, bytes]]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_every_frame_of_every_format(tmp_path: Path, suffix: str) -> None:
     frames = messages(2500)
@@ -89,6 +90,7 @@ def test_fd_frames_of_64_bytes_and_frames_of_other_kinds(tmp_path: Path) -> None
     assert (log.counts.data, log.counts.errors, log.counts.remote) == (2, 1, 1)
 
 
+@pytest.mark.long
 def test_a_cut_blf_gives_what_is_good_and_says_so(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     frames = messages(7_000)

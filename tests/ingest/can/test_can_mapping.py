@@ -112,6 +112,7 @@ interval_s = 0.001
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [1, 7, 10_000])
 def test_lost_repeated_and_damaged_frames_leave_gaps_in_the_grid(tmp_path: Path, size: int) -> None:
     random = np.random.default_rng(5)

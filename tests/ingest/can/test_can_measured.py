@@ -53,6 +53,7 @@ def test_yaw_rate_of_a_car_is_that_of_cantools() -> None:
     assert times.tolist() == [t_ns for t_ns, _ in theirs]
 
 
+@pytest.mark.long
 def test_angular_rates_of_an_mf4() -> None:
     path, database = max(GPS.glob("*.MF4")), GPS / "canmod-gps.dbc"
     file = CanLogFile(path, CanMapping([database], unit="GPS").plan(), run="drive")

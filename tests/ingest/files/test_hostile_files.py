@@ -65,6 +65,7 @@ def test_a_channel_whose_name_ends_in_many_digits_is_numbered(tmp_path: Path) ->
     assert block.channel.tolist() == [0, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("field", "why"),
     [
@@ -102,6 +103,7 @@ def test_a_folder_with_the_name_of_a_file_is_said_to_be_one(
     assert name in done.err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["x.csv", "x.parquet", "x.blf", "x.log"])
 def test_a_pipe_is_no_file_to_wait_for(name: str, tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     os.mkfifo(tmp_path / name)
@@ -117,6 +119,7 @@ def packed_zeros(mebibytes: int) -> bytes:
     return b"".join([*(packer.compress(bytes(1 << 20)) for _ in range(mebibytes)), packer.flush()])
 
 
+@pytest.mark.long
 def test_a_log_that_unpacks_to_more_than_any_recorder_writes_is_refused(tmp_path: Path) -> None:
     """300 MiB of zeros in 300 KB."""
     packed = packed_zeros(300)

@@ -85,6 +85,7 @@ def test_a_recorder_by_any_name_and_with_any_store_gives_the_same_answer(
     assert not (tmp_path / "missing").exists()
 
 
+@pytest.mark.long
 def test_two_imports_at_once_take_turns(tmp_path: Path, endpoint: str) -> None:
     paths = [table(tmp_path / f"{number}.parquet", 1000 * number, 3000) for number in range(3)]
     results: list[FileImport | Exception] = []
@@ -111,6 +112,7 @@ def test_two_imports_at_once_take_turns(tmp_path: Path, endpoint: str) -> None:
     assert moments(tmp_path / "store") == (5000, 5000)
 
 
+@pytest.mark.long
 def test_a_claim_is_for_one_source_and_ends_with_it(tmp_path: Path) -> None:
     bus = LocalBus()
     store = Store.create(tmp_path)
@@ -132,6 +134,7 @@ def test_a_claim_is_for_one_source_and_ends_with_it(tmp_path: Path) -> None:
         RecorderClient(LocalBus(), patience_s=0.1)
 
 
+@pytest.mark.long
 def test_a_far_recorder_knows_what_its_lake_knows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported(table(tmp_path / "a.parquet", 0, 2500), tmp_path / "store", None)
     monkeypatch.setattr("stream.wire.requests.MOST_ROWS", 1000)
@@ -150,6 +153,7 @@ def test_a_far_recorder_knows_what_its_lake_knows(tmp_path: Path, monkeypatch: p
             far.runs(["r1"])
 
 
+@pytest.mark.long
 def test_two_runs_of_one_unit_at_once_are_not_one(tmp_path: Path, endpoint: str) -> None:
     with recording(tmp_path / "store", endpoint), ZenohBus(connect=[endpoint]) as bus, ExitStack() as stack:
         a, b = (Destination(tmp_path / name, endpoint, tmp_path) for name in "ab")
@@ -175,6 +179,7 @@ def test_a_store_is_known_by_its_recorder_and_not_by_its_address(tmp_path: Path,
         assert not is_recorded(bus, tmp_path / "missing", endpoint)
 
 
+@pytest.mark.long
 def test_files_in_the_log_that_are_not_the_stores_keep_no_import_waiting(
     tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,6 +71,7 @@ def test_an_import_that_broke_off_is_completed(
     assert outcome(folder) == [("completed", 5000), (2, 2)]
 
 
+@pytest.mark.long
 def test_a_run_that_is_still_going_on_elsewhere_is_not_ended(path: Path, tmp_path: Path) -> None:
     folder = tmp_path / "store"
     with EmbeddedPipeline(folder, "test") as pipeline:

@@ -137,12 +137,14 @@ def test_random_bytes(tmp_path: Path, name: str, content: bytes) -> None:
     read_all(tmp_path / name, content)
 
 
+@pytest.mark.long
 @FUZZ
 @given(st.binary(max_size=300))
 def test_random_bytes_behind_a_good_header(tmp_path: Path, content: bytes) -> None:
     read_all(tmp_path / "r.csv", GOOD_CSV + content)
 
 
+@pytest.mark.long
 @FUZZ
 @given(st.text('0123456789.,;-+eE\t\r\n" naif[]/degstimrunp', max_size=200))
 def test_random_text(tmp_path: Path, content: str) -> None:
@@ -150,6 +152,7 @@ def test_random_text(tmp_path: Path, content: str) -> None:
     read_all(tmp_path / "r.csv", content.encode())
 
 
+@pytest.mark.long
 @FUZZ
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=8), st.integers(0, 10**6))
 def test_damaged_parquet(tmp_path: Path, flips: list[tuple[int, int]], cut: int) -> None:

@@ -152,6 +152,7 @@ def test_beyond_its_limits_nothing_is_sent(tried: Tried) -> None:
     assert not tried.device.lines
 
 
+@pytest.mark.long
 def test_it_settles_after_the_thing_itself_has(tried: Tried) -> None:
     tried.instrument.open()
     for what, value in {**tried.bench.before, **tried.bench.good}.items():
@@ -169,6 +170,7 @@ def test_it_settles_after_the_thing_itself_has(tried: Tried) -> None:
         assert nearest < 0.5
 
 
+@pytest.mark.long
 def test_what_never_settles_is_never_settled(tried: Tried) -> None:
     tried.instrument.open()
     for what, value in tried.bench.before.items():

@@ -82,6 +82,7 @@ garbage = st.lists(st.binary(max_size=40), min_size=1, max_size=12)
 cuts = st.lists(st.integers(0, 600), max_size=10)
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=150)
 @given(garbage, cuts, st.booleans())
 def test_with_garbage_that_holds_no_sync_every_frame_is_found(
@@ -124,6 +125,7 @@ looks_alike = st.one_of(
 )
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=300)
 @given(st.lists(looks_alike, max_size=25), cuts)
 def test_whatever_comes_is_read_by_the_rule_however_it_is_cut(parts: list[bytes], where: list[int]) -> None:

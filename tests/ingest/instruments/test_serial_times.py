@@ -42,6 +42,7 @@ def test_the_jitter_of_the_line_is_not_in_the_times() -> None:
     assert frames.counts.lost == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("error", [80e-6, -80e-6])
 def test_a_clock_that_runs_otherwise_is_followed(error: float) -> None:
     """At 80e-6 a free grid is 96 ms off after 20 min; steered by half of each 10 s it is twice 0.8 ms behind, and one

@@ -61,6 +61,7 @@ def test_every_ready_procedure_keeps_the_laws(name: str) -> None:
     assert procedure.unmet([each.setting for each in procedure.requirements()]) == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", READY)
 def test_every_parameter_is_used(name: str) -> None:
     """Another value gives another plan: no parameter is there for show."""

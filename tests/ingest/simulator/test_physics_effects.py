@@ -121,6 +121,7 @@ def test_scale_factor_over_temperature_and_specific_force_and_age() -> None:
     assert aged == pytest.approx(20.0 + 0.04 * np.arange(n) / 3600, abs=1.01 * COUNT_PPM)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("group", ["bias", "scale"])
 def test_turn_on_and_day_scatter_have_their_sizes_and_days_are_shared(group: str) -> None:
     environment = StaticEnvironment(rates_deg_per_s=(100.0 if group == "scale" else 0.0, 0, 0))

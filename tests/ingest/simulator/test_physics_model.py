@@ -181,6 +181,7 @@ def test_nothing_later_than_the_samples_asked_for_and_nothing_before_power_on_is
     assert environment.earliest_ns == start_ns
 
 
+@pytest.mark.long
 def test_memory_stays_bounded() -> None:
     model = gyro()
     model.samples(50_000)

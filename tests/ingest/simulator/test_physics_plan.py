@@ -196,6 +196,7 @@ def test_power_ons_have_their_days_and_ages() -> None:
         plan.gyro("FOG-0230", 0)
 
 
+@pytest.mark.long
 def test_the_output_follows_from_the_truth_alone(tmp_path: Path) -> None:
     path = tmp_path / "truth.jsonl"
     plan = parsed(FLEET)

@@ -67,6 +67,7 @@ def test_seeds_and_units_give_other_noise_and_the_same_ones_the_same() -> None:
     assert np.array_equal(powered(WHITE, 1).rate_counts(20_000), counts["FOG-1", 1])
 
 
+@pytest.mark.long
 def test_memory_stays_bounded() -> None:
     gyro = powered(LIVELY)
     gyro.rate_counts(1000)

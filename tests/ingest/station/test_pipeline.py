@@ -79,6 +79,7 @@ def test_a_worker_that_cannot_follow_leaves_out_counts_and_keeps_living(monkeypa
         publisher.abandon()  # nobody records
 
 
+@pytest.mark.long
 def test_a_full_disk_is_told_at_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = SegmentWriter.sync
     syncs = iter(range(1000))

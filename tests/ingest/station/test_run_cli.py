@@ -91,6 +91,7 @@ def test_instruments_that_cannot_be_reached_leave_no_store_behind(
     assert "cannot be reached" in refused("static_bias", *at_station)
 
 
+@pytest.mark.long
 def test_a_recorder_that_cannot_be_reached_leaves_no_spool_behind(refused: Refused, endpoint: str) -> None:
     assert f"cannot connect to {endpoint}" in refused(*SIMULATE, "--connect", endpoint, command=run_simulated)
 

@@ -124,6 +124,7 @@ def test_late_turns_are_left_out_and_counted() -> None:
     assert np.diff(times).min() > 0.1e9, "no burst to catch up"
 
 
+@pytest.mark.long
 def test_an_instrument_that_goes_is_reported_once_and_so_is_its_return() -> None:
     clock = StationClock(speed=10.0)
     with ScpiServer({"C": SimulatedChamber(clock)}) as server:

@@ -66,6 +66,7 @@ def test_an_unchanged_store_agrees_and_so_does_what_comes_later(store: Store, ke
     assert what(store, kept) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_a_replaced_segment_is_named_though_the_chain_is_whole(store: Store, key: SigningKey, name: str) -> None:
     kept = attest(store, key).attestation
@@ -77,6 +78,7 @@ def test_a_replaced_segment_is_named_though_the_chain_is_whole(store: Store, key
     assert what(store, kept) == [("attested_changed", name)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_a_removed_segment_is_named_though_the_chain_is_whole(store: Store, key: SigningKey, name: str) -> None:
     kept = attest(store, key).attestation

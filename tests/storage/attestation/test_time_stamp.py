@@ -144,6 +144,7 @@ def test_an_address_that_is_none_and_nobody_there_are_named() -> None:
         request_stamp("http://127.0.0.1:1/", b"x")
 
 
+@pytest.mark.long
 def test_the_commands_stamp_and_check(
     store: Store, honest: Authority, gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -91,6 +91,7 @@ def test_a_backup_is_a_folder_beside_its_store(store: Store, tmp_path: Path, mon
     assert not (store.folder / "backup").exists()
 
 
+@pytest.mark.long
 def test_the_next_backup_adds_what_is_new(store: Store, tmp_path: Path) -> None:
     back_up(store, tmp_path / "B")
     again = back_up(store, tmp_path / "B")
@@ -109,6 +110,7 @@ def counts_after_build(store: Store) -> list[dict[str, Any]]:
     return counts(store)
 
 
+@pytest.mark.long
 def test_the_open_segment_is_in_it_once(store: Store, tmp_path: Path) -> None:
     bus = LocalBus()
     with Recorder(store, bus, EventLog(store), sync_interval_s=0.001), DurablePublisher(bus) as publisher:
@@ -162,6 +164,7 @@ def test_what_the_store_has_lost_stays_in_the_backup(
     assert (tmp_path / "B" / "log" / "00000002.mcap").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", ["log/../../x", "files/../../x", "files//etc/x", "files/.."])
 def test_paths_out_of_the_folder_are_refused(store: Store, tmp_path: Path, path: str) -> None:
     back_up(store, tmp_path / "B")
@@ -226,6 +229,7 @@ def test_two_restorations_into_one_folder_do_not_mix(store: Store, tmp_path: Pat
     assert verify(Store.open(tmp_path / "R"))[0].is_sound
 
 
+@pytest.mark.long
 def test_a_restoration_that_is_killed_while_it_builds_the_lake_is_repeated(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

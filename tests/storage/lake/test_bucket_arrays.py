@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -43,6 +44,7 @@ def test_buckets_by_arrays_are_those_of_compiled_code(data: CountArray | FloatAr
         assert np.array_equal(one, other, equal_nan=True)
 
 
+@pytest.mark.long
 @given(st.lists(_counts, min_size=1, max_size=20))
 @settings(deadline=None)
 def test_counts_of_many_batches_are_joined_as_they_were(batches: list[CountArray]) -> None:
@@ -50,6 +52,7 @@ def test_counts_of_many_batches_are_joined_as_they_were(batches: list[CountArray
     assert np.array_equal(join_batches([split_counts(each) for each in batches], sizes), np.concatenate(batches))
 
 
+@pytest.mark.long
 def test_a_process_that_cannot_compile_gives_the_same_without_numba() -> None:
     def run(code: str, **more: str) -> str:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **more})

@@ -168,6 +168,7 @@ def test_compaction_killed_at_every_step_leaves_a_sound_lake(
     assert list(lake_problems(store)) == []
 
 
+@pytest.mark.long
 def test_a_rebuilt_lake_has_the_same_rows(documented: Filler, tmp_path: Path) -> None:
     documented.build()
     store = documented.store
@@ -195,7 +196,7 @@ def test_a_rebuild_never_gives_up_what_the_log_does_not_give(days: Filler) -> No
     assert (aside / "00000003").is_dir()
 
 
-@pytest.mark.in_gate("command0-1")
+@pytest.mark.long
 @pytest.mark.parametrize("kills", [1, pytest.param(5, marks=pytest.mark.long)])
 @pytest.mark.parametrize("command", [("lake", "--once", "--grace-s", "0"), ("rebuild",)])
 def test_a_killed_builder_goes_on_and_gives_the_same_rows(

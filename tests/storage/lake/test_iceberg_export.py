@@ -66,6 +66,7 @@ def test_tables_have_the_rows_of_the_lake(filled: Filler, tmp_path: Path) -> Non
     assert not list((tmp_path / "W").rglob("*.parquet"))  # nothing is copied
 
 
+@pytest.mark.long
 def test_what_other_engines_compute_by_unit_is_the_same(filled: Filler, tmp_path: Path) -> None:
     export_iceberg(filled.store, tmp_path / "W")
     tables = {name: read(tmp_path / "W", name).scan().to_arrow() for name in ("samples", "channels")}
@@ -84,6 +85,7 @@ def test_what_other_engines_compute_by_unit_is_the_same(filled: Filler, tmp_path
     assert [row[:3] for row in theirs] == [("U1", "rate", 30_000), ("U1", "temperature", 300)]
 
 
+@pytest.mark.long
 def test_a_second_export_adds_only_what_is_new(filled: Filler, tmp_path: Path) -> None:
     first = export_iceberg(filled.store, tmp_path / "W")
     again = export_iceberg(filled.store, tmp_path / "W")
@@ -97,6 +99,7 @@ def test_a_second_export_adds_only_what_is_new(filled: Filler, tmp_path: Path) -
     assert third["events"] == (1, 0, 0)
 
 
+@pytest.mark.long
 def test_parts_that_were_joined_are_replaced_in_one_snapshot(filled: Filler, tmp_path: Path) -> None:
     export_iceberg(filled.store, tmp_path / "W")
     before = ordered(read(tmp_path / "W", "samples").scan().to_arrow(), "samples")
@@ -111,6 +114,7 @@ def test_parts_that_were_joined_are_replaced_in_one_snapshot(filled: Filler, tmp
     assert len(table.inspect.files()) == 3
 
 
+@pytest.mark.long
 def test_raw_samples_that_were_dropped_leave_the_table(filled: Filler, tmp_path: Path) -> None:
     export_iceberg(filled.store, tmp_path / "W")
     with builder_lock(filled.store):
@@ -121,6 +125,7 @@ def test_raw_samples_that_were_dropped_leave_the_table(filled: Filler, tmp_path:
     assert found["rollup_1s"][0] > 0
 
 
+@pytest.mark.long
 def test_tables_of_another_store_are_refused(filled: Filler, tmp_path: Path) -> None:
     export_iceberg(filled.store, tmp_path / "W")
     other = Store.create(tmp_path / "other")

@@ -51,6 +51,7 @@ def live(
             filler.seal()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ppm", [50.0, -50.0, 0.0])
 def test_drift_is_found_within_its_uncertainty(filler: Filler, ppm: float) -> None:
     live(filler, 40, ppm)

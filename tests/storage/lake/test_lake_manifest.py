@@ -35,7 +35,7 @@ def test_every_segment_once_and_every_file_described(days: Filler) -> None:
     assert total(days.store) == TOTAL
 
 
-@pytest.mark.in_gate("0", "2")
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_any_damage_to_the_manifest_is_found_and_mended(days: Filler, seed: int) -> None:
     days.build()

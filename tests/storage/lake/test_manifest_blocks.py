@@ -86,6 +86,7 @@ def test_a_change_writes_what_is_near_it(in_blocks: Filler) -> None:
     assert len(files(store)) == 3
 
 
+@pytest.mark.long
 def test_merging_retention_and_a_rebuild_keep_every_source(in_blocks: Filler) -> None:
     store = in_blocks.store
     expected = {segment: sha256 for part in parts(store) for segment, sha256 in part.sources.items()}
@@ -104,6 +105,7 @@ def test_merging_retention_and_a_rebuild_keep_every_source(in_blocks: Filler) ->
     assert set(read_manifest(store).dropped) == set(manifest.dropped)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damage", [lambda path: path.unlink(), lambda path: path.write_bytes(b"x"), None])
 def test_a_damaged_block_is_found_and_made_anew(in_blocks: Filler, damage: Callable[[Path], None] | None) -> None:
     store = in_blocks.store

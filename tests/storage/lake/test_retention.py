@@ -93,6 +93,7 @@ def test_a_reader_gets_all_of_a_signal_or_an_error(retained: Filler) -> None:
         assert len(times_ns) == 951
 
 
+@pytest.mark.long
 def test_the_lake_stays_a_function_of_the_log(retained: Filler, tmp_path: Path) -> None:
     store = retained.store
     retained.build()  # the segment with the document
@@ -112,6 +113,7 @@ def test_the_lake_stays_a_function_of_the_log(retained: Filler, tmp_path: Path) 
     assert_same(tmp_path / "before", tmp_path / "anew")
 
 
+@pytest.mark.long
 def test_a_document_without_its_deed_is_honoured_later(days: Filler, tmp_path: Path) -> None:
     """Killed after the document and before the files went; meanwhile a part was compacted beyond what it names."""
     days.build()
@@ -132,6 +134,7 @@ def test_a_document_without_its_deed_is_honoured_later(days: Filler, tmp_path: P
     assert_same(tmp_path / "before", tmp_path / "after")
 
 
+@pytest.mark.long
 def test_what_another_store_has_dropped_is_kept_here(days: Filler) -> None:
     """Two recorders on one bus: each log has the documents of both stores, and segments are numbered alike."""
     details = {"segments": ["00000001", "00000002"], "samples": 0, "bytes": 0}
@@ -225,6 +228,7 @@ def test_what_is_no_size_is_refused(text: str) -> None:
         parse_size(text)
 
 
+@pytest.mark.long
 def test_retain_sends_its_document_to_a_recorder_that_runs(
     days: Filler, gyrofleet: Callable[..., Outcome], command_line: Callable[..., list[str]]
 ) -> None:

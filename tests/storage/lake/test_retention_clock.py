@@ -56,6 +56,7 @@ def kept(store: Store) -> int:
 ALL = 12 * 2525
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("leap_ns", [10 * YEAR_NS, 31 * DAY_NS, -10 * DAY_NS])
 @pytest.mark.parametrize("is_seen", [True, False])
 def test_an_implausible_clock_drops_nothing(store: Store, machine: Machine, leap_ns: int, is_seen: bool) -> None:
@@ -96,6 +97,7 @@ def test_samples_that_arrived_under_a_wrong_clock_do_not_make_the_others_old(day
         assert apply_rule(lake, RULE, now_ns=START_NS + 10 * YEAR_NS + 10**9).parts == 12
 
 
+@pytest.mark.long
 def test_what_was_dropped_comes_back_from_the_log(store: Store, machine: Machine, tmp_path: Path) -> None:
     export(store, tmp_path / "before")
     with builder_lock(store):
@@ -128,6 +130,7 @@ def test_what_was_dropped_comes_back_from_the_log(store: Store, machine: Machine
     assert kept(store) == 0
 
 
+@pytest.mark.long
 def test_the_command_brings_raw_rows_back(store: Store, gyrofleet: Callable[..., Outcome]) -> None:
     assert gyrofleet("retain", "--max-size", "1B", "--store", store.folder, "--json").json["segments"] == 12
     assert kept(store) == 0

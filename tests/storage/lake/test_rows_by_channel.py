@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +71,7 @@ def test_rows_are_in_order_and_tables_end_between_channels(
     assert all(before[-1][0] < after[0][0] for before, after in itertools.pairwise(tables))
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(FILES, st.integers(1, 8), st.integers(1, 20))
 def test_no_row_is_lost_where_few_may_wait(

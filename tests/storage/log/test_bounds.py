@@ -167,7 +167,7 @@ def old_log(tmp_path: Path) -> Callable[[list[LogRecord]], Store]:
     return make
 
 
-@pytest.mark.in_gate("batch early", "document point", "document gap_ns")
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*(f"batch {each}" for each in BATCHES), *(f"document {each}" for each in DOCUMENTS)])
 def test_a_message_in_the_log_that_cannot_be_built_is_quarantined(
     old_log: Callable[[list[LogRecord]], Store], name: str

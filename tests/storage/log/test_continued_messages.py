@@ -96,6 +96,7 @@ def outcome(state: LogState) -> tuple[Any, ...]:
     return state.findings, state.samples, state.messages, check.next_seq, check.lost, check.repeated, check._last_ns
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(12))
 def test_both_ways_find_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store.create(tmp_path / "store")

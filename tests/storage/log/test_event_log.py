@@ -52,6 +52,7 @@ def test_large_chunks_are_cut_and_all_is_there(tmp_path: Path) -> None:
     assert len(scan.summary.chunks) >= sum(len(record.data) for record in records) // CHUNK_BYTES > 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", ["flip", "cut", "zero"])
 def test_no_byte_of_a_segment_changes_unseen_and_the_rest_is_saved(tmp_path: Path, how: str) -> None:
     store, records = written(tmp_path, syncs=12)

@@ -47,6 +47,7 @@ def lake_values(store: Store) -> list[float]:
         return [value for (value,) in catalog.rows("select value from samples where signal = 'rate' order by seq")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("next_seq", [2 * N + 1, 10**6, 2**62, 2**63 - 1, -1])
 @pytest.mark.parametrize("rewind", [False, True])
 def test_an_answer_beyond_what_was_sent_is_ignored_and_reported(tmp_path: Path, next_seq: int, rewind: bool) -> None:
@@ -166,6 +167,7 @@ def recorded(tmp_path: Path) -> Store:
     return store
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seal", [None, "", "0" * 64, 7])
 @pytest.mark.parametrize("is_named", [True, False])
 def test_only_the_store_itself_says_that_raw_rows_are_dropped(recorded: Store, seal: object, is_named: bool) -> None:

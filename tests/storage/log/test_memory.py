@@ -40,6 +40,7 @@ def filled(folder: Path) -> Store:
     return store
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0, 48_000])
 def test_a_flood_of_long_keys_fills_no_queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
     monkeypatch.setattr("storage.recording.recorder._ROOM_PATIENCE_S", 0.0)

@@ -118,6 +118,7 @@ def test_a_recovery_of_which_the_recorder_could_not_tell_is_found(store: Store) 
     assert verify(store)[0].is_sound
 
 
+@pytest.mark.long
 def test_verify_beside_rebuild_and_retain_finds_nothing(store: Store) -> None:
     state = verify_log(store)
     done = threading.Event()

@@ -27,6 +27,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 # steps that are prime to the sizes of the records: every kind of record is hit at every place
+@pytest.mark.long
 @pytest.mark.parametrize("step", [149, pytest.param(37, marks=pytest.mark.long)])
 def test_a_flipped_byte_costs_one_chunk_at_most(left: Store, tmp_path: Path, step: int) -> None:
     """A byte of an index between two chunks cost all chunks after it, and nothing said so."""

@@ -107,6 +107,7 @@ def test_every_byte_of_the_marker_is_checked(filled: Store) -> None:
     assert Store.open(filled.folder).identity == filled.identity
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "content", [None, b"", b"{}", b"[]", b"7", b"\xff", b'{"format": 1, "id": "x", "created_ns": 0}']
 )

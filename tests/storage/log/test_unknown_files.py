@@ -148,6 +148,7 @@ def sealed(content: bytes) -> bytes:
     return b'{"sha256":"' + hashlib.sha256(content).hexdigest().encode() + b'","content":' + content + b"}\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", ["../log", "..", "/etc", "00000001/../../log", "a/b/c", "", "00000001/.."])
 def test_a_manifest_that_leads_out_of_the_lake_is_damaged(
     store: Store, path: str, gyrofleet: Callable[..., Any]

@@ -43,6 +43,7 @@ def test_a_sound_store_is_said_to_be_so(store: Store, gyrofleet: Callable[..., A
     assert "the store is sound" in reported.out
 
 
+@pytest.mark.long
 def test_what_a_killed_recorder_left_is_unfinished_and_then_sealed(store: Store, gyrofleet: Callable[..., Any]) -> None:
     bus = LocalBus()
     log = EventLog(store)
@@ -107,6 +108,7 @@ def test_the_manifest_is_written_anew_from_the_segments(store: Store) -> None:
     assert verify(store)[0].is_sound
 
 
+@pytest.mark.long
 def test_the_number_of_a_lost_segment_is_not_given_again(store: Store) -> None:
     (store.log / "00000003.mcap").unlink()
     log = EventLog(store)
@@ -154,6 +156,7 @@ def test_a_lost_manifest_is_damage(store: Store) -> None:
     assert verify(store)[0].findings == ()
 
 
+@pytest.mark.long
 def test_a_part_that_was_made_from_another_file_of_that_name_is_found(store: Store, tmp_path: Path) -> None:
     other = Store.create(tmp_path / "other")
     for i in range(3):

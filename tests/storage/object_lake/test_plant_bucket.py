@@ -69,6 +69,7 @@ def test_each_segment_goes_up_and_arrives_once(tmp_path: Path, bucket: Bucket, f
     assert verified(fleet).is_sound
 
 
+@pytest.mark.long
 def test_both_sides_follow(tmp_path: Path, bucket: Bucket, fleet: FleetStore) -> None:
     store = plant(tmp_path / "a", 1)
     upload, source, replication = (
@@ -102,6 +103,7 @@ def test_an_older_copy_of_a_store_changes_nothing(tmp_path: Path, bucket: Bucket
     assert contents(bucket) == before
 
 
+@pytest.mark.long
 def test_a_damaged_segment_is_not_uploaded_and_comes_later(tmp_path: Path, bucket: Bucket, fleet: FleetStore) -> None:
     store = plant(tmp_path / "a")
     path = store.log / "00000002.mcap"
@@ -129,6 +131,7 @@ def test_what_the_plant_has_lost_comes_back_from_the_bucket(tmp_path: Path, buck
     assert segments_of(store) == before
 
 
+@pytest.mark.long
 def test_a_list_that_the_plant_rewrites_is_a_new_generation(tmp_path: Path, bucket: Bucket, fleet: FleetStore) -> None:
     store = plant(tmp_path / "a")
     follower = BucketSource(bucket)
@@ -149,6 +152,7 @@ def test_a_list_that_the_plant_rewrites_is_a_new_generation(tmp_path: Path, buck
     assert fetched(bucket, FleetStore.create(tmp_path / "fresh")).segments == 5
 
 
+@pytest.mark.long
 def test_another_history_of_a_store_is_refused_and_changes_nothing(
     tmp_path: Path, bucket: Bucket, fleet: FleetStore
 ) -> None:
@@ -168,6 +172,7 @@ def test_another_history_of_a_store_is_refused_and_changes_nothing(
     assert segments_of(fleet.replica("a").store) == segments_of(store)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_rewritten", [False, True])
 def test_what_recover_has_given_up_comes_back_from_the_bucket(
     tmp_path: Path, bucket: Bucket, is_rewritten: bool
@@ -198,6 +203,7 @@ def test_an_object_of_another_size_is_uploaded_again(tmp_path: Path, bucket: Buc
     assert fetched(bucket, fleet).is_well
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("nonsense", [b"[]\n{}\nnull\n", b"nonsense\n", b"", b"\xff\xfe", b"no end of line"])
 @pytest.mark.parametrize("is_appended", [False, True])
 def test_a_list_of_nonsense_is_named_on_both_sides(
@@ -235,6 +241,7 @@ def test_an_endpoint_is_an_address(endpoint: str) -> None:
         Bucket("s3://fleet/a", endpoint)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "method", "path"),
     [
@@ -259,6 +266,7 @@ def test_one_fault_costs_nothing(
     assert (uploaded(store, faulty).added, fetched(faulty, fleet).added) == (0, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "seed", [pytest.param(1), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 9))]
 )
@@ -285,6 +293,7 @@ def test_random_faults_lose_nothing_and_double_nothing(
     assert (uploaded(store, faulty).added, fetched(faulty, fleet).added) == (0, 0)
 
 
+@pytest.mark.long
 def test_what_somebody_changes_in_the_bucket_is_refused(tmp_path: Path, bucket: Bucket, fleet: FleetStore) -> None:
     store = plant(tmp_path / "a")
     assert uploaded(store, bucket).is_well
@@ -299,6 +308,7 @@ def test_what_somebody_changes_in_the_bucket_is_refused(tmp_path: Path, bucket: 
     assert verified(fleet).plants["a"].segments == 3
 
 
+@pytest.mark.long
 def test_an_upload_that_is_killed_goes_on(
     tmp_path: Path, aws: str, url: str, bucket: Bucket, fleet: FleetStore, command_server: CommandServer
 ) -> None:
@@ -318,6 +328,7 @@ def test_an_upload_that_is_killed_goes_on(
     assert segments_of(fleet.replica("a").store) == segments_of(store)
 
 
+@pytest.mark.long
 def test_the_command_uploads_fetches_and_says_what_is_wrong(
     tmp_path: Path, aws: str, url: str, gyrofleet: Callable[..., Any]
 ) -> None:

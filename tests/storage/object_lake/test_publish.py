@@ -55,6 +55,7 @@ def test_a_lake_is_published_once_with_everything_in_it(built: Store, bucket: Bu
     assert [part.samples for part in read.parts] == [2525] * 6
 
 
+@pytest.mark.long
 def test_merged_parts_replace_theirs_which_stay_for_their_readers(built: Store, bucket: Bucket) -> None:
     before = publish(built, bucket)
     compacted(built)
@@ -78,6 +79,7 @@ def test_a_builder_with_a_stale_view_changes_nothing(built: Store, bucket: Bucke
     assert publish(stale, bucket).head == lake.head
 
 
+@pytest.mark.long
 def test_builders_that_have_different_segments_lose_none(days: Filler, bucket: Bucket, tmp_path: Path) -> None:
     days.build()
     one = copy_of(days.store, tmp_path / "one")
@@ -121,6 +123,7 @@ def test_a_merged_part_that_overlaps_another_is_published_by_segments(
     assert problems(bucket, other) == []
 
 
+@pytest.mark.long
 def test_dropped_raw_rows_go_and_restored_ones_return(built: Store, bucket: Bucket) -> None:
     publish(built, bucket)
     with builder_lock(built):
@@ -140,6 +143,7 @@ def test_dropped_raw_rows_go_and_restored_ones_return(built: Store, bucket: Buck
     assert problems(bucket, built) == []
 
 
+@pytest.mark.long
 def test_a_damaged_object_is_found_and_published_anew(built: Store, bucket: Bucket) -> None:
     lake = publish(built, bucket)
     names = [part.name for part in lake.parts]
@@ -161,6 +165,7 @@ def test_a_damaged_object_is_found_and_published_anew(built: Store, bucket: Buck
     assert segments(read_published(bucket)) == ALL
 
 
+@pytest.mark.long
 def test_a_damaged_part_here_is_not_published_and_the_others_are(built: Store, bucket: Bucket) -> None:
     path = built.lake / "00000005" / "rollup_1s.parquet"
     content = bytearray(path.read_bytes())
@@ -174,6 +179,7 @@ def test_a_damaged_part_here_is_not_published_and_the_others_are(built: Store, b
     ]
 
 
+@pytest.mark.long
 def test_an_address_of_another_store_and_other_files_of_a_name_are_refused(
     built: Store, bucket: Bucket, tmp_path: Path
 ) -> None:
@@ -199,6 +205,7 @@ def test_what_is_no_address_is_refused(url: str) -> None:
         Bucket(url)
 
 
+@pytest.mark.long
 def test_the_commands_publish_and_verify(built: Store, aws: str, url: str, gyrofleet: Callable[..., Outcome]) -> None:
     where = ("--lake", url, "--endpoint-url", aws)
     first = gyrofleet("lake", "--once", "--store", built.folder, *where, "--json")

@@ -29,6 +29,7 @@ def small(filler: Filler) -> Store:
     return filler.store
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "method", "path"),
     [
@@ -72,6 +73,7 @@ def test_an_upload_that_arrives_changed_is_noticed_and_sent_again(
     assert problems(bucket, small) == []
 
 
+@pytest.mark.long
 def test_a_line_that_stays_down_leaves_the_old_lake_whole_and_the_rest_is_resumed(
     filler: Filler, faulty: Bucket, proxy: FaultyProxy, bucket: Bucket
 ) -> None:
@@ -97,6 +99,7 @@ def test_a_line_that_stays_down_leaves_the_old_lake_whole_and_the_rest_is_resume
     assert problems(bucket, filler.store) == []
 
 
+@pytest.mark.long
 def test_half_an_upload_is_completed_under_its_name(
     small: Store, faulty: Bucket, proxy: FaultyProxy, bucket: Bucket
 ) -> None:
@@ -113,6 +116,7 @@ def test_half_an_upload_is_completed_under_its_name(
     assert len({key.split("/")[1] for key in keys(bucket) if key.startswith(PARTS)}) == 3
 
 
+@pytest.mark.long
 def test_two_builders_at_once_lose_nothing(days: Filler, bucket: Bucket, aws: str, tmp_path: Path) -> None:
     days.build()
     stores = []
@@ -142,6 +146,7 @@ def test_two_builders_at_once_lose_nothing(days: Filler, bucket: Bucket, aws: st
     assert problems(bucket, days.store) == []
 
 
+@pytest.mark.long
 def test_another_builder_comes_first_at_the_last_moment(
     small: Store, faulty: Bucket, proxy: FaultyProxy, bucket: Bucket, tmp_path: Path
 ) -> None:
@@ -158,6 +163,7 @@ def test_another_builder_comes_first_at_the_last_moment(
     assert problems(bucket, small) == []
 
 
+@pytest.mark.long
 def test_a_put_that_arrives_after_the_next_one_has_no_effect(
     filler: Filler, faulty: Bucket, proxy: FaultyProxy, bucket: Bucket, aws: str
 ) -> None:

@@ -40,6 +40,7 @@ def test_all_views_have_the_rows_of_the_store(lake: Store, url: str, aws: str, t
     assert_same(tmp_path / "local", tmp_path / "remote")
 
 
+@pytest.mark.long
 def test_users_statements_run_in_the_sandbox_with_the_same_answers(lake: Store, url: str, aws: str) -> None:
     remote = PublishedStore.open_url(url, aws)
     with SqlDoor(lake) as local_door, SqlDoor(remote) as door:
@@ -52,6 +53,7 @@ def test_users_statements_run_in_the_sandbox_with_the_same_answers(lake: Store, 
                 door.ask(refused)
 
 
+@pytest.mark.long
 def test_a_signal_is_read_in_order_and_by_python(lake: Store, url: str, aws: str) -> None:
     found = []
     for store in (lake, PublishedStore.open_url(url, aws)):
@@ -68,6 +70,7 @@ def test_a_signal_is_read_in_order_and_by_python(lake: Store, url: str, aws: str
         assert remote.metrics().equals(local.metrics())
 
 
+@pytest.mark.long
 def test_the_commands_answer_as_with_the_store(
     lake: Store, url: str, aws: str, gyrofleet: Callable[..., Outcome]
 ) -> None:
@@ -82,6 +85,7 @@ def test_the_commands_answer_as_with_the_store(
     assert "holds no lake" in missing.err
 
 
+@pytest.mark.long
 def test_a_question_about_one_unit_and_time_fetches_little(
     filler: Filler, bucket: Bucket, url: str, aws: str, tmp_path: Path
 ) -> None:
@@ -111,6 +115,7 @@ def test_a_question_about_one_unit_and_time_fetches_little(
     assert again.cache.fetched_bytes == 0
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_sandbox")
 def test_the_sandboxed_process_has_neither_credentials_nor_cache(lake: Store, url: str, aws: str) -> None:
     remote = PublishedStore.open_url(url, aws)
@@ -124,6 +129,7 @@ def test_the_sandboxed_process_has_neither_credentials_nor_cache(lake: Store, ur
         assert sum(each.startswith("socket:") for each in sockets) == 4
 
 
+@pytest.mark.long
 def test_a_reader_that_opened_before_a_change_reads_on_until_the_grace_time_ends(
     lake: Store, bucket: Bucket, url: str, aws: str, tmp_path: Path
 ) -> None:
@@ -144,6 +150,7 @@ def test_a_reader_that_opened_before_a_change_reads_on_until_the_grace_time_ends
         catalog.rows("select count(*) from samples")
 
 
+@pytest.mark.long
 def test_a_reader_killed_at_any_moment_leaves_a_sound_cache(lake: Store, url: str, aws: str, tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from storage.object_lake.published_store import PublishedStore\n"

@@ -57,6 +57,7 @@ def silent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Silent]:
     server.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize(
     ("words", "code"),
@@ -91,6 +92,7 @@ def test_a_role_ends_soon_where_the_store_is_silent(
     assert not writer_is_active(tmp_path / "night")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("every", "code"), [((), 1), (("--every-h", "1"), 0)])
 def test_a_silent_time_stamp_authority_holds_up_no_end(
     every: tuple[str, ...], code: int, tmp_path: Path, silent: Silent, spawn: Callable[..., subprocess.Popen[str]]

@@ -262,7 +262,7 @@ def record_through(log: EventLog, rounds: int) -> dict[str, int]:
     return acknowledged
 
 
-@pytest.mark.in_gate("28-False")
+@pytest.mark.long
 @pytest.mark.parametrize("half", [False, True])
 @pytest.mark.parametrize("error", [errno.EIO, errno.ENOSPC])
 def test_an_error_at_any_operation_loses_nothing_acknowledged(tmp_path: Path, error: int, half: bool) -> None:

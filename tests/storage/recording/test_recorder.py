@@ -42,7 +42,7 @@ class FaultyBus(LocalBus):
             super().publish(*each)
 
 
-@pytest.mark.in_gate("0", "1")
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_each_sample_once_over_a_bus_that_loses_doubles_and_delays(tmp_path: Path, seed: int) -> None:
     store = Store.create(tmp_path)
@@ -114,6 +114,7 @@ def test_what_cannot_be_read_is_counted_kept_aside_and_harms_nothing(tmp_path: P
     assert lake_values(store) == list(range(200))
 
 
+@pytest.mark.long
 def test_segments_rotate_and_carry_everything_once(tmp_path: Path) -> None:
     store = Store.create(tmp_path)
     bus = LocalBus()

@@ -116,6 +116,7 @@ def test_a_step_back_of_a_source_clock_is_noted(tmp_path: Path) -> None:
     assert "the source's clock went back by 0.049 s at sample 100" in text
 
 
+@pytest.mark.long
 def test_samples_that_come_behind_the_end_of_their_run_are_in_the_lake_soon(tmp_path: Path) -> None:
     store = Store.create(tmp_path)
     bus = LocalBus()
@@ -130,6 +131,7 @@ def test_samples_that_come_behind_the_end_of_their_run_are_in_the_lake_soon(tmp_
         until(lambda: len(lake_values(store)) == 100)
 
 
+@pytest.mark.long
 def test_a_run_that_is_added_to_behind_its_end_is_not_cut_into_seconds(tmp_path: Path) -> None:
     store = Store.create(tmp_path)
     bus = LocalBus()

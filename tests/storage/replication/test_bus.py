@@ -61,6 +61,7 @@ def test_long_segments_come_in_ranges_that_are_asked_for_ahead(tmp_path: Path, b
     assert (fleet.replica("a").store.folder / path.relative_to(store.folder)).read_bytes() == content
 
 
+@pytest.mark.long
 def test_a_server_that_ends_is_gone_and_one_that_comes_back_is_resumed(
     tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

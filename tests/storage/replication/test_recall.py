@@ -54,6 +54,7 @@ def test_a_plant_gets_back_what_it_lost_and_what_was_damaged(store: Store, fleet
     assert recalled(store, fleet).segments == ()
 
 
+@pytest.mark.long
 def test_a_plant_gets_back_what_recover_has_given_up(store: Store, fleet: FleetStore) -> None:
     before = segments_of(store)
     (store.log / FIRST).unlink()
@@ -93,6 +94,7 @@ def test_a_fleet_store_whose_manifest_or_list_is_lost_gets_them_back(store: Stor
     assert verified(fleet).is_sound
 
 
+@pytest.mark.long
 def test_a_plant_whose_disk_is_gone_comes_back_whole(tmp_path: Path, store: Store, fleet: FleetStore) -> None:
     before, identity = segments_of(store), read_plant(store.folder)
     shutil.rmtree(store.folder)
@@ -136,6 +138,7 @@ def test_a_store_that_is_being_written_is_left_alone(store: Store, fleet: FleetS
         recalled(store, fleet)
 
 
+@pytest.mark.long
 def test_a_backup_of_a_copy_restores_the_plant_or_the_copy(tmp_path: Path, store: Store, fleet: FleetStore) -> None:
     copy = fleet.replica("a").store
     back_up(copy, tmp_path / "backup")

@@ -79,6 +79,7 @@ def test_a_damaged_segment_is_refused_the_others_arrive_and_it_follows(tmp_path:
     assert verified(fleet).is_sound
 
 
+@pytest.mark.long
 def test_a_plant_that_lost_or_salvaged_a_segment_does_not_take_it_from_the_copy(tmp_path: Path) -> None:
     store, fleet = plant(tmp_path / "a"), FleetStore.create(tmp_path / "fleet")
     replicated(fleet, store)
@@ -95,6 +96,7 @@ def test_a_plant_that_lost_or_salvaged_a_segment_does_not_take_it_from_the_copy(
     assert verified(fleet).is_sound
 
 
+@pytest.mark.long
 def test_a_list_that_recover_has_rewritten_is_the_same_history(tmp_path: Path) -> None:
     store, fleet = plant(tmp_path / "a"), FleetStore.create(tmp_path / "fleet")
     replicated(fleet, store)
@@ -159,6 +161,7 @@ def test_a_name_is_never_a_path(tmp_path: Path, name: str) -> None:
     assert not list((fleet.folder / "plants").iterdir())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["../../00000009.mcap", "00000002.mcap.open", "1.mcap", "00000002.mcap/x"])
 def test_a_segment_name_is_never_a_path(tmp_path: Path, name: str) -> None:
     store, fleet = plant(tmp_path / "a"), FleetStore.create(tmp_path / "fleet")
@@ -186,6 +189,7 @@ def test_a_source_that_returns_more_than_asked_is_refused(tmp_path: Path) -> Non
     assert found.segments == 0
 
 
+@pytest.mark.long
 def test_an_endless_list_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(receiver, "_MAX_UNDELIVERED", 20)
     fleet = FleetStore.create(tmp_path / "fleet")

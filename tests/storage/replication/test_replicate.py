@@ -86,6 +86,7 @@ def test_certificates_and_models_travel_once_and_nothing_else_does(tmp_path: Pat
     assert (copy / certificate).read_text() == certificate
 
 
+@pytest.mark.long
 def test_two_plants_with_the_same_units_and_runs_stay_apart(tmp_path: Path) -> None:
     one, two = plant(tmp_path / "a", 2), plant(tmp_path / "b", 3)
     fleet = FleetStore.create(tmp_path / "fleet")
@@ -123,6 +124,7 @@ def test_a_pass_takes_the_time_that_its_bandwidth_allows(tmp_path: Path) -> None
     assert sum(waited) == pytest.approx((size - 10_000) / 10_000)  # a second's worth passes at once
 
 
+@pytest.mark.long
 def test_the_status_says_how_far_a_copy_is_behind(tmp_path: Path) -> None:
     store, fleet = plant(tmp_path / "a"), FleetStore.create(tmp_path / "fleet")
     received(CutOff(store.folder, 60_000), fleet)
@@ -140,6 +142,7 @@ def test_a_plant_without_segments_is_no_plant_yet(tmp_path: Path) -> None:
     assert (found.is_well, found.added, fleet.replicas()) == (True, 0, [])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["../../../../stolen", "/tmp/stolen", "..", ".hidden/x"])
 def test_a_name_within_a_document_is_never_a_path(tmp_path: Path, name: str) -> None:
     store, fleet = plant(tmp_path / "a", 1), FleetStore.create(tmp_path / "fleet")

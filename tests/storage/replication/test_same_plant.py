@@ -16,6 +16,7 @@ from stream.errors import BadInput
 from tests.storage.replication.plants import plant, segments_of
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "again", ["night", "./night", "day/../night", "link", "night/", "ABSOLUTE"],
 )  # fmt: skip
@@ -72,6 +73,7 @@ def test_a_plant_that_comes_by_two_ways_is_taken_by_one(tmp_path: Path) -> None:
     assert segments_of(fleet.replica("night").store) == segments_of(store)
 
 
+@pytest.mark.long
 def test_a_fleet_store_that_no_plant_has_come_to_is_not_left(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     plant(tmp_path / "night", 1)
     for words in (
@@ -97,6 +99,7 @@ def test_a_fleet_store_with_a_plant_or_of_before_stays(tmp_path: Path) -> None:
     assert segments_of(fleet.replica("night").store) == segments_of(store)
 
 
+@pytest.mark.long
 def test_a_plant_without_a_name_is_reported_without_one(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     Store.create(tmp_path / "night")
     done = gyrofleet("replicate", "--from", "night", "--to", "F")

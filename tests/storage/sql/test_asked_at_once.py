@@ -3,6 +3,8 @@
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pytest
+
 from storage.lake.tables import TABLES
 from storage.sql.catalog import Catalog
 from storage.sql.views import VIEWS
@@ -11,6 +13,7 @@ from storage.store import Store
 THREADS, TURNS = 6, 40
 
 
+@pytest.mark.long
 def test_threads_ask_while_others_lay_live_rows_over_the_views(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "S")
     channels, events = (TABLES[name].empty_table() for name in ("channels", "events"))
@@ -27,6 +30,7 @@ def test_threads_ask_while_others_lay_live_rows_over_the_views(tmp_path: Path) -
         assert [each.result() for each in found] == [0] * len(found)
 
 
+@pytest.mark.long
 def test_threads_name_views_first_at_once(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "S")
     for _ in range(4):

@@ -52,6 +52,7 @@ def damage_other_runs(catalog: Catalog, run: str) -> int:
     return len(others)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("table", TABLES)
 @pytest.mark.parametrize("run", RUNS)
 def test_rows_of_a_run_are_those_of_the_view(store: Store, run: str, table: str) -> None:
@@ -63,6 +64,7 @@ def test_rows_of_a_run_are_those_of_the_view(store: Store, run: str, table: str)
         assert len(whole) > 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("table", TABLES)
 def test_damage_of_other_runs_is_not_met(store: Store, table: str) -> None:
     with Catalog(store) as catalog:

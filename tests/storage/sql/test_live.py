@@ -161,6 +161,7 @@ def test_a_catalogue_stays_as_it_was_and_the_next_one_shows_what_came(three: Fil
 schedules = st.lists(st.one_of(SEND, TURNS, TORN), max_size=20)
 
 
+@pytest.mark.long
 @given(schedules)
 @settings(max_examples=6, deadline=None)
 def test_whatever_happens_each_sample_is_seen_once(schedule: list[tuple[str, int]]) -> None:
@@ -252,6 +253,7 @@ def test_python_sees_live_rows_and_notes(three: Filler) -> None:
         assert answer.notes == ()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("own_sandbox")
 def test_live_rows_count_for_the_memory_of_a_statement(filler: Filler) -> None:
     for part in range(4):
@@ -279,6 +281,7 @@ def test_messages_that_cannot_be_built_are_reported_before_the_lake_has_them(fil
         assert asked(catalog, sql).to_pylist() == before
 
 
+@pytest.mark.long
 def test_a_store_without_a_log_or_a_lake_is_read(three: Filler, tmp_path: Path) -> None:
     three.release()
     copy = Store(tmp_path / "copy", three.store.identity)

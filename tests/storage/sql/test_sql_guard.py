@@ -79,6 +79,7 @@ def test_what_is_nested_too_deeply_is_said_to_be(statement: str) -> None:
         check_statement(duckdb.connect(), statement, ())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("statement", READS)
 def test_what_reads_passes(statement: str) -> None:
     check_statement(duckdb.connect(), statement, ("adev",))

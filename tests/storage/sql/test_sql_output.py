@@ -50,6 +50,7 @@ def peak_mb(process: "subprocess.Popen[bytes]") -> float:
     return usage.ru_maxrss / 1024
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["--json", pytest.param("--csv", marks=pytest.mark.long)])
 def test_many_rows_take_the_memory_of_few(
     form: str, start: Callable[..., "subprocess.Popen[bytes]"], tmp_path: Path
@@ -68,6 +69,7 @@ def test_many_rows_take_the_memory_of_few(
         assert content.endswith(b'x"}]\n')
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("statement", "rows"),
     [
@@ -91,6 +93,7 @@ def test_a_failure_before_the_first_megabytes_is_the_whole_json(folder: Path, ru
     assert done.json["error"]["kind"] == "QueryError"
 
 
+@pytest.mark.long
 def test_a_failure_after_them_leaves_the_array_open(folder: Path, run_command: Callable[..., Any]) -> None:
     done = run_command("sql", MANY, "--json", "--max-rows", 100_000, "--store", "S", cwd=folder)
     assert done.code == 2
@@ -100,7 +103,7 @@ def test_a_failure_after_them_leaves_the_array_open(folder: Path, run_command: C
         json.loads(done.out)
 
 
-@pytest.mark.in_gate("words0", "words1")
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words", [("sql", MANY, "--csv"), ("sql", MANY, "--json"), ("sql", "--tables"), ("runs",), ("verify",)]
 )
@@ -119,6 +122,7 @@ def test_a_closed_pipe_ends_a_command_quietly(
     assert process.returncode == CLOSED
 
 
+@pytest.mark.long
 def test_tables_are_those_for_users(folder: Path, run_command: Callable[..., Any]) -> None:
     shown = run_command("sql", "show tables", "--json", "--store", "S", cwd=folder)
     assert sorted(row["name"] for row in shown.json) == sorted(VIEWS)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from uuid import UUID
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -38,6 +39,7 @@ def batches(draw: st.DrawFn) -> SampleBatch:
     )
 
 
+@pytest.mark.long
 @given(st.lists(batches(), min_size=1, max_size=6))
 @settings(deadline=None)
 def test_the_bytes_do_not_depend_on_what_was_encoded_before(sent: list[SampleBatch]) -> None:

@@ -16,6 +16,7 @@ from stream.wire.acknowledgement import StreamId, StreamPosition
 from tests.stream.stand_in_recorder import KEY, PLACE, LossyBus, N, StandIn, batch, until
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("is_spooled", [False, True])
 def test_everything_arrives_once_and_in_order_over_a_bus_that_loses(
@@ -69,6 +70,7 @@ def test_one_request_is_answered_once_however_often_it_comes() -> None:
         publisher.drain()
 
 
+@pytest.mark.long
 def test_a_silent_recorder_is_asked_and_not_flooded() -> None:
     bus = LocalBus()
     recorder = StandIn(bus)

@@ -90,6 +90,7 @@ class TestSpool:
             assert publisher.warning is None
         assert recorder.samples() == list(range(100 * N))
 
+    @pytest.mark.long
     def test_a_full_spool_makes_its_source_wait(self, tmp_path: Path) -> None:
         bus = LocalBus()
         with Spool(tmp_path, max_bytes=100_000) as spool:

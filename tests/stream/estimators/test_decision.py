@@ -45,7 +45,7 @@ def test_bounds_keep_their_promise_on_other_draws(averages: int, promise: float)
         assert np.count_nonzero(((ratio <= used.passes) & (np.array(used.passes) > 0.0)).any(axis=1)) <= most
 
 
-@pytest.mark.in_gate("white")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_wrong_at_the_limit_no_more_often_than_promised(kind: str) -> None:
     runs, averages = 1200, 120
@@ -100,6 +100,7 @@ def test_curtailment_never_disagrees_with_the_finished_test(
         assert (final.outcome is Outcome.FAIL) == (math.sqrt(variance) > limit)
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.3, 2.0), st.floats(0.0, 0.3), st.floats(0.0, 0.02))
 def test_bias_stability_fails_early_only_if_the_finished_test_fails(

@@ -20,6 +20,7 @@ def a_point(value: float, n: int, tau_s: float = 1.0) -> EstimatePoint:
     return EstimatePoint(tau_s=tau_s, value=value, lo=0.8 * value, hi=1.3 * value, edf=10.0, n=n)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("column", [0, 1])
 def test_the_table_is_what_its_function_makes(column: int) -> None:
     ratios = simulated_ratios(AVERAGES[column], RUNS)

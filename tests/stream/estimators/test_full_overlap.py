@@ -106,7 +106,7 @@ def test_gaps_by_the_definition(kind: Deviation, loss: float) -> None:
         assert_defined(record, values, kind, [1, 2, 5, 64, 500, 2500, 4500, 6000])
 
 
-@pytest.mark.in_gate("ohdev", "hdev")
+@pytest.mark.long
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("kind", Deviation)
 def test_gaps_by_the_definition_in_tiny_blocks_on_disk(kind: Deviation) -> None:
@@ -119,6 +119,7 @@ def test_gaps_by_the_definition_in_tiny_blocks_on_disk(kind: Deviation) -> None:
         assert_defined(record, values, kind, range(1, 250))
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=150)
 @given(
     samples=st.lists(st.one_of(st.integers(-1000, 1000).map(float), st.just(np.nan), st.just(-np.inf)), max_size=70),
@@ -133,7 +134,7 @@ def test_any_record_by_the_definition(samples: list[float], size: int, kind: Dev
             assert_defined(record, values, kind, range(1, 40))
 
 
-@pytest.mark.in_gate("hdev", "adev")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", Deviation)
 def test_blocks_batches_and_disk_make_no_difference(kind: Deviation, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(7)
@@ -170,6 +171,7 @@ def test_more_samples_may_follow_an_evaluation() -> None:
     assert record.evaluate(Deviation.MODIFIED_ALLAN) == taken(values).evaluate(Deviation.MODIFIED_ALLAN)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("before", [1, 6, 7, 8, 30])
 @pytest.mark.parametrize("gap", [1, 6, 7, 8, 13, 14, 100])
@@ -193,6 +195,7 @@ def test_hadamard_does_not_see_a_ramp(kind: Deviation) -> None:
     assert max(point.value for point in found.values()) < 1e-12 * 1e-3 * n
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", Deviation)
 @pytest.mark.parametrize("is_gapped", [False, True])
 def test_a_mean_of_a_million_sigma_costs_no_digits(kind: Deviation, is_gapped: bool) -> None:
@@ -227,6 +230,7 @@ def test_constant_input_is_a_deviation_of_zero(level: float, kind: Deviation) ->
     assert {(point.value, point.lo, point.hi) for point in found.values()} == {(0.0, 0.0, 0.0)}
 
 
+@pytest.mark.long
 def test_averaging_times_are_those_of_the_flowing_estimator() -> None:
     values = np.random.default_rng(10).standard_normal(20_000)
     for points_per_octave in (1, 2, 4, 8):

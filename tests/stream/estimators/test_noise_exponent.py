@@ -100,6 +100,7 @@ def test_samples_are_named_from_one_interval_on(noise: str) -> None:
     assert {each.exponent for each, m in zip(found, factors.tolist(), strict=True) if m <= 1024} == {DRAWN[noise]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", DRAWN)
 def test_the_true_exponent_is_plausible_as_often_as_the_level_says(noise: str) -> None:
     runs, samples = 300, 1024
@@ -110,7 +111,7 @@ def test_the_true_exponent_is_plausible_as_often_as_the_level_says(noise: str) -
     assert counts[:-2].min() >= scipy.stats.binom.ppf(0.001 / (4 * len(counts)), runs, 0.95), counts
 
 
-@pytest.mark.in_gate("white")
+@pytest.mark.long
 @pytest.mark.parametrize("noise", DRAWN)
 def test_limits_cover_between_93_and_98_percent(noise: str) -> None:
     runs, samples = 1000, 1024

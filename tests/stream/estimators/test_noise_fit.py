@@ -36,6 +36,7 @@ def test_an_exact_curve_gives_its_coefficients_back(factors: tuple[float, ...], 
     assert fit.markov is None
 
 
+@pytest.mark.long
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(
     logarithms=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=20),

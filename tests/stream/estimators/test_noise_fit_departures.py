@@ -46,7 +46,7 @@ def test_markov_noise_is_rarely_claimed_where_there_is_none() -> None:
     assert claims < 2
 
 
-@pytest.mark.in_gate("1")
+@pytest.mark.long
 @pytest.mark.parametrize("per_octave", [1, 4])
 def test_a_filter_does_not_change_angle_random_walk(per_octave: int) -> None:
     """The filter leaves 1 - 15/(8 m) of the Allan variance of white noise over m samples, from m = 4 on."""
@@ -64,6 +64,7 @@ def test_a_filter_does_not_change_angle_random_walk(per_octave: int) -> None:
         assert not any(other.observable for other in coefficients(fit) if other is not walk)
 
 
+@pytest.mark.long
 def test_markov_noise_is_found_behind_a_filter() -> None:
     """A day; without the filter there is no misfit beside it, save for one run in 20."""
     rng = np.random.default_rng(12)
@@ -83,6 +84,7 @@ def test_markov_noise_is_found_behind_a_filter() -> None:
     assert min(misfits[1::2]) > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
 def test_one_wrong_point_does_not_pull_the_random_walk(factor: float) -> None:
     """By 5 % at most, though the shortest tau has half of all degrees of freedom, and within the limits."""
@@ -98,6 +100,7 @@ def test_one_wrong_point_does_not_pull_the_random_walk(factor: float) -> None:
     assert fit.misfit == 0.0
 
 
+@pytest.mark.long
 def test_where_the_model_fits_there_is_hardly_ever_a_misfit() -> None:
     """A misfit has a probability of 5 % a run: 6 in 30 one of 3e-3; the error that it is taken for stays small."""
     rng = np.random.default_rng(9)
@@ -120,6 +123,7 @@ def test_the_markov_column_has_the_limits_of_random_walk_and_white_noise() -> No
     assert (np.diff(slopes) < 1e-4).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("noise", "which"), [("white", 1), ("walk", 3), ("quantization", 0)])
 def test_the_correlation_between_taus_is_that_of_simulated_records(noise: str, which: int) -> None:
     """300 records: a correlation is known to 1/sqrt(300), four of which are 0.23."""

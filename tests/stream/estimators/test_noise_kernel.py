@@ -7,6 +7,7 @@ from scipy.optimize import nnls
 from stream.estimators.noise.noise_kernel import nonnegative_least_squares
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(6))
 def test_non_negative_least_squares_are_those_of_scipy(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -7,6 +7,7 @@ from uuid import UUID
 import msgspec
 import numpy as np
 import numpy.typing as npt
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -143,6 +144,7 @@ def test_documents_do_not_depend_on_how_batches_were_cut(signal: list[Stretch], 
     assert any(b'"points":[{' in document for document in once.values()) or is_refused or not is_long
 
 
+@pytest.mark.long
 @given(signals(), st.data())
 @settings(max_examples=30, deadline=None)
 def test_pieces_hold_every_sample_once_in_order_and_end_where_documents_are_due(

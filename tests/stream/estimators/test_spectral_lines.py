@@ -127,7 +127,7 @@ def test_harmonics_over_coloured_noise_are_told_apart() -> None:
     assert [line.amplitude for line in found] == pytest.approx([0.5, 0.3, 0.2], rel=0.1)
 
 
-@pytest.mark.in_gate("1")
+@pytest.mark.long
 @pytest.mark.parametrize("segments", [1, 2, 8, 40])
 def test_the_false_alarm_rate_over_white_noise_is_that_promised(segments: int) -> None:
     size, trials = 512, 2000

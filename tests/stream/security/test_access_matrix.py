@@ -155,6 +155,7 @@ def test_an_expired_foreign_or_missing_certificate_opens_no_link(tmp_path: Path,
                 ZenohBus(connect=[endpoint], security=security)
 
 
+@pytest.mark.long
 def test_a_link_ends_with_its_certificate(tmp_path: Path, endpoint: str) -> None:
     site = make_site(tmp_path)
     site.add(Role.STATION, "brief", days=4.0 / 86400.0)

@@ -27,7 +27,7 @@ BRIEF_S = 2.0
 ROLES = {f"{role}:{name}": (role, name) for role, name in PEOPLE}
 
 
-@pytest.mark.in_gate("station:c1", "estimator:e1")
+@pytest.mark.long
 @pytest.mark.parametrize("who", ROLES)
 def test_no_link_for_a_certificate_that_is_no_good(who: str, tmp_path: Path, endpoint: str) -> None:
     """Expired, of another authority, none at all, and plain TCP: for every role, in both directions."""

@@ -193,6 +193,7 @@ def test_limits_that_come_too_late_for_the_start_of_their_record_say_so(is_resta
     assert all(each.reason.endswith(unseen) and "未参与判定" in each.reason_zh for each in looks)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("at", [0, 1500, 3000, 4500, 8000])
 def test_a_worker_that_resumes_gives_the_same_documents(at: int) -> None:
     def run(worker: Worker, *, is_interrupted: bool) -> list[bytes]:
