@@ -21,7 +21,7 @@ from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor
 from analytics.loop.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import Asked, diagnosed, diagnosed_or_why_not
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
-from analytics.loop.tracing.processors import Spread, by_processes, single_blas
+from analytics.loop.tracing.processors import Spread, by_processes, of_records, single_blas
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.unit_reduction import Progress, Question, ReducedUnit, ReducedUnits, model_on, reduce_units, silent
 from storage.sql.catalog import Catalog
@@ -298,10 +298,12 @@ def _pooled(
         spread=spread,
         on_progress=on_progress,
     )
-    done = {}
-    for unit, data in units.items():
-        found = UnitDiagnosis(data, fleet.units[unit])
-        done[unit] = _with_copies_named(found, _copied_channels(found), are_left_out=False)
+    each = [UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()]
+    copies = of_records(lambda number: _copied_channels(each[number]), len(each))
+    done = {
+        unit: _with_copies_named(found, names, are_left_out=False)
+        for unit, found, names in zip(units, each, copies, strict=True)
+    }
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
 
 

@@ -98,8 +98,8 @@ class BlockReducer:
                     yield self._reduced(unit)
                 except GyrofleetError as error:
                     yield error
-            self._joiner.forget_readings()
             del waiting[: len(batch)]
+        self._joiner.forget_readings()
 
     def reduce(self, unit: str) -> Reduction:
         """Runs of a unit as blocks, with notes on the reduction.

@@ -59,6 +59,10 @@ select w.number, s.t_ns as start_ns, s.t_ns + 500000000 as t_ns, s.t_ns + 100000
   s.n, s.mean, s.m2, s.lo, s.hi
 from internal.rollup_1s_in($paths) s WANTED and s.t_ns + 1000000000 > w.first_ns and s.t_ns <= w.last_ns
 """
+READINGS = """
+select w.number, s.t_ns, s.value from internal.samples_in($paths) s WANTED
+and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
+"""
 _FROM_SAMPLES = """
 select w.number, min(s.t_ns) as start_ns, avg(s.t_ns - w.t0_ns)::bigint + any_value(w.t0_ns) as t_ns,
   max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
@@ -71,11 +75,41 @@ group by w.number, (s.t_ns - w.t0_ns) // $piece_ns
 def pieces_of(
     catalog: Catalog, grids: Mapping[SignalKey, Grid], block_ns: int, *, rolled_up: bool
 ) -> Iterator[tuple[SignalKey, Pieces]]:
-    """Pieces of several signals, read by one statement; signals without any are left out."""
-    whole = rolled_up and block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
-    parameters = {} if whole else {"piece_ns": max(1, block_ns // 32)}
+    """Pieces of several signals, read by one statement; signals without any are left out.
+
+    Not `rolled_up` are signals of few samples, which are put together here: to group them in SQL takes longer than to
+    read them.
+    """
+    piece_ns = max(1, block_ns // 32)
+    if not rolled_up:
+        for key, columns in rows_of(catalog, READINGS, grids, "t_ns"):
+            yield key, _of_readings(columns["t_ns"], columns["value"], grids[key].t0_ns, piece_ns)
+        return
+    whole = block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
+    parameters = {} if whole else {"piece_ns": piece_ns}
     for key, columns in rows_of(catalog, _ROLLED_UP if whole else _FROM_SAMPLES, grids, "start_ns", parameters):
         yield key, Pieces(**columns)
+
+
+def _of_readings(t_ns: IntArray, value: FloatArray, t0_ns: int, piece_ns: int) -> Pieces:
+    """Pieces of readings in the order of time.
+
+    >>> found = _of_readings(np.array([0, 3, 4, 12]), np.array([1.0, 3.0, 7.0, 7.0]), 0, 4)
+    >>> found.n.tolist(), found.t_ns.tolist(), found.mean.tolist(), found.m2.tolist()
+    ([2, 1, 1], [2, 4, 12], [2.0, 7.0, 7.0], [2.0, 0.0, 0.0])
+    """
+    piece = (t_ns - t0_ns) // piece_ns
+    first = np.flatnonzero(np.diff(piece, prepend=piece[:1] - 1))
+    if first.size == t_ns.size:
+        one = np.ones(t_ns.size, np.int64)
+        return Pieces(t_ns, t_ns, t_ns, one, value, np.zeros(t_ns.size), value, value)
+    n = np.diff(first, append=t_ns.size)
+    mean = np.add.reduceat(value, first) / n
+    m2 = np.add.reduceat((value - np.repeat(mean, n)) ** 2, first)
+    start = t_ns[first]
+    about = np.add.reduceat(t_ns - np.repeat(start, n), first) / n
+    lo, hi = np.minimum.reduceat(value, first), np.maximum.reduceat(value, first)
+    return Pieces(start, start + np.round(about).astype(np.int64), t_ns[first + n - 1], n, mean, m2, lo, hi)
 
 
 def rows_of(

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from analytics.loop.blocks.channels import Readings
-from analytics.loop.blocks.pieces import Grid, SignalKey, rows_of
+from analytics.loop.blocks.pieces import READINGS, Grid, SignalKey, rows_of
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from analytics.loop.blocks.stored_signals import FAR_NS, ChannelSource
 from storage.sql.catalog import Catalog
@@ -15,10 +15,6 @@ from stream.batch import FloatArray, IntArray
 MOST_READINGS = 500_000  # of the signals that are read together
 _MOST_AHEAD = 2_000_000  # readings in memory before they are asked for; others are read when they are
 _MOST_EXTREMES = 30
-_READINGS = """
-select w.number, s.t_ns, s.value from internal.samples_in($paths) s WANTED
-and s.t_ns between w.first_ns and w.last_ns and isfinite(s.value)
-"""
 _EXTREMES = "select w.number, (s.t_ns - w.t0_ns) / 1e9 as t_s, s.lo, s.hi from internal.rollup_1s_in($paths) s WANTED"
 
 
@@ -32,7 +28,12 @@ class StoredReadings:
         self._extremes: dict[tuple[SignalKey, int], tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def read_ahead(self, wanted: Sequence[tuple[ChannelSource, Grid]]) -> None:
-        """Read signals that will be asked for, as many as fit into memory, by few statements."""
+        """Read signals that will be asked for, as many as fit into memory, by few statements.
+
+        What was read ahead before is kept where it is wanted again, as a channel of the chamber.
+        """
+        asked = {(source.key, grid) for source, grid in wanted}
+        self._ahead = {key: each for key, each in self._ahead.items() if key in asked}
         group: dict[SignalKey, Grid] = {}
         readings, total = 0, sum(len(value) for _, value in self._ahead.values())
         for source, grid in wanted:
@@ -53,7 +54,7 @@ class StoredReadings:
             return
         nothing = np.empty(0, dtype=np.int64), np.empty(0)
         self._ahead |= dict.fromkeys(grids.items(), nothing)
-        for key, columns in rows_of(self._catalog, _READINGS, grids, "t_ns"):
+        for key, columns in rows_of(self._catalog, READINGS, grids, "t_ns"):
             self._ahead[key, grids[key]] = columns["t_ns"], columns["value"]
 
     def forget(self, unit: str | None = None) -> None:

@@ -17,7 +17,7 @@ from analytics.loop.tracing.whitening.least_squares import Projected, project
 from analytics.loop.tracing.whitening.stack import Stack, UnitRecord
 from stream.batch import BoolArray, FloatArray, IntArray
 
-_CACHE_BYTES = 100_000_000
+_CACHE_BYTES = 1_500_000_000  # of the columns of 75 units with 20,000 blocks each
 FLAT = 1e-9  # relative variation below which a column is constant
 LEAST_MOVED = 1e-9  # spread of a column in natural units below which it varies by rounding only
 NO_SHAPE = Bilingual("it has no shape to test here", "此处没有可检验的形状")
@@ -46,7 +46,7 @@ class Candidates:
 
     records: tuple[UnitRecord, ...]
     items: tuple[Candidate, ...]  # every effect with every shape, grouped by effect
-    scale: FloatArray  # shape (columns,); divisor that gives each column a spread of one
+    scale: FloatArray  # shape (columns,); divisor that gives each column a spread of about one
     not_tested: Mapping[str, Bilingual]  # effects that could not be tested, and why
     _cache: dict[int, FloatArray] = field(default_factory=dict)
 
@@ -169,7 +169,9 @@ def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> _Spr
         return Bilingual(
             f"it varies by {size} in these runs, too little to test it", f"在这些试验中其变化仅为{size}，过小而无法检验"
         )
-    return _Spread(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)), parts[-1].columns)
+    size = np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300))
+    # a power of two leaves all digits of the columns: kept or computed again, they are the same
+    return _Spread(np.exp2(np.round(np.log2(size))), parts[-1].columns)
 
 
 @dataclass(frozen=True)

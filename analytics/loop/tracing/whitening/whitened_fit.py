@@ -6,6 +6,7 @@ import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import Solution, fit, log_determinant
+from analytics.loop.tracing.whitening.nudged_noise import prediction_errors
 from analytics.loop.tracing.whitening.stack import UnitRecord, as_array, from_array
 from stream.batch import FloatArray, IntArray
 
@@ -13,6 +14,7 @@ _DIFFERENCE = 1e-3  # of a logarithm, for derivatives
 _LONGEST_STEP = 1.5
 ENOUGH = 0.02  # nats gained by a further step
 _MOST_STEPS = 8
+_LEAST_CURVED = 0.1  # of the expected curvature; less is not used
 _FAR = 1.5  # logarithm of a ratio of noise coefficients
 
 
@@ -62,8 +64,13 @@ def fit_noise(
         # noise fitted without a large effect is a poor start once the effect is in the model
         declared = _evaluate(data, record.prior.center)
         current = max((current, declared), key=lambda each: each.log_likelihood)
+    before: tuple[WhitenedFit, FloatArray] | None = None
     for _ in range(_MOST_STEPS):
         score, information = _derivatives(data, current, active)
+        if before is not None:
+            moved = np.log(as_array(current.noise)[active] / as_array(before[0].noise)[active])
+            information = _with_secant(information, moved, before[1] - score)
+        before = current, score
         step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
         if 0.5 * float(score @ step) < ENOUGH:
             break
@@ -93,22 +100,44 @@ def _evaluate(data: _Data, noise: ModelNoise) -> WhitenedFit:
 
 
 def _derivatives(data: _Data, at: WhitenedFit, active: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Gradient and expected curvature of the log likelihood, in logarithms of the active coefficients."""
-    values = as_array(at.noise)
-    with_coefficients = np.concatenate([[1.0], -at.solution.coefficients])
-    scale = np.sqrt(at.innovation)
-    residual = at.residual * scale
-    score = np.empty(active.size)
-    change = np.empty((2, len(data.record), active.size))
-    for number, which in enumerate(active):
-        nudged = values.copy()
-        nudged[which] *= np.exp(_DIFFERENCE)
-        near = _evaluate(data, from_array(nudged))
-        score[number] = (near.log_likelihood - at.log_likelihood) / _DIFFERENCE
-        change[0, :, number] = np.log(near.innovation / at.innovation) / np.sqrt(2)
-        change[1, :, number] = (near.whitened @ with_coefficients * np.sqrt(near.innovation) - residual) / scale
-    flat = change.reshape(-1, active.size) / _DIFFERENCE
-    return score, flat.T @ flat + np.diag(data.record.prior.spread[active] ** -2.0)
+    """Gradient and expected curvature of the log likelihood, in logarithms of the active coefficients.
+
+    At the maximum over the coefficients of the columns, their change does not count: one column is whitened, the
+    residual, unless the likelihood is restricted.
+    """
+    nudged = [_nudged(at.noise, which) for which in active]
+    residual = data.columns[:, 0] - data.columns[:, 1:] @ at.solution.coefficients
+    error, variance = prediction_errors(data.record, residual, nudged)
+    before = at.residual * np.sqrt(at.innovation)
+    wider = np.log(variance / at.innovation[:, None])
+    change = np.concatenate([wider / np.sqrt(2), (error - before[:, None]) / np.sqrt(at.innovation)[:, None]])
+    flat = change / _DIFFERENCE
+    prior = [data.record.prior.log_density(noise) - data.record.prior.log_density(at.noise) for noise in nudged]
+    if data.restricted:
+        gained = np.array([_evaluate(data, noise).log_likelihood - at.log_likelihood for noise in nudged])
+    else:
+        squares = np.sum(error**2 / variance, axis=0) - float(at.residual @ at.residual)
+        gained = -0.5 * (wider.sum(axis=0) + squares) + np.array(prior)
+    return gained / _DIFFERENCE, flat.T @ flat + np.diag(data.record.prior.spread[active] ** -2.0)
+
+
+def _nudged(noise: ModelNoise, which: int) -> ModelNoise:
+    """The noise with one coefficient a little larger."""
+    values = as_array(noise)
+    values[which] *= np.exp(_DIFFERENCE)
+    return from_array(values)
+
+
+def _with_secant(curvature: FloatArray, moved: FloatArray, change: FloatArray) -> FloatArray:
+    """The curvature, corrected along the last step to the `change` of the gradient over it (BFGS).
+
+    The expected curvature in the logarithm of a small coefficient is too small: steps jump across the maximum.
+    """
+    expected = curvature @ moved
+    if float(moved @ change) < _LEAST_CURVED * float(moved @ expected):
+        return curvature
+    past = np.outer(expected, expected) / float(moved @ expected)
+    return np.asarray(curvature - past + np.outer(change, change) / float(moved @ change))
 
 
 def _climb(data: _Data, at: WhitenedFit, active: IntArray, step: FloatArray) -> WhitenedFit | None:
