@@ -14,9 +14,9 @@ from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case, case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, Asked, diagnosed
-from analytics.loop.tracing.held_out.held_out_set import judge, open_held_out_set
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open_held_out_set
 from analytics.loop.tracing.held_out.run_walk import against_walk
-from analytics.loop.tracing.processors import Spread, by_processes
+from analytics.loop.tracing.processors import Spread, by_processes, of_records
 from analytics.loop.tracing.random_effect import RandomEffect, presence, random_effect
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import Holdout
@@ -115,7 +115,12 @@ def diagnose_fleet(
         )
         verdict = ModelVerdict.NOT_ENOUGH_DATA
         return FleetDiagnosis(verdict=verdict, units=alone, own_findings=own_findings, limits=(*limits, few))
-    cases = [case_of(units[unit], model, noises.get(unit), held_out.get(unit)) for unit in enough]
+
+    def case(number: int) -> Case:
+        unit = enough[number]
+        return case_of(units[unit], model, noises.get(unit), held_out.get(unit))
+
+    cases = of_records(case, len(enough))
     on_progress(f"searching for effects common to {len(cases)} units")
     records = [case.training for case in cases]
     available = effects_for([run for case in cases for run in case.stack.runs]) if effects is None else effects
@@ -156,11 +161,13 @@ def _held_out(cases: Sequence[Case], found: Search) -> Holdout | None:
     """The answer of the held-out runs of all units that have any."""
     if not found.selected:
         return None
-    boxes = [
-        open_held_out_set(case.stack, case.held_out_blocks, case.training, found, number)
-        for number, case in enumerate(cases)
-        if case.held_out
-    ]
+    having = [number for number, case in enumerate(cases) if case.held_out]
+
+    def box(place: int) -> HeldOutSet:
+        case = cases[having[place]]
+        return open_held_out_set(case.stack, case.held_out_blocks, case.training, found, having[place])
+
+    boxes = of_records(box, len(having))
     names = [f"{case.training.unit} {name}" for case in cases for name in case.held_out]
     return against_walk(judge(boxes, found, names), boxes, found) if boxes else None
 

@@ -1,5 +1,6 @@
 """Candidate effects, each with every shape, and the screening: a test of every candidate on the whitened residual."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,7 +18,8 @@ from analytics.loop.tracing.whitening.least_squares import Projected, project
 from analytics.loop.tracing.whitening.stack import Stack, UnitRecord
 from stream.batch import BoolArray, FloatArray, IntArray
 
-_CACHE_BYTES = 1_500_000_000  # of the columns of 75 units with 20,000 blocks each
+# columns of 125 units with 20,000 blocks each, where there is the memory; they are the same whether kept or not
+_CACHE_BYTES = min(2_500_000_000, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 4)
 FLAT = 1e-9  # relative variation below which a column is constant
 LEAST_MOVED = 1e-9  # spread of a column in natural units below which it varies by rounding only
 NO_SHAPE = Bilingual("it has no shape to test here", "此处没有可检验的形状")

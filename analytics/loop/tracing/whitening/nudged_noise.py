@@ -38,89 +38,68 @@ def prediction_errors(
 @njit(cache=True, nogil=True, fastmath=True)
 def _predict(column, steps, relative, white, walk, start, decay, variance, error, expected):  # type: ignore[no-untyped-def]
     states = decay.size + 1
-    covariance, state = np.zeros((states, states, SIDE_BY_SIDE)), np.zeros((states, SIDE_BY_SIDE))
-    shrink, grow = np.ones(states), np.empty((states, SIDE_BY_SIDE))
-    row, total, off = np.empty((states, SIDE_BY_SIDE)), np.empty(SIDE_BY_SIDE), np.empty(SIDE_BY_SIDE)
-    prepared = 0  # number of blocks that `shrink` and `grow` are for
+    # rows of states with the noises side by side, long enough for the compiler to take several numbers at once
+    width = states * SIDE_BY_SIDE
+    covariance, shrink, gain = np.zeros((states, width)), np.ones((states, width)), np.zeros((states, width))
+    state, fade, grow = np.zeros(width), np.ones(width), np.zeros(width)
+    total, before = np.zeros(width), np.zeros(width)  # sums over the states of each column
+    prepared = 0  # number of blocks that `shrink`, `fade` and `grow` are for
     for t in range(column.size):
         if steps[t] == 0:
-            _begin(start, variance, covariance, state)
+            _begin(start, variance, covariance, state, total)
         else:
             if steps[t] != prepared:
                 prepared = steps[t]
-                _prepare(prepared, walk, decay, variance, shrink, grow)
-            _go_on(shrink, grow, covariance, state)
+                _prepare(prepared, walk, decay, variance, shrink, fade, grow)
+            _go_on(shrink, fade, grow, gain, covariance, state, total, before)
         for k in range(SIDE_BY_SIDE):
-            total[k] = white[k] * relative[t]
-            off[k] = column[t]
-        _expect(covariance, state, row, total, off)
-        for k in range(SIDE_BY_SIDE):
-            error[t, k] = off[k]
-            expected[t, k] = total[k]
-        _correct(row, total, off, covariance, state)
+            off, sum_ = column[t], white[k] * relative[t]
+            for i in range(states):
+                off -= state[i * SIDE_BY_SIDE + k]
+                sum_ += total[i * SIDE_BY_SIDE + k]
+            error[t, k], expected[t, k] = off, sum_
+            per_sum = 1 / sum_
+            for i in range(states):
+                own = total[i * SIDE_BY_SIDE + k] * per_sum
+                state[i * SIDE_BY_SIDE + k] += own * off
+                for j in range(states):
+                    gain[i, j * SIDE_BY_SIDE + k] = own
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _begin(start, variance, covariance, state):  # type: ignore[no-untyped-def]
+def _begin(start, variance, covariance, state, total):  # type: ignore[no-untyped-def]
     covariance[:] = 0.0
     state[:] = 0.0
     for k in range(SIDE_BY_SIDE):
-        covariance[0, 0, k] = start[k]
-        for i in range(variance.shape[0]):
-            covariance[i + 1, i + 1, k] = variance[i, k]
+        covariance[0, k] = total[k] = start[k]
+        for i in range(1, covariance.shape[0]):
+            covariance[i, i * SIDE_BY_SIDE + k] = total[i * SIDE_BY_SIDE + k] = variance[i - 1, k]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _prepare(step, walk, decay, variance, shrink, grow):  # type: ignore[no-untyped-def]
-    """Set what a number of blocks multiplies the states by, and what it adds to their variances."""
-    for k in range(SIDE_BY_SIDE):
-        grow[0, k] = walk[k] * step
-    for i in range(decay.size):
-        factor = decay[i] ** step
-        shrink[i + 1] = factor
+def _prepare(step, walk, decay, variance, shrink, fade, grow):  # type: ignore[no-untyped-def]
+    """Set what a number of blocks multiplies covariance and states by, and what it adds to the variances."""
+    for i in range(decay.size + 1):
         for k in range(SIDE_BY_SIDE):
-            grow[i + 1, k] = variance[i, k] * (1 - factor * factor)
+            factor = 1.0 if i == 0 else decay[i - 1] ** step
+            fade[i * SIDE_BY_SIDE + k] = factor
+            grow[i * SIDE_BY_SIDE + k] = walk[k] * step if i == 0 else variance[i - 1, k] * (1 - factor * factor)
+    for i in range(decay.size + 1):
+        for at in range(fade.size):
+            shrink[i, at] = fade[i * SIDE_BY_SIDE] * fade[at]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _go_on(shrink, grow, covariance, state):  # type: ignore[no-untyped-def]
-    """Predict states and covariance; of this symmetric matrix only the upper half is kept."""
-    for i in range(shrink.size):
-        for j in range(i, shrink.size):
-            factor = shrink[i] * shrink[j]
-            for k in range(SIDE_BY_SIDE):
-                covariance[i, j, k] *= factor
-        for k in range(SIDE_BY_SIDE):
-            covariance[i, i, k] += grow[i, k]
-            state[i, k] *= shrink[i]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _expect(covariance, state, row, total, off):  # type: ignore[no-untyped-def]
-    """Set the sums of the rows, add them to the variance of the block, and subtract its prediction."""
-    states = state.shape[0]
-    for i in range(states):
-        for k in range(SIDE_BY_SIDE):
-            row[i, k] = covariance[i, i, k]
-            off[k] -= state[i, k]
-    for i in range(states):
-        for j in range(i + 1, states):
-            for k in range(SIDE_BY_SIDE):
-                row[i, k] += covariance[i, j, k]
-                row[j, k] += covariance[i, j, k]
-    for i in range(states):
-        for k in range(SIDE_BY_SIDE):
-            total[k] += row[i, k]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _correct(row, total, off, covariance, state):  # type: ignore[no-untyped-def]
-    """Correct states and covariance by the block; `total` is inverted in place."""
-    for k in range(SIDE_BY_SIDE):
-        total[k] = 1 / total[k]
-    for i in range(state.shape[0]):
-        for k in range(SIDE_BY_SIDE):
-            state[i, k] += row[i, k] * total[k] * off[k]
-        for j in range(i, state.shape[0]):
-            for k in range(SIDE_BY_SIDE):
-                covariance[i, j, k] -= row[i, k] * total[k] * row[j, k]
+def _go_on(shrink, fade, grow, gain, covariance, state, total, before):  # type: ignore[no-untyped-def]
+    """Correct the covariance by the last block, and predict states, covariance and its sums."""
+    for at in range(state.size):
+        before[at] = total[at]
+        total[at] = grow[at]
+        state[at] *= fade[at]
+    for i in range(covariance.shape[0]):
+        row, factor, own = covariance[i], shrink[i], gain[i]
+        for at in range(state.size):
+            row[at] = (row[at] - own[at] * before[at]) * factor[at]
+            total[at] += row[at]
+        for at in range(i * SIDE_BY_SIDE, (i + 1) * SIDE_BY_SIDE):
+            row[at] += grow[at]
