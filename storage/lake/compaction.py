@@ -9,7 +9,7 @@ import itertools
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Set
+from collections.abc import Callable, Iterator, Set
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,8 +20,17 @@ import pyarrow.parquet as pq
 
 from storage.lake.drops import Drops
 from storage.lake.part import BuiltPart, fresh_folder
-from storage.lake.rows_by_channel import rows_by_channel
-from storage.lake.tables import CHANNEL_COLUMNS, ROW_GROUP, SAMPLES_FILE, TABLES, damaged, open_table, part_writers
+from storage.lake.rows_by_channel import is_by_channel, rows_by_channel
+from storage.lake.tables import (
+    CHANNEL_COLUMNS,
+    ROW_GROUP,
+    SAMPLES_FILE,
+    TABLES,
+    TableWriter,
+    damaged,
+    open_table,
+    part_writers,
+)
 from storage.manifests.lake import Manifest
 from storage.manifests.part import Part, PartFile, hull, with_sources, write_part
 from stream.errors import StoreError
@@ -113,9 +122,32 @@ def _merged_files(lake: "Lake", group: list[Part], folder: Path) -> dict[str, Pa
         for name in _JOINED:
             files[f"{name}.parquet"] = writer(name).write_all(_joined_rows(lake, group, name))
         for name in _ROLLUPS:
-            with ExitStack() as stack:
-                files[f"{name}.parquet"] = writer(name).write_all(_sorted_rollups(lake, group, name, stack))
+            paths = [lake.store.lake / part.name / f"{name}.parquet" for part in group]
+            files[f"{name}.parquet"] = _merged_rollups(lake, paths, folder / f"{name}.parquet", writer)
     return files
+
+
+def _merged_rollups(lake: "Lake", paths: list[Path], merged: Path, writer: Callable[[str], TableWriter]) -> PartFile:
+    """Write rollups by channel, a second time where their files had them in the order of time.
+
+    Of these, more rows would have to wait than memory should hold, so that the first pass sorts them piece by piece.
+    """
+    written = _write_sorted(lake, paths, writer(merged.stem))
+    with open_table(merged) as file:
+        if is_by_channel(file):
+            return written
+    by_piece = merged.rename(merged.with_suffix(".by_piece"))
+    written = _write_sorted(lake, [by_piece], writer(merged.stem))
+    by_piece.unlink()
+    return written
+
+
+def _write_sorted(lake: "Lake", paths: list[Path], writer: TableWriter) -> PartFile:
+    with ExitStack() as stack:
+        try:
+            return writer.write_all(rows_by_channel([stack.enter_context(open_table(path)) for path in paths]))
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(lake.store.lake, error) from error
 
 
 def _fits(group: list[Part]) -> bool:
@@ -169,14 +201,6 @@ def _sorted_samples(lake: "Lake", group: list[Part], stack: ExitStack) -> Iterat
                 whole = rows if is_last else rows - rows % ROW_GROUP
                 yield table.slice(0, whole).combine_chunks()
                 pending = [] if whole == rows else [table.slice(whole)]
-    except (pa.ArrowException, OSError) as error:
-        raise damaged(lake.store.lake, error) from error
-
-
-def _sorted_rollups(lake: "Lake", group: list[Part], name: str, stack: ExitStack) -> Iterator[pa.Table]:
-    paths = [lake.store.lake / part.name / f"{name}.parquet" for part in group]
-    try:
-        yield from rows_by_channel([stack.enter_context(open_table(path)) for path in paths])
     except (pa.ArrowException, OSError) as error:
         raise damaged(lake.store.lake, error) from error
 

@@ -28,7 +28,7 @@ def rows_by_channel(
 
     Row groups are read in the order of their least channel; rows are yielded once no later row group can have their
     channel. Where more than `most_waiting` rows would have to wait, as of files that are in the order of time, they are
-    yielded before, and a channel is in several places.
+    yielded before, and a channel is in several places: the rows of what is written so come by channel the next time.
     """
     groups = sorted(_row_groups(files))
     waiting: list[pa.Table] = []
@@ -42,15 +42,24 @@ def rows_by_channel(
         table = _sorted(waiting)
         channels = _numbers(table, "channel")
         complete = rows if is_last else int(np.searchsorted(channels, groups[at + 1].least_channel))
+        if rows - complete > most_waiting:
+            complete, is_last = rows, True
         done = 0
         for begin, end in itertools.pairwise([0, *_borders(channels[:complete], group_rows, is_last=is_last)]):
             yield table.slice(begin, end - begin)
             done = end
-        if rows - done > most_waiting:
-            yield table.slice(done)
-            done = rows
         waiting, rows = [table.slice(done)], rows - done
         enough = max(2 * group_rows, 2 * rows)  # so that no row is sorted again and again
+
+
+def is_by_channel(file: pq.ParquetFile) -> bool:
+    """Whether each channel of a file of rollups is in one place."""
+    groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
+    statistics = [group.column(0).statistics for group in groups if group.num_rows]
+    return all(
+        before is not None and after is not None and before.max <= after.min
+        for before, after in itertools.pairwise(statistics)
+    )
 
 
 def _row_groups(files: Sequence[pq.ParquetFile]) -> Iterator[_RowGroup]:

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact
 from storage.lake.lake import Lake
-from storage.lake.rows_by_channel import rows_by_channel
+from storage.lake.rows_by_channel import is_by_channel, rows_by_channel
 from storage.manifests.lake import read_manifest
 from tests.storage.conftest import Filler
 from tests.storage.lake.exported_views import LATER_NS
@@ -85,7 +86,40 @@ def test_no_row_is_lost_where_few_may_wait(
         assert [row[:2] for row in table] == sorted(row[:2] for row in table)
 
 
-def test_a_compacted_part_has_each_channel_in_one_place(days: Filler) -> None:
+@settings(deadline=None)
+@given(FILES, st.integers(1, 8), st.integers(1, 20))
+def test_what_was_sorted_piece_by_piece_is_in_order_the_next_time(
+    files: list[list[list[tuple[int, int]]]], group_rows: int, most_waiting: int
+) -> None:
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        rows = written(Path(name), files)
+        opened = [stack.enter_context(pq.ParquetFile(Path(name) / f"{place}.parquet")) for place in range(len(files))]
+        first = list(rows_by_channel(opened, group_rows=group_rows, most_waiting=most_waiting))
+        with pq.ParquetWriter(Path(name) / "first.parquet", first[0].schema) as writer:
+            for table in first:
+                writer.write_table(table)
+        again = stack.enter_context(pq.ParquetFile(Path(name) / "first.parquet"))
+        second = list(rows_by_channel([again], group_rows=group_rows))
+        is_done = is_by_channel(again)
+    keys = [
+        [
+            pair
+            for table in tables
+            for pair in zip(table["channel"].to_pylist(), table["bucket"].to_pylist(), strict=True)
+        ]
+        for tables in (first, second)
+    ]
+    assert keys[1] == sorted(row[:2] for row in rows)
+    channels = [channel for channel, _ in keys[0]]
+    assert not is_done or channels == sorted(channels)
+
+
+@pytest.mark.parametrize("most_waiting", [10**6, 300])
+def test_a_compacted_part_has_each_channel_in_one_place(
+    days: Filler, most_waiting: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of_few = partial(rows_by_channel, group_rows=50, most_waiting=most_waiting)
+    monkeypatch.setattr("storage.lake.compaction.rows_by_channel", of_few)
     days.build()
     store = days.store
     with builder_lock(store):
