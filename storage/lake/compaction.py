@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from storage.lake.drops import Drops
 from storage.lake.part import BuiltPart, fresh_folder
-from storage.lake.rows_by_channel import is_by_channel, rows_by_channel
+from storage.lake.rows_by_channel import rows_by_channel
 from storage.lake.tables import (
     CHANNEL_COLUMNS,
     ROW_GROUP,
@@ -132,20 +132,31 @@ def _merged_rollups(lake: "Lake", paths: list[Path], merged: Path, writer: Calla
 
     Of these, more rows would have to wait than memory should hold, so that the first pass sorts them piece by piece.
     """
-    written = _write_sorted(lake, paths, writer(merged.stem))
-    with open_table(merged) as file:
-        if is_by_channel(file):
-            return written
+    written, is_by_channel = _write_sorted(lake, paths, writer(merged.stem))
+    if is_by_channel:
+        return written
     by_piece = merged.rename(merged.with_suffix(".by_piece"))
-    written = _write_sorted(lake, [by_piece], writer(merged.stem))
+    written, _ = _write_sorted(lake, [by_piece], writer(merged.stem))
     by_piece.unlink()
     return written
 
 
-def _write_sorted(lake: "Lake", paths: list[Path], writer: TableWriter) -> PartFile:
+def _write_sorted(lake: "Lake", paths: list[Path], writer: TableWriter) -> tuple[PartFile, bool]:
+    """Write the rows of rollups, and say whether each channel has come in one place."""
+    is_by_channel, last = True, -(2**63)
+
+    def noted(tables: Iterator[pa.Table]) -> Iterator[pa.Table]:
+        nonlocal is_by_channel, last
+        for table in tables:
+            channels = table.column("channel")
+            is_by_channel &= channels[0].as_py() >= last
+            last = channels[-1].as_py()
+            yield table
+
     with ExitStack() as stack:
         try:
-            return writer.write_all(rows_by_channel([stack.enter_context(open_table(path)) for path in paths]))
+            tables = rows_by_channel([stack.enter_context(open_table(path)) for path in paths])
+            return writer.write_all(noted(tables)), is_by_channel
         except (pa.ArrowException, OSError) as error:
             raise damaged(lake.store.lake, error) from error
 

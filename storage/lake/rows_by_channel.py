@@ -52,16 +52,6 @@ def rows_by_channel(
         enough = max(2 * group_rows, 2 * rows)  # so that no row is sorted again and again
 
 
-def is_by_channel(file: pq.ParquetFile) -> bool:
-    """Whether each channel of a file of rollups is in one place."""
-    groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
-    statistics = [group.column(0).statistics for group in groups if group.num_rows]
-    return all(
-        before is not None and after is not None and before.max <= after.min
-        for before, after in itertools.pairwise(statistics)
-    )
-
-
 def _row_groups(files: Sequence[pq.ParquetFile]) -> Iterator[_RowGroup]:
     for place, file in enumerate(files):
         for number in range(file.metadata.num_row_groups):

@@ -6,7 +6,7 @@ import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import Solution, fit, log_determinant
-from analytics.loop.tracing.whitening.nudged_noise import prediction_errors
+from analytics.loop.tracing.whitening.nudged_noise import nudged_sums
 from analytics.loop.tracing.whitening.stack import UnitRecord, as_array, from_array
 from stream.batch import FloatArray, IntArray
 
@@ -107,18 +107,15 @@ def _derivatives(data: _Data, at: WhitenedFit, active: IntArray) -> tuple[FloatA
     """
     nudged = [_nudged(at.noise, which) for which in active]
     residual = data.columns[:, 0] - data.columns[:, 1:] @ at.solution.coefficients
-    error, variance = prediction_errors(data.record, residual, nudged)
-    before = at.residual * np.sqrt(at.innovation)
-    wider = np.log(variance / at.innovation[:, None])
-    change = np.concatenate([wider / np.sqrt(2), (error - before[:, None]) / np.sqrt(at.innovation)[:, None]])
-    flat = change / _DIFFERENCE
-    prior = [data.record.prior.log_density(noise) - data.record.prior.log_density(at.noise) for noise in nudged]
+    found = nudged_sums(data.record, residual, nudged, at.residual * np.sqrt(at.innovation), at.innovation)
     if data.restricted:
         gained = np.array([_evaluate(data, noise).log_likelihood - at.log_likelihood for noise in nudged])
     else:
-        squares = np.sum(error**2 / variance, axis=0) - float(at.residual @ at.residual)
-        gained = -0.5 * (wider.sum(axis=0) + squares) + np.array(prior)
-    return gained / _DIFFERENCE, flat.T @ flat + np.diag(data.record.prior.spread[active] ** -2.0)
+        density = data.record.prior.log_density
+        prior = np.array([density(noise) - density(at.noise) for noise in nudged])
+        gained = prior - 0.5 * (found.wider + found.squares - float(at.residual @ at.residual))
+    curvature = found.products / _DIFFERENCE**2 + np.diag(data.record.prior.spread[active] ** -2.0)
+    return gained / _DIFFERENCE, curvature
 
 
 def _nudged(noise: ModelNoise, which: int) -> ModelNoise:
