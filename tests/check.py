@@ -32,7 +32,7 @@ LOWEST = (
     "tests/analytics/trends/test_trends_report.py",
 )
 # more than there are processors: many tests wait for processes of their own
-PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 2), "--dist", "worksteal")
+PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
 PACKAGES = ("--pyargs", "stream", "storage", "ingest", "analytics")
 
 # tests make stores by the thousand, and what is recorded is synced
@@ -109,13 +109,13 @@ def development_requirements() -> list[str]:
     return [requirement for requirement in group if not requirement.startswith("gyrofleet")]
 
 
-def check_meanwhile(log: Path, *commands: Command) -> int:
+def check_meanwhile(log: Path, *commands: Command, cwd: Path = ROOT) -> int:
     """Run commands one after the other in the time that others leave; their output goes to a file."""
     with log.open("w") as file:
         for command in commands:
             file.write(f"\n$ {' '.join(map(str, command))}\n")
             file.flush()
-            if code := exit_code(("nice", "-n", "10", *command), output=file):
+            if code := exit_code(("nice", "-n", "10", *command), cwd=cwd, output=file):
                 file.write(f"failed with exit code {code}\n")
                 return code
     return 0
@@ -158,12 +158,12 @@ def main() -> None:
         install(bin_, f"{wheel}[{extras}]", *development_requirements())
         run(bin_ / "ruff", "check", ".")
         run(bin_ / "ruff", "format", "--check", ".")
-        logs = [there / "sources.txt", there / "documents.txt"]
+        logs = [there / "sources.txt", there / "documents.txt", there / "examples.txt"]
         meanwhile = [pool.submit(check_meanwhile, logs[0], (bin_ / "mypy",), (bin_ / "lint-imports",))]
         project = beside_the_wheel(there)
         pytest = (bin_ / "python", "-m", "pytest")
         # once, else each of the parallel processes would compile the tests and what they call
-        collecting = (*pytest, "--collect-only", "tests", *PACKAGES)
+        collecting = (*pytest, "--collect-only", "tests")
         collected = pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)
         run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
         collected.result()
@@ -171,7 +171,9 @@ def main() -> None:
         builder = "html" if everything else "dummy"
         sphinx = (bin_ / "sphinx-build", "-b", builder, "-q", "-W", "--keep-going", "docs", f"docs/_build/{builder}")
         meanwhile.append(pool.submit(check_meanwhile, logs[1], sphinx))
-        testing = (*pytest, *PARALLEL, *chosen, "tests", *PACKAGES)
+        # examples in the docstrings, in one process: each of several would import all modules to collect them
+        meanwhile.append(pool.submit(check_meanwhile, logs[2], (*pytest, "-q", *PACKAGES), cwd=project))
+        testing = (*pytest, *PARALLEL, *chosen, "tests")
         print(f"\n$ {' '.join(map(str, testing))}", flush=True)
         codes = [exit_code(testing, cwd=project, temporary=there), *(each.result() for each in meanwhile)]
         for log in logs:

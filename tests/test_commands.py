@@ -52,6 +52,7 @@ def test_the_shell_completes_commands(tmp_path: Path) -> None:
     assert complete("gyrofleet ver", tmp_path) == ["verdicts", "verify"]
 
 
+@pytest.mark.long
 def test_without_a_store_units_complete_to_nothing(tmp_path: Path) -> None:
     assert complete("gyrofleet allan --unit FO", tmp_path) == []
 
@@ -62,6 +63,7 @@ def test_metrics_and_procedures_complete_without_a_store(tmp_path: Path) -> None
     assert "static_bias" in complete("gyrofleet procedure show static_", tmp_path)
 
 
+@pytest.mark.long
 def test_a_terminal_without_greek_letters_gets_question_marks(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gyrofleet", "procedure", "list"]
     environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}

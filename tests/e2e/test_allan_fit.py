@@ -69,6 +69,7 @@ def test_the_second_table_is_bilingual(gyrofleet: Callable[..., Any], store: Pat
     assert "归一化法" not in gyrofleet(*ask(store)).out
 
 
+@pytest.mark.long
 def test_what_the_normalised_method_cannot_use_is_said(gyrofleet: Callable[..., Any], store: Path) -> None:
     found = gyrofleet(*ask(store, "--fit", "--json", run="slow")).json["coefficients"]
     assert found["angle_random_walk"]["lo"] < WALK < found["angle_random_walk"]["hi"]

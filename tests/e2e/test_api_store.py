@@ -74,6 +74,7 @@ def test_without_a_run_the_longest_record_is_taken(store: gf.FleetStore) -> None
     assert store.samples("G-2", "rate", "t3")["run"].unique().to_list() == ["t3"]
 
 
+@pytest.mark.long
 def test_a_curve_is_that_of_the_array_and_of_the_command(
     store: gf.FleetStore, folder: Path, run_command: Callable[..., Any]
 ) -> None:

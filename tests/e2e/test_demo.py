@@ -69,6 +69,7 @@ def test_the_effect_that_nobody_declared_is_found_in_its_unit_and_in_no_other(de
     assert found["error"]["after"]["rms_300s"] < found["error"]["before"]["rms_300s"]
 
 
+@pytest.mark.long
 def test_counts_are_kept_and_values_made_from_them(gyrofleet: Callable[..., Any], demo: tuple[Path, Any]) -> None:
     (row,) = gyrofleet(
         "sql",
@@ -89,6 +90,7 @@ def test_any_mcap_tool_reads_the_log(demo: tuple[Path, Any]) -> None:
     assert {schema.encoding for schema in summary.schemas.values()} == {"protobuf", "jsonschema"}
 
 
+@pytest.mark.long
 def test_csv_and_parquet_carry_the_same_result(
     gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
 ) -> None:

@@ -135,6 +135,7 @@ def test_one_serial_with_two_products_is_reported_and_not_merged(ask: Callable[.
     assert [(each["unit"], each["field"]) for each in found["conflicts"]] == [("FOG-1", "product")]
 
 
+@pytest.mark.long
 def test_a_statement_on_a_fleet_store_reads_and_does_nothing_else(ask: Callable[..., Result], tmp_path: Path) -> None:
     for statement in (f"copy (select 1) to '{tmp_path / 'x'}'", "from read_text('/etc/passwd')", "drop view samples"):
         ask("sql", statement, code=2)

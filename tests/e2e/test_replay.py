@@ -96,6 +96,7 @@ def test_estimates_of_a_replay_equal_the_live_ones_bit_for_bit(
     assert rows[2] == rows[0]
 
 
+@pytest.mark.long
 def test_a_replay_of_what_is_not_there_is_refused(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     pl.DataFrame({"time[s]": np.arange(100.0), "rate[deg/s]": np.arange(100.0)}).write_parquet(tmp_path / "a.parquet")
     assert gyrofleet("import", "a.parquet", "--unit", "U1").code == 0

@@ -78,6 +78,7 @@ def test_lines_and_levels_are_told(gyrofleet: Callable[..., Any], store: Path) -
     assert re.search(r"│ 12\.34\d+ ± 0\.000\d+ │ [23]\.\d+ │", reported)
 
 
+@pytest.mark.long
 def test_without_a_line_that_is_said_with_what_was_tested(gyrofleet: Callable[..., Any], store: Path) -> None:
     assert gyrofleet(*ask(store, "--json", signal="rate_y")).json["lines"] == []
     done = gyrofleet(*ask(store, signal="rate_y"))
@@ -97,6 +98,7 @@ def test_a_temperature_stays_in_its_own_unit(gyrofleet: Callable[..., Any], stor
     assert line["unit_of_measure"] == "degC"
 
 
+@pytest.mark.long
 def test_segments_are_shortened_until_gaps_leave_some_whole(gyrofleet: Callable[..., Any], store: Path) -> None:
     result = gyrofleet(*ask(store, "--json", run="holed")).json
     assert (result["samples"], result["missing"]) == (59_940, 59)

@@ -97,6 +97,7 @@ def test_nothing_of_the_corpus_is_answered(store: Store, folder: Path, place: Pa
         assert door.ask(COUNT).read_all().to_pylist() == [{"n": 600}]
 
 
+@pytest.mark.long
 def test_without_landlock_the_rest_holds(store: Store, place: Path, unchanged: None) -> None:
     with SqlDoor(store, landlock=False) as door:
         assert door.ask(COUNT).read_all().to_pylist() == [{"n": 600}]
@@ -200,6 +201,7 @@ def bias_store(tmp_path: Path, run_command: Callable[..., Any]) -> Path:
     return tmp_path / "S"
 
 
+@pytest.mark.long
 def test_the_process_ends_with_who_asks(folder: Path) -> None:
     script = """
 import sys

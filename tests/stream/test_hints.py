@@ -83,6 +83,7 @@ def test_results_are_printed_as_they_are(telling: Any) -> None:
     assert completed("see `gyrofleet verify`") == "see `gyrofleet verify`"
 
 
+@pytest.mark.long
 def test_real_commands_propose_what_can_be_run(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     Store.create(tmp_path / "S")
     assert "`gyrofleet limits add FILE --store S`" in gyrofleet("limits", "list", "--store", "S").out

@@ -76,6 +76,7 @@ def test_known_units_are_converted_as_pint_does() -> None:
     assert len(pairs) > 20
 
 
+@pytest.mark.long
 def test_known_units_of_different_quantities_are_as_different_to_pint() -> None:
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
     for source, target in permutations(quantities._KNOWN, 2):

@@ -208,6 +208,7 @@ def test_ten_thousand_at_once_come_in_some_mails_each_named_once(tmp_path: Path,
     assert str(box.mails[0][1]["Subject"]) == "[gyrofleet alarm] 1,000 alerts: 1,000 raised"
 
 
+@pytest.mark.long
 def test_cleared_comes_after_raised_also_where_raised_was_refused(tmp_path: Path, box: Box) -> None:
     box.refused["shift@plant"] = 1
     now_ns = time.time_ns()
@@ -219,6 +220,7 @@ def test_cleared_comes_after_raised_also_where_raised_was_refused(tmp_path: Path
     assert events == ["raised", "cleared"]
 
 
+@pytest.mark.long
 def test_a_kill_between_two_tries_keeps_the_mail_as_it_was(tmp_path: Path, box: Box) -> None:
     box.refused["shift@plant"] = 1
     with book_with(tmp_path, *(finding(f"{number}") for number in range(5))) as book:

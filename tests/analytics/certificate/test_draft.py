@@ -92,6 +92,7 @@ def test_the_file_is_pdf_a_with_the_digital_certificate_in_it(
     assert contents[0] == Path(done.json["digital"]).read_bytes()
 
 
+@pytest.mark.long
 def test_a_unit_that_is_not_there_and_a_standard_without_certificates_are_refused(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -114,6 +114,7 @@ def test_names_never_touch_and_stay_inside(heights: list[float]) -> None:
     assert all(-1e-9 <= height <= 1 + 1e-9 for height in placed)
 
 
+@pytest.mark.long
 def test_strange_characters_are_drawn_as_squares_and_dollars_as_dollars(tmp_path: Path) -> None:
     written = texts(FLEET[:1], title="lot $x_ \x01\ud800")
     assert "lot $x_ □□" in written
@@ -163,6 +164,7 @@ def test_many_curves_are_drawn_in_several_threads(tmp_path: Path) -> None:
     assert len(set(images)) == 2
 
 
+@pytest.mark.long
 def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     with pytest.raises(BadInput, match=r"a\.pdf: plots are written as \.png or \.svg"):

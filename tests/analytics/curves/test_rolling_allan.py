@@ -34,7 +34,7 @@ def surface(rows: int = 6, columns: int = 9, scale: float = 1.0) -> RollingAllan
     )
 
 
-@pytest.mark.in_gate(".svg-shape2", ".svg-shape1")
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [(6, 9), (1, 9), (6, 1), (300, 30)])
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_it_is_drawn(tmp_path: Path, shape: tuple[int, int], suffix: str) -> None:
@@ -63,6 +63,7 @@ def test_the_table_leaves_out_and_says_so() -> None:
     assert len(large.columns) <= 9
 
 
+@pytest.mark.long
 def test_the_run_is_the_longest_one(tested: TestedUnits) -> None:
     rng = np.random.default_rng(31)
     for run, start_h, samples in (("long", 10, 3000), ("early", 1, 3000), ("short", 20, 500)):

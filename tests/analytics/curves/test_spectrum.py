@@ -166,6 +166,7 @@ def test_a_plot_of_few_segments_is_written(tmp_path: Path, name: str) -> None:
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     found = spectrum(white())
     with pytest.raises(BadInput, match=r"a\.pdf: plots are written as \.png or \.svg"):

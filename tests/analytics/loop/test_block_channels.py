@@ -45,6 +45,7 @@ def test_channels_of_unit_and_station_are_joined_by_time(tested: TestedUnits) ->
     assert reduction.limits == ("no power-on is recorded in run r1: time_since_power_on counts from the first sample",)
 
 
+@pytest.mark.long
 def test_a_channel_that_stops_is_nan_beyond_the_tolerance(tested: TestedUnits) -> None:
     tested.run("r1")
     tested.samples("r1", "U1", "rate", np.zeros(18_000) + np.arange(18_000) % 2, t0_ns=START_NS)
@@ -60,6 +61,7 @@ def test_a_channel_that_stops_is_nan_beyond_the_tolerance(tested: TestedUnits) -
     assert np.isfinite(strict.mean("temperature")).tolist() == near.tolist()
 
 
+@pytest.mark.long
 def test_bad_channels_are_told(tested: TestedUnits) -> None:
     rng = np.random.default_rng(4)
     for run in ("r1", "r2"):
@@ -210,6 +212,7 @@ def test_power_ons_give_time_since_and_runs_of_their_own(tested: TestedUnits) ->
     assert "powered on several times in 1 of 2 runs (r2)" in " ".join(note.text for note in reduction.notes)
 
 
+@pytest.mark.long
 def test_of_two_instruments_the_one_that_moves_has_the_name(tested: TestedUnits) -> None:
     tested.run("r1")
     t_s = np.arange(0.0, 600.0, 0.1)
@@ -243,6 +246,7 @@ def test_a_clock_that_is_off_is_told() -> None:
     assert note.is_limit
 
 
+@pytest.mark.long
 def test_a_time_since_power_on_that_is_recorded_is_taken(tested: TestedUnits) -> None:
     tested.run("r1")
     tested.samples("r1", "U1", "rate", np.arange(6000.0) % 2, t0_ns=START_NS)

@@ -73,6 +73,7 @@ def test_gaps_leap_and_a_short_block_takes_the_scatter_of_its_run(tested: Tested
     assert run.white_variance[-1] * 65 == pytest.approx(1.0, rel=0.5)
 
 
+@pytest.mark.long
 def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: TestedUnits) -> None:
     tested.run("r1")
     rate = np.random.default_rng(5).normal(10.0, 1.0, 6000)

@@ -111,6 +111,7 @@ def test_a_worker_that_is_killed_goes_on_and_nothing_is_lost_or_twice(
     assert samples([(PLACE, batch) for batch in found]).tobytes() == samples(out).tobytes()
 
 
+@pytest.mark.long
 def test_what_cannot_be_compensated_is_told_once_however_often_the_worker_starts(
     store: Store, recording: tuple[LocalBus, DurablePublisher]
 ) -> None:

@@ -58,6 +58,7 @@ def test_flicker_and_walk_come_from_long_runs(tested: TestedUnits) -> None:
     np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.02, 0.1, 0.1])
 
 
+@pytest.mark.long
 def test_allan_fits_of_runs_in_which_the_unit_was_turned_do_not_count(tested: TestedUnits) -> None:
     """They are of the motion: white noise of 15 deg/sqrt(h) would hide everything."""
     rng = np.random.default_rng(8)

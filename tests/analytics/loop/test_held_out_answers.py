@@ -79,6 +79,7 @@ def test_an_error_far_above_the_noise_in_the_held_out_runs_forbids_nothing_missi
     assert "噪声仅允许" in sentence(found, runs[0], "zh")
 
 
+@pytest.mark.long
 def test_held_out_runs_that_do_not_excite_an_effect_neither_confirm_nor_refuse_it() -> None:
     rng = np.random.default_rng(17)
     moves = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.001, 0.001, 0.001)

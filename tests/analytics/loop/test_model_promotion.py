@@ -1,6 +1,7 @@
 """What of a trace becomes a version of a unit's error model."""
 
 import numpy as np
+import pytest
 
 from analytics.loop.model.model_use import InUse
 from analytics.loop.model_promotion import version_of
@@ -12,6 +13,7 @@ from tests.analytics.conftest import START_NS, TestedUnits
 DAY_NS = 86_400 * 10**9
 
 
+@pytest.mark.long
 def test_a_line_is_found_and_no_model_holds_it(tested: TestedUnits) -> None:
     rng = np.random.default_rng(8)
     t_s = np.arange(3600.0)

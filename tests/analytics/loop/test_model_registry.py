@@ -55,6 +55,7 @@ def test_a_version_that_was_changed_is_not_read(store: Store) -> None:
         registry.version("U1", 1)
 
 
+@pytest.mark.long
 def test_verify_sees_a_model_that_was_changed_and_one_in_use_that_is_gone(store: Store) -> None:
     registry = ModelRegistry(store)
     one, two = registry.add(version()), registry.add(version(note="again"))
@@ -105,6 +106,7 @@ def test_a_half_written_file_does_not_count(store: Store) -> None:
     assert registry.add(version(note="next")).version == 2
 
 
+@pytest.mark.long
 def test_what_is_in_use_is_the_last_word_of_the_log(store: Store) -> None:
     registry = ModelRegistry(store)
     one = registry.add(version())
@@ -129,6 +131,7 @@ def test_what_is_in_use_is_the_last_word_of_the_log(store: Store) -> None:
     assert read_uses(store)["U1", "rate"].activations == ()
 
 
+@pytest.mark.long
 def test_what_comes_back_is_what_was_live_before(store: Store) -> None:
     """And not what was live when the version was made, which may have been refused since."""
     registry = ModelRegistry(store)
@@ -191,6 +194,7 @@ def test_what_the_held_out_set_did_not_confirm_does_not_go_live(store: Store) ->
     assert read_uses(store)["U1", "rate"].stage(written.hash) is Stage.SHADOW
 
 
+@pytest.mark.long
 def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
     ModelRegistry(store).add(version())
 
@@ -217,6 +221,7 @@ def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
     assert CliRunner().invoke(model, ["list", "--store", str(store.folder)]).exit_code == 0
 
 
+@pytest.mark.long
 def test_what_is_only_watched_is_rolled_back_by_the_option_that_the_message_names(store: Store) -> None:
     registry = ModelRegistry(store)
     registry.add(version())

@@ -113,6 +113,7 @@ def test_whitened_spectrum_is_one_with_the_effect_and_above_without() -> None:
     assert np.max(spectrum.before / spectrum.hi) > 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "size", "over"), [
     ("temperature_squared", SQUARE, "temperature (degC)"),
     ("temperature_rate", SHUPE, "temperature rate (Shupe) (degC/s)"),

@@ -196,6 +196,7 @@ def test_runs_must_belong_together(campaign: Campaign) -> None:
         diagnose(runs, MODEL, holdout=["nine"])
 
 
+@pytest.mark.long
 def test_two_runs_have_no_held_out_set(campaign: Campaign) -> None:
     found = reported(campaign.runs()[:2])
     assert found.holdout is None

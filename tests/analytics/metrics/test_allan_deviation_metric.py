@@ -78,6 +78,7 @@ def test_live_limits_are_for_the_procedures_whose_records_are_of_a_bias() -> Non
     assert families == set(re.findall(r"[a-z_0-9]{4,}", run_limits._NO_BIAS.pattern))
 
 
+@pytest.mark.long
 def test_two_steps_and_two_times_are_read_at_once_and_kept_apart(
     tested: TestedUnits, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -135,6 +135,7 @@ def test_an_instrument_of_the_run_is_the_reference_of_all_units(tested: Any) -> 
         assert row["lo"] < DELAY_S * 1e3 < row["hi"]
 
 
+@pytest.mark.long
 def test_a_signal_across_the_vibration_is_left_out(tested: Any) -> None:
     bench = Bench()
     tested.run("r1", procedure="bandwidth")
@@ -181,6 +182,7 @@ def test_what_a_test_lacks_is_said(tested: Any, change: dict[str, Any], standard
     assert (values(rows, method="first_order")["value"] is not None) == ("records" in change)
 
 
+@pytest.mark.long
 def test_too_slow_a_sampling_is_said(tested: Any) -> None:
     bench = Bench()
     tested.run("r1", procedure="bandwidth")

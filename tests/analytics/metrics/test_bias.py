@@ -81,6 +81,7 @@ def test_a_short_record_is_flagged_an_empty_one_has_a_reason_and_the_others_go_o
         assert (row["value"] is None) == (row["reason"] is not None)
 
 
+@pytest.mark.long
 def test_a_bias_is_of_the_standard_whose_attitude_it_has(recorded: Recorded) -> None:
     rows = [{"mean": 1.0, "unit": position, "position": position} for position in ("IRA_east", "IRA_up", "Z_down", "x")]
     found = {row["unit"]: row["standard"] for row in recorded(rows, "bias")}

@@ -72,6 +72,7 @@ def test_room_temperature_is_the_step_that_says_so_else_the_one_nearest_to_20_de
     assert [row["value"] for row in recorded(again, metric)] == [exact(1 / 20), exact(2 / 20)]
 
 
+@pytest.mark.long
 def test_limits_of_a_largest_slope_hold_though_a_maximum_is_too_large(recorded: Recorded) -> None:
     rng = np.random.default_rng(14)
     points = {20.0: 0.0, -40.0: 0.6, 0.0: -0.1, 40.0: 0.2, 60.0: 0.4}
@@ -119,6 +120,7 @@ def test_acceleration_sensitivity(recorded: Recorded) -> None:
     assert {row["earth_rate"] for row in short} == {"none"}  # X and Y up leave the input axis of `rate` level
 
 
+@pytest.mark.long
 def test_z_up_of_a_gyro_with_one_axis_is_its_input_axis(recorded: Recorded) -> None:
     # JJF 2014-2022 figure 2: the input reference axis is o'z'
     earth = EARTH_DEG_PER_H * math.sin(math.radians(40.0))

@@ -106,7 +106,7 @@ def test_a_time_zone_that_nobody_knows_takes_only_the_day(tested: TestedUnits) -
     assert all(bias == pytest.approx(1.0, abs=0.01) for _, _, bias in found)
 
 
-@pytest.mark.in_gate("95")
+@pytest.mark.long
 @pytest.mark.parametrize("text", ["somewhere", "95", "nan"])
 def test_a_latitude_that_is_none_leaves_the_earth_rate_in(tested: TestedUnits, text: str) -> None:
     tested.run("r1", procedure="static_bias", latitude_deg=text)  # type: ignore[arg-type]
@@ -118,6 +118,7 @@ def test_a_latitude_that_is_none_leaves_the_earth_rate_in(tested: TestedUnits, t
     assert "no latitude of the station" in corrected["reason"]
 
 
+@pytest.mark.long
 def test_repeats_of_too_few_rates_say_so(tested: TestedUnits) -> None:
     rng, now = np.random.default_rng(5), START_NS
     tested.run("r1", procedure="scale_factor_repeatability")
@@ -147,6 +148,7 @@ def test_repeats_of_a_dead_output_say_so(tested: TestedUnits) -> None:
     assert all("the output is 0 at every rate: the axis does not answer" in reason for reason in reasons)
 
 
+@pytest.mark.long
 def test_power_ons_without_a_date_are_not_said_to_be_of_different_days(tested: TestedUnits) -> None:
     rng = np.random.default_rng(6)
     for run in ("r1", "r2"):
@@ -156,6 +158,7 @@ def test_power_ons_without_a_date_are_not_said_to_be_of_different_days(tested: T
     assert "the date is unknown" in reasons["run_to_run"]
 
 
+@pytest.mark.long
 def test_steps_that_are_alike_count_once_each(tested: TestedUnits) -> None:
     values = np.random.default_rng(8).normal(1, 0.1, 3700)
     tested.run("r1", procedure="static_bias")
@@ -247,6 +250,7 @@ def test_numbers_of_a_product_that_nothing_can_be_divided_by_are_refused(line: s
         parse_specification(f'revision = "A"\n[product."FOG-70"]\n{line}'.encode(), "spec.toml")
 
 
+@pytest.mark.long
 def test_irregular_samples_of_short_steps_all_count(tested: TestedUnits) -> None:
     rng, t_ns, means = np.random.default_rng(9), START_NS, []
     tested.run("r1", procedure="scale_factor")

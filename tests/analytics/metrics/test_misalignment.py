@@ -68,6 +68,7 @@ def test_misalignment_near_zero_covers_zero(tested: Any) -> None:
     assert row["lo"] == 0
 
 
+@pytest.mark.long
 def test_misalignment_with_a_missing_position_or_direction(tested: Any) -> None:
     bench = Bench(tested)
     bench.position("OY_up", OF_Y, procedure="misalignment_four_positions")
@@ -77,6 +78,7 @@ def test_misalignment_with_a_missing_position_or_direction(tested: Any) -> None:
     assert row["reason"] == "position OX_up: measured in one direction only"
 
 
+@pytest.mark.long
 def test_misalignment_without_a_scale_factor(tested: Any) -> None:
     bench = Bench(tested)
     bench.tested.product("[product.OTHER]\nscale_factor = 1.0")

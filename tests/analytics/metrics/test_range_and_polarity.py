@@ -35,6 +35,7 @@ def test_polarity(tested: Any, table: Callable[..., Table], sign: int, value: fl
     assert (row["value"], row["lo"], row["hi"]) == (value, value, value)
 
 
+@pytest.mark.long
 def test_polarity_that_cannot_be_told(tested: Any, table: Callable[..., Table]) -> None:
     rig = table(gyro=lambda rate: 0.0)
     rig.step(10.0, procedure="polarity")

@@ -60,6 +60,7 @@ def test_nonlinearity_and_asymmetry_against_numpy(tested: Any, table: Callable[.
     assert found["GJB2426A"]["hi"] - found["GJB2426A"]["lo"] < 10
 
 
+@pytest.mark.long
 def test_rates_given_in_other_units_have_a_scale_factor_of_one(tested: Any, table: Callable[..., Table]) -> None:
     table(gyro=lambda rate: 3600 * (1.0001 * rate), unit="deg/h").rates(procedure="scale_factor", noise=1e-3)
     (row, _) = tested.metric("scale_factor")
@@ -91,6 +92,7 @@ def test_what_is_missing_is_said(
                 assert found[standard]["reason"] is None
 
 
+@pytest.mark.long
 def test_largest_rate_of_the_product_is_asked_for(tested: Any, table: Callable[..., Table]) -> None:
     tested.product("[product.FOG-70]\nmax_rate_deg_per_s = 400.0")
     table(product="FOG-70").rates(procedure="scale_factor")
@@ -98,6 +100,7 @@ def test_largest_rate_of_the_product_is_asked_for(tested: Any, table: Callable[.
     assert reasons == {"the largest rate is 300 deg/s, that of product FOG-70 is 400 deg/s and must be among them"}
 
 
+@pytest.mark.long
 def test_steps_of_other_tests_are_no_scale_factor(tested: Any, table: Callable[..., Table]) -> None:
     rig = table()
     rig.step(100.0, procedure="misalignment", position="ox_up")
@@ -108,11 +111,13 @@ def test_steps_of_other_tests_are_no_scale_factor(tested: Any, table: Callable[.
     assert tested.metric("scale_factor") == []
 
 
+@pytest.mark.long
 def test_a_file_may_call_the_procedure_as_it_likes(tested: Any, table: Callable[..., Table]) -> None:
     table().rates(procedure="my rate table")
     assert [row["value"] for row in tested.metric("scale_factor")] == pytest.approx([1.0, 1.0], rel=1e-5)
 
 
+@pytest.mark.long
 def test_attitude_units_need_seven_rates_and_the_axis_that_is_up(tested: Any, table: Callable[..., Table]) -> None:
     tested.run("r1")
     rng = np.random.default_rng(1)
@@ -129,6 +134,7 @@ def test_attitude_units_need_seven_rates_and_the_axis_that_is_up(tested: Any, ta
     assert row["value"] == pytest.approx(1.01, rel=1e-4)
 
 
+@pytest.mark.long
 def test_more_rates_than_the_clause_has_are_stated_as_a_deviation(tested: Any) -> None:
     """7.1.1 c: 7 to 11 rates; more do no harm to K, and are another method."""
     tested.run("r1")
@@ -238,6 +244,7 @@ def test_fewer_rates_than_the_clauses_ask_for_have_an_informative_value(
     assert "no scale factor" in tested.metric("bias")[0]["reason"]
 
 
+@pytest.mark.long
 def test_a_whole_measurement_has_no_informative_value(tested: Any, table: Callable[..., Table]) -> None:
     table(gyro=cubic, unit="V").rates(procedure="scale_factor")
     assert "informative" not in by_standard(tested.metric("scale_factor"))

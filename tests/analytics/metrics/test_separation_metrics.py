@@ -71,6 +71,7 @@ def test_the_published_gyro_table_comes_out(recorded: Any, product: Any) -> None
         assert row["scale_factor"] == "nominal of product GYRO"
 
 
+@pytest.mark.long
 def test_one_least_squares_over_all_speeds(recorded: Any, product: Any) -> None:
     product(GYRO)
     steps = turnings(20.0, 30.0, 40.0)
@@ -92,6 +93,7 @@ def test_one_least_squares_over_all_speeds(recorded: Any, product: Any) -> None:
     assert rows[0]["steps"] == list(range(1, 31))
 
 
+@pytest.mark.long
 def test_the_published_accelerometer_table_comes_out(recorded: Any, product: Any) -> None:
     product(f'[product.ACC]\nscale_factor = {ACCELEROMETER_SCALE}\nscale_factor_unit = "V"\n')
     steps = [step for i, (outputs, _) in enumerate(TABLE_2) for step in tumbles(outputs, run=f"r{i}")]
@@ -114,6 +116,7 @@ def test_accelerations_need_no_scale_factor(recorded: Any, measure: str, per_g: 
     np.testing.assert_allclose(angles(rows, *ACCELEROMETER_ANGLES), expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 def test_the_term_in_twice_the_angle_has_an_uncertainty(recorded: Any, product: Any) -> None:
     """Of one tumble that of the four readings, u/(2 k); of three, their scatter, a display's step of 1 uV."""
     product(f'[product.ACC]\nscale_factor = {ACCELEROMETER_SCALE}\nscale_factor_unit = "V"\n')
@@ -133,6 +136,7 @@ def test_the_term_in_twice_the_angle_has_an_uncertainty(recorded: Any, product: 
     assert (together["twice_beta"]["standard_uncertainty"], together["twice_beta"]["freedom"]) == (pytest.approx(u), 8)
 
 
+@pytest.mark.long
 def test_a_simulated_run_gives_what_was_planted(tested: Any) -> None:
     """Whole turns with the Earth's rate and noise, through the store; the truth is inside the limits."""
     truth = {"y0": 20.0, "x0": -15.0, "y1": 40.0, "y2": 120.0, "z2": -80.0}
@@ -170,6 +174,7 @@ def test_what_is_missing_is_said_once(recorded: Any, product: Any) -> None:
     assert (row["value"], row["lo"], row["hi"]) == (None, None, None)
 
 
+@pytest.mark.long
 def test_no_scale_factor_is_said(recorded: Any) -> None:
     (row,) = recorded(turnings(20.0), "gyro_separation")
     assert row["reason"].startswith("no scale factor for an output in V")
@@ -177,6 +182,7 @@ def test_no_scale_factor_is_said(recorded: Any) -> None:
     assert row["reason"].startswith("no scale factor for an output in V: give the nominal one of the product, per g")
 
 
+@pytest.mark.long
 def test_what_was_never_tested_has_no_row(recorded: Any) -> None:
     assert recorded([{"mean": 1.0}], "gyro_separation") == []
     assert recorded([{"mean": 1.0, "position": "IRA_up"}], "accelerometer_separation") == []

@@ -131,6 +131,7 @@ def test_every_example_runs(store: Store) -> None:
             assert rows > 0 or "where" in statement, question
 
 
+@pytest.mark.long
 def test_the_examples_of_the_views_answer(store: Store) -> None:
     with Catalog(store) as catalog:
         found = dict(catalog.rows(examples()["Mean output in deg/h"]))
@@ -249,6 +250,7 @@ def test_adev_is_the_last_estimate_of_each_run(store: Store) -> None:
         assert catalog.rows("select * from adev('FOG-0232', 'rate')") == []
 
 
+@pytest.mark.long
 def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path: Path) -> None:
     shutil.copytree(store.folder, tmp_path / "broken")
     store = Store.open(tmp_path / "broken")

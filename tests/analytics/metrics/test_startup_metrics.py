@@ -88,6 +88,7 @@ def test_the_limits_of_the_startup_time_hold_the_time_without_noise(tested: Any)
         assert row["lo"] <= TAU_S * math.log(transient / 5) <= row["hi"] + DT_NS / SECOND_NS
 
 
+@pytest.mark.long
 def test_warmup_time_and_why_there_is_none(tested: Any) -> None:
     rng = np.random.default_rng(23)
     tested.product(SPECIFICATION + '[product."FOG-50"]\nscale_factor = 1.0\nscale_factor_unit = "mV"\n')
@@ -118,6 +119,7 @@ def readings(tested: Any, run: str, supply: str, volts: np.ndarray, amperes: np.
     tested.samples(run, supply, "supply_current", amperes, t0_ns=later_ns, dt_ns=SECOND_NS, unit_of_measure="A")
 
 
+@pytest.mark.long
 def test_power_is_the_mean_of_the_products(tested: Any) -> None:
     rng = np.random.default_rng(24)
     volts, amperes = rng.normal(5, 0.02, 60), rng.normal(0.3, 0.01, 60)
@@ -150,6 +152,7 @@ def test_power_is_the_mean_of_the_products(tested: Any) -> None:
     assert one(found, unit="U5", supply="U5")["value"] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.long
 def test_entered_checks(tested: Any) -> None:
     about: dict[str, Any] = {"run": "", "t_ns": START_NS, "unit": "U1", "by": "Li"}
     tested.document(CheckEntered(item="visual", verdict=Verdict.FAIL, note="scratch", **about))

@@ -89,6 +89,7 @@ def drifting(rng: np.random.Generator, n: int) -> Floats:
     return np.asarray(rng.normal(12.5, 3.0, n) + np.cumsum(rng.normal(0, 0.02, n)), np.float64)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset_ns", [0, 250_000_000])
 def test_a_short_step_is_that_of_its_samples(tested: Any, offset_ns: int) -> None:
     values = drifting(np.random.default_rng(1), 3000)
@@ -202,6 +203,7 @@ def test_steps_that_overlap_are_each_that_of_their_samples_and_those_cut_short_a
     assert (up["position"], up["index"], down["position"], down["index"]) == ("IRA_up", 1, "IRA_down", 2)
 
 
+@pytest.mark.long
 def test_where_raw_rows_were_let_go_the_whole_seconds_tell_the_same(tested: Any) -> None:
     values = drifting(np.random.default_rng(7), 600)
     tested.run("r1")

@@ -112,6 +112,7 @@ def test_noise_of_single_seconds_is_no_threshold(half_width: float, noise: float
     assert found["value"] < 1.2 * (12 * noise * 0.02**0.5) ** (2 / 3)
 
 
+@pytest.mark.long
 def test_half_a_turn_is_too_little(tested: Any) -> None:
     bench = Bench(tested)
     bench.step(0.0, noise=1e-9, n=1800, dt_ns=SECOND_NS, procedure="threshold_slow_turn", rate_command_deg_per_s=0.1)
@@ -119,6 +120,7 @@ def test_half_a_turn_is_too_little(tested: Any) -> None:
     assert row["reason"] == "the table turned by 180 deg, the clause asks for one turn (5.10.3.3)"
 
 
+@pytest.mark.long
 def test_resolution(tested: Any) -> None:
     bench = Bench(tested)
     bench.tested.product(
@@ -147,6 +149,7 @@ def test_resolution(tested: Any) -> None:
     )
 
 
+@pytest.mark.long
 def test_resolution_in_one_direction(tested: Any) -> None:
     bench = Bench(tested)
     for rate in (0.1, 0.11):

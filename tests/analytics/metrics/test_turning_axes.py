@@ -63,6 +63,7 @@ def test_axes_that_say_nothing_give_no_input_rate(tested: TestedUnits) -> None:
     )
 
 
+@pytest.mark.long
 def test_an_output_that_the_model_names_is_a_channel(tested: TestedUnits) -> None:
     turned(tested, {"X": "rate_x", "Y": "rate_y"}, axis="{axis}")
     (run,) = reduced(tested, signal="rate_x", block_s=20.0, channels=["rate_y"]).runs

@@ -89,6 +89,7 @@ def test_a_spike_of_one_sample_is_seen_at_every_zoom(window: Browser, served: Se
     assert window.complaints() == []
 
 
+@pytest.mark.long
 def test_keys_read_values_zoom_and_go_back(window: Browser, served: Served) -> None:
     plotted(window, served.url + SIGNAL)
     label = window.ask("document.querySelector('#signal-plot .plot').getAttribute('aria-label')")
@@ -184,6 +185,7 @@ def test_a_result_is_a_file_and_columns_are_chosen(window: Browser, served: Serv
     assert window.complaints() == []
 
 
+@pytest.mark.long
 def test_paper_is_light(window: Browser, served: Served) -> None:
     window.emulate("dark")
     window.open(f"{served.url}/units/FOG-0001")

@@ -87,6 +87,7 @@ def test_the_language_is_asked_for_and_remembered(served: Served) -> None:
         assert '<html lang="en">' in browser.get("/units?lang=en").text
 
 
+@pytest.mark.long
 def test_figures_on_a_page_are_those_of_the_api(api: httpx.Client) -> None:
     text = unescape(api.get("/units/FOG-0001").text)
     found = api.get("/api/units/FOG-0001").json()

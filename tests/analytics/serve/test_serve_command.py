@@ -168,6 +168,7 @@ def test_users_that_cannot_be(folder: Path, run_command: Run, words: tuple[str, 
     assert message in done.json["error"]["message"]
 
 
+@pytest.mark.long
 def test_without_the_extra_a_sentence_names_it(folder: Path) -> None:
     program = "import sys; sys.modules['starlette'] = None\nimport gyrofleet\ngyrofleet.main(['serve', '--store', 'S'])"
     done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=60)

@@ -25,6 +25,7 @@ def asked(api: httpx.Client, path: str = SPIKED, /, **parameters: Any) -> dict[s
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("points", [2, 3, 10, 100, 601, 1000, 5000, 10_000])
 def test_the_spike_is_there_with_any_number_of_points(api: httpx.Client, points: int) -> None:
     found = asked(api, points=points)

@@ -27,6 +27,7 @@ def test_a_steady_series_is_seldom_ever_alarmed(correlation: float, share: float
     assert sum(_alarm(each) is not None for each in noise) <= binom.isf(0.001 / 4, series, 0.01)
 
 
+@pytest.mark.long
 def test_a_step_is_seen_and_dated() -> None:
     rng = np.random.default_rng(20261205)
     series = rng.standard_normal((40, 110)) + 4.0 * (np.arange(110) >= 60)

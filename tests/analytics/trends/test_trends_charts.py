@@ -40,6 +40,7 @@ def _plain_flags(z: list[float]) -> set[tuple[int, int]]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.6, 2.5])
 def test_rules_are_what_their_words_say(scale: float) -> None:
     rng = np.random.default_rng(20260701)

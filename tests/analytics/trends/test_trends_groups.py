@@ -84,6 +84,7 @@ def test_scatter_of_units_is_covered(trials: int) -> None:
     assert covered >= binom.ppf(0.001, 2 * trials, 0.94)
 
 
+@pytest.mark.long
 def test_scatter_of_stations() -> None:
     found = components(two_stations(np.random.default_rng(20260732), 0.05), GROUPS)
     assert set(found) == {"station", "unit", "residual", "lot"}
@@ -202,6 +203,7 @@ def _dense_deviance(y: np.ndarray, x: np.ndarray, parts: list[np.ndarray], logs:
     return float(np.linalg.slogdet(v)[1] + np.linalg.slogdet(normal)[1] + rest @ inverse @ rest)
 
 
+@pytest.mark.long
 def test_components_are_those_of_the_dense_likelihood() -> None:
     rng = np.random.default_rng(20260728)
     unit = rng.integers(0, 15, 70)

@@ -149,6 +149,7 @@ def test_nothing_stands_out_in_noise(trials: int) -> None:
     assert loud <= binom.isf(0.001, trials, 0.05)
 
 
+@pytest.mark.long
 def test_nothing_is_said_so_and_capability_follows(reported: Reported, store: Store, tmp_path: Path) -> None:
     values = np.random.default_rng(20260746).normal(0.2, 0.1, 120)
     series = read_series(reported(_rows(values, product="FOG-70", lot="L1")), "bias")

@@ -39,6 +39,7 @@ def test_few_degrees_of_freedom_leave_more_doubt() -> None:
     assert few < probability_of_conformity(0.0, 1.0, Interval(upper=2.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("guard", [-0.3, 0.0, 0.3])
 @pytest.mark.parametrize(("mean", "deviation", "u"), [(0.0, 1.0, 0.2), (1.5, 0.5, 0.3), (0.3, 0.1, 0.5)])
 def test_global_risks_are_the_shares_of_a_simulated_process(

@@ -106,6 +106,7 @@ def test_what_is_added_is_kept_as_it_is_and_cannot_be_changed(store: Store, add:
     assert [each.name for each in kept.parent.iterdir() if each.suffix not in {".toml", ".lock"}] == [".lock"]
 
 
+@pytest.mark.long
 def test_a_revision_ends_where_the_next_begins(store: Store, add: Add) -> None:
     add("fog.toml", spec("A"))
     add("fog.toml", spec("B", "valid_from = 2026-01-01"))
@@ -166,6 +167,7 @@ def test_specifications_that_do_not_contradict_each_other_stand_beside_each_othe
     assert [each.until_ns == NEVER for each in periods_of(stored_specifications(store))] == [False, True]
 
 
+@pytest.mark.long
 def test_the_numbers_of_a_product_are_those_of_the_revision_that_began_last(store: Store, add: Add) -> None:
     for revision, year, rate in (("9", 2025, 9.0), ("10", 2026, 10.0), ("8", 2024, 8.0)):
         add("fog.toml", spec(revision, f"valid_from = {year}-01-01\n[product.X]\nmax_rate_deg_per_s = {rate}", ""))

@@ -58,6 +58,7 @@ def test_what_is_not_there_is_neither_revised_nor_withdrawn(store: Store, specif
     assert len(read_chain(store).links) == 1
 
 
+@pytest.mark.long
 def test_a_revision_that_keeps_others_apart_is_not_withdrawn(store: Store, specify: Specify) -> None:
     specify(store, "A", limit(1.0))
     specify(store, "B", limit(1.0, "valid_from = 2026-01-01", "bias_stability_averaged"))
@@ -80,6 +81,7 @@ def test_a_withdrawn_revision_can_be_entered_again_but_not_with_other_content(st
     assert len(read_chain(store).links) == 3
 
 
+@pytest.mark.long
 def test_editing_a_copy_changes_nothing_and_verify_says_so(store: Store, specify: Specify) -> None:
     specify(store, "A", limit(1.0))
     copy = store.folder / "products" / "fog-A.toml"

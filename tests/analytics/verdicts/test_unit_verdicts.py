@@ -37,6 +37,7 @@ def test_what_a_specification_asks_for_and_nobody_measured_is_no_data(judged: Ju
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_unit_that_no_limit_applies_to_says_why(judged: Judged) -> None:
     judged.specify(limits(BIAS + '\nproduct = "X"'))
     runs: Rows = [{"unit": "U1", "run": "r1", "product": "Y"}, {"unit": "U2", "run": "r1", "product": None}]
@@ -54,6 +55,7 @@ def test_a_store_without_limits_says_so(judged: Judged) -> None:
     ]
 
 
+@pytest.mark.long
 def test_the_worst_counts_and_a_vain_attempt_only_where_there_is_no_other(judged: Judged) -> None:
     judged.specify(limits(BIAS))
     good, bad = {"value": 0.0, "lo": -0.1, "hi": 0.1}, {"value": 2.0, "lo": 1.9, "hi": 2.1}
@@ -82,6 +84,7 @@ def test_the_worst_counts_and_a_vain_attempt_only_where_there_is_no_other(judged
     assert units["FAIL"]["failures"] == ["bias"]
 
 
+@pytest.mark.long
 def test_an_entered_check_counts_by_its_own_verdict(judged: Judged) -> None:
     for verdict, t_ns in ((Verdict.FAIL, JANUARY_NS), (Verdict.PASS, JANUARY_NS + DAY_NS)):
         entry = Entry("U1", "visual", "Li", verdict, note="scratch" if verdict is Verdict.FAIL else "polished")
@@ -102,6 +105,7 @@ def check(judged: Judged, unit: str, verdict: Verdict = Verdict.PASS, **more: An
     enter(judged.store.folder, [check_entered(Entry(unit, "visual", "Li", verdict, **more), JANUARY_NS)], role="test")
 
 
+@pytest.mark.long
 def test_a_check_alone_passes_no_unit(judged: Judged) -> None:
     check(judged, "NOPE-9")
     check(judged, "NOPE-8", Verdict.FAIL)

@@ -55,6 +55,7 @@ def test_a_limit_in_another_unit_is_the_same_limit(judged: Judged, upper: float,
     assert row["unit_of_measure"] == unit
 
 
+@pytest.mark.long
 def test_a_value_in_a_unit_that_does_not_fit_has_no_verdict(judged: Judged) -> None:
     judged.specify(limits(BIAS))
     catalog = judged.catalog([{"unit": "U1", "run": "r1"}], [{"value": 0.0, "unit_of_measure": "mV"}])
@@ -103,6 +104,7 @@ def test_a_run_without_a_date_has_a_verdict_only_where_there_is_one_revision(jud
     assert row["reason"].startswith("the date of the run is not known, so nobody can say which revision of fog held")
 
 
+@pytest.mark.long
 def test_a_limit_is_of_the_values_with_its_parameters_product_signal_and_standard(judged: Judged) -> None:
     ask = 'metric = "bias_stability_averaged"\nupper = 1.0\nunit_of_measure = "deg/h"\n'
     judged.specify(

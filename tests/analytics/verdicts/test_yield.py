@@ -40,6 +40,7 @@ def test_yield_by_lot_station_fixture_and_day_with_wilsons_interval(judged: Judg
     assert sum(row["failed"] for row in yield_by(catalog, "day")) == 6
 
 
+@pytest.mark.long
 def test_a_unit_is_judged_in_each_station_by_what_was_measured_there(judged: Judged) -> None:
     judged.specify(limits(BIAS))
     runs = [{"unit": "U1", "run": "r1", "station": "S1"}, {"unit": "U1", "run": "r2", "station": "S2"}]
@@ -51,6 +52,7 @@ def test_a_unit_is_judged_in_each_station_by_what_was_measured_there(judged: Jud
     assert verdicts_of(catalog).units[0]["verdict"] == "FAIL"
 
 
+@pytest.mark.long
 def test_the_most_frequent_failure_comes_first(judged: Judged) -> None:
     judged.specify(limits(BIAS, 'metric = "bias_stability"\nupper = 1.0\nunit_of_measure = "deg/h"'))
     runs = [{"unit": f"U{i}", "run": "r1"} for i in range(10)]

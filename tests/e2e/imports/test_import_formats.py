@@ -86,6 +86,7 @@ def test_iso_time_stamps(gyrofleet: Run, tmp_path: Path, title: str, kind: str) 
     assert (without_zone in found["remarks"]) == (kind == "blank")
 
 
+@pytest.mark.long
 def test_time_stamps_without_a_zone_are_of_the_stations(gyrofleet: Run, tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("Timestamp\tRate (deg/s)\n2026-11-21 18:00:00,5\t1\n2026-11-21 18:00:01,0\t2\n")
@@ -106,6 +107,7 @@ def test_a_wrong_time_stamp_is_a_bad_row(gyrofleet: Run, tmp_path: Path) -> None
     assert imported(gyrofleet, path, "--skip-bad")["bad_row_count"] == 2
 
 
+@pytest.mark.long
 def test_time_stamps_of_a_parquet_file(gyrofleet: Run, tmp_path: Path) -> None:
     moments = [START + timedelta(milliseconds=10 * i) for i in range(5)]
     pl.DataFrame({"timestamp": moments, "rate[deg/h]": np.arange(5.0)}).write_parquet(tmp_path / "a.pq")
@@ -151,6 +153,7 @@ def test_spellings_of_angular_rates(gyrofleet: Run, tmp_path: Path, unit: str, s
     assert (curve.json["unit_of_measure"], curve.json["samples"]) == ("deg/h", 50)
 
 
+@pytest.mark.long
 def test_g_is_standard_gravity_for_an_acceleration_and_asked_back_else(gyrofleet: Run, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time[s],acceleration_x[g],Acc Y (mg)\n0,1,1\n1,1,1\n2,1,1\n")
@@ -194,6 +197,7 @@ def test_suffixes_separators_and_decimal_marks(
     assert ("numbers are read with a decimal comma" in found["remarks"]) == (mark == ",")
 
 
+@pytest.mark.long
 def test_a_decimal_mark_that_changes_is_a_bad_row(gyrofleet: Run, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time[s];rate[deg/s]\n0;1\n0,1;1,5\n0,2;1.5\n0,3;1.000,5\n0,4;2\n")

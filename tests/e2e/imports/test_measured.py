@@ -105,6 +105,7 @@ def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[...
     np.testing.assert_allclose([row["hi"] for row in stored], curve["hi"], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_bias_stability_is_that_of_the_averages(
     gyrofleet: Callable[..., Any], measured: Path, adis_store: Path
 ) -> None:

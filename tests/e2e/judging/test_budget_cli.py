@@ -98,6 +98,7 @@ def test_an_upright_axis_sees_level_and_latitude(ask: Ask) -> None:
     assert found["method"] == "JCGM 100"
 
 
+@pytest.mark.long
 def test_an_axis_that_points_east_sees_level_and_north(ask: Ask) -> None:
     own = parts(budget(ask, "east"))
     assert own["north reference"] == pytest.approx(EARTH * math.cos(math.radians(40)) * 180 / math.sqrt(3), rel=1e-6)
@@ -152,6 +153,7 @@ def test_the_table_fits_80_columns_in_both_languages(ask: Ask, monkeypatch: pyte
         assert max(map(len, done.stdout.splitlines())) <= 80
 
 
+@pytest.mark.long
 def test_a_value_that_is_not_there_is_said(ask: Ask) -> None:
     done = ask("budget", "--unit", "U1", "--metric", "scale_factor", "--json")
     assert done.exit_code == 1

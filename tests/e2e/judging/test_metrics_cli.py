@@ -197,6 +197,7 @@ def test_an_empty_workbook_is_not_written_without_a_word(ask: Ask, tmp_path: Pat
     assert "no metric matches the selection" in " ".join(reported.split())
 
 
+@pytest.mark.long
 def test_annex_a_has_its_24_rows_whatever_was_measured(ask: Ask) -> None:
     reported = json.loads(ask("metrics", "--annex-a", "FOG-0002", "--json").stdout)
     rows = reported["rows"]

@@ -92,6 +92,7 @@ def test_people_read_tables_and_sentences_in_either_language(ask: Ask, folder: P
     assert "受控" in chinese
 
 
+@pytest.mark.long
 def test_the_metric_is_an_argument_or_an_option(ask: Ask) -> None:
     assert json.loads(ask("trend", "--metric", "bias", "--unit", "FOG-0007", "--json").stdout)["metric"] == "bias"
     for words in (("trend",), ("trend", "bias", "--metric", "threshold")):

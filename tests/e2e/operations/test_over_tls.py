@@ -157,6 +157,7 @@ def _name_of(bench: Bench) -> str:
     return str(tomllib.loads((bench.folder / "station.toml").read_text())["station"]["name"])
 
 
+@pytest.mark.long
 def test_what_is_refused_is_named_and_logged_on_our_side(
     site: Path, tmp_path: Path, spawn: Spawn, endpoint: str
 ) -> None:

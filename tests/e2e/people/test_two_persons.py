@@ -82,6 +82,7 @@ def test_who_is_not_authenticated_proposes_nothing(store: Store, added: ModelVer
     assert read_proposals(store) == {}
 
 
+@pytest.mark.long
 def test_a_rejected_proposal_stays_without_effect(store: Store, added: ModelVersion) -> None:
     proposal = activate(store, added, Stage.SHADOW, reason="", by=LI)
     reject(store, proposal.uid, by=WU, reason="the run was disturbed")

@@ -29,6 +29,7 @@ def station(bench: Bench, tmp_path: Path) -> Callable[..., tuple[object, ...]]:
     return changed
 
 
+@pytest.mark.long
 def test_all_that_stands_in_the_way_is_told_at_once_and_nothing_is_written(
     bench: Bench, station: Callable[..., tuple[object, ...]], tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def test_what_came_just_before_an_interface_went_is_kept(
     assert bench.numbers == list(range(10))
 
 
+@pytest.mark.long
 def test_a_controller_that_is_off_the_bus_is_opened_again(
     channel: str, sender: can.BusABC, faulty: Plug, bus_bench: MakeBench, frame: MakeFrame, until: Until
 ) -> None:

@@ -95,6 +95,7 @@ def test_equal_to_cantools_on_every_kind_of_signal(of: Message, seed: int) -> No
                 assert same(mine[name], float(value), layout.signals[name].field.bits), (name, mine[name], value)
 
 
+@pytest.mark.long
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(message(), st.integers(0, 2**32 - 1))
 def test_counts_are_the_raw_integers_where_they_fit(of: Message, seed: int) -> None:

@@ -95,6 +95,7 @@ def test_the_recorder_that_writes_the_store_takes_it(
     assert (row["uid"], row["unit"], row["item"]) == (done.json["uid"], "FOG-1", "visual")
 
 
+@pytest.mark.long
 def test_the_command_enters_and_refuses(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     ask = (
         "check",

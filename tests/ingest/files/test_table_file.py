@@ -80,6 +80,7 @@ def test_a_sample_rate_that_lasts_for_years_is_refused(write: Tool) -> None:
         TableFile(path, TableOptions(unit="G1", sample_rate_hz=1e-7)).check()
 
 
+@pytest.mark.long
 def test_a_column_unit_that_holds_no_names_is_refused(write: Tool) -> None:
     path = write("unit,time[s],rate[deg/s]\n" + "".join(f"U{i},{i},1\n" for i in range(10_001)))
     with pytest.raises(BadInput, match="does column 'unit' hold names"):

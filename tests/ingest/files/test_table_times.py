@@ -98,6 +98,7 @@ STAMPS = st.datetimes(datetime(1971, 1, 1), datetime(2100, 1, 1))
 FRACTIONS = st.text("0123456789", min_size=1, max_size=12).map(".{}".format) | st.just("")
 
 
+@pytest.mark.long
 @given(
     st.lists(st.tuples(STAMPS, FRACTIONS), min_size=1, max_size=5),
     st.sampled_from(["", "Z", "+08:00", "-0330", " +05"]),

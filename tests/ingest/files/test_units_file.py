@@ -35,6 +35,7 @@ def test_a_table_is_the_same_in_every_encoding(tmp_path: Path, encoding: str, de
 serials = st.lists(st.text("ABF019-", min_size=1, max_size=12), min_size=1, max_size=12, unique=True)
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(serials, st.data())
 def test_scanned_serials_come_back_in_order_and_empty_lines_are_counted(

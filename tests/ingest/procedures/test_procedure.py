@@ -22,6 +22,7 @@ def recorded(name: str, **parameters: str | float) -> list[PlannedStep]:
     return [step for step in load_procedure(name).steps(parameters) if step.is_recorded]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", READY)
 def test_every_ready_procedure_keeps_the_laws(name: str) -> None:
     file, _, _ = read_procedure(name)

@@ -49,6 +49,7 @@ def response(hz: float, dynamics: Dynamics, n: int = 4000) -> complex:
     return complex(a, b) / 10
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damping", [0.4, math.sqrt(0.5), 1.3])
 @pytest.mark.parametrize("hz", [1.0, 10.0, 25.0, 50.0, 100.0])
 def test_bandwidth_is_a_second_order_low_pass(hz: float, damping: float) -> None:

@@ -98,6 +98,7 @@ def test_bias_follows_temperature_and_warm_up() -> None:
     assert np.abs(rate - expected).max() < 0.5 * 0.005 + 1e-4
 
 
+@pytest.mark.long
 def test_turn_on_bias_scatters_as_declared() -> None:
     gyro = of_scale(FINE, bias=Bias(turn_on_deg_per_h=2.0))
     bias = [rate_deg_per_h(gyro, 1, seed)[0] for seed in range(300)]

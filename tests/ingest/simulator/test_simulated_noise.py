@@ -94,6 +94,7 @@ def test_holding_for_a_tenth_of_a_second_disturbs_flicker_by_less_than_2_percent
         assert math.sqrt(variances[0] / exact) == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.long
 def test_holding_disturbs_rate_random_walk_by_less_than_2_percent() -> None:
     process = rate_random_walk(1.0, 0.1, np.random.default_rng(3))
     means = np.repeat(process.means(200_000), 20)

@@ -107,6 +107,7 @@ def test_a_segment_put_in_before_the_anchor_is_named(store: Store, key: SigningK
     assert what(store, kept) == [("attested_changed", NAMES[1])]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["certificates/C-1.pdf", "models/U1/0001-0123456789abcdef.json"])
 def test_changed_and_removed_files_are_named(store: Store, key: SigningKey, name: str) -> None:
     kept = attest(store, key).attestation
@@ -133,6 +134,7 @@ def test_a_forged_attestation_is_none(store: Store, key: SigningKey, tmp_path: P
         read_attestation(tmp_path / "no.json")
 
 
+@pytest.mark.long
 def test_the_stores_own_attestations_are_a_chain(store: Store, key: SigningKey) -> None:
     paths = [attest(store, key).path for _ in range(3)]
     assert not [each for each in verify(store)[0].findings if "attest" in each.kind]

@@ -124,6 +124,7 @@ def test_the_open_segment_is_in_it_once(store: Store, tmp_path: Path) -> None:
     assert counts(Store.open(tmp_path / "R")) == counts_after_build(store)
 
 
+@pytest.mark.long
 def test_damage_in_the_backup_is_found_and_copied_again(store: Store, tmp_path: Path) -> None:
     back_up(store, tmp_path / "B")
     damaged = tmp_path / "B" / "log" / "00000002.mcap"
@@ -153,6 +154,7 @@ def test_a_damaged_store_leaves_the_backup_as_it_was(store: Store, tmp_path: Pat
     assert verify(Store.open(tmp_path / "R"))[0].is_sound
 
 
+@pytest.mark.long
 def test_what_the_store_has_lost_stays_in_the_backup(
     store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]
 ) -> None:
@@ -193,6 +195,7 @@ def test_folders_of_others_are_refused(store: Store, tmp_path: Path) -> None:
         restore(tmp_path / "B", tmp_path / "R")
 
 
+@pytest.mark.long
 def test_an_interrupted_restoration_is_repeated(store: Store, tmp_path: Path) -> None:
     back_up(store, tmp_path / "B")
 
@@ -214,6 +217,7 @@ def test_an_empty_store_has_a_backup(tmp_path: Path) -> None:
     assert verify(Store.open(tmp_path / "R"))[0].samples == 0
 
 
+@pytest.mark.long
 def test_two_restorations_into_one_folder_do_not_mix(store: Store, tmp_path: Path) -> None:
     """The second would take what the first has written so far for the rest of an interrupted one."""
     back_up(store, tmp_path / "B")

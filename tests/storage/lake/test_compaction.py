@@ -91,6 +91,7 @@ def test_rollups_are_those_of_the_samples(days: Filler) -> None:
             assert np.abs(np.array(rows, float)).max() < 1e-9
 
 
+@pytest.mark.long
 def test_a_segment_that_comes_late_is_put_with_its_day(days: Filler, tmp_path: Path) -> None:
     store = days.store
     late = store.log / "00000002.mcap"
@@ -182,6 +183,7 @@ def test_a_rebuilt_lake_has_the_same_rows(documented: Filler, tmp_path: Path) ->
     assert len(read_manifest(store).parts) == 3
 
 
+@pytest.mark.long
 def test_a_rebuild_never_gives_up_what_the_log_does_not_give(days: Filler) -> None:
     days.build()
     store = days.store

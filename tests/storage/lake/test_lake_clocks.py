@@ -62,6 +62,7 @@ def test_drift_is_found_within_its_uncertainty(filler: Filler, ppm: float) -> No
     assert (found["backward_jumps"], found["jumps"], found["largest_jump_ns"]) == (0, 0, None)
 
 
+@pytest.mark.long
 def test_jumps_are_found_and_do_not_look_like_drift(filler: Filler) -> None:
     live(filler, 40, 50.0, jumps={620: 5 * 10**9, 1500: -2 * 10**9}, pauses={1000: 30 * 10**9})
     found = clocks(filler)

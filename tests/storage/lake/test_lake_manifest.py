@@ -123,6 +123,7 @@ def test_every_damaged_file_is_found_kept_aside_and_made_anew(days: Filler) -> N
     assert len(list((store.folder / "lake-aside").iterdir())) == 2
 
 
+@pytest.mark.long
 def test_a_part_whose_segment_is_damaged_too_stays_as_it_is(days: Filler) -> None:
     days.build()
     store = days.store

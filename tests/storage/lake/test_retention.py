@@ -82,6 +82,7 @@ def test_what_was_dropped_is_reported_in_the_log_and_in_the_views(retained: Fill
     assert not (store.lake / "00000001" / "samples.parquet").exists()
 
 
+@pytest.mark.long
 def test_a_reader_gets_all_of_a_signal_or_an_error(retained: Filler) -> None:
     with Catalog(retained.store) as catalog:
         record = find_signal(catalog, "U1", "rate")

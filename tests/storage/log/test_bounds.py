@@ -200,6 +200,7 @@ def test_seconds_at_the_end_of_64_bits_are_rolled_up_once_each() -> None:
     assert (np.diff(rollup.bucket) > 0).all()
 
 
+@pytest.mark.long
 def test_every_view_answers_with_times_at_the_bounds(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "store")
     log = EventLog(store)

@@ -104,6 +104,7 @@ def test_of_a_segment_that_nothing_is_left_of_the_numbers_stay_known(store: Stor
     assert next(mark for stream, mark in EventLog(store).marks.items() if stream.key == KEY) == 3000
 
 
+@pytest.mark.long
 def test_a_recovery_of_which_the_recorder_could_not_tell_is_found(store: Store) -> None:
     segment = store.log / "00000003.mcap"
     damage_last_chunk(segment)

@@ -148,6 +148,7 @@ def test_where_nothing_says_it_the_store_gets_another_identity(filled: Store, mo
     assert verify(Store.open(folder))[0].samples == 100
 
 
+@pytest.mark.long
 def test_recover_makes_the_marker_anew(filled: Store, gyrofleet: Callable[..., Any]) -> None:
     (filled.folder / "store.json").write_bytes(b"x")
     assert "gyrofleet recover" in gyrofleet("verify", "--store", filled.folder, "--json").json["error"]["message"]

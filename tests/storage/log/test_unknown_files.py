@@ -97,6 +97,7 @@ def test_what_is_put_into_a_log_is_neither_built_nor_adopted(
     assert rows(store) == 200
 
 
+@pytest.mark.long
 def test_recover_moves_it_aside_when_asked(store: Store, foreign: Store, gyrofleet: Callable[..., Any]) -> None:
     names = put_in(store, foreign)
     done = gyrofleet("recover", "--quarantine", "--store", store.folder, "--json")
@@ -109,6 +110,7 @@ def test_recover_moves_it_aside_when_asked(store: Store, foreign: Store, gyrofle
     assert rows(store) == 300
 
 
+@pytest.mark.long
 def test_segments_that_no_list_names_are_the_stores_by_what_they_say(store: Store, foreign: Store) -> None:
     """Sealed by a process that was killed before it could list them; or the list is lost, and the identity with it."""
     manifest_path(store).unlink()
@@ -132,6 +134,7 @@ def test_a_damaged_head_does_not_make_a_segment_foreign(store: Store) -> None:
     assert unknown_files(store) == []
 
 
+@pytest.mark.long
 def test_a_part_of_another_lake_is_not_taken_in(store: Store, foreign: Store) -> None:
     shutil.copytree(foreign.lake / "00000003", store.lake / "00000003")
     with builder_lock(store):

@@ -60,6 +60,7 @@ def test_what_a_killed_recorder_left_is_unfinished_and_then_sealed(store: Store,
     assert verify(store)[0].samples == 3100
 
 
+@pytest.mark.long
 def test_a_segment_that_has_gone_is_a_loss_that_the_log_comes_to_say(store: Store) -> None:
     (store.log / "00000002.mcap").unlink()
     found, _ = verify(store)
@@ -85,6 +86,7 @@ def test_a_run_that_sent_more_than_is_there_is_incomplete(store: Store) -> None:
     assert kinds(store) == ["numbers_missing", "run_incomplete"]
 
 
+@pytest.mark.long
 def test_a_lost_lake_is_made_anew(store: Store) -> None:
     shutil.rmtree(store.lake)
     store.lake.mkdir()
@@ -98,6 +100,7 @@ def test_recover_leaves_a_store_alone_that_is_being_written(store: Store) -> Non
         list(recover(store))
 
 
+@pytest.mark.long
 def test_the_manifest_is_written_anew_from_the_segments(store: Store) -> None:
     before = read_log_manifest(store).entries
     (store.log / "manifest.jsonl").write_text("nonsense\n")
@@ -149,6 +152,7 @@ def test_a_log_that_has_gone_is_damage_until_the_log_says_so(store: Store, how: 
         list(rebuild(store))
 
 
+@pytest.mark.long
 def test_a_lost_manifest_is_damage(store: Store) -> None:
     (store.log / "manifest.jsonl").unlink()
     assert "manifest_missing" in kinds(store)

@@ -83,6 +83,7 @@ def test_both_sides_follow(tmp_path: Path, bucket: Bucket, fleet: FleetStore) ->
     assert verified(fleet).is_sound
 
 
+@pytest.mark.long
 def test_a_prefix_is_one_plants(tmp_path: Path, bucket: Bucket) -> None:
     assert uploaded(plant(tmp_path / "a"), bucket).is_well
     before = contents(bucket)
@@ -194,6 +195,7 @@ def test_what_recover_has_given_up_comes_back_from_the_bucket(
         assert segments_of(Store.open(folder))["00000003.mcap"] == before["00000003.mcap"]
 
 
+@pytest.mark.long
 def test_an_object_of_another_size_is_uploaded_again(tmp_path: Path, bucket: Bucket, fleet: FleetStore) -> None:
     store = plant(tmp_path / "a")
     assert uploaded(store, bucket).is_well

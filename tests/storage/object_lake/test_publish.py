@@ -72,6 +72,7 @@ def test_merged_parts_replace_theirs_which_stay_for_their_readers(built: Store, 
     assert problems(bucket, built) == []
 
 
+@pytest.mark.long
 def test_a_builder_with_a_stale_view_changes_nothing(built: Store, bucket: Bucket, tmp_path: Path) -> None:
     stale = copy_of(built, tmp_path / "stale")
     compacted(built)
@@ -95,6 +96,7 @@ def test_builders_that_have_different_segments_lose_none(days: Filler, bucket: B
     assert problems(bucket, days.store) == []
 
 
+@pytest.mark.long
 def test_a_merged_part_that_overlaps_another_is_published_by_segments(
     filler: Filler, bucket: Bucket, tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def test_one_fault_costs_nothing(
     assert not any(method == "PUT" and "/probes/" not in path for method, path in proxy.seen[again:])
 
 
+@pytest.mark.long
 def test_an_upload_that_arrives_changed_is_noticed_and_sent_again(
     small: Store, faulty: Bucket, proxy: FaultyProxy, bucket: Bucket
 ) -> None:

@@ -130,6 +130,7 @@ def test_a_request_that_is_answered_in_time_is_not_given_up(monkeypatch: pytest.
     assert answered(lambda: 9) == 9
 
 
+@pytest.mark.long
 def test_what_went_wrong_is_called_by_its_name(silent: Silent) -> None:
     def said(endpoint: str) -> str:
         with pytest.raises(Unanswered) as caught:

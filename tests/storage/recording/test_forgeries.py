@@ -141,6 +141,7 @@ def test_nothing_that_a_router_makes_up_is_recorded(between: Between) -> None:
     assert counts.samples == 20
 
 
+@pytest.mark.long
 def test_what_is_replayed_adds_nothing_and_who_may_is_recorded(between: Between) -> None:
     counts = between.recorder.counts
     between.router.publish(KEY, between.passed[KEY][0])

@@ -81,6 +81,7 @@ def test_the_window_bounds_what_is_unacknowledged() -> None:
         assert publisher.outstanding == 3
 
 
+@pytest.mark.long
 def test_a_recorder_with_another_store_is_found_out(tmp_path: Path) -> None:
     bus = LocalBus()
     with DurablePublisher(bus, resend_after_s=0.05, timeout_s=1.0) as publisher:

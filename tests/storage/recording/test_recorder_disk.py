@@ -159,6 +159,7 @@ class FailsOnce(Disk):
         super().sync_data(file)
 
 
+@pytest.mark.long
 def test_what_came_when_the_disk_failed_does_not_keep_others_from_settling(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

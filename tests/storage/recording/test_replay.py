@@ -71,6 +71,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return Store.open(folder)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("run", ["r1", "r2"])
 def test_a_run_is_estimated_as_it_was_to_the_last_bit(store: Store, run: str) -> None:
     stored = StoredRun(store, run)

@@ -72,6 +72,7 @@ def test_a_plant_gets_back_what_recover_has_given_up(store: Store, fleet: FleetS
     assert verified(fleet).is_sound
 
 
+@pytest.mark.long
 def test_a_fleet_store_gets_back_what_it_lost_and_what_was_damaged(store: Store, fleet: FleetStore) -> None:
     copy = fleet.replica("a").store
     (copy.log / FIRST).unlink()

@@ -121,6 +121,7 @@ def test_a_list_that_ends_earlier_is_refused(tmp_path: Path) -> None:
     assert (refusal.kind, refusal.segment) == ("list_shortened", "00000003.mcap")
 
 
+@pytest.mark.long
 def test_another_plant_cannot_take_a_name(tmp_path: Path) -> None:
     fleet = FleetStore.create(tmp_path / "fleet")
     store = plant(tmp_path / "one" / "a", 2)
@@ -150,6 +151,7 @@ def test_a_plant_cannot_take_another_name(tmp_path: Path) -> None:
     assert [each.plant.name for each in fleet.replicas()] == ["a"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["../a", "/tmp/x", "a/b", ".hidden", "", "x" * 65, "a\nb", "e\u0301"])
 def test_a_name_is_never_a_path(tmp_path: Path, name: str) -> None:
     store, fleet = plant(tmp_path / "a", 1), FleetStore.create(tmp_path / "fleet")
@@ -171,6 +173,7 @@ def test_a_segment_name_is_never_a_path(tmp_path: Path, name: str) -> None:
     assert found.segments == 1  # the good part
 
 
+@pytest.mark.long
 def test_a_segment_of_another_store_is_refused(tmp_path: Path) -> None:
     store, fleet = plant(tmp_path / "a"), FleetStore.create(tmp_path / "fleet")
     foreign = (plant(tmp_path / "b").log / SECOND).read_bytes()

@@ -173,6 +173,7 @@ class Dies(FolderSource):
         return super().read(name, offset, length)
 
 
+@pytest.mark.long
 def test_a_pass_that_was_killed_or_cut_off_leaves_when_the_plant_answered(tmp_path: Path) -> None:
     store, fleet = plant(tmp_path / "hangzhou"), FleetStore.create(tmp_path / "fleet")
     with pytest.raises(Killed):

@@ -135,6 +135,7 @@ def test_only_users_statements_see_live_rows(three: Filler) -> None:
         assert asked(catalog, COUNT).to_pylist() == [{"n": 3125, "numbers": 3125}]
 
 
+@pytest.mark.long
 def test_samples_are_read_only_where_they_are_asked_for(three: Filler) -> None:
     with Catalog(three.store, live=True) as catalog:
         messages = "select count(*) as n from internal.live_messages"
@@ -147,6 +148,7 @@ def test_samples_are_read_only_where_they_are_asked_for(three: Filler) -> None:
         asked(catalog, "from rollup_10s")
 
 
+@pytest.mark.long
 def test_a_catalogue_stays_as_it_was_and_the_next_one_shows_what_came(three: Filler) -> None:
     with Catalog(three.store, live=True) as catalog:
         assert asked(catalog, "select count(*) as n from signals").to_pylist() == [{"n": 4}]
@@ -208,6 +210,7 @@ def check(log: InterruptedLog, opened: Catalog) -> None:
     assert set(found) == set(signals)
 
 
+@pytest.mark.long
 def test_segments_that_no_builder_takes_are_left_out_and_reported(
     filler: Filler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +249,7 @@ def test_damage_of_the_log_is_reported_with_what_can_be_read(filler: Filler) -> 
         assert door.ask("select 1").notes == (note,)
 
 
+@pytest.mark.long
 def test_python_sees_live_rows_and_notes(three: Filler) -> None:
     with OpenedStore(three.store.folder) as opened:
         answer = opened.sql("select sum(live)::int as live from signals where unit = $unit", {"unit": "U2"})

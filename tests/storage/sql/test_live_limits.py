@@ -104,6 +104,7 @@ def labels(store: Store, t_ns: int, wanted: str | None = None) -> list[str]:
     return [each.specification.label for each in chosen_periods(store, t_ns, wanted)]
 
 
+@pytest.mark.long
 def test_the_revision_of_the_runs_start_holds_unless_another_is_named(store: Store) -> None:
     before, after = 20_000 * DAY_NS, 20_500 * DAY_NS
     assert labels(store, before) == ["fog-A", "other-1"]

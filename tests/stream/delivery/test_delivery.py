@@ -87,6 +87,7 @@ def test_a_silent_recorder_is_asked_and_not_flooded() -> None:
     assert recorder.samples() == list(range(1000 * N))
 
 
+@pytest.mark.long
 def test_a_recorder_that_says_why_it_pauses_is_waited_for() -> None:
     bus = LocalBus()
     recorder = StandIn(bus)

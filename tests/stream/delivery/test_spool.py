@@ -113,6 +113,7 @@ def filled(folder: Path, messages: int = 50) -> list[bytes]:
     return [payload(A, seq) for seq in range(messages)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(60))
 def test_damage_is_told_and_costs_what_it_hit(tmp_path: Path, seed: int) -> None:
     sent = filled(tmp_path)

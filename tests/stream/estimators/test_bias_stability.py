@@ -145,6 +145,7 @@ def test_only_neighbouring_averages_are_taken_for_the_correlation() -> None:
     assert point.edf < 0.8 * point.n
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("correlation", [0.0, 0.5])
 def test_limits_cover_the_true_deviation(correlation: float) -> None:
     """A first-order process of 200 averages has a known deviation; the limits must hold it as often as they say.

@@ -12,6 +12,7 @@ from stream.estimators.confidence import NOISE_EXPONENTS, deviation_bounds, edf,
 from tests.allan_definition import overlapping_allan_variance
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("alpha", NOISE_EXPONENTS)
 @pytest.mark.parametrize("m", [1, 2, 5, 16, 33])

@@ -262,6 +262,7 @@ def test_few_windows_in_a_tau_hold_the_freedom_of_all(m: int) -> None:
         assert point.edf == pytest.approx(every, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "sigma"), [("oadev", 1.0), ("adev", 1.0), ("mdev", 0.5), ("ohdev", 1.0)])
 def test_limits_cover_white_noise(kind: str, sigma: float) -> None:
     rng = np.random.default_rng(12)

@@ -34,6 +34,7 @@ def test_markov_noise_is_found_with_its_correlation_time() -> None:
     assert fit.angle_random_walk.value == pytest.approx(0.01, rel=0.01)
 
 
+@pytest.mark.long
 def test_markov_noise_is_rarely_claimed_where_there_is_none() -> None:
     """A claim has a probability of 0.1 % a run: 2 in 25 one of 3e-4."""
     rng = np.random.default_rng(8)

@@ -93,6 +93,7 @@ def assert_legal(line: SpectralLine) -> None:
     assert all(math.isfinite(getattr(line, field)) for field in line.__struct_fields__)
 
 
+@pytest.mark.long
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     pattern=st.lists(st.floats(width=64, min_value=-1e140, max_value=1e140) | st.sampled_from([0.0, 1.0]), min_size=1),
@@ -144,7 +145,7 @@ def test_the_false_alarm_rate_over_white_noise_is_that_promised(segments: int) -
     assert scipy.stats.binom.sf(alarms - 1, trials, 0.01) > 0.001, f"{alarms} of {trials}"
 
 
-@pytest.mark.in_gate("1--2", "1-1")
+@pytest.mark.long
 @pytest.mark.parametrize("exponent", [-2, 1, 2])
 @pytest.mark.parametrize("segments", [1, 8, 100])
 def test_coloured_noise_raises_no_more_false_alarms(exponent: int, segments: int) -> None:

@@ -111,6 +111,7 @@ def test_this_side_names_the_right_that_is_missing(tmp_path: Path, endpoint: str
             station.subscribe("gyrofleet/**", lambda _key, _payload: None)
 
 
+@pytest.mark.long
 def test_a_revoked_and_an_unknown_principal_reach_nobody_and_learn_why(tmp_path: Path, endpoint: str) -> None:
     site = make_site(tmp_path)
     site.revoke(Principal(Role.STATION, "c2"))

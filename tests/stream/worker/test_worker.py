@@ -91,6 +91,7 @@ def test_duplicates_change_nothing_and_losses_are_counted_as_missing(bench: Benc
     assert (last.samples, last.missing) == (3000, 1000)
 
 
+@pytest.mark.long
 def test_a_signal_that_cannot_be_estimated_says_why_and_harms_no_other(bench: Bench) -> None:
     bench.send(batch(0), batch(1000, dt_ns=2 * 10**7), batch(2000))
     other = sample_key(PLACE, "U2", "rate")
