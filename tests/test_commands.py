@@ -130,6 +130,7 @@ finally:
 """
 
 
+@pytest.mark.long
 def test_a_command_imports_no_slow_library_that_it_does_not_need(tmp_path: Path) -> None:
     """Rows of a file are on their way, and a store is asked, before compiled code or tables of units are loaded."""
     (tmp_path / "r.csv").write_text("time[s],rate[deg/h]\n" + "".join(f"{i},{i % 3}\n" for i in range(200)))

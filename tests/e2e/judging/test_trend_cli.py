@@ -63,6 +63,7 @@ def ask(folder: Path) -> Ask:
     return run
 
 
+@pytest.mark.long
 def test_the_offset_of_a_station_is_found_and_attributed(ask: Ask) -> None:
     found = json.loads(ask("trend", "bias", "--json").stdout)
     assert (found["values"], found["units"]) == (UNITS + ON_BOTH, UNITS)

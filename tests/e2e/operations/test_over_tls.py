@@ -120,6 +120,7 @@ def secured_bench(tmp_path: Path, simulated: Callable[..., Bench], site: Path) -
     finish(bench)
 
 
+@pytest.mark.long
 def test_a_station_sends_as_its_file_says(
     secured_bench: Bench, site: Path, tmp_path: Path, spawn: Spawn, gyrofleet: Callable[..., Any], endpoint: str
 ) -> None:

@@ -135,6 +135,7 @@ def test_a_revoked_and_an_unknown_principal_reach_nobody_and_learn_why(tmp_path:
             assert good.why_refused() == ""
 
 
+@pytest.mark.long
 def test_an_expired_foreign_or_missing_certificate_opens_no_link(tmp_path: Path, endpoint: str) -> None:
     site = make_site(tmp_path / "site")
     make_site(tmp_path / "foreign")

@@ -1,4 +1,7 @@
-"""Fit of the noise coefficients together with a regression: penalised maximum likelihood by Gauss-Newton steps."""
+"""Fit of the noise coefficients together with a regression: penalised maximum likelihood by scoring steps.
+
+Each step uses the expected curvature, corrected along the step before it to the change of the gradient over it.
+"""
 
 from dataclasses import dataclass
 
