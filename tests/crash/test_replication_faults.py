@@ -8,7 +8,6 @@ from tests.crash.replication_faults import FAULTS, start_program, trial
 from tests.forked_commands import CommandServer
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("faults", [5, pytest.param(100, marks=pytest.mark.long)])
 def test_under_faults_each_segment_arrives_once_and_verified(
     tmp_path: Path, command_server: CommandServer, faults: int

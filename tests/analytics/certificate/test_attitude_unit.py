@@ -84,7 +84,6 @@ def test_every_item_of_clause_8_and_every_row_of_annex_c_is_printed(
     assert is_archivable(lab / f"{language}.pdf")
 
 
-@pytest.mark.long
 def test_deviations_that_the_order_denies_make_a_draft(lab: Path, run_command: Callable[..., Any]) -> None:
     answer = written(run_command, lab, "none.toml", "denied.pdf")
     assert answer["is_draft"]

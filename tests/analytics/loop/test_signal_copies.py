@@ -20,7 +20,6 @@ def leaking(run: RunBlocks) -> RunBlocks:
     return replace(run, channels={**run.channels, "monitor": leak})
 
 
-@pytest.mark.long
 def test_a_copy_is_left_out_with_a_caveat_and_the_effect_behind_it_is_found() -> None:
     campaign = Campaign(5, runs=6, types=("temperature",), duration_s=14400.0)
     model = ErrorModel.parse("bias + scale_factor*input_rate + temperature")

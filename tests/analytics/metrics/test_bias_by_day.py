@@ -8,7 +8,6 @@ import pytest
 from tests.analytics.conftest import SECOND_NS, START_NS
 
 
-@pytest.mark.long
 def test_the_bias_of_a_day_keeps_temperatures_positions_and_tests_apart(tested: Any) -> None:
     """What a unit gives at -40 degC, with its axis up, or at rest between two rates is not its bias of the day."""
     tested.run("r", t_ns=START_NS)

@@ -18,7 +18,6 @@ def coefficient(value: float, *, observable: bool = True) -> dict[str, Any]:
             "reason": reason}  # fmt: skip
 
 
-@pytest.mark.long
 def test_noise_coefficients(tested: Any) -> None:
     rng = np.random.default_rng(15)
     white = rng.normal(0, 6.0, HOUR)

@@ -82,7 +82,7 @@ def folder(tmp_path: Path, gyrofleet: Callable[..., Any], endpoint: str) -> Path
     return tmp_path
 
 
-@pytest.mark.long
+@pytest.mark.in_gate("record")
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.usefixtures("station")
 def test_a_role_ends_well_when_it_is_asked_to(

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from storage.recording.knowledge import AskedAhead, CatalogKnowledge, KnownRuns, KnownSignal
 from storage.sql.catalog import Catalog
@@ -33,7 +32,6 @@ class Counted:
         return self._knowledge.samples(unit, signal, run, first_ns, last_ns)
 
 
-@pytest.mark.long
 def test_one_question_has_the_answers_of_many(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     for number, run in enumerate(RUNS[:4]):
         rows = "".join(f"{at / 10},U{at % 2},{at % 7},{20 + number}\n" for at in range(40))
