@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests.live_source import LiveSource
 
 BY_UNIT = (
@@ -16,7 +14,6 @@ BY_UNIT = (
 )
 
 
-@pytest.mark.long
 def test_a_backup_under_load_holds_what_was_acknowledged(
     start: Callable[..., Any], gyrofleet: Callable[..., Any], endpoint: str, tmp_path: Path
 ) -> None:

@@ -118,7 +118,6 @@ def lose_router(bench: Bench, gone_s: float, lasts_s: float) -> float:
 
 
 # 6 s and 30 s are beyond the 5 s after which Zenoh by itself gives up
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("stalls", "speed"),
     [({6.0: 11.0}, SPEED // 3), pytest.param({1.0: 5.0, 6.0: 11.0, 30.0: 36.0}, SPEED, marks=pytest.mark.long)],
