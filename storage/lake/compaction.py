@@ -143,13 +143,13 @@ def _merged_rollups(lake: "Lake", paths: list[Path], merged: Path, writer: Calla
 
 def _write_sorted(lake: "Lake", paths: list[Path], writer: TableWriter) -> tuple[PartFile, bool]:
     """Write the rows of rollups, and say whether each channel has come in one place."""
-    is_by_channel, last = True, -(2**63)
+    is_by_channel, last = True, None
 
     def noted(tables: Iterator[pa.Table]) -> Iterator[pa.Table]:
         nonlocal is_by_channel, last
         for table in tables:
             channels = table.column("channel")
-            is_by_channel &= channels[0].as_py() >= last
+            is_by_channel &= last is None or channels[0].as_py() > last
             last = channels[-1].as_py()
             yield table
 

@@ -78,7 +78,8 @@ def with_motion(
         elif np.isfinite(commanded).any():
             channels["input_rate"] = Channel(commanded * along, none, "deg/s")
     if "table_acceleration" not in channels and table is not None and table.unit_of_measure == "deg/s":
-        turning = np.where(is_steady(table, commanded), 0.0, mean_slope_per_s(run, "table_rate"))
+        slope = mean_slope_per_s(run, "table_rate", across_gaps=False)
+        turning = np.where(is_steady(table, commanded), 0.0, slope)
         channels["table_acceleration"] = Channel(turning, none, "deg/s^2")
     return replace(run, channels=channels)
 

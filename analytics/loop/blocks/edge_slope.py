@@ -9,8 +9,11 @@ from stream.batch import FloatArray, IntArray
 from stream.compiled import kernel
 
 
-def mean_slope_per_s(run: RunBlocks, channel: str) -> FloatArray:
+def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) -> FloatArray:
     """Mean time derivative within each block of a channel that may step, such as a rate; per second.
+
+    Of a block without a reading in the blocks beside it, that between the readings before and after it, or NaN if not
+    `across_gaps`.
 
     A step within the third block, of which only the mean is known:
 
@@ -23,7 +26,7 @@ def mean_slope_per_s(run: RunBlocks, channel: str) -> FloatArray:
     [0.0, 0.0, 1.0, 0.0, 0.0]
     """
     its = run.channels[channel]
-    return np.asarray(_edge_slope(run.slot, its.mean, its.spread) / run.block_s)
+    return np.asarray(_edge_slope(run.slot, its.mean, its.spread, across_gaps) / run.block_s)
 
 
 @kernel
@@ -53,7 +56,7 @@ def _smaller_change(slot: IntArray, value: FloatArray) -> FloatArray:
 
 
 @kernel
-def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatArray:
+def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray, across_gaps: bool) -> FloatArray:
     """Change of a channel from start to end of each block, per slot.
 
     The value at the edge between two blocks is their mean weighted by 1/spread**2: where the channel steps within one
@@ -74,5 +77,8 @@ def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatA
                 edge = (value[i] * its + value[j] * mine) / (mine + its)
                 change += side * (edge - value[i])
                 reach += 0.5
-        slope[i] = change / reach if reach > 0 else slope_to_neighbours(slot, value, i)
+        if reach > 0:
+            slope[i] = change / reach
+        elif across_gaps:
+            slope[i] = slope_to_neighbours(slot, value, i)
     return slope

@@ -256,9 +256,9 @@ def _slope(at: FloatArray, value: FloatArray) -> float:
 
 
 def _attitude(run: RunBlocks) -> FloatArray:
-    """Recorded components of gravity of each block, (blocks, 0 to 3), in g_0; 0 where there is no reading."""
-    names = [name for name in _GRAVITY if name in run.channels]
-    return np.column_stack([np.zeros((len(run), 0)), *(np.nan_to_num(run.mean(name)) for name in names)])
+    """Components of gravity of each block, (blocks, 0 to 3), in g_0; of the channels that have readings in all."""
+    recorded = [run.mean(name) for name in _GRAVITY if name in run.channels]
+    return np.column_stack([np.zeros((len(run), 0)), *(each for each in recorded if np.isfinite(each).all())])
 
 
 def _of_one_attitude(attitude: FloatArray, first: int, end: int) -> list[tuple[int, int]]:

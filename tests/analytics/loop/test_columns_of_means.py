@@ -90,3 +90,15 @@ def test_the_noise_of_a_table_at_rest_gives_no_ratio() -> None:
     read[60:130] = 0.0
     run = of_means(input_rate=read, table_rate=table, gravity_i=np.zeros(200), gravity_o=np.ones(200))
     assert np.abs(effect("stale_input_rate").regressors(run, {})).max() < 1e-6
+
+
+def test_beside_gaps_a_slope_is_known_across_them_or_not_at_all() -> None:
+    one = np.ones(4)
+    rate = Channel(np.array([0.0, 3.0, 9.0, 12.0]), 0 * one, "deg/s")
+    slots = np.array([0, 1, 9, 17])
+    run = RunBlocks("U", "r", "rate", slots, BLOCK_S, 0, one, np.ones(4, int), one, "deg/h", {"table_rate": rate})
+    across = mean_slope_per_s(run, "table_rate") * BLOCK_S
+    beside = mean_slope_per_s(run, "table_rate", across_gaps=False) * BLOCK_S
+    assert across[2] == (12.0 - 3.0) / 16
+    assert np.isnan(beside).tolist() == [False, False, True, True]
+    np.testing.assert_array_equal(beside[:2], across[:2])

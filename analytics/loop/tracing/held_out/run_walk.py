@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import null_space
 
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
 from analytics.loop.tracing.result.holdout import Holdout
@@ -67,7 +68,7 @@ def log_odds(bias: FloatArray, effect: FloatArray, day: FloatArray, coefficients
     size = bias.size
     if size < _FEWEST_RUNS:
         return None
-    contrasts = np.linalg.svd(np.ones((1, size)))[2][1:].T  # orthonormal, and free of a common bias
+    contrasts = null_space(np.ones((1, size)))
     value, column = contrasts.T @ bias, contrasts.T @ effect
     strength = float(column @ column)
     if strength <= 1e-18 * max(1.0, float(effect @ effect)):

@@ -4,12 +4,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from analytics.loop.tracing.search.screening import family_p_value
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal
-from analytics.loop.tracing.whitening.running_median import running_median
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.whitener import Whitener
 from analytics.methods.distributions import chi_square_quantile, chi_square_sf, normal_sf
@@ -53,7 +52,7 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
     spectra = np.array([np.abs(fft.rfft(piece, size)[band]) ** 2 * 2 / blocks for piece, blocks in pieces])
     degrees = 2 * len(pieces)
     total = spectra.sum(axis=0)
-    local = running_median(total, _WINDOW) / chi_square_quantile(0.5, degrees)
+    local = ndimage.median_filter(total, _WINDOW, mode="nearest") / chi_square_quantile(0.5, degrees)
     level = total / np.maximum(local, 1.0)
     best = int(np.argmax(level))
     p_value = float(chi_square_sf(level[best], degrees))

@@ -225,9 +225,9 @@ def redness(drivers: Sequence[FloatArray], residuals: Sequence[FloatArray], runs
             residual_power += np.bincount(octave, _power(residual[of_run]), minlength=octaves)
             for column in basis[of_run].T:
                 driver_power += np.bincount(octave, _power(column), minlength=octaves)
-    excess = [_excess(power, int(degrees)) for power, degrees in zip(residual_power, count, strict=True)]
+    beyond = [_excess(power, int(degrees)) - 1.0 for power, degrees in zip(residual_power, count, strict=True)]
     total = float(driver_power.sum())
-    return float(driver_power @ np.array(excess)) / total if total > 0 else 1.0
+    return 1.0 + float(driver_power @ np.array(beyond)) / total if total > 0 else 1.0
 
 
 def _power(values: FloatArray) -> FloatArray:

@@ -145,9 +145,10 @@ def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> _Spr
 
     def of(number: int) -> _Sums:
         columns = effect_columns(records[number].stack, effect, shape)
-        bad = int(np.count_nonzero(~np.isfinite(columns).all(axis=1)))
+        if bad := int(np.count_nonzero(~np.isfinite(columns).all(axis=1))):
+            return _Sums(bad, np.empty(0), np.empty(0), columns[:0])
         kept = columns if len(records) == 1 else columns[:0]
-        return _Sums(bad, columns.sum(axis=0), (columns**2).sum(axis=0), kept)
+        return _Sums(0, columns.sum(axis=0), (columns**2).sum(axis=0), kept)
 
     parts = of_records(of, len(records))
     for record, part in zip(records, parts, strict=True):

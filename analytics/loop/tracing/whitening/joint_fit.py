@@ -119,7 +119,8 @@ def fit_jointly(
     noises = [record.prior.center for record in records] if start is None else list(start)
     if len(records) == 1:
         one = fit_noise(records[0], hypothesis.designs[0], noises[0], restricted=restricted)
-        return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened])
+        common = solve(*_normal_equations([one.whitened], hypothesis))
+        return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened], common)
     theta = solve(*_normal_equations(_whitened(records, hypothesis, noises), hypothesis)).coefficients
     for _ in range(_ALTERNATIONS):
         fits = _fits(records, hypothesis, theta, noises, restricted=restricted)
@@ -134,7 +135,7 @@ def fit_jointly(
             break
         theta = common.coefficients
     log_likelihood = gain + sum(each.log_likelihood for each in fits)
-    return _joined(records, hypothesis, noises, log_likelihood, whitened)
+    return _joined(records, hypothesis, noises, log_likelihood, whitened, common)
 
 
 def _fits(
@@ -176,8 +177,8 @@ def _joined(
     noises: Sequence[ModelNoise],
     log_likelihood: float,
     whitened: Sequence[FloatArray],
+    common: Solution,
 ) -> JointFit:
-    common = solve(*_normal_equations(whitened, hypothesis))
     own = []
     for each, columns in zip(whitened, hypothesis.own, strict=True):
         width = 1 + columns.shape[1]

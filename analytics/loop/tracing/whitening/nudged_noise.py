@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.stack import UnitRecord
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
+from stream.compiled import fast_kernel, kernel_part
 
 SIDE_BY_SIDE = 4  # as many as there are coefficients of noise, and numbers in a vector register
 
@@ -46,10 +46,22 @@ def nudged_sums(
     return Nudged(wider[:kept], squares[:kept], products[:kept, :kept])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _sum_up(  # type: ignore[no-untyped-def]
-    column, steps, relative, white, walk, start, decay, of_states, error, variance, wider, squares, products
-):
+@fast_kernel("fast")
+def _sum_up(
+    column: FloatArray,
+    steps: IntArray,
+    relative: FloatArray,
+    white: FloatArray,
+    walk: FloatArray,
+    start: FloatArray,
+    decay: FloatArray,
+    of_states: FloatArray,
+    error: FloatArray,
+    variance: FloatArray,
+    wider: FloatArray,
+    squares: FloatArray,
+    products: FloatArray,
+) -> None:
     states = decay.size + 1
     # rows of states with the noises side by side, long enough for the compiler to take several numbers at once
     width = states * SIDE_BY_SIDE
@@ -94,8 +106,10 @@ def _sum_up(  # type: ignore[no-untyped-def]
             products[other, k] = products[k, other]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _begin(start, variance, covariance, state, total):  # type: ignore[no-untyped-def]
+@kernel_part("fast")
+def _begin(
+    start: FloatArray, variance: FloatArray, covariance: FloatArray, state: FloatArray, total: FloatArray
+) -> None:
     covariance[:] = 0.0
     state[:] = 0.0
     for k in range(SIDE_BY_SIDE):
@@ -104,8 +118,16 @@ def _begin(start, variance, covariance, state, total):  # type: ignore[no-untype
             covariance[i, i * SIDE_BY_SIDE + k] = total[i * SIDE_BY_SIDE + k] = variance[i - 1, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _prepare(step, walk, decay, variance, shrink, fade, grow):  # type: ignore[no-untyped-def]
+@kernel_part("fast")
+def _prepare(
+    step: int,
+    walk: FloatArray,
+    decay: FloatArray,
+    variance: FloatArray,
+    shrink: FloatArray,
+    fade: FloatArray,
+    grow: FloatArray,
+) -> None:
     """Set what a number of blocks multiplies covariance and states by, and what it adds to the variances."""
     for i in range(decay.size + 1):
         for k in range(SIDE_BY_SIDE):
@@ -117,8 +139,17 @@ def _prepare(step, walk, decay, variance, shrink, fade, grow):  # type: ignore[n
             shrink[i, at] = fade[i * SIDE_BY_SIDE] * fade[at]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _go_on(shrink, fade, grow, gain, covariance, state, total, before):  # type: ignore[no-untyped-def]
+@kernel_part("fast")
+def _go_on(
+    shrink: FloatArray,
+    fade: FloatArray,
+    grow: FloatArray,
+    gain: FloatArray,
+    covariance: FloatArray,
+    state: FloatArray,
+    total: FloatArray,
+    before: FloatArray,
+) -> None:
     """Correct the covariance by the last block, and predict states, covariance and its sums."""
     for at in range(state.size):
         before[at] = total[at]

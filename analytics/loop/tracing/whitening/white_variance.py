@@ -3,10 +3,10 @@
 from operator import methodcaller
 
 import numpy as np
+from scipy import ndimage
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import fit
-from analytics.loop.tracing.whitening.running_median import running_median
 from analytics.loop.tracing.whitening.stack import (
     DECLARED_SPREAD,
     ESTIMATED_SPREAD,
@@ -132,7 +132,7 @@ def _bursts(stack: Stack, rate_class: IntArray) -> FloatArray:
                 continue
             usual = float(np.median(scatter[own]))
             if usual > 0:
-                factor[own] = running_median(scatter[own], BURST_BLOCKS) / usual
+                factor[own] = ndimage.median_filter(scatter[own], BURST_BLOCKS, mode="nearest") / usual
     return np.where(factor > LEAST_BURST, np.minimum(factor, LARGEST_RATIO), 1.0)
 
 
