@@ -84,21 +84,26 @@ class CsvTable:
 
     def _find_dialect(self) -> Dialect:
         lines: list[tuple[str, int]] = []
-        rows = 0
+        rows = end = 0
         with self._path.open("rb") as file:
             while rows <= _SAMPLE_LINES and (raw := file.readline(LONGEST_LINE_BYTES)):
+                end += len(raw)
                 if not lines:
                     raw = raw.removeprefix(_BOM)
-                if raw[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+                if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
                     raise BadInput(f"{self._path}: UTF-16 text; save it as UTF-8")
-                if rows and (len(raw) == LONGEST_LINE_BYTES or not _is_text(raw)):
+                if rows and len(raw) == LONGEST_LINE_BYTES:
                     break  # found with its line when the rows are read
-                self._check_text(raw, len(lines) + 1)
-                text = raw.decode().rstrip("\r\n")
-                rows += bool(text.strip()) and not text.startswith("#")
+                try:
+                    text = raw.decode().rstrip("\r\n")
+                except UnicodeDecodeError as error:
+                    if rows:
+                        break  # likewise
+                    raise self._not_text(len(lines) + 1) from error
+                rows += not text.startswith("#") and bool(text.strip())
                 if rows == 1 and "\r" in text:
                     raise BadInput(f"{self._path}: lines end with a carriage return alone; save it with line feeds")
-                lines.append((text, file.tell()))
+                lines.append((text, end))
             has_more = bool(file.read(1))
         if not rows:
             raise BadInput(f"{self._path}: the file is empty; expected a header like 'time[s],rate[deg/s]'")
@@ -107,7 +112,7 @@ class CsvTable:
         except BadInput as error:
             header = next(i for i, (text, _) in enumerate(lines, 1) if text.strip() and not text.startswith("#"))
             raise BadInput(f"{self._path}, line {header}: {error}") from error
-        if not dialect.sample and not has_more:
+        if not dialect.has_rows and not has_more:
             raise BadInput(f"{self._path}: a header and no rows; nothing to import")
         return dialect
 
@@ -117,8 +122,10 @@ class CsvTable:
         try:
             block.decode()
         except UnicodeDecodeError as error:
-            at = line + block.count(b"\n", 0, error.start)
-            raise BadInput(f"{self._path}, line {at}: not UTF-8 text; save the file as UTF-8") from error
+            raise self._not_text(line + block.count(b"\n", 0, error.start)) from error
+
+    def _not_text(self, line: int) -> BadInput:
+        return BadInput(f"{self._path}, line {line}: not UTF-8 text; save the file as UTF-8")
 
     def _whole_lines(self, file: BinaryIO, line: int) -> Iterator[bytes]:
         rest = b""
@@ -208,14 +215,6 @@ class CsvTable:
         else:
             times_ns, wrong = ns_from_floats(numpy_of(array), time.ns_per_unit)
         return None if wrong.any() else times_ns
-
-
-def _is_text(raw: bytes) -> bool:
-    try:
-        raw.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _texts(column: pa.ChunkedArray) -> TextCells:

@@ -6,7 +6,7 @@ Reading them one by one is slow, and exact about which cell of which line is wro
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,18 +37,23 @@ class Dialect:
     first_byte: int
     comments: int  # comment lines before that place, a header among them excepted
     is_header_comment: bool
-    sample: tuple[tuple[str, ...], ...]  # cells of the first rows
+    sample: tuple[str, ...]  # the first rows
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether one of the first rows can be taken apart into cells."""
+        return any(self._sample_cells())
 
     @property
     def stamp_titles(self) -> frozenset[str]:
         """Titles of the columns whose first cell is an ISO 8601 time stamp."""
-        first = self.sample[0] if self.sample else ()
+        first = next(self._sample_cells(), ())
         return frozenset(title for title, cell in zip(self.titles, first, strict=False) if STAMP.fullmatch(cell))
 
     def lacks_zone(self, title: str) -> bool:
         """Whether a time stamp of the column names no zone."""
         column = self.titles.index(title)
-        matches = [STAMP.fullmatch(cells[column]) for cells in self.sample if len(cells) > column]
+        matches = [STAMP.fullmatch(cells[column]) for cells in self._sample_cells() if len(cells) > column]
         return any(match is not None and match["zone"] is None for match in matches)
 
     def decimal_mark(self, titles: Sequence[str]) -> str:
@@ -56,12 +61,16 @@ class Dialect:
         if self.delimiter == ",":
             return "."
         columns = [self.titles.index(title) for title in titles]
-        for cells in self.sample:
+        for cells in self._sample_cells():
             for column in columns:
                 mark = re.search("[.,]", cells[column]) if len(cells) > column else None
                 if mark and NUMBER.fullmatch(cells[column].replace(",", ".")):
                     return mark[0]
         return "."
+
+    def _sample_cells(self) -> Iterator[tuple[str, ...]]:
+        """Cells of the first rows, each taken apart when it is asked for: most questions end with the first."""
+        return filter(None, (_cells(text, self.delimiter) for text in self.sample))
 
 
 def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
@@ -82,7 +91,7 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
         if title_line and not _is_row(title_line):
             header, rows_at, is_header_comment = title_line, header_at, True
             comments.pop()
-    rows = [text for text, _ in lines[rows_at:] if text.strip() and not text.startswith("#")]
+    rows = tuple(text for text, _ in lines[rows_at:] if text.strip() and not text.startswith("#"))
     delimiter = max(_DELIMITERS, key=header.count)
     titles = tuple(title.strip() for title in split_line(header, delimiter))
     if not any(mark in header for mark in _DELIMITERS) and rows and len(rows[0].split()) > 1:
@@ -91,8 +100,7 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
             delimiter, titles = " ", by_blanks
     return Dialect(
         titles, delimiter, first_line=rows_at + 1, first_byte=lines[rows_at - 1][1] if rows_at else 0,
-        comments=len(comments), is_header_comment=is_header_comment,
-        sample=tuple(filter(None, (_cells(text, delimiter) for text in rows))),
+        comments=len(comments), is_header_comment=is_header_comment, sample=rows,
     )  # fmt: skip
 
 
