@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from storage.lake.channel_row import OF_FIRST
-from storage.lake.clock_stretches import Messages, clock_table
-from storage.lake.rollups import Rollup, joined, merge, roll_up, rollup_table
+from storage.lake.clock_stretches import Messages, clock_rows
+from storage.lake.rollups import Rollup, joined, roll_up
 from storage.lake.tables import MESSAGE_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
@@ -121,8 +121,8 @@ class ChannelBuffer:
         columns.append(pa.nulls(n, pa.uint8()) if piece.flags is None else pa.array(piece.flags))
         return pa.Table.from_arrays(columns, schema=SAMPLE_COLUMNS)
 
-    def rollups_and_clock(self, write: Callable[[pa.Table], None] | None = None) -> tuple[pa.Table, pa.Table, pa.Table]:
-        """Rows of its buckets of 1 s and 10 s, and of its clock stretches; `write` gets the samples on the way."""
+    def seconds_and_clock(self, write: Callable[[pa.Table], None] | None = None) -> tuple[Rollup, tuple[IntArray, ...]]:
+        """Its buckets of a second, and columns of its clock stretches; `write` gets the samples on the way."""
         messages = self._matrix()
         rollups: list[Rollup] = []
         count, most_ns = np.zeros((2, len(messages.seq)), np.int64)
@@ -134,12 +134,7 @@ class ChannelBuffer:
             at, back_ns = piece.backward
             np.add.at(count, at, 1)
             np.maximum.at(most_ns, at, back_ns)
-        seconds = joined(rollups)
-        return (
-            rollup_table(self.identity, seconds),
-            rollup_table(self.identity, merge(seconds, every=10)),
-            clock_table(self.identity, messages, count, most_ns, irregular=self.irregular),
-        )
+        return joined(rollups), clock_rows(messages, count, most_ns, irregular=self.irregular)
 
     def _matrix(self) -> Messages:
         return Messages(np.frombuffer(self._messages, np.int64).reshape(-1, _FIELDS))

@@ -4,6 +4,8 @@ A delay is at least the clock offset plus the least travel time, so that the lea
 stretch ends with the minute of the recorder's clock, and where the source's time leaps.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import pyarrow as pa
 
@@ -37,10 +39,10 @@ def leaps(messages: Messages, *, irregular: bool) -> BoolArray:
     return np.asarray(leaps_at, np.bool_)
 
 
-def clock_table(
-    channel: int, messages: Messages, backward: IntArray, backward_most_ns: IntArray, *, irregular: bool
-) -> pa.Table:
-    """Rows of one channel's stretches; `irregular` samples are on no grid.
+def clock_rows(
+    messages: Messages, backward: IntArray, backward_most_ns: IntArray, *, irregular: bool
+) -> tuple[IntArray, ...]:
+    """Columns of one channel's stretches but for the channel; `irregular` samples are on no grid.
 
     `backward` and `backward_most_ns` are, per message, the number of samples not later than the one before, and the
     largest step.
@@ -53,9 +55,18 @@ def clock_table(
     least_ns = np.minimum.reduceat(delay_ns, starts)
     index = np.arange(len(minute))
     at = np.minimum.reduceat(np.where(delay_ns == least_ns[np.cumsum(begins) - 1], index, len(index)), starts)
-    columns = [
-        np.full(len(starts), channel, np.int64), messages.seq[starts], ends - starts + 1, messages.t0_ns[starts],
+    return (
+        messages.seq[starts], ends - starts + 1, messages.t0_ns[starts],
         messages.last_ns[ends], messages.arrival_ns[starts], messages.arrival_ns[ends], messages.last_ns[at],
         least_ns, np.add.reduceat(backward, starts), np.maximum.reduceat(backward_most_ns, starts),
-    ]  # fmt: skip
+    )  # fmt: skip
+
+
+def clock_table(channels: Sequence[tuple[int, tuple[IntArray, ...]]]) -> pa.Table:
+    """Rows of the stretches of channels."""
+    if not channels:
+        return CLOCK_COLUMNS.empty_table()
+    numbers, rows = zip(*channels, strict=True)
+    channel = np.repeat(np.array(numbers, np.int64), [len(each[0]) for each in rows])
+    columns = [channel, *(np.concatenate(column) for column in zip(*rows, strict=True))]
     return pa.Table.from_arrays([pa.array(column) for column in columns], schema=CLOCK_COLUMNS)

@@ -10,11 +10,14 @@ import msgspec
 import pyarrow as pa
 
 from storage.lake import tables
+from storage.lake.clock_stretches import clock_table
 from storage.lake.drops import Drops
+from storage.lake.rollups import Rollup, rollup_tables
 from storage.lake.segment_content import SegmentContent
 from storage.manifests.part import DroppedRows, Part, PartFile, write_part
 from storage.segments.disk import sha256_of
 from storage.segments.reader import read_segment
+from stream.batch import IntArray
 from stream.decoding import decode_json
 from stream.errors import OutOfMemory, StoreError
 from stream.events import StoreNoted
@@ -103,8 +106,8 @@ def documented_drops(folder: Path, store: str) -> Drops:
 
 
 def _write_tables(folder: Path, content: SegmentContent) -> tuple[dict[str, PartFile], list[dict[str, Any]]]:
-    seconds, tens = [tables.ROLLUP_COLUMNS.empty_table()], [tables.ROLLUP_COLUMNS.empty_table()]
-    clocks = [tables.CLOCK_COLUMNS.empty_table()]
+    seconds: list[tuple[int, Rollup]] = []
+    clocks: list[tuple[int, tuple[IntArray, ...]]] = []
     rows: list[dict[str, Any]] = []
     with tables.part_writers(folder) as writer:
         samples = writer("samples")
@@ -113,18 +116,18 @@ def _write_tables(folder: Path, content: SegmentContent) -> tuple[dict[str, Part
         content.channels.clear()
         while channels:
             channel = channels.pop()
-            second, ten, clock = channel.rollups_and_clock(samples.write)
+            second, clock = channel.seconds_and_clock(samples.write)
             rows.append(channel.row())
-            seconds.append(second)
-            tens.append(ten)
-            clocks.append(clock)
+            seconds.append((channel.identity, second))
+            clocks.append((channel.identity, clock))
+        rollup_1s, rollup_10s = rollup_tables(seconds)
         joined = {
             "channels": pa.Table.from_pylist(rows, schema=tables.CHANNEL_COLUMNS),
             "events": pa.Table.from_pylist(content.event_rows(), schema=tables.EVENT_COLUMNS),
             "estimates": pa.Table.from_pylist(content.estimates, schema=tables.ESTIMATE_COLUMNS),
-            "rollup_1s": pa.concat_tables(seconds).combine_chunks(),
-            "rollup_10s": pa.concat_tables(tens).combine_chunks(),
-            "clocks": pa.concat_tables(clocks).combine_chunks(),
+            "rollup_1s": rollup_1s,
+            "rollup_10s": rollup_10s,
+            "clocks": clock_table(clocks),
         }
         files = {tables.SAMPLES_FILE: samples.finish()}
         files |= {f"{name}.parquet": writer(name).write_all([table]) for name, table in joined.items()}

@@ -1,6 +1,6 @@
 """Rollups: count, mean, M2, minimum and maximum of each second and each ten seconds of the source's clock."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -54,7 +54,11 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
     if np.any(np.diff(bucket) < 0):
         order = np.argsort(bucket, kind="stable")
         bucket, rollup = bucket[order], _each(lambda column: column[order], rollup)
-    is_first = np.diff(bucket, prepend=bucket[0] - 1) != 0
+    return _merged(rollup, bucket, np.diff(bucket, prepend=bucket[0] - 1) != 0)
+
+
+def _merged(rollup: Rollup, bucket: IntArray, is_first: BoolArray) -> Rollup:
+    """Merge rows into new buckets, of which `is_first` marks the first row of each."""
     starts = np.flatnonzero(is_first)
     n = np.add.reduceat(rollup.n, starts)
     sums = np.add.reduceat(rollup.n * rollup.mean, starts) / n
@@ -79,14 +83,30 @@ def joined(rollups: list[Rollup]) -> Rollup:
     return merge(_each(lambda *columns: np.concatenate(columns), *rollups))
 
 
-def rollup_table(channel: int, rollup: Rollup) -> pa.Table:
-    """Rows of a rollup file."""
-    n = len(rollup.bucket)
-    edge: BoolArray = np.zeros(n, np.bool_)
-    edge[:1] = edge[-1:] = True
-    return pa.Table.from_arrays(
-        [pa.array(column) for column in (np.full(n, channel, np.int64), *rollup, edge)], schema=ROLLUP_COLUMNS
-    )
+def rollup_tables(channels: Sequence[tuple[int, Rollup]]) -> tuple[pa.Table, pa.Table]:
+    """Rows of the files of 1 s and of 10 s, from the buckets of a second of channels, each in the order of time.
+
+    All channels at once: a segment of many short signals takes four times as long one by one.
+    """
+    filled = [(number, rollup) for number, rollup in channels if len(rollup.bucket)]
+    if not filled:
+        return ROLLUP_COLUMNS.empty_table(), ROLLUP_COLUMNS.empty_table()
+    numbers, rollups = zip(*filled, strict=True)
+    channel = np.repeat(np.array(numbers, np.int64), [len(each.bucket) for each in rollups])
+    seconds = _each(lambda *columns: np.concatenate(columns), *rollups)
+    bucket = seconds.bucket // 10
+    is_first = _begins(channel) | (np.diff(bucket, prepend=bucket[0]) != 0)
+    return _table(channel, seconds), _table(channel[is_first], _merged(seconds, bucket, is_first))
+
+
+def _begins(channel: IntArray) -> BoolArray:
+    return np.asarray(np.diff(channel, prepend=channel[0] - 1) != 0, np.bool_)
+
+
+def _table(channel: IntArray, rollup: Rollup) -> pa.Table:
+    """Rows of a file; an edge is the first or last row of a channel."""
+    edge = _begins(channel) | _begins(channel[::-1])[::-1]
+    return pa.Table.from_arrays([pa.array(column) for column in (channel, *rollup, edge)], schema=ROLLUP_COLUMNS)
 
 
 def _bucket_arrays(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Self
 import duckdb
 import pyarrow as pa
 
+from storage.lake.clock_stretches import clock_table
+from storage.lake.rollups import rollup_tables
 from storage.lake.tables import MESSAGE_COLUMNS, TABLES
 from storage.manifests.log import read_log_manifest
 from storage.manifests.part import Part
@@ -168,9 +170,11 @@ class LiveTables:
         self._has_samples = True
 
     def _put_rollups(self, cursor: duckdb.DuckDBPyConnection) -> None:
-        found = [channel.rollups_and_clock() for channel in _channels(self._contents or [])]
-        for name, tables in zip(_ROLLED, zip(*found, strict=True), strict=False):
-            _put(cursor, f"live_{name}", pa.concat_tables(tables))
+        found = [(channel.identity, *channel.seconds_and_clock()) for channel in _channels(self._contents or [])]
+        rollups = rollup_tables([(channel, seconds) for channel, seconds, _ in found])
+        clocks = clock_table([(channel, clock) for channel, _, clock in found])
+        for name, table in zip(_ROLLED, (*rollups, clocks), strict=True):
+            _put(cursor, f"live_{name}", table)
         self._has_rollups = True
 
 

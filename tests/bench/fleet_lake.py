@@ -20,8 +20,9 @@ from storage.lake.channel_buffer import ChannelBuffer
 from storage.lake.drops import Drops
 from storage.lake.lake import Lake
 from storage.lake.part import BuiltPart
+from storage.lake.rollups import rollup_tables
 from storage.lake.segment_content import channel_id
-from storage.lake.tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers
+from storage.lake.tables import CHANNEL_COLUMNS, EVENT_COLUMNS, part_writers
 from storage.manifests.part import Part, PartFile, write_part
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -213,18 +214,16 @@ def put_part(
     rows = [] if channels is None else channels.to_pylist()
     with part_writers(fresh) as writer:
         samples = writer("samples")
-        seconds, tens = [ROLLUP_COLUMNS.empty_table()], [ROLLUP_COLUMNS.empty_table()]
+        rollups = [rollup_tables(())]
         for channel in sorted(gathered, key=lambda each: each.identity):
-            second, ten, _ = channel.rollups_and_clock(samples.write)
+            rollups.append(rollup_tables([(channel.identity, channel.seconds_and_clock(samples.write)[0])]))
             rows.append(channel.row())
-            seconds.append(second)
-            tens.append(ten)
         files["samples.parquet"] = samples.finish()
         for table_name, tables in (
             ("channels", [pa.Table.from_pylist(rows, schema=CHANNEL_COLUMNS)]),
             ("events", [document_table(documents)]),
-            ("rollup_1s", seconds),  # channel by channel, as a builder does, which decides on the row groups
-            ("rollup_10s", tens),
+            # channel by channel: merged parts have row groups of single channels
+            *zip(("rollup_1s", "rollup_10s"), zip(*rollups, strict=True), strict=True),
         ):
             files[f"{table_name}.parquet"] = writer(table_name).write_all(tables)
     part = Part(
