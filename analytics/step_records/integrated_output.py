@@ -83,5 +83,6 @@ def rate_statistics(
     quantised = step / math.sqrt(6.0) / whole_s
     u = found.standard_uncertainty if len(rates) > 1 else quantised or math.nan
     return found._replace(
-        mean=float((angles[-1] - angles[0]) / whole_s), standard_uncertainty=u if math.isnan(u) else max(u, quantised)
-    )
+        mean=float((angles[-1] - angles[0]) / whole_s), standard_uncertainty=u if math.isnan(u) else max(u, quantised),
+        still=0.0,
+    )  # fmt: skip

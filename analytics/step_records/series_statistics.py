@@ -45,6 +45,7 @@ class SeriesStatistics(NamedTuple):
     white: float
     flicker: float
     walk: float
+    still: float  # share of the samples in the longest stretch in which all are alike
     averages: tuple[Average, ...]  # of `AVERAGES_S`
 
 
@@ -117,9 +118,25 @@ def series_statistics(
         sd_freedom=_sd_freedom(n, means.size, within, between, dense),
         standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
-        walk=_scaled(float(parts[2]), 2 * exponent),
+        walk=_scaled(float(parts[2]), 2 * exponent), still=_still_share(counts, means, squares),
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )  # fmt: skip
+
+
+def _still_share(counts: IntArray, means: FloatArray, squares: FloatArray) -> float:
+    """Share of the samples in the longest stretch of blocks in which all are alike.
+
+    >>> ones, zeros = np.ones(8, int), np.zeros(8)
+    >>> _still_share(ones, np.array([1.0, 2.0, 5.0, 5.0, 5.0, 5.0, 1.0, 1.0]), zeros)
+    0.5
+    >>> _still_share(ones, np.arange(8.0), zeros)
+    0.0
+    """
+    goes_on = (means[1:] == means[:-1]) & (squares[1:] == 0) & (squares[:-1] == 0)
+    if not goes_on.any():
+        return 0.0
+    stretches = np.add.reduceat(counts, np.flatnonzero(np.r_[True, ~goes_on]))
+    return float(stretches.max() / counts.sum())
 
 
 def _scaled(value: float, exponent: int) -> float:

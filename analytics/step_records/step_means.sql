@@ -25,15 +25,17 @@ with step as (
   select r.* from internal.reduced r anti join stepped using (run, unit)
 ), around as (
   select s.run, s.unit, s."index",
-    min(b.mean) filter (b.signal = 'chamber_temperature' and b.unit_of_measure = 'degC') as chamber_temperature,
-    any_value(b.mean order by b.unit) filter (b.signal = 'table_rate' and b.unit_of_measure = 'deg/s') as table_rate
+    min(deg_c(b.mean, b.unit_of_measure)) filter (b.signal = 'chamber_temperature') as chamber_temperature,
+    any_value(if(b.unit_of_measure = 'deg/s', b.mean, deg_per_h(b.mean, b.unit_of_measure) / 3600) order by b.unit)
+      filter (b.signal = 'table_rate' and deg_per_h(b.mean, b.unit_of_measure) is not null) as table_rate
   from step s join beside b on b.run = s.run and b.t_from_ns = s.t_from_ns and b.t_to_ns = s.t_to_ns
   group by all
 ), own as (
   select run, unit, t_from_ns, t_to_ns,
-    min(mean) filter (signal = 'temperature' and unit_of_measure = 'degC') as temperature,
-    min(mean) filter (signal = 'chamber_temperature' and unit_of_measure = 'degC') as chamber_temperature,
-    min(mean) filter (signal = 'table_rate' and unit_of_measure = 'deg/s') as table_rate
+    min(deg_c(mean, unit_of_measure)) filter (signal = 'temperature') as temperature,
+    min(deg_c(mean, unit_of_measure)) filter (signal = 'chamber_temperature') as chamber_temperature,
+    min(if(unit_of_measure = 'deg/s', mean, deg_per_h(mean, unit_of_measure) / 3600)) filter (signal = 'table_rate')
+      as table_rate
   from internal.reduced group by all
 )
 select
@@ -62,7 +64,7 @@ select
     when s.rate_command is not null then 'command'
   end as input_rate_source,
   r.unit_of_measure,
-  r.n, r.mean, r.sd, r.sd_freedom, r.standard_uncertainty, r.freedom, r.n_effective, r.white, r.flicker, r.walk,
+  r.n, r.mean, r.sd, r.sd_freedom, r.standard_uncertainty, r.freedom, r.n_effective, r.white, r.flicker, r.walk, r.still,
   r.n_1s, r.sd_1s, r.freedom_1s, r.n_10s, r.sd_10s, r.freedom_10s, r.n_100s, r.sd_100s, r.freedom_100s,
   r.reason
 from step s

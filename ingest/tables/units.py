@@ -32,6 +32,8 @@ _SPELLINGS = {
 _UNITS = {"": "1"} | {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
 _GRAVITY = {"g": "g_0", "gn": "g_0", "g0": "g_0", "mg": "mg_0", "ug": "ug_0", "µg": "ug_0", "μg": "ug_0"}
 _MASSES = {"g", "mg", "ug", "µg", "μg"}  # pint reads them as gram
+_GERMAN_DEGREE = re.compile("[Gg]rad(?![a-z])")  # pint reads Grad as gigaradian, grad as gradian
+_MOST_RATE_DEG_PER_S = 1e5  # of a unit of measure: more is a prefix in the wrong case
 _RAW = ("1", "count", "V", "A", "Hz")
 _AXIS = r"(?:[_.]?(?:[xyz]|\d+))?"
 _EXPECTED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -59,7 +61,7 @@ def database_unit(text: str | None, signal: str) -> tuple[str, bool]:
     if plain in _UNITS:
         return _UNITS[plain], True
     try:
-        return check_unit(written), True
+        return check_unit(_GERMAN_DEGREE.sub("deg", written)), True
     except UnknownUnit:
         return written, False
 
@@ -90,17 +92,25 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
         unit = "degC" if plain == "c" else "degF"
         return unit, f"{written} is taken as {unit}, since {signal!r} is a temperature"
     try:
-        unit = check_unit(written)
+        unit = check_unit(_GERMAN_DEGREE.sub("deg", written))
     except UnknownUnit:
         if plain not in _UNITS:
             raise
         unit = _UNITS[plain]
+    if _GERMAN_DEGREE.match(written):
+        taken = f"{written} is taken as {unit} (German Grad, a degree); write gon for gradians"
+        return unit, "; ".join(filter(None, (_unexpected(unit, signal), taken)))
+    if is_angular_rate(unit) and (of_unit := result_factor(unit, "deg/s")) > _MOST_RATE_DEG_PER_S:
+        raise BadInput(
+            f"unit {written!r} is {of_unit:.3g} deg/s: M is mega and G is giga; write {written.lower()!r} if that is "
+            "meant, or another unit of angular rate"
+        )
     return unit, _unexpected(unit, signal)
 
 
 def _plain(written: str) -> str:
     plain = re.sub(r"\s+", "", written).replace("°", "deg").replace("º", "deg")
-    return plain.replace("grad/s", "deg/s").lower()
+    return _GERMAN_DEGREE.sub("deg", plain).lower()
 
 
 def _is_acceleration(signal: str) -> bool:

@@ -160,8 +160,8 @@ with candidate as materialized (
           when decision_rule = 'shared_risk' and v_u_expanded > "largest_U" then 'MARGINAL'
           when v > upper - guard or v < lower + guard then 'FAIL'
           else 'PASS' end
-      when coalesce(v_lo, v) > upper or coalesce(v_hi, v) < lower then 'FAIL'
-      when (upper is null or coalesce(v_hi, v) <= upper) and (lower is null or coalesce(v_lo, v) >= lower) then 'PASS'
+      when v_lo > upper or v_hi < lower then 'FAIL'
+      when (upper is null or v_hi <= upper) and (lower is null or v_lo >= lower) then 'PASS'
       else 'MARGINAL'
     end as by_value,
     case when v_u > 0 then
@@ -199,8 +199,9 @@ with candidate as materialized (
       when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then format('U = {:.3g} is more than the {:.3g} up to '
         || 'which risks are shared: measure with a smaller one', v_u_expanded, "largest_U")
       when decision_rule <> 'interval' then null
+      when verdict = 'MARGINAL' and (v_lo is null or v_hi is null) 
+        then 'the value has no interval, which the rule needs; simple_acceptance judges by the value alone'
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
-      when v_lo is null then 'judged by the value alone, which has no interval'
     end as reason,
     product, lot, station, fixture, day, t_ns
   from judged

@@ -1,7 +1,10 @@
 -- Steps in which a unit stands still and records: the ground of the bias family, in deg/h. Where no rate was commanded
 -- the table decides: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
--- them: a table.
+-- them: a table. `several_axes`: those of a device of which the words of its position do not say which is the IRA; what
+-- the Earth's rate adds is then unknown. An output that stood still says nothing of its mean's uncertainty.
+create or replace macro stood_still(n, still) as coalesce(still >= 0.05 and n * still >= 10, false);
+
 create or replace table internal.still_steps as
 with moving as (
   select *,
@@ -9,17 +12,24 @@ with moving as (
       else rate_command <> 0 end as moves
   from rate_steps
 ), turning as (
-  select *, bool_or(moves) over (partition by run, unit, signal, "procedure") as turns from moving
+  select *, bool_or(moves) over (partition by run, unit, signal, "procedure") as turns,
+    list_sort(list(distinct body_axis_of(signal)) over (partition by run, unit, "index")) as axes
+  from moving
+), placed as (
+  select * exclude (axes),
+    case when len(axes) > 1 and regexp_matches(position, '^(IRA|vertical)_') then array_to_string(axes, ', ') end
+      as several_axes
+  from turning
 )
 select * exclude (moves),
   mean * deg_per_h as mean_deg_per_h,
-  standard_uncertainty * abs(deg_per_h) as u_deg_per_h,
-  earth_projection(position, latitude_deg, signal) as earth_deg_per_h,
+  case when not stood_still(n, still) then nullif(standard_uncertainty, 0) * abs(deg_per_h) end as u_deg_per_h,
+  case when several_axes is null then earth_projection(position, latitude_deg, signal) end as earth_deg_per_h,
   -- the position tells how the Earth's rate enters, the latitude how much
-  earth_projection(position, 45, signal) is not null as is_attitude_known,
+  several_axes is null and earth_projection(position, 45, signal) is not null as is_attitude_known,
   case when date_known then cast(timezone(time_zone, make_timestamptz(t_from_ns // 1000)) as date) end as day
-from turning
+from placed
 where not moves;
 
 create or replace view static_steps as
-select * exclude (turns) from internal.still_steps where n > 0;
+select * exclude (turns, several_axes) from internal.still_steps where n > 0;

@@ -1,12 +1,16 @@
 -- Static steps that are records of a bias: of the procedures for it, and of others (files bring names of their own, or
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
--- `remark` flags what is shorter than the clauses ask for.
+-- `remark` flags what is shorter than the clauses ask for, counted without gaps as far as whole averages tell, what
+-- stands still, and an attitude that does not say which axis it means.
 create or replace view internal.bias_steps as
 with counted as (
   select *,
     count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure")
-      as temperatures
+      as temperatures,
+    greatest(n_1s, 10 * n_10s, 100 * n_100s) as averaged_s
   from internal.still_steps
+), covered as (
+  select *, if(averaged_s > 0 and averaged_s < 0.9 * duration_s, averaged_s, duration_s) as covered_s from counted
 )
 select *,
   case
@@ -14,8 +18,17 @@ select *,
     when deg_per_h is null then no_scale_factor(unit_of_measure)
   end as lack,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
-  case when duration_s < 3590 then
-    'record of ' || round(duration_s)::bigint || ' s: the clauses ask for one hour as a rule' end as remark
-from counted
+  nullif(concat_ws('; ',
+    case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
+      || 'coarse to show noise'
+      when stood_still(n, still) then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
+      || 'was frozen, or its resolution is too coarse to show noise' end,
+    case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
+      || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
+    case when covered_s < duration_s then 'samples in about ' || round(covered_s)::bigint || ' s of '
+      || round(duration_s)::bigint || ' s' end,
+    case when covered_s < 3590 then
+      'record of ' || round(covered_s)::bigint || ' s: the clauses ask for one hour as a rule' end), '') as remark
+from covered
 where not turns and phase is null and axis is null and temperatures = 1
   and not is_no_bias_procedure("procedure");

@@ -11,7 +11,8 @@ with known as (
     case when epoch is not null then 'power-on' when repeat is not null then 'repeat' when is_repeated then 'step'
       else 'run' end as counted_by,
     bool_and(is_attitude_known) over attitude as is_placed,
-    bool_and(earth_deg_per_h is not null) over attitude as is_corrected
+    bool_and(earth_deg_per_h is not null) over attitude as is_corrected,
+    nullif(min(run) over (partition by unit, signal, n, mean, sd, duration_s), run) as copy_of
   from (select *, regexp_matches(coalesce("procedure", ''), '^bias_repeatability|重复性') as is_repeated from internal.bias_steps)
   where n > 0 and deg_per_h is not null
   window attitude as (partition by unit, signal, position)
@@ -34,7 +35,9 @@ select unit, signal, position, earth_rate, run, power_on,
   min(t_from_ns) as t_from_ns, min(day) as day,
   list("index" order by "index") as steps,
   bool_or(is_repeated) as is_repeated,
-  any_value(case when earth_rate = 'removed' and earth_deg_per_h is null then 'run ' || run || ': ' || no_latitude() end)
-    as lack
+  any_value(case
+    when copy_of is not null and sd > 0 then 'runs ' || copy_of || ' and ' || run || ' have the same samples: they are '
+      || 'one measurement, not two; leave one out'
+    when earth_rate = 'removed' and earth_deg_per_h is null then 'run ' || run || ': ' || no_latitude() end) as lack
 from listed
 group by unit, signal, position, earth_rate, run, power_on;

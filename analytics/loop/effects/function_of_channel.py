@@ -13,6 +13,7 @@ from stream.batch import FloatArray, IntArray
 _KNOTS, _POSITIONS = "knots", "positions"
 _RATE_PARTS = (0.01, 0.025, 0.05, 0.25, 0.5, 1.0)
 _DEGREE = 3
+_NEAR = 0.45  # share of the way to the next knot within which data are a knot's own
 
 
 class FunctionOfChannel(Effect):
@@ -95,7 +96,8 @@ class FunctionOfInputRate(Effect):
         if greatest == 0.0:
             return []
         positive = [float(f"{part * greatest:.3g}") for part in _RATE_PARTS]
-        return [{_KNOTS: [*(-knot for knot in reversed(positive)), 0.0, *positive]}]
+        knots = _knots_with_data(np.array([*(-knot for knot in reversed(positive)), 0.0, *positive]), runs)
+        return [{_KNOTS: knots.tolist()}] if knots.size > 1 else []
 
     def columns(self, shape: Shape) -> tuple[str, ...]:
         knots = numbers(shape, _KNOTS)
@@ -117,6 +119,21 @@ class FunctionOfInputRate(Effect):
         # the height at the first knot, then each piece up to the rate
         risen = np.clip(channels["input_rate"][:, None] - knots[:-1], 0.0, np.diff(knots))
         return np.asarray(heights[0] + risen @ slopes)
+
+
+def _knots_with_data(knots: FloatArray, runs: Sequence[RunBlocks]) -> FloatArray:
+    """Zero, and the knots nearest to the mean rate of some block.
+
+    The value at another knot is not in the data: it would be a large number, and so would be what it compensates.
+    """
+    means = np.concatenate([run.mean("input_rate") for run in runs if "input_rate" in run.channels])
+    rates = means[np.isfinite(means)]
+    after = np.clip(np.searchsorted(knots, rates), 1, knots.size - 1)
+    share = np.clip((rates - knots[after - 1]) / (knots[after] - knots[after - 1]), 0.0, 1.0)
+    has_data = knots == 0.0
+    has_data[(after - 1)[share <= _NEAR]] = True
+    has_data[after[share >= 1.0 - _NEAR]] = True
+    return knots[has_data]
 
 
 class FunctionOfPosition(Effect):

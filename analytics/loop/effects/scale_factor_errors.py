@@ -11,6 +11,7 @@ from analytics.loop.effects.monomial import Monomial
 from stream.batch import FloatArray
 
 _HALF_WIDTHS = (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032)
+_WIDE_HALF_WIDTHS = (0.045, 0.064, 0.09, 0.13, 0.18, 0.25, 0.32)  # where every rate is beyond the others
 _LIMITS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 
 EFFECTS = (
@@ -127,6 +128,15 @@ class DeadZone(Effect):
     aliases = ("scale_factor_cubic",)
     separating_test = "fine steps of rate about zero in both directions, below and above the threshold"
     separating_test_zh = "在零速率附近正反向细分角速率，覆盖阈值上下"
+
+    def shapes(self, runs: Sequence[RunBlocks]) -> Sequence[Shape]:
+        found = super().shapes(runs)
+        widths = [positive(shape, "half_width") for shape in found]
+        rates = np.abs(np.concatenate([run.mean("input_rate") for run in runs])) if found else np.empty(0)
+        if not found or ((rates > 0.5 * widths[0]) & (rates < widths[-1])).any():
+            return found
+        scale = widths[-1] / _HALF_WIDTHS[-1]
+        return [{"half_width": float(f"{part * scale:.3g}")} for part in _WIDE_HALF_WIDTHS]
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return mean_inside(run.channels["input_rate"], positive(shape, "half_width"))[:, None]

@@ -164,8 +164,8 @@ def _spread(records: Sequence[UnitRecord], effect: Effect, shape: Shape) -> _Spr
     varies = spread > FLAT * np.sqrt(mean_square)
     if not varies.any():
         return Bilingual(
-            f"{' and '.join(effect.needs) or 'it'} does not vary in these runs",
-            f"{'、'.join(effect.needs) or '该效应'}在这些试验中不变化",
+            f"{' and '.join(effect.needs) or 'it'} does not vary in these runs as it needs",
+            f"{'、'.join(effect.needs) or '该效应'}在这些试验中没有它所需的变化",
         )
     if float(spread.max()) < LEAST_MOVED:
         size = f"{float(spread.max()):.2g}"
