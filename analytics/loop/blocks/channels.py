@@ -7,7 +7,7 @@ import numpy as np
 from analytics.loop.blocks.pieces import Grid
 from analytics.loop.blocks.run_blocks import HARMONICS, Channel, ComplexArray
 from analytics.loop.blocks.signal_blocks import SignalBlocks
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
@@ -34,6 +34,9 @@ class Readings(NamedTuple):
     value: FloatArray
 
 
+_BELOW_ABSOLUTE_ZERO_DEG_C = -273.2
+
+
 class StandardUnit(NamedTuple):
     """Unit in which a channel takes part, and the conversion of stored values to it."""
 
@@ -44,6 +47,12 @@ class StandardUnit(NamedTuple):
     def channel(self, mean: FloatArray, spread: FloatArray) -> Channel:
         """A channel of stored values."""
         return Channel(mean * self.factor + self.offset, spread * abs(self.factor), self.name)
+
+    def is_impossible(self, value: FloatArray) -> BoolArray:
+        """Whether stored values are temperatures below absolute zero, such as the fill value -999."""
+        if self.name != "degC":
+            return np.zeros(value.shape, np.bool_)
+        return np.asarray(value * self.factor + self.offset < _BELOW_ABSOLUTE_ZERO_DEG_C)
 
 
 def standard_unit(name: str, unit_of_measure: str) -> StandardUnit:

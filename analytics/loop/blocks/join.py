@@ -163,13 +163,16 @@ class ChannelJoiner:
         if blocks is None:
             return _plain(_empty(signal, unit.name))
         tolerance_s = self._tolerance(source.interval_s)
-        raw, far = joined_blocks(signal, blocks, unit, tolerance_s), blocks.is_far
+        raw, below = joined_blocks(signal, blocks, unit, tolerance_s), unit.is_impossible(blocks.lowest)
+        far = blocks.is_far | below
         if not far.any():
             return _plain(raw)
         clean = joined_blocks(signal, replace(blocks, mean=np.where(far, np.nan, blocks.mean)), unit, tolerance_s)
-        reading = _at(signal.slot, blocks.slot[far], blocks.far_reading[far])
+        readings = np.where(below, blocks.lowest, blocks.far_reading)
+        reading = _at(signal.slot, blocks.slot[far], readings[far])
         is_far = np.isin(signal.slot, blocks.slot[far])
-        return _Joined(clean, raw, is_far, reading, Outliers(int(far.sum()), blocks.farthest))
+        farthest = min(blocks.lowest[below].min(), blocks.farthest) if below.any() else blocks.farthest
+        return _Joined(clean, raw, is_far, reading, Outliers(int(far.sum()), float(farthest)))
 
     def _readings(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
         """A channel by its single readings."""
@@ -178,7 +181,8 @@ class ChannelJoiner:
         intervals = np.diff(readings.t_s)
         tolerance_s = self._tolerance(float(np.median(intervals)) if len(intervals) else 0.0)
         raw = joined_readings(signal, readings, unit, tolerance_s)
-        far = is_far_outside(readings.value)
+        below = unit.is_impossible(readings.value)
+        far = is_far_outside(readings.value) | below
         if not far.any():
             return _plain(raw)
         clean = joined_readings(signal, Readings(readings.t_s[~far], readings.value[~far]), unit, tolerance_s)

@@ -35,6 +35,7 @@ class SignalBlocks:
     white_variance: FloatArray  # of each mean, from the scatter within the block; NaN where unknown
     is_far: BoolArray  # whether the block contains an outlier, so that its mean is wrong
     far_reading: FloatArray  # that outlier, else NaN
+    lowest: FloatArray  # reading
     farthest: float = 0.0  # outlier of the run; 0 where there is none
 
 
@@ -93,6 +94,7 @@ def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
         white_variance=_sample_variance(pieces, number) / weight,
         is_far=is_far,
         far_reading=far_reading,
+        lowest=np.minimum.reduceat(pieces.lo, first),
         farthest=float(extreme[np.where(far, beyond, -np.inf).argmax()]) if is_far.any() else 0.0,
     )
 

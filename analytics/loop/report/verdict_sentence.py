@@ -222,9 +222,9 @@ def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
     seen = [_seen_once(each, diagnosis, words) for each in (*diagnosis.effects, *diagnosis.unreplicated)]
     beside = "".join(words.of("; also, ", "；另") + each for each in seen)
     return words.of(
-        f"at averages of 300 to 3600 s the variance is {ratio} times that of the declared noise, and no channel "
-        f"explains it{beside}",
-        f"在300至3600 s平均时间上方差为已声明噪声的{ratio}倍，通道中无可解释者{beside}",
+        f"at averages of 300 to 3600 s the variance is {ratio} times that of the noise declared, or else fitted to the "
+        f"unit's own Allan curves, and no channel explains it{beside}",
+        f"在300至3600 s平均时间上方差为已声明（或由产品自身Allan曲线拟合）噪声的{ratio}倍，通道中无可解释者{beside}",
     )
 
 

@@ -72,7 +72,11 @@ def conclude(
     remarks, hiding = list(answered.worse), None
     if declared is not None:
         remarks += agreement.disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
-    if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= agreement.FAR:
+    if (
+        not turn_on_is_declared
+        and not any(each.replicates for each in effects)
+        and scatter.ratio >= agreement.WORTH_A_WORD
+    ):
         differing = agreement.scatter_finding(box.record, scatter, model.effects, effects_for(case.stack.runs))
         effects = effects if differing is None else (differing, *effects)
         remarks.append(agreement.scatter_caveat(differing, scatter, case.stack.runs))
