@@ -21,6 +21,7 @@ _Estimator = AllanDeviation | FullOverlap
 
 FULL_AT_MOST = 1_000_000
 _TAU_TOLERANCE = 1e-3
+_MANY = 50  # samples a block: one more or less of them changes nothing
 
 
 @dataclass(frozen=True)
@@ -131,9 +132,23 @@ def _factor(tau_s: float, interval_s: float) -> int:
 def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> None:
     means = None if resample_s is None else BlockMeans(resample_s)
     for batch in read_signal(catalog, record):
+        if resample_s is not None and not record.irregular:
+            _check_blocks(resample_s, batch.dt_ns / 1e9)
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
             estimator.update(block_means)
+
+
+def _check_blocks(block_s: float, interval_s: float) -> None:
+    """BadInput if blocks hold now one sample more, now one less, of so few that their means differ in weight."""
+    samples = block_s / interval_s
+    if 1.0 <= samples < _MANY and abs(samples - round(samples)) > _TAU_TOLERANCE * samples:
+        near = sorted({max(1, math.floor(samples)), math.ceil(samples)})
+        whole = " or ".join(f"{each * interval_s:g}" for each in near)
+        raise BadInput(
+            f"--resample {block_s:g}: blocks of a regular signal are a whole number of its sample intervals of "
+            f"{interval_s:g} s, here {whole}"
+        )
 
 
 def _curve(

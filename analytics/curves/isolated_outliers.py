@@ -64,7 +64,8 @@ def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
         if value.size <= 2 * _BESIDE or np.ptp(value) == 0.0:
             continue
         moves = np.abs(np.diff(value))
-        sigma = _PER_MEDIAN * float(np.median(moves)) * 0.5**0.5
+        # an output that stood still for a part of the record has no noise there
+        sigma = _PER_MEDIAN * float(np.median(moves[moves > 0])) * 0.5**0.5
         samples += value.size
         variance += sigma**2 * value.size
         off = value[1:-1] - 0.5 * (value[:-2] + value[2:])

@@ -18,7 +18,7 @@ import msgspec
 
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
-from ingest.tables.units import column_unit
+from ingest.tables.units import column_unit, is_temperature
 from stream.errors import BadInput
 from stream.events import StepWords
 from stream.identity import check_name
@@ -27,6 +27,7 @@ _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\])?\s*")
 _ROUND_TITLE = re.compile(r"\s*([^\[\]]*?)\s*\(((?:[^()\[\]]|\([^()\[\]]*\))*)\)\s*")
 _LOOKS_LIKE_TIME = frozenset({"t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime"})
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
+_TEMPERATURE = re.compile(r"(?i)t|temp|temperature|gyro_?temp(erature)?")
 _MOST_PROBLEMS = 8  # in one error
 _SQUARE = "name it like 'rate[deg/s]'"
 
@@ -208,6 +209,11 @@ class _HeaderReader:
             is_warning = remark.startswith("warning: ")
             text = f"column {title!r}: {remark.removeprefix('warning: ')}"
             self.columns.remarks.append(f"warning: {text}" if is_warning else text)
+        if _TEMPERATURE.fullmatch(signal) and signal != "temperature" and is_temperature(measure):
+            self.columns.remarks.append(
+                f"warning: column {title!r}: metrics and error models look for the unit's temperature under the name "
+                f"temperature: give --rename '{title}=temperature' if it is that"
+            )
         self.columns.signals.append(SignalColumn(title, signal, measure))
 
 

@@ -43,6 +43,11 @@ class CsvTable:
         self._has_stamps_without_zone = False
 
     @property
+    def local_zone(self) -> str | None:
+        """Zone of time stamps that name none; None if there are none."""
+        return self._time_zone if self._has_stamps_without_zone else None
+
+    @property
     def remarks(self) -> list[str]:
         """What was interpreted, once the rows are read."""
         found = []

@@ -4,7 +4,7 @@ The first pass checks every row and finds the sampling of each signal; the secon
 holds more than a few blocks of the file.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from uuid import UUID
 
@@ -14,11 +14,13 @@ from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
+from ingest.tables.dates import future_remark, repeated_hour_remark
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
+from ingest.tables.times import RunClock
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted
@@ -87,12 +89,21 @@ class TableFile:
             SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
             for (owner, name), grid in grids.items()
         )
+        remarks = (*self._columns.remarks, *self._reader.remarks, *self._remarks_on_dates(signals, rows.clock))
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
-            steps=steps, signals=signals, remarks=(*self._columns.remarks, *self._reader.remarks),
+            steps=steps, signals=signals, remarks=remarks,
             words=self._options.words,
         )  # fmt: skip
         return self._summary
+
+    def _remarks_on_dates(self, signals: Sequence[SignalSummary], clock: RunClock) -> Iterator[str]:
+        first_ns = min(each.sampling.t_first_ns for each in signals)
+        last_ns = max(each.sampling.t_last_ns for each in signals)
+        found = [future_remark(last_ns) if clock.date_known else None]
+        if (zone := self._reader.local_zone) is not None:
+            found.append(repeated_hour_remark(first_ns, last_ns, zone))
+        yield from filter(None, found)
 
     def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
         """Every sample of the good rows, signal by signal and block by block; runs `check` first, raises as it."""

@@ -10,6 +10,8 @@ from stream.bounds import MAX_INTERVAL_NS
 
 MEDIAN_INTERVALS = 10_000
 _GRID_TOLERANCE = 0.1
+_MULTIPLE = 0.01  # of an interval: within it, a grid of rounded times is that of the samples
+_MOST_ROUNDING = 0.25  # of an interval: coarser times do not show that the samples are on a grid
 _LONE_SAMPLE_DT_NS = 10**9
 _GAP = 1.5
 # After a gap longer than this many intervals the source may have restarted with another grid.
@@ -23,8 +25,9 @@ class Sampling:
     `dt_ns`: nominal interval, nanoseconds: the mean of the first 10,000 intervals, a gap divided by the intervals it
     lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has a
     median of 10 ms.)
-    `off_grid`: intervals further than a tenth of the nominal one from every multiple of it, gaps of more than ten
-    intervals excepted: after such a gap the source may have restarted with another grid.
+    `off_grid`: intervals further than a tenth of the nominal one (or than the step to which the times are rounded, up
+    to a quarter) from every multiple of it. Gaps of more than ten intervals are excepted: after such a gap the source
+    may have restarted with another grid.
     """
 
     samples: int
@@ -104,7 +107,23 @@ def off_grid_intervals(intervals_ns: IntArray, dt_ns: int) -> tuple[int, int]:
     within = intervals_ns[intervals_ns <= _RESTART * dt_ns]
     multiples = np.maximum(np.rint(within / dt_ns).astype(np.int64), 1)
     distances_ns = np.abs(within - multiples * dt_ns)
-    return int(np.count_nonzero(distances_ns > _GRID_TOLERANCE * dt_ns)), int(distances_ns.max(initial=0))
+    tolerance_ns = _GRID_TOLERANCE * dt_ns
+    if distances_ns.max(initial=0) > tolerance_ns:
+        tolerance_ns = max(tolerance_ns, _rounding_ns(within, dt_ns))
+    return int(np.count_nonzero(distances_ns > tolerance_ns)), int(distances_ns.max(initial=0))
+
+
+def _rounding_ns(intervals_ns: IntArray, dt_ns: int) -> int:
+    """What the rounding of times may add to an interval, as of 128 Hz in whole milliseconds; 0 where none is needed.
+
+    >>> _rounding_ns(np.array([8_000_000, 7_000_000]), 7_812_500)
+    1000000
+    >>> _rounding_ns(np.array([5_000_000, 6_000_000]), 5_000_000)
+    0
+    """
+    step_ns = int(np.gcd.reduce(intervals_ns))
+    beside_ns = abs(dt_ns - round(dt_ns / step_ns) * step_ns)
+    return step_ns if beside_ns > _MULTIPLE * dt_ns and step_ns <= _MOST_ROUNDING * dt_ns else 0
 
 
 def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -41,11 +41,16 @@ class ParquetTable:
         self.stamp_titles = frozenset(title for title, kind in self._types.items() if pa.types.is_timestamp(kind))
 
     @property
-    def remarks(self) -> list[str]:
-        """What was interpreted."""
+    def local_zone(self) -> str | None:
+        """Zone of time stamps that name none; None if there are none."""
         time = self._columns.time
         lacks_zone = time is not None and time.is_stamp and self._types[time.title].tz is None
-        return [f"time stamps without a zone are taken as {self._time_zone}"] if lacks_zone else []
+        return self._time_zone if lacks_zone else None
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was interpreted."""
+        return [f"time stamps without a zone are taken as {zone}"] if (zone := self.local_zone) is not None else []
 
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
         """Set the meaning of the columns."""

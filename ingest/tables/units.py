@@ -108,6 +108,15 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
     return unit, _unexpected(unit, signal)
 
 
+def is_temperature(unit: str) -> bool:
+    """Whether a unit of measure is one of temperature.
+
+    >>> is_temperature("K"), is_temperature("V")
+    (True, False)
+    """
+    return _converts(unit, "degC", conversion)
+
+
 def _plain(written: str) -> str:
     plain = re.sub(r"\s+", "", written).replace("°", "deg").replace("º", "deg")
     return _GERMAN_DEGREE.sub("deg", plain).lower()

@@ -11,10 +11,16 @@ with rested as (
       s.unit_of_measure in ('V', 'mV', 'uV', 'A', 'mA', 'uA', 'count', 'LSB', 'Hz', 'kHz', 'MHz')
       and not regexp_matches(lower(s.signal),
         'suppl|power|volt|curr|temp|acc|mag|baro|press|humid|count|status|flag|seq|time|crc|clock|angle|reference')
+    ) or (
+      s.unit_of_measure in ('deg', 'arcmin', 'arcsec', 'rad', 'mrad', 'urad')
+      and regexp_matches(lower(s.signal), '^(d|delta)?_?(angle|theta|phi)|increment') and not is_integrated_output(s.signal)
     ))
 )
 select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.unit_of_measure, o.n,
-  case when not o.is_output then
+  case when not o.is_output and o.unit_of_measure in ('deg', 'arcmin', 'arcsec', 'rad', 'mrad', 'urad') then
+      'signal ' || o.signal || ' in ' || o.unit_of_measure || ' is not taken for the output of a gyro: call an angle turned '
+      || 'so far angle_x, angle_y or angle_z, and sum up increments to it'
+    when not o.is_output then
       'signal ' || o.signal || ' in ' || o.unit_of_measure || ' is not taken for the output of a gyro: call it rate, or '
       || 'rate_x, rate_y, rate_z'
     else 'no characteristic is made of a step of procedure ' || coalesce(o."procedure", '(not given)')

@@ -133,7 +133,7 @@ def _knots_with_data(knots: FloatArray, runs: Sequence[RunBlocks]) -> FloatArray
     has_data = knots == 0.0
     has_data[(after - 1)[share <= _NEAR]] = True
     has_data[after[share >= 1.0 - _NEAR]] = True
-    return knots[has_data]
+    return np.asarray(knots[has_data], np.float64)
 
 
 class FunctionOfPosition(Effect):

@@ -1,0 +1,57 @@
+"""Remarks on the dates of a table: those in the future, and local times that the end of summer time repeats."""
+
+import time
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+_DAY_NS = 86_400 * 10**9
+_MOST_DAYS = 4000
+
+
+def future_remark(last_ns: int) -> str | None:
+    """A warning if times reach further than a day beyond now, of which clocks are not wrong by chance.
+
+    >>> future_remark(0) is None, future_remark(4_004_000_000 * 10**9)[:50]
+    (True, 'warning: its times reach 2096-11-17, in the future')
+    """
+    if last_ns <= time.time_ns() + _DAY_NS:
+        return None
+    date = datetime.fromtimestamp(last_ns // 10**9, UTC).date()
+    return (
+        f"warning: its times reach {date}, in the future: they are taken to count from 1970-01-01, but days of Excel "
+        "count from 1899-12-30 and seconds of LabVIEW from 1904-01-01; convert them, or give --start with times from 0"
+    )
+
+
+def repeated_hour_remark(first_ns: int, last_ns: int, zone: str) -> str | None:
+    """A warning if local times without a zone lie where the end of summer time repeats them.
+
+    The first pass is taken for them, so that what was written in the second is an hour early.
+
+    >>> at = int(datetime(2026, 10, 25, 0, 30, tzinfo=UTC).timestamp()) * 10**9
+    >>> repeated_hour_remark(at, at + 10**9, "UTC") is None, repeated_hour_remark(at, at + 10**9, "Europe/Berlin")[:66]
+    (True, 'warning: the clocks of Europe/Berlin were set back at 2026-10-25 0')
+    """
+    place, first = ZoneInfo(zone), datetime.fromtimestamp(first_ns // 10**9, UTC)
+    days = min((last_ns - first_ns) // _DAY_NS + 2, _MOST_DAYS)
+    for day in range(-1, days):
+        begin = first + timedelta(days=day)
+        back = _offset(begin, place) - _offset(begin + timedelta(days=1), place)
+        if back <= timedelta(0):
+            continue
+        hours = (begin + timedelta(minutes=minute) for minute in range(24 * 60 + 1))
+        change = next(at for at in hours if _offset(at, place) != _offset(begin, place)).replace(
+            second=0, microsecond=0
+        )
+        change_ns, back_ns = int(change.timestamp()) * 10**9, int(back.total_seconds()) * 10**9
+        if first_ns < change_ns and last_ns >= change_ns - back_ns:
+            local = (change + _offset(begin, place)).strftime("%Y-%m-%d %H:%M")
+            return (
+                f"warning: the clocks of {zone} were set back at {local}, and time stamps of the hour before name no "
+                "zone: they are taken as of the first pass; write them with their offset, as +02:00"
+            )
+    return None
+
+
+def _offset(at: datetime, place: ZoneInfo) -> timedelta:
+    return at.astimezone(place).utcoffset() or timedelta(0)

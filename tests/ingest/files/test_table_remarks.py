@@ -1,0 +1,71 @@
+"""What a table's header and times may mean, and what is said of it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
+from ingest.tables.sample_file import TableSummary
+from ingest.tables.units import column_unit, database_unit
+from stream.errors import BadInput
+
+
+def checked(path: Path, text: str, **options: object) -> TableSummary:
+    path.write_text(text)
+    return TableFile(path, TableOptions(unit="U1", **options)).check()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("unit", "expected"), [("Grad/s", "deg/s"), ("grad/h", "deg/h"), ("Grad/min", "deg/min")])
+def test_german_degrees_are_no_gradians(unit: str, expected: str) -> None:
+    found, remark = column_unit(unit, "rate")
+    assert found == expected
+    assert remark == f"{unit} is taken as {expected} (German Grad, a degree); write gon for gradians"
+    assert database_unit(unit, "rate") == (expected, True)
+    assert column_unit("gon/s", "rate") == ("gon/s", "")
+
+
+@pytest.mark.parametrize("unit", ["Mdps", "Mrad/s", "Gdeg/s"])
+def test_a_prefix_in_the_wrong_case_is_asked_back(unit: str) -> None:
+    with pytest.raises(BadInput, match=f"unit '{unit}' is .* deg/s: M is mega and G is giga"):
+        column_unit(unit, "rate")
+    assert column_unit("mdps", "rate") == ("mdps", "")
+
+
+def test_times_in_the_future_are_said(tmp_path: Path) -> None:
+    labview = "time[s],rate[deg/s]\n3880000000.0,1\n3880000001.0,2\n"
+    (remark,) = checked(tmp_path / "a.csv", labview).remarks
+    assert remark.startswith("warning: its times reach 2092-12-13, in the future")
+    assert not checked(tmp_path / "b.csv", labview.replace("38800", "17900")).remarks
+
+
+def test_a_repeated_hour_is_said_where_it_is_read(tmp_path: Path) -> None:
+    text = "time,rate[deg/s]\n2026-10-25 02:30:00,1\n2026-10-25 02:30:01,2\n"
+    berlin = checked(tmp_path / "a.csv", text, time_zone="Europe/Berlin").remarks
+    assert any(each.startswith("warning: the clocks of Europe/Berlin were set back") for each in berlin)
+    for zone, written in (("Asia/Shanghai", text), ("Europe/Berlin", text.replace("-25 02", "-24 02"))):
+        remarks = checked(tmp_path / "b.csv", written, time_zone=zone).remarks
+        assert not any("set back" in each for each in remarks)
+
+
+def test_a_temperature_under_another_name_is_said(tmp_path: Path) -> None:
+    rows = "\n0,1,20\n1,2,20\n"
+    (remark,) = checked(tmp_path / "a.csv", f"time[s],rate[deg/s],Temp (°C){rows}").remarks
+    assert "under the name temperature: give --rename 'Temp (°C)=temperature'" in remark
+    assert not checked(tmp_path / "b.csv", f"time[s],rate[deg/s],temperature[K]{rows}").remarks
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 75.0, 120.0, 128.0, 150.0, 200.0])
+def test_rounded_times_lie_on_their_grid(rate_hz: float, tmp_path: Path) -> None:
+    rows = (f"{round(1000 * i / rate_hz)},{i % 7}" for i in range(2000))
+    (signal,) = checked(tmp_path / "a.csv", "time[ms],rate[deg/s]\n" + "\n".join(rows) + "\n").signals
+    assert not signal.sampling.irregular
+    assert signal.sampling.dt_ns == pytest.approx(1e9 / rate_hz, rel=1e-4)
+
+
+def test_jitter_is_not_taken_for_rounding(tmp_path: Path) -> None:
+    late = np.random.default_rng(1).integers(0, 2, 500)
+    rows = (f"{5 * i + int(late[i])},{i % 7}" for i in range(500))
+    (signal,) = checked(tmp_path / "a.csv", "time[ms],rate[deg/s]\n" + "\n".join(rows) + "\n").signals
+    assert signal.sampling.irregular
