@@ -89,9 +89,33 @@ def copies_of_signal(residuals: Residuals, channels: Sequence[str]) -> tuple[str
     runs = [run - run.mean(axis=0) for run in runs if len(run) >= _SEGMENT_BLOCKS]
     if sum(map(_segments, runs)) < _FEWEST_SEGMENTS:
         return ()
-    pairs = {name: [run[:, [0, at]] for run in runs] for at, name in enumerate(names, 1) if is_own[at]}
+    raw = [columns[stack.run_number == number] for number in range(len(stack.runs))]
+    pairs = {
+        name: [run[:, [0, at]] for run in runs]
+        for at, name in enumerate(names, 1)
+        if is_own[at] and _follows_small_changes([run[:, [0, at]] for run in raw])
+    }
     block_s = record.noise_model.block_s
     return tuple(name for name, own in pairs.items() if _pooled(own, block_s)[1].min() > _COPIED and _lag(own)[0] == 0)
+
+
+def _follows_small_changes(runs: list[FloatArray]) -> bool:
+    """Whether the two columns agree in the smaller half of the changes of the second.
+
+    The steps of a rate table agree with what leaks of them into the signal at every frequency; between the steps they
+    do not follow the signal's noise.
+
+    >>> noise, steps = np.random.default_rng(1).standard_normal(300), np.repeat([0.0, 900.0, -900.0], 100)
+    >>> _follows_small_changes([np.column_stack([noise, 3 * noise])])
+    True
+    >>> _follows_small_changes([np.column_stack([noise + steps, steps])])
+    False
+    """
+    changes = np.concatenate([np.diff(run, axis=0) for run in runs])
+    size = np.abs(changes[:, 1])
+    own, other = changes[size <= np.median(size)].T
+    together = float(np.sqrt(own @ own * (other @ other)))
+    return together > 0 and float(own @ other) ** 2 > _COPIED * together**2
 
 
 def _segments(run: FloatArray) -> int:
