@@ -169,7 +169,7 @@ class CaseTemperatureRate(Effect):
         return coefficients[0] * error
 
 
-_LAGS_S = (600.0, 900.0, 1340.0, 2000.0, 3000.0, 4480.0, 6690.0, 10000.0)
+_LAGS_S = (180.0, 270.0, 400.0, 600.0, 900.0, 1340.0, 2000.0, 3000.0, 4480.0, 6690.0, 10000.0)
 
 
 class ThermalLag(Effect):
