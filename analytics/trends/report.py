@@ -96,7 +96,8 @@ def _shift(series: MetricSeries, shift: LevelShift) -> Words:
     there = "shift_units" if shift.station else "shift_units_all"
     units = words("shift_units_few" if shift.units < LEAST_UNITS else there, n=shift.units)
     doubt = NOTHING if shift.is_plain else words("shift_doubt", chance=shift.wander)
-    return words("shift", **_shift_parts(series, shift), units=units, doubt=doubt)
+    sentence = "shift_possible" if shift.lo <= 0.0 <= shift.hi else "shift"
+    return words(sentence, **_shift_parts(series, shift), units=units, doubt=doubt)
 
 
 def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
