@@ -45,7 +45,7 @@ class SeriesStatistics(NamedTuple):
     white: float
     flicker: float
     walk: float
-    still: float  # share of the samples in the longest stretch in which all are alike
+    still: float  # share of the samples in the longest stretch in which all are alike; 0 where the resolution is coarse
     averages: tuple[Average, ...]  # of `AVERAGES_S`
 
 
@@ -118,7 +118,7 @@ def series_statistics(
         sd_freedom=_sd_freedom(n, means.size, within, between, dense),
         standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
-        walk=_scaled(float(parts[2]), 2 * exponent), still=_still_share(counts, means, squares),
+        walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step else _still_share(counts, means, squares),
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )  # fmt: skip
 

@@ -300,3 +300,14 @@ def test_more_samples_of_white_noise_tell_the_mean_better() -> None:
     # neighbours may differ by chance: 5 % is two standard deviations of the root mean square of 400
     assert all(b < a * 1.05 for a, b in pairwise(medians)), dict(zip(sizes, medians, strict=True))
     assert medians[5] < medians[2]
+
+
+@pytest.mark.parametrize(("sd", "step", "is_still"), [(0.15, 1.0, False), (0.15, 0.0, True), (2.0, 1.0, False)])
+def test_a_coarse_resolution_is_no_output_that_stood_still(sd: float, step: float, is_still: bool) -> None:
+    values = np.round(np.random.default_rng(1).normal(100.0, sd, 36_000))
+    t_ns = np.arange(values.size) * 100_000_000
+    found = series_statistics(
+        t_ns, np.ones(values.size, np.int64), values, np.zeros(values.size), base_ns=100_000_000, samples_per_block=1.0,
+        window_ns=(0, int(t_ns[-1])), step=step,
+    )  # fmt: skip
+    assert (found.still >= 0.05) == is_still
