@@ -91,3 +91,31 @@ def test_what_lasts_longer_than_a_second_stays(tested: TestedUnits) -> None:
     reduction = reduced(tested)
     assert not [note for note in reduction.notes if note.what == "far_outside"]
     np.testing.assert_array_equal(reduction.runs[0].n, 300)
+
+
+@pytest.mark.parametrize(
+    ("unit_of_measure", "scale", "zero", "fill"), [("degC", 1.0, 0.0, -999.0), ("degF", 1.8, 32.0, -999.0)]
+)
+def test_a_temperature_below_absolute_zero_is_left_out_however_long(
+    tested: TestedUnits, unit_of_measure: str, scale: float, zero: float, fill: float
+) -> None:
+    rng = np.random.default_rng(15)
+    tested.run("r1")
+    warm = 25.0 + np.cumsum(rng.normal(0.0, 0.002, 6000))
+    read = warm * scale + zero
+    read[1200:2450] = fill  # two minutes of ten samples a second
+    tested.step(
+        "r1",
+        "U1",
+        {"rate": (rng.normal(10.0, 1.0, 6000), "deg/h"), "temperature": (read, unit_of_measure)},
+        t0_ns=START_NS,
+    )
+    tested.power_on("r1", "U1", START_NS)
+    reduction = reduced(tested, block_s=10.0)
+    (note,) = [note for note in reduction.notes if note.what == "far_outside"]
+    assert note.channel == "temperature"
+    assert f"outliers of up to -999 {unit_of_measure}" in note.text
+    heat = warm.reshape(-1, 100).mean(axis=1)
+    heat[12:25] = np.nan  # of the last block a half is bad
+    (run,) = reduction.runs
+    np.testing.assert_allclose(run.mean("temperature"), heat, rtol=1e-9)
