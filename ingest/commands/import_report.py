@@ -84,9 +84,12 @@ def _report_next(imported: "FileImport", folder: Path) -> None:
     from stream.quantities import is_angular_rate
 
     if not imported.steps and not _has_steps(imported, folder):
+        rates = {each.signal.lower() for each in imported.signals if is_angular_rate(each.unit_of_measure)}
+        axes = {rate[-1] for rate in rates}.intersection("xyz")
+        position = "Z_up" if len(axes) > 1 else "IRA_up"  # of several axes IRA would not say which one
         notes().print(
             "No step says what was measured, so there are no characteristics of it: give the same command again with "
-            "--procedure, as --procedure static_bias --position IRA_up for a record at rest",
+            f"--procedure, as --procedure static_bias --position {position} for a record at rest",
             soft_wrap=True,
         )
     here = [signal for signal in imported.signals if signal.in_lake is not None]

@@ -2,7 +2,7 @@
 -- the table decides: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
 -- them: a table. `several_axes`: those of a device of which the words of its position do not say which is the IRA; what
--- the Earth's rate adds is then unknown. An output that stood still says nothing of its mean's uncertainty.
+-- the Earth's rate adds is then unknown. An output that stood still says nothing of how sure its mean and scatter are.
 create or replace macro stood_still(n, still) as coalesce(still >= 0.05 and n * still >= 10, false);
 
 create or replace table internal.still_steps as
@@ -21,7 +21,10 @@ with moving as (
       as several_axes
   from turning
 )
-select * exclude (moves),
+select * exclude (moves) replace (
+    if(stood_still(n, still), null, sd_freedom) as sd_freedom, if(stood_still(n, still), null, freedom_1s) as freedom_1s,
+    if(stood_still(n, still), null, freedom_10s) as freedom_10s,
+    if(stood_still(n, still), null, freedom_100s) as freedom_100s),
   mean * deg_per_h as mean_deg_per_h,
   case when not stood_still(n, still) then nullif(standard_uncertainty, 0) * abs(deg_per_h) end as u_deg_per_h,
   case when several_axes is null then earth_projection(position, latitude_deg, signal) end as earth_deg_per_h,

@@ -21,6 +21,10 @@ metric = "bias"
 upper = 30.0
 unit_of_measure = "deg/h"
 [[limit]]
+metric = "bias_stability"
+upper = 10.0
+unit_of_measure = "deg/h"
+[[limit]]
 metric = "bias_repeatability"
 upper = 1.0
 unit_of_measure = "deg/h"
@@ -87,6 +91,8 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     for unit in ("ONE", "DEAD", "FROZE"):
         assert found[unit]["lo"] is found[unit]["hi"] is None
         assert found[unit]["reason"].startswith("the value has no interval")
+    stability = {row["unit"]: row["verdict"] for row in answer if row["metric"] == "bias_stability"}
+    assert stability == {"LIVE": "PASS", "ONE": "NO_DATA", "DEAD": "NO_DATA", "FROZE": "MARGINAL", "GAP": "PASS"}
     remarks = {unit: parameters(row)["remark"] or "" for unit, row in found.items()}
     assert "all 3600 samples are alike" in remarks["DEAD"]
     assert "2400 of 3600 samples in a row are alike" in remarks["FROZE"]
