@@ -41,6 +41,7 @@ class CsvTable:
         self._comments = 0
         self._time_zone = "UTC"
         self._has_stamps_without_zone = False
+        self._thousands: tuple[str, str] | None = None
 
     @property
     def local_zone(self) -> str | None:
@@ -57,6 +58,12 @@ class CsvTable:
             found.append("the header is the last comment before the rows")
         if self._decimal_mark == ",":
             found.append("numbers are read with a decimal comma")
+        if self._thousands is not None:
+            title, cell = self._thousands
+            found.append(
+                f"warning: column {title!r}: {cell} is read as {float(cell.replace(',', '.')):g}, and whole numbers "
+                "stand beside it; if the mark separates thousands, write the file without it"
+            )
         if self._has_stamps_without_zone:
             found.append(f"time stamps without a zone are taken as {self._time_zone}")
         return found
@@ -65,6 +72,7 @@ class CsvTable:
         """Set the meaning of the columns."""
         self._columns, self._time_zone = columns, time_zone
         self._decimal_mark = self._dialect.decimal_mark(columns.numeric_titles)
+        self._thousands = self._dialect.thousands([each.title for each in columns.signals], self._decimal_mark)
         columns.words = [replace(word, decimal_mark=self._decimal_mark) for word in columns.words]
         self._lines = LineReader(self.titles, columns, self._dialect.delimiter, self._decimal_mark, time_zone)
         self._places = None if columns.time is None else decimal_places(columns.time.ns_per_unit)

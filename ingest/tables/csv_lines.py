@@ -24,6 +24,8 @@ _BLANKS = re.compile(rb"[ \t]+")
 _MARGINS = re.compile(rb"(?m)^ | (?=\r?$)")
 _BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 _BLANK = " \t"
+_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
+_HUNDREDS = re.compile(r"[+-]?[1-9][0-9]{2}")
 _RANGE = "a time within 146 years of 1970 (or of the run's start)"
 
 
@@ -67,6 +69,25 @@ class Dialect:
                 if mark and NUMBER.fullmatch(cells[column].replace(",", ".")):
                     return mark[0]
         return "."
+
+    def thousands(self, titles: Sequence[str], mark: str) -> tuple[str, str] | None:
+        """A column whose mark may separate thousands, and such a cell: beside whole numbers all have three digits.
+
+        >>> found = find_dialect([("raw[count];t[s]", 16), ("998;0.5", 24), ("1.001;0.6", 34)])
+        >>> found.thousands(["raw[count]", "t[s]"], ".")
+        ('raw[count]', '1.001')
+        """
+        if self.delimiter == ",":
+            return None
+        rows = list(self._sample_cells())
+        for title in titles:
+            column = self.titles.index(title)
+            cells = [cells[column] for cells in rows if len(cells) > column and cells[column]]
+            marked = [cell for cell in cells if mark in cell]
+            whole = [cell for cell in cells if mark not in cell]
+            if marked and all(_THOUSANDS.fullmatch(cell) for cell in marked) and any(map(_HUNDREDS.fullmatch, whole)):
+                return title, marked[0]
+        return None
 
     def _sample_cells(self) -> Iterator[tuple[str, ...]]:
         """Cells of the first rows, each taken apart when it is asked for: most questions end with the first."""

@@ -69,3 +69,13 @@ def test_jitter_is_not_taken_for_rounding(tmp_path: Path) -> None:
     rows = (f"{5 * i + int(late[i])},{i % 7}" for i in range(500))
     (signal,) = checked(tmp_path / "a.csv", "time[ms],rate[deg/s]\n" + "\n".join(rows) + "\n").signals
     assert signal.sampling.irregular
+
+
+@pytest.mark.parametrize(("mark", "value"), [(".", "1"), (",", "1")])
+def test_a_mark_that_may_separate_thousands_is_said(mark: str, value: str, tmp_path: Path) -> None:
+    text = f"time[s];raw[count]\n0;998\n1;999\n2;1{mark}000\n3;1{mark}001\n"
+    (remark,) = [each for each in checked(tmp_path / "a.csv", text).remarks if "thousands" in each]
+    assert remark.startswith(f"warning: column 'raw[count]': 1{mark}000 is read as {value}, and whole numbers")
+    for rows in (f"0;0{mark}998\n1;1{mark}000\n", f"0;99\n1;1{mark}25\n", "0;998\n1;999\n"):
+        remarks = checked(tmp_path / "b.csv", f"time[s];raw[count]\n{rows}").remarks
+        assert not any("thousands" in each for each in remarks)
