@@ -199,7 +199,7 @@ with candidate as materialized (
       when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then format('U = {:.3g} is more than the {:.3g} up to '
         || 'which risks are shared: measure with a smaller one', v_u_expanded, "largest_U")
       when decision_rule <> 'interval' then null
-      when verdict = 'MARGINAL' and (v_lo is null or v_hi is null) 
+      when verdict = 'MARGINAL' and (v_lo is null or v_hi is null)
         then 'the value has no interval, which the rule needs; simple_acceptance judges by the value alone'
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
     end as reason,

@@ -2,9 +2,8 @@
 -- the table decides: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
 -- them: a table. `several_axes`: those of a device of which the words of its position do not say which is the IRA; what
--- the Earth's rate adds is then unknown. An output that stood still says nothing of how sure its mean and scatter are.
-create or replace macro stood_still(n, still) as coalesce(still >= 0.05 and n * still >= 10, false);
-
+-- the Earth's rate adds is then unknown. An output that stood still (`stood_still`: for a twentieth of the record)
+-- says nothing of how sure its mean and scatter are.
 create or replace table internal.still_steps as
 with moving as (
   select *,
@@ -18,15 +17,15 @@ with moving as (
 ), placed as (
   select * exclude (axes),
     case when len(axes) > 1 and regexp_matches(position, '^(IRA|vertical)_') then array_to_string(axes, ', ') end
-      as several_axes
+      as several_axes,
+    coalesce(still >= 0.05 and n * still >= 10, false) as stood_still
   from turning
 )
 select * exclude (moves) replace (
-    if(stood_still(n, still), null, sd_freedom) as sd_freedom, if(stood_still(n, still), null, freedom_1s) as freedom_1s,
-    if(stood_still(n, still), null, freedom_10s) as freedom_10s,
-    if(stood_still(n, still), null, freedom_100s) as freedom_100s),
+    if(stood_still, null, sd_freedom) as sd_freedom, if(stood_still, null, freedom_1s) as freedom_1s,
+    if(stood_still, null, freedom_10s) as freedom_10s, if(stood_still, null, freedom_100s) as freedom_100s),
   mean * deg_per_h as mean_deg_per_h,
-  case when not stood_still(n, still) then nullif(standard_uncertainty, 0) * abs(deg_per_h) end as u_deg_per_h,
+  case when not stood_still then nullif(standard_uncertainty, 0) * abs(deg_per_h) end as u_deg_per_h,
   case when several_axes is null then earth_projection(position, latitude_deg, signal) end as earth_deg_per_h,
   -- the position tells how the Earth's rate enters, the latitude how much
   several_axes is null and earth_projection(position, 45, signal) is not null as is_attitude_known,
@@ -35,4 +34,4 @@ from placed
 where not moves;
 
 create or replace view static_steps as
-select * exclude (turns, several_axes) from internal.still_steps where n > 0;
+select * exclude (turns, several_axes, stood_still) from internal.still_steps where n > 0;

@@ -21,7 +21,7 @@ select *,
   nullif(concat_ws('; ',
     case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
       || 'coarse to show noise'
-      when stood_still(n, still) then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
+      when stood_still then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
       || 'was frozen, or its resolution is too coarse to show noise' end,
     case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,

@@ -1,4 +1,4 @@
-"""What a table's header and times may mean, and what is said of it."""
+"""Remarks on units, times and names of a table that can be read in two ways."""
 
 from pathlib import Path
 
@@ -12,9 +12,9 @@ from ingest.tables.units import column_unit, database_unit
 from stream.errors import BadInput
 
 
-def checked(path: Path, text: str, **options: object) -> TableSummary:
+def checked(path: Path, text: str, time_zone: str | None = None) -> TableSummary:
     path.write_text(text)
-    return TableFile(path, TableOptions(unit="U1", **options)).check()  # type: ignore[arg-type]
+    return TableFile(path, TableOptions(unit="U1", time_zone=time_zone)).check()
 
 
 @pytest.mark.parametrize(("unit", "expected"), [("Grad/s", "deg/s"), ("grad/h", "deg/h"), ("Grad/min", "deg/min")])

@@ -25,7 +25,7 @@ from analytics.methods.distributions import chi_square_cdf, chi_square_isf, chi_
 from stream.batch import FloatArray
 
 FAR = 10.0  # ratio of the scatter of the runs to the noise of their means from which it is a finding
-WORTH_A_WORD = 3.0  # the same ratio from which it is said that the scatter may hide an effect
+WORTH_A_WORD = 3.0  # the same ratio from which a caveat says that the scatter can hide an effect
 MOST_RUNS = 4  # with more runs the search itself separates a cause from turn-on scatter
 _EXPLAINED = 1 / 3  # largest share of the scatter that a cause may leave
 _P_VALUE = 1e-3
