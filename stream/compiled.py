@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import update_wrapper, wraps
+from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -40,6 +41,15 @@ class Kernel:
                 self._is_ready = True
         assert self._made is not None
         return self._made(*arguments, **named)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether its machine code is kept on disk."""
+        return bool(self._options.get("cache"))
+
+    def folder(self) -> Path:
+        """Where its machine code is kept; imports numba."""
+        return Path(str(cast("Any", self.made()).stats.cache_path))
 
     def made(self) -> Callable[..., Any]:
         """Numba's function, whose module has numba's functions in place of the kernels."""

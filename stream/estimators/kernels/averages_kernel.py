@@ -179,10 +179,13 @@ def merge_averages(
     if later[BEGAN] == NEVER or later[BLOCK] == later[BEGAN]:
         # all of the later part lies within the block being filled, or there was nothing before it
         if later[BEGAN] == NEVER:
-            places[:] = later
-            numbers[:] = later_numbers
-            ring[:] = later_ring
-            ring_blocks[:] = later_blocks
+            # element by element: assigning whole arrays takes ten times as long to compile
+            for i in range(places.shape[0]):
+                places[i] = later[i]
+            for i in range(numbers.shape[0]):
+                numbers[i] = later_numbers[i]
+            for i in range(ring.shape[0]):
+                ring[i], ring_blocks[i] = later_ring[i], later_blocks[i]
         else:
             places[COUNT] += later[COUNT]
             numbers[SUM] += later_numbers[SUM]

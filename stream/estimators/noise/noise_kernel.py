@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stream.batch import FloatArray
-from stream.compiled import fast_kernel, kernel
+from stream.compiled import kernel, kernel_part
 
 MOST_ROUNDS = 50
 TOLERANCE = 1e-8
@@ -19,7 +19,7 @@ _EPSILON = float(np.finfo(np.float64).eps)
 Mask = npt.NDArray[np.bool_]
 
 
-@fast_kernel("reassoc", "contract")
+@kernel_part("reassoc", "contract")
 def _dot(a: FloatArray, b: FloatArray) -> float:
     total = 0.0
     for i in range(a.shape[0]):
@@ -27,7 +27,21 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return total
 
 
-@kernel
+@kernel_part()
+def _copy(source: FloatArray, out: FloatArray) -> None:
+    """The same as ``out[:] = source``, which takes a second to compile each time."""
+    for i in range(out.shape[0]):
+        out[i] = source[i]
+
+
+@kernel_part()
+def _add(source: FloatArray, out: FloatArray) -> None:
+    """The same as ``out += source``."""
+    for i in range(out.shape[0]):
+        out[i] += source[i]
+
+
+@kernel_part()
 def _orthogonalise(basis: FloatArray, k: int, is_used: Mask, upper: FloatArray) -> bool:
     """Subtract from column k its shares of the used ones before it, and normalise it; False where nothing is left."""
     column = basis[k]
@@ -48,7 +62,7 @@ def _orthogonalise(basis: FloatArray, k: int, is_used: Mask, upper: FloatArray) 
     return True
 
 
-@kernel
+@kernel_part()
 def _solve(rows: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray, basis: FloatArray) -> None:
     """Least squares over the chosen columns by modified Gram-Schmidt; a column that depends on others gets 0.
 
@@ -59,13 +73,13 @@ def _solve(rows: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray
     projected = np.zeros(size)
     is_used = np.zeros(size, np.bool_)
     left = basis[size]
-    left[:] = target
+    _copy(target, left)
     for k in range(size):
         found[k] = 0.0
         if not chosen[k]:
             continue
         column = basis[k]
-        column[:] = rows[k]
+        _copy(rows[k], column)
         is_used[k] = _orthogonalise(basis, k, is_used, upper)
         if not is_used[k]:
             continue
@@ -80,8 +94,8 @@ def _solve(rows: FloatArray, target: FloatArray, chosen: Mask, found: FloatArray
             found[k] = value / upper[k, k]
 
 
-@kernel
-def _steepest(rows: FloatArray, left: FloatArray, barred: Mask) -> int:
+@kernel_part()
+def _steepest(rows: FloatArray, left: FloatArray, passive: Mask, rejected: Mask) -> int:
     """Column along which the residual falls most; -1 where rounding is all that is left."""
     largest = most = 0.0
     for k in range(rows.shape[0]):
@@ -93,14 +107,14 @@ def _steepest(rows: FloatArray, left: FloatArray, barred: Mask) -> int:
         most = max(most, abs(left[i]))
     best, gain = -1, _EPSILON * largest * most
     for k in range(rows.shape[0]):
-        if not barred[k]:
+        if not passive[k] and not rejected[k]:
             slope = _dot(rows[k], left)
             if slope > gain:
                 best, gain = k, slope
     return best
 
 
-@kernel
+@kernel_part()
 def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
     """Move from found towards trial as far as no coefficient is negative; False where the whole step is allowed."""
     step, first = 1.0, -1
@@ -119,26 +133,28 @@ def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
     return True
 
 
-@kernel
+@kernel_part()
 def _improve(rows: FloatArray, target: FloatArray, found: FloatArray) -> None:
     """Solve non-negative least squares from coefficients >= 0, which the solution replaces."""
     size, n = rows.shape
     trial, left, basis = np.zeros(size), np.empty(n), np.empty((size + 1, n))
     passive, rejected = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
+    is_started = False
     for k in range(size):
         passive[k] = found[k] > 0.0
-    if passive.any():
+        is_started = is_started or passive[k]
+    if is_started:
         _solve(rows, target, passive, trial, basis)
         while _step_inside(found, trial, passive):
             _solve(rows, target, passive, trial, basis)
-        found[:] = trial
+        _copy(trial, found)
     for _ in range(_MOST_CHANGES * size):
-        left[:] = target
+        _copy(target, left)
         for k in range(size):
             if found[k] != 0.0:
                 for i in range(n):
                     left[i] -= found[k] * rows[k, i]
-        best = _steepest(rows, left, passive | rejected)
+        best = _steepest(rows, left, passive, rejected)
         if best < 0:
             break
         passive[best] = True
@@ -147,10 +163,11 @@ def _improve(rows: FloatArray, target: FloatArray, found: FloatArray) -> None:
             passive[best] = False
             rejected[best] = True
             continue
-        rejected[:] = False
+        for k in range(size):
+            rejected[k] = False
         while _step_inside(found, trial, passive):
             _solve(rows, target, passive, trial, basis)
-        found[:] = trial
+        _copy(trial, found)
 
 
 @kernel
@@ -177,7 +194,7 @@ def deviance(degrees: FloatArray, model: FloatArray) -> float:
     return total
 
 
-@kernel
+@kernel_part()
 def _weighted(
     columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask, theta: FloatArray,
     rows: FloatArray,
@@ -220,7 +237,7 @@ def weighted_least_squares(
     return _weighted(columns, degrees, model, fixed, free, np.zeros(len(free)), np.empty(columns.T.shape))
 
 
-@kernel
+@kernel_part()
 def _fill_model(columns: FloatArray, theta: FloatArray, step: FloatArray, model: FloatArray) -> float:
     """Write the model of theta + step; its least value."""
     least = math.inf
@@ -258,10 +275,11 @@ def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: M
             if reached <= least:
                 is_lower = True
                 break
-            step /= 2.0
+            for k in range(terms):
+                step[k] /= 2.0
         if not is_lower:
             return theta, least
-        theta += step
+        _add(step, theta)
         gain = least - reached
         least = reached
         if gain < TOLERANCE:
@@ -274,11 +292,17 @@ def least_deviances(columns: FloatArray, degrees: FloatArray, more: FloatArray) 
     """Least deviance with one more column, for each column of `more`, shape (n, m); shape (m,)."""
     n, terms = columns.shape
     beside = np.empty((n, terms + 1))
-    beside[:, :terms] = columns
+    for i in range(n):
+        for k in range(terms):
+            beside[i, k] = columns[i, k]
     found = np.empty(more.shape[1])
     every, ones, nothing = np.ones(terms + 1, np.bool_), np.ones(n), np.zeros(n)
     for j in range(more.shape[1]):
-        beside[:, terms] = more[:, j] / more[:, j].max()
+        largest = more[0, j]
+        for i in range(n):
+            largest = max(largest, more[i, j])
+        for i in range(n):
+            beside[i, terms] = more[i, j] / largest
         start = weighted_least_squares(beside, degrees, ones, nothing, every)
         found[j] = descend(beside, degrees, start, every)[1]
     return found
