@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.figure_file import check_suffix, in_both, write_figure
 from analytics.plots.plot_fonts import set_fonts
+from analytics.trends.charts.capability import LimitStretch, SpecifiedLimits
 from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.levels.change_points import Changes
 from analytics.trends.levels.sessions import NS_PER_DAY
@@ -57,7 +58,7 @@ def _write_title(figure: Figure, trend: Trend, more: int) -> None:
     name = series.metric if header is None else in_both(header.en, header.zh, "  ·  ")
     height = figure.get_figheight()
     figure.text(0.1, 1 - 0.3 / height, f"{name}, {series.unit_of_measure}", fontsize=13, fontweight="bold", color=INK)
-    subtitle = f"{series.variant}; {series.value.size} values of {len(set(series.unit))} units"
+    subtitle = f"{series.variant}; {series.value.size} values of {len(set(series.serial))} units"
     if more > 0:
         subtitle += f"; {more} charts are not drawn"
     figure.text(0.1, 1 - 0.52 / height, subtitle, fontsize=8.5, color=SOFT)
@@ -109,12 +110,24 @@ def _draw_chart(axes: Axes, chart: Chart, trend: Trend) -> None:
             ends = _times(trend.series.where([shift.first, shift.last])) if trend.series.dated else None
             first, last = (shift.first + 1, shift.last + 1) if ends is None else ends
             axes.axvspan(first, last, color=_LEVEL, alpha=0.15, linewidth=0)
-    for side, name in ((specification.lower, "lower"), (specification.upper, "upper")):
-        if side is not None:
-            axes.axhline(side, color=_SPECIFIED, linewidth=1.4)
-            place = axes.get_yaxis_transform()
-            axes.text(0.006, side, f"{name} {side:.4g}", transform=place, fontsize=7, color=_SPECIFIED, va="bottom")
+    if not chart.is_adjusted:  # limits are of values, not of what is left of them
+        _draw_specified(axes, specification, t, series)
     axes.tick_params(colors=INK, labelsize=8)
+
+
+def _draw_specified(
+    axes: Axes, specification: SpecifiedLimits, t: np.ndarray[Any, Any], series: MetricSeries
+) -> None:  # fmt: skip
+    """Limits of the specification, each over the values that were measured while it was valid."""
+    whole = LimitStretch(specification.lower, specification.upper, "", int(series.t_ns[0]), int(series.t_ns[-1]) + 1)
+    for valid in specification.stretches if series.dated and specification.stretches else (whole,):
+        at = np.flatnonzero((series.t_ns >= valid.from_ns) & (series.t_ns < valid.until_ns))
+        if not at.size:
+            continue
+        for side, name in ((valid.lower, "lower"), (valid.upper, "upper")):
+            if side is not None:
+                axes.plot((t[at[0]], t[at[-1]]), (side, side), color=_SPECIFIED, linewidth=1.4)
+                axes.annotate(f"{name} {side:.4g}", (t[at[0]], side), fontsize=7, color=_SPECIFIED, va="bottom")
 
 
 def _draw_limits(axes: Axes, chart: Chart, limits: IndividualsChart, t: np.ndarray[Any, Any]) -> None:

@@ -15,7 +15,7 @@ with chosen as (
     and (len(c.runs) > 1 or coalesce(len(c.steps), 0) = 0 or list_contains(c.steps, s."index"))
   group by c.number
 )
-select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.standard_uncertainty, c.unit_of_measure,
+select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.lo, c.hi, c.standard_uncertainty, c.unit_of_measure,
   c.standard, c.parameters, c.reason,
   p.t_ns, coalesce(p.date_known, r.date_known, false) as date_known,
   coalesce(p.station, u.station, r.station) as station,

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from analytics.trends.charts.capability import Capability
 from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.charts.nelson_rules import RULES, wild_point_chance
-from analytics.trends.groups.between_stations import Difference, GroupComparison
+from analytics.trends.groups.between_stations import LEAST_PAIRS, Difference, GroupComparison
 from analytics.trends.levels.change_points import Changes
 from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
@@ -58,7 +58,7 @@ def moment(series: MetricSeries, index: int) -> str:
 
 def _head(trend: Trend) -> Words:
     series, header = trend.series, trend.series.header
-    units, charts = len(set(series.unit)), len(trend.charts)
+    units, charts = len(set(series.serial)), len(trend.charts)
     if trend.by is None:
         charted = words("one_chart")
     else:
@@ -115,8 +115,9 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     series, unit = chart.series, chart.series.unit_of_measure
     if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
         for change in chart.changes.points:
+            is_possible = change.lo <= 0.0 <= change.hi
             yield words(
-                "change", size=interval(change.size, change.lo, change.hi, unit),
+                "change_possible" if is_possible else "change", size=interval(change.size, change.lo, change.hi, unit),
                 before=moment(series, change.first - 1), after=moment(series, change.last),
                 here=f"{series.unit[change.at]}, {moment(series, change.at)}",
             )  # fmt: skip
@@ -206,7 +207,10 @@ def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> W
     pair = next((each for each in of_group if {each.level, each.against} == levels), None)
     elsewhere = [each.units for each in of_group if not found.against and found.level in {each.level, each.against}]
     if pair is None:
-        return words("units_elsewhere", n=max(elsewhere)) if elsewhere else words("units_on_one")
+        if elsewhere:
+            return words("units_elsewhere", n=max(elsewhere))
+        few = words("units_few_on_both", n=found.on_both, s="s" * (found.on_both > 1), least=LEAST_PAIRS)
+        return few if found.on_both else words("units_on_one")
     sign = 1 if pair.level == found.level else -1
     lo, hi = sorted((sign * pair.effect.lo, sign * pair.effect.hi))
     proof = words("proof" if lo > 0 or hi < 0 else "proof_none", group=group)
@@ -253,7 +257,8 @@ def _capable(trend: Trend, found: Capability) -> Words:
     limits = trend.specification
     sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
     return words(
-        "capability", n=found.n, noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
+        "capability", n=found.n, of=NOTHING if found.n == found.units else words("values_of", units=found.units),
+        noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
         indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
         sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
         rule=words(f"rule_{limits.rule or 'interval'}"),
@@ -263,10 +268,13 @@ def _capable(trend: Trend, found: Capability) -> Words:
 def _left_out(trend: Trend) -> Iterator[Words]:
     series = trend.series
     refused = [(chart.name, chart.limits) for chart in trend.charts if isinstance(chart.limits, NotComputed)]
-    if refused:
-        named = [name for name, _ in refused if name]
+    by_reason: dict[Words, list[str]] = {}
+    for name, found in refused:
+        by_reason.setdefault(found.why, []).append(name)
+    for why, names in by_reason.items():
+        named = [name for name in names if name]
         whose = words("no_limits_of", names=listed(named)) if named else NOTHING
-        yield words("no_limits", whose=whose, why=refused[0][1].why)
+        yield words("no_limits", whose=whose, why=why)
     if not isinstance(trend.comparison, NotComputed):
         for each in trend.comparison.left_out:
             yield words("not_compared", each=each)

@@ -13,12 +13,12 @@ import numpy as np
 from analytics.evaluation.selection import evaluated
 from analytics.metric_registry.registry import MetricHeader, check_metrics, metrics
 from analytics.specifications.verdicts import rows_of
+from analytics.trends.words import UNGIVEN
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
 
 GROUPS = ("station", "fixture", "lot")
-UNGIVEN = "(not given)"
 
 # Results beside the value, no settings: values that differ in these are of one kind.
 _RESULTS = {
@@ -52,11 +52,12 @@ class MetricSeries:
     t_ns: IntArray  # shape (n,); when each was measured; where the date of a run is unknown, when it was recorded
     unit: list[str]  # unit of each value; with the signal where units have several
     run: list[str]
-    groups: dict[str, list[str]]  # levels of each value, for `GROUPS`, `product` and `signal`
+    groups: dict[str, list[str]]  # levels of each value, for `GROUPS`, `product`, `signal` and `serial`
     variant: Variant
     others: tuple[Variant, ...]  # the other kinds in the store
     without_value: int  # rows of this kind that have a reason instead of a value
     dated: bool  # whether the dates of all runs are known
+    bounds: FloatArray | None = None  # shape (2, n); 95 % bounds of each value, NaN where there are none
 
     @property
     def header(self) -> MetricHeader | None:
@@ -68,6 +69,11 @@ class MetricSeries:
         """Whether the values cannot be negative, as deviations and sizes of effects."""
         return self.header is not None and self.header.better == "lower" and bool((self.value >= 0).all())
 
+    @property
+    def serial(self) -> list[str]:
+        """Unit of each value: several signals, as the axes of one unit, are of one."""
+        return self.groups.get("serial", self.unit)
+
     def where(self, chosen: Iterable[int]) -> "MetricSeries":
         """Some of the values, by their indices."""
         at = np.array(list(chosen), np.int64)
@@ -75,12 +81,17 @@ class MetricSeries:
             self, value=self.value[at], uncertainty=self.uncertainty[at], t_ns=self.t_ns[at],
             unit=[self.unit[index] for index in at], run=[self.run[index] for index in at],
             groups={name: [levels[index] for index in at] for name, levels in self.groups.items()},
+            bounds=None if self.bounds is None else self.bounds[:, at],
         )  # fmt: skip
 
     def first_of_units(self) -> "MetricSeries":
         """The first value of each unit: a repeated measurement is no new unit."""
+        return self.where(self.first_places())
+
+    def first_places(self) -> IntArray:
+        """Indices of the first value of each unit."""
         first = {unit: index for index, unit in reversed(list(enumerate(self.unit)))}
-        return self.where(sorted(first.values()))
+        return np.array(sorted(first.values()), np.int64)
 
     def places(self, by: str) -> dict[str, IntArray]:
         """Indices of the values of each unit, or level of a group, by name."""
@@ -221,12 +232,14 @@ def _series(
     rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
     rows.sort(key=lambda row: (_moment(row), row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1
+    groups = {name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")}
     return MetricSeries(
         metric=metric, unit_of_measure=unit_of_measure, value=np.array([row["value"] for row in rows], np.float64),
         uncertainty=np.array([row["standard_uncertainty"] for row in rows], np.float64),
         t_ns=np.array([_moment(row) for row in rows], np.int64),
         unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],
         run=[row["run"] or "" for row in rows],
-        groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")},
+        groups=groups | {"serial": [row["unit"] for row in rows]},
         variant=variant, others=others, without_value=without_value, dated=all(row["date_known"] for row in rows),
+        bounds=np.array([[row[side] for row in rows] for side in ("lo", "hi")], np.float64),
     )  # fmt: skip

@@ -41,7 +41,8 @@ class Chart(NamedTuple):
     changes: Changes | NotComputed  # changes of level; for an adjusted chart, those of `shifts`
     drift: Drift | NotComputed  # per day; per point where dates are unknown
     drifts: bool  # whether the drift is significant
-    shifts: tuple[LevelShift, ...]  # level shifts of the stations of these values, from all their measurements
+    # level shifts of stations with values of this chart on both sides, from all measurements there
+    shifts: tuple[LevelShift, ...]
     is_unsteady: bool  # whether the stations wander from session to session
     z: FloatArray = np.empty(0)  # shape (points,); distances from the centre in sigma; empty without limits
     # points in the patterns of each of Nelson's rules that is met, by its number
@@ -55,8 +56,11 @@ class Chart(NamedTuple):
 
     @property
     def has_changed(self) -> bool:
-        """Whether the level of the chart has changed."""
-        return isinstance(self.changes, Changes) and bool(self.changes.points)
+        """Whether the level of the chart has changed; not where the bounds of the change include none."""
+        points: list[ChangePoint | LevelShift] = [*self.shifts]
+        if isinstance(self.changes, Changes):
+            points += self.changes.points
+        return any(not each.lo <= 0.0 <= each.hi for each in points)
 
     @property
     def in_control(self) -> bool | None:
@@ -64,7 +68,7 @@ class Chart(NamedTuple):
         if isinstance(self.limits, NotComputed):
             return None
         is_outside = self.wild_point is not None or self.too_many is not None
-        return not any((is_outside, self.has_changed, self.drifts, self.shifts, self.is_unsteady))
+        return not any((is_outside, self.has_changed, self.drifts, self.is_unsteady))
 
 
 @dataclass(frozen=True)
@@ -128,16 +132,23 @@ def _parts(series: MetricSeries, by: str | None, shifts: LevelShifts | NotComput
             part = part if by == "unit" else part.first_of_units()
             found.append(_Part(name, part, part.value, is_adjusted=False))
             continue
-        stations = set(part.groups["station"])
-        own = tuple(each for each in shifts.shifts if each.station in {"", *stations})
+        is_adjusted = by in {"station", "fixture"}
+        shown = at if is_adjusted else at[part.first_places()]
+        own = tuple(each for each in shifts.shifts if _crosses(each, shown, series))
         is_unsteady = shifts.unsteady is not None
-        if by in {"station", "fixture"}:
+        if is_adjusted:
             changes = _changes_of(own, at, shifts.points[at]) if by == "station" else None
             found.append(_Part(name, part, shifts.points[at], True, own, changes, is_unsteady))
         else:
-            first = part.first_of_units()
+            first = series.where(shown)
             found.append(_Part(name, first, first.value, False, own, None, is_unsteady))
     return found
+
+
+def _crosses(shift: LevelShift, shown: IntArray, series: MetricSeries) -> bool:
+    """Whether some values of the series, by their indices, were measured there before and after a shift."""
+    there = [each for each in shown.tolist() if shift.station in {"", series.groups["station"][each]}]
+    return bool(there) and there[0] <= shift.first and there[-1] >= shift.last
 
 
 def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray) -> Changes:
@@ -199,12 +210,14 @@ def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capabi
     units = chart.series.first_of_units()
     why = None if chart.in_control is not False else _what_is_significant(chart)
     lower, upper = limits.lower, limits.upper
-    return capability(units.value, lower, upper, out_of_control=why, uncertainty=units.uncertainty)
+    return capability(
+        units.value, lower, upper, out_of_control=why, uncertainty=units.uncertainty, units=len(set(units.serial))
+    )
 
 
 def _what_is_significant(chart: Chart) -> Words:
     seen = {
-        "has_wild_point": chart.wild_point is not None, "has_changed": chart.has_changed or bool(chart.shifts),
+        "has_wild_point": chart.wild_point is not None, "has_changed": chart.has_changed,
         "has_wandered": chart.is_unsteady, "has_drifted": chart.drifts, "has_met_rule": chart.too_many is not None,
     }  # fmt: skip
     return joined((words(key, rule=chart.too_many) for key, is_so in seen.items() if is_so), ", ", "，")

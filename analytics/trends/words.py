@@ -22,6 +22,8 @@ class NotComputed(NamedTuple):
 
 
 NOTHING = Words("", "")
+UNGIVEN = "(not given)"
+_UNGIVEN_ZH = "（未给出）"
 _GROUPS_ZH = {"station": "试验台", "fixture": "夹具", "lot": "批次", "unit": "产品", "product": "产品"}
 
 
@@ -89,7 +91,8 @@ def listed(names: list[str], most: int = 5) -> Words:
     >>> listed(["A", "B", "C"], 2)
     Words(en='A, B and 1 more', zh='A、B 等 3 个')
     """
-    if len(names) <= most:
-        return Words(", ".join(names), "、".join(names))
     shown = names[:most]
-    return Words(f"{', '.join(shown)} and {len(names) - most} more", f"{'、'.join(shown)} 等 {len(names)} 个")
+    in_chinese = "、".join(_UNGIVEN_ZH if name == UNGIVEN else name for name in shown)
+    if len(names) <= most:
+        return Words(", ".join(names), in_chinese)
+    return Words(f"{', '.join(shown)} and {len(names) - most} more", f"{in_chinese} 等 {len(names)} 个")

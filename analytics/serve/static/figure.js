@@ -141,11 +141,15 @@ function overlay(plot, {colours, tables, curves, limits, marks, ink}) {
   for (const limit of limits) {
     pen.strokeStyle = colours[LEVELS[limit.style]];
     pen.setLineDash(limit.style === "centre" ? [] : [6 * ratio, 4 * ratio]);
-    const path = [[box.left, up(limit.y[0])]];
+    // to the edge where it holds for the first or last value, else a little beyond those for which it holds
+    const first = plot.data[0][0], last = plot.data[0].at(-1), reach = 8 * ratio;
+    const begin = limit.x[0] <= first ? box.left : across(limit.x[0]) - reach;
+    const end = limit.x.at(-1) >= last ? box.left + box.width : across(limit.x.at(-1)) + reach;
+    const path = [[begin, up(limit.y[0])]];
     limit.x.forEach((at, i) => {
       if (i && limit.y[i] !== limit.y[i - 1]) path.push([across(at), up(limit.y[i - 1])], [across(at), up(limit.y[i])]);
     });
-    stroke(pen, [...path, [box.left + box.width, up(limit.y.at(-1))]]);
+    stroke(pen, [...path, [end, up(limit.y.at(-1))]]);
   }
   pen.setLineDash([2 * ratio, 3 * ratio]);
   pen.strokeStyle = pen.fillStyle = colours.marginal;

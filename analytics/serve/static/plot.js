@@ -18,6 +18,14 @@ function clock(_plot, splits, _axis, _space, step) {
   });
 }
 
+/** Numbers of an axis with as many decimals as tell them apart: uPlot's have three. */
+function numbers(plot, splits, axis, _space, step) {
+  const isLog = plot.scales[plot.axes[axis].scale].distr === 3;
+  let decimals = 0;
+  while (decimals < 12 && Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6 * step * 10 ** decimals) decimals += 1;
+  return splits.map(each => (each === null || each === undefined ? "" : isLog || Math.abs(each) >= 1e9 ? String(Number(each.toPrecision(6))) : String(Number(each.toFixed(decimals)) === 0 ? 0 : each.toFixed(decimals))));
+}
+
 /**
  * A plot in `host`, `height` pixels high. `options(colours)` gives uPlot's, `label()` says what it shows, `read(i)` the
  * values at point i.
@@ -50,7 +58,9 @@ export class Plot {
     const axis = {stroke: ink, grid: {stroke: line, width: 1}, ticks: {stroke: line, width: 1}};
     const given = this.parts.options({ink, line, link: colour("--link"), soft: colour("--soft"), fail: colour("--fail"), pass: colour("--pass"), marginal: colour("--marginal"), palette: PALETTE.map(colour)});
     const axes = (given.axes ?? [{}, {}]).map(each => ({...axis, ...each}));
-    if (given.scales?.x?.time !== false && !given.axes?.[0]?.values) axes[0] = {space: 90, ...axes[0], values: clock};
+    const isTime = given.scales?.x?.time !== false;
+    if (isTime && !given.axes?.[0]?.values) axes[0] = {space: 90, ...axes[0], values: clock};
+    axes.forEach((each, i) => { if (!each.values && !(i === 0 && isTime)) each.values = numbers; });
     this.uplot?.destroy();
     const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), ZONE);
     this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: this.height, tzDate, ...given, axes}, this.data, this.frame);

@@ -80,7 +80,15 @@ export function local(seconds, zone = ZONE) {
 /** A moment in a time zone, which is named, as fine as `span` seconds need. */
 export function moment(seconds, span = 0, zone = ZONE) {
   const {date, time} = local(seconds, zone);
-  return `${date} ${time.slice(0, span && span < 10 ? 12 : 8)} ${clockOf(zone).zone}`;
+  return `${date} ${time.slice(0, span && span < 10 ? 12 : 8)}${offset(seconds, zone)} ${clockOf(zone).zone}`;
+}
+
+/** The offset from UTC of a moment that clocks show twice, as summer time ends; else nothing. */
+function offset(seconds, zone) {
+  const shown = at => Object.values(local(at, zone)).join(" ");
+  if (![seconds - 3600, seconds + 3600].some(at => shown(at) === shown(seconds))) return "";
+  const {date, time} = local(seconds, zone), ahead = Math.round((Date.parse(`${date}T${time}Z`) / 1e3 - seconds) / 60);
+  return `${ahead < 0 ? "-" : "+"}${String(Math.floor(Math.abs(ahead) / 60)).padStart(2, "0")}:${String(Math.abs(ahead) % 60).padStart(2, "0")}`;
 }
 
 /** A duration. */

@@ -9,7 +9,7 @@ from analytics.methods.distributions import chi_square_quantile, normal_quantile
 from analytics.trends.series import MetricSeries, parameter_text
 from analytics.trends.words import NotComputed, Words, not_computed, words
 from storage.specifications.specification import SpecificationLimit
-from storage.specifications.validity import ordered_periods, stored_specifications
+from storage.specifications.validity import Period, ordered_periods, stored_specifications
 from storage.store import Store
 from stream.batch import FloatArray
 from stream.quantities import result_factor
@@ -20,6 +20,16 @@ _NOT_NORMAL = 0.01
 _MOST_FOR_SHAPIRO = 5000
 
 
+class LimitStretch(NamedTuple):
+    """Specification limits between two moments; both None where there are none."""
+
+    lower: float | None
+    upper: float | None
+    source: str
+    from_ns: int
+    until_ns: int
+
+
 class SpecifiedLimits(NamedTuple):
     """Specification limits of a series, in its unit; `why_not` where there are none."""
 
@@ -28,19 +38,31 @@ class SpecifiedLimits(NamedTuple):
     source: str = ""
     rule: str = ""  # decision rule of the limits
     why_not: Words | None = None
+    stretches: tuple[LimitStretch, ...] = ()  # from the first value to the last, in order of time
 
 
 def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
     """Specification limits that are valid when the last value was measured, in the unit of the series.
 
-    Values of products, or signals, with different limits have none in common.
+    Values of products, or signals, with different limits have none in common. `stretches` are those that were valid
+    when each value was measured.
     """
-    moment = int(series.t_ns[-1])
+    periods = ordered_periods(stored_specifications(store))
+    first, last = int(series.t_ns[0]), int(series.t_ns[-1])
+    edges = sorted({first, *(t for each in periods for t in (each.from_ns, each.until_ns) if first < t <= last)})
+    stretches = []
+    for begin, end in zip(edges, [*edges[1:], last + 1], strict=True):
+        there = _limits_at(periods, series, begin)
+        stretches.append(LimitStretch(there.lower, there.upper, there.source, begin, end))
+    return _limits_at(periods, series, last)._replace(stretches=tuple(stretches))
+
+
+def _limits_at(periods: list[Period], series: MetricSeries, moment: int) -> SpecifiedLimits:
     found: dict[tuple[float | None, float | None, str], str] = {}
     without = False
-    periods = [each for each in ordered_periods(stored_specifications(store)) if each.from_ns <= moment < each.until_ns]
+    valid = [each for each in periods if each.from_ns <= moment < each.until_ns]
     for product, signal in sorted(set(zip(series.groups["product"], series.groups["signal"], strict=True))):
-        limits = ((limit, each.specification.label) for each in periods for limit in each.specification.limits)
+        limits = ((limit, each.specification.label) for each in valid for limit in each.specification.limits)
         own = [(limit, label) for limit, label in limits if _applies(limit, series, product, signal)]
         without = without or not own
         for limit, label in own:
@@ -49,8 +71,8 @@ def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
             found[lower, upper, limit.decision_rule.value] = label
     if len(found) > 1 or (found and without):
         return SpecifiedLimits(why_not=words("limits_differ"))
-    every = (SpecifiedLimits(lower, upper, label, rule) for (lower, upper, rule), label in found.items())
-    return next(every, SpecifiedLimits())
+    every = [SpecifiedLimits(lower, upper, label, rule) for (lower, upper, rule), label in found.items()]
+    return every[0] if every else SpecifiedLimits()
 
 
 def _applies(limit: SpecificationLimit, series: MetricSeries, product: str, signal: str) -> bool:
@@ -82,6 +104,7 @@ class Capability(NamedTuple):
     mean: float
     sigma: float
     n: int
+    units: int  # whose values they are; several of one unit, as of its axes, may be alike
     cp: Index | None  # (upper - lower)/(6*sigma); None where there is one limit only
     cpk: Index  # distance of the mean from the nearer limit over 3*sigma
     measurement_share: float | None  # share of the measurement uncertainty in the variance
@@ -96,9 +119,11 @@ class Capability(NamedTuple):
 
 def capability(
     values: FloatArray, lower: float | None, upper: float | None, *, out_of_control: Words | None = None,
-    uncertainty: FloatArray | None = None,
+    uncertainty: FloatArray | None = None, units: int | None = None,
 ) -> Capability | NotComputed:  # fmt: skip
     """Capability indices of one value of each unit.
+
+    Of several values of each of `units`, as of their axes, the bounds are those of as many values as there are units.
 
     `lower`, `upper`: specification limits. `out_of_control`: why the process is not in control; then it has no
     capability. `uncertainty`: standard uncertainties of the values; NaN where unknown.
@@ -110,9 +135,9 @@ def capability(
     >>> round(found.cp.value, 1), found.cpk.lo < 0.667 < found.cpk.hi
     (1.0, True)
     """
-    if (refused := _why_not(values, lower is not None or upper is not None, out_of_control)) is not None:
+    n = values.size if units is None else units
+    if (refused := _why_not(values, n, lower is not None or upper is not None, out_of_control)) is not None:
         return refused
-    n = values.size
     mean, sigma = float(values.mean()), float(values.std(ddof=1))
     cp = cp_index((upper - lower) / (6 * sigma), n) if lower is not None and upper is not None else None
     sides = [sign * (limit - mean) / (3 * sigma) for limit, sign in ((upper, 1), (lower, -1)) if limit is not None]
@@ -122,7 +147,7 @@ def capability(
     from scipy.stats import shapiro  # slow to import
 
     chance = float(shapiro(values[:_MOST_FOR_SHAPIRO]).pvalue)
-    return Capability(lower, upper, mean, sigma, n, cp, cpk_index(min(sides), n), share, chance)
+    return Capability(lower, upper, mean, sigma, values.size, n, cp, cpk_index(min(sides), n), share, chance)
 
 
 def cp_index(cp: float, n: int) -> Index:
@@ -138,11 +163,11 @@ def cpk_index(cpk: float, n: int) -> Index:
     return Index(cpk, cpk - half, cpk + half)
 
 
-def _why_not(values: FloatArray, has_limit: bool, out_of_control: Words | None) -> NotComputed | None:
+def _why_not(values: FloatArray, units: int, has_limit: bool, out_of_control: Words | None) -> NotComputed | None:
     if not has_limit:
         return not_computed("capability_no_limit")
-    if values.size < LEAST_POINTS:
-        return not_computed("capability_short", units=values.size, least=LEAST_POINTS)
+    if units < LEAST_POINTS:
+        return not_computed("capability_short", units=units, s="s" * (units != 1), least=LEAST_POINTS)
     if out_of_control is not None:
         return not_computed("capability_not_in_control", why=out_of_control)
     return None if values.std() > 0 else not_computed("capability_constant")

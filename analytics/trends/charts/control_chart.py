@@ -80,7 +80,7 @@ def individuals_chart(
     """
     first = values if baseline is None else values[:baseline]
     if first.size < LEAST_POINTS:
-        return not_computed("chart_short", points=first.size, least=LEAST_POINTS)
+        return not_computed("chart_short", points=first.size, s="s" * (first.size != 1), least=LEAST_POINTS)
     centre, sigma = (float(each) for each in centre_and_sigma(first, spread))
     if not sigma > 1e-12 * abs(centre):
         return not_computed("chart_constant")

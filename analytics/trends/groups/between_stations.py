@@ -1,6 +1,6 @@
 """Differences between stations, fixtures and lots, what they are confounded with, and components of variance."""
 
-from collections import Counter
+from collections import defaultdict
 from itertools import combinations
 from typing import NamedTuple
 
@@ -36,6 +36,7 @@ class Difference(NamedTuple):
     adjusted: float  # probability of such a difference by chance, adjusted for all that were tested
     confounded: tuple[str, ...]  # groups whose effects cannot be separated from this one
     units: int  # units that were measured there
+    on_both: int  # of these, units that were also measured at what it is compared with
 
 
 class Pairs(NamedTuple):
@@ -151,26 +152,36 @@ def _differences(group: _Group, model: MixedModel, series: MetricSeries, beside:
         # the first level has no column: its own contrast is minus the mean of the others
         own[:] = -1 / (k - 1)
         own[np.arange(1, k), np.arange(k - 1)] = 1.0
-    units = Counter(level for level, _ in set(zip(series.groups[group.name], series.unit, strict=True)))
+    there: defaultdict[str, set[str]] = defaultdict(set)
+    for level, serial in zip(series.groups[group.name], series.serial, strict=True):
+        there[level].add(serial)
     levels, against = (group.levels[1:], group.levels[0]) if k == 2 else (group.levels, "")
     return [
-        Difference(group.name, level, against, effect, 1.0, beside, units[level])
+        Difference(
+            group.name, level, against, effect, 1.0, beside, len(there[level]),
+            len(there[level] & set().union(*(units for other, units in there.items() if other != level))),
+        )
         for level, effect in zip(levels, model.effects(contrasts), strict=True)
-    ]
+    ]  # fmt: skip
 
 
 def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
-    """Differences of each two levels over the units measured on both, each by its mean there."""
+    """Differences of each two levels over the units measured on both, each by its mean there.
+
+    Several signals of a unit, as its axes, count once: by the mean of their differences.
+    """
     import polars as pl
 
-    frame = pl.DataFrame({"level": series.groups[group.name], "unit": series.unit, "value": series.value})
-    means = frame.group_by("level", "unit", maintain_order=True).agg(pl.col("value").mean())
+    names = {"level": series.groups[group.name], "serial": series.serial, "unit": series.unit}
+    frame = pl.DataFrame(names | {"value": series.value})
+    means = frame.group_by("level", "serial", "unit", maintain_order=True).agg(pl.col("value").mean())
     found = []
     for one, two in combinations(group.levels, 2):
-        of_one, of_two = (means.filter(level=level).select("unit", "value") for level in (one, two))
-        both = of_one.join(of_two, on="unit", suffix="_two").sort("unit")
+        of_one, of_two = (means.filter(level=level).select("serial", "unit", "value") for level in (one, two))
+        both = of_one.join(of_two, on=("serial", "unit"), suffix="_two")
+        both = both.group_by("serial").agg((pl.col("value_two") - pl.col("value")).mean()).sort("serial")
         if both.height >= LEAST_PAIRS:
-            differences = (both["value_two"] - both["value"]).to_numpy()
+            differences = both["value_two"].to_numpy()
             found.append(Pairs(group.name, two, one, both.height, paired_difference(differences)))
     return found
 

@@ -72,7 +72,7 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
     """
     layout = sessions.layout_of(series)
     station_of_value = layout.station[layout.session]
-    repeated = int((np.bincount(layout.unit) > 1).sum())
+    repeated = np.unique(layout.serial[(np.bincount(layout.unit) > 1)[layout.unit]]).size
     if series.value.size < LEAST_VALUES or repeated < sessions.LEAST_UNITS:
         counts = {"values": series.value.size, "repeated": repeated}
         return not_computed("shifts_short", **counts, least=LEAST_VALUES, units=sessions.LEAST_UNITS)

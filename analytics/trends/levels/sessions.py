@@ -31,10 +31,11 @@ class LevelStep(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Session and unit of each value."""
+    """Session, unit and serial of each value; the axes of one device are units of one serial."""
 
     session: IntArray  # shape (n,), as the unit; of each value, from 0
     unit: IntArray
+    serial: IntArray
     station: IntArray  # shape (sessions,); of each session, increasing
     time: FloatArray  # shape (sessions,); mean moment of each, increasing within a station
     names: list[str]  # of the stations
@@ -60,9 +61,12 @@ def layout_of(series: MetricSeries) -> Layout:
     session = np.empty(series.value.size, np.int64)
     for number, inside_session in enumerate(values):
         session[inside_session] = number
-    unit = np.unique(np.array(series.unit), return_inverse=True)[1].astype(np.int64)
+    unit, serial = (
+        np.unique(np.array(names), return_inverse=True)[1].astype(np.int64) for names in (series.unit, series.serial)
+    )
     time = np.array([float(np.mean(moments[at])) for at in values])
-    return Layout(session, unit, np.array([of for of, _ in merged]), time, [str(each) for each in names], values)
+    stations = np.array([of for of, _ in merged])
+    return Layout(session, unit, serial, stations, time, [str(each) for each in names], values)
 
 
 def station_columns(station: IntArray) -> FloatArray:
@@ -106,7 +110,7 @@ def sides(layout: Layout, step: LevelStep) -> tuple[IntArray, IntArray]:
 def units_across(layout: Layout, step: LevelStep) -> int:
     """How many units were measured there before and after."""
     before, after = sides(layout, step)
-    return int(np.intersect1d(layout.unit[before], layout.unit[after]).size)
+    return int(np.intersect1d(layout.serial[before], layout.serial[after]).size)
 
 
 # variance of the sessions over that of the noise of a session's mean, and correlation of neighbouring sessions

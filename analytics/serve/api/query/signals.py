@@ -61,9 +61,11 @@ class SignalAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     """A stretch of a signal.
 
-    Bucket i begins at ``t_ns[i]`` and is `bucket_ns` long; buckets that the stretch touches are whole, buckets without
-    samples are left out. `source` says what they are made of: ``rollup_10s``, ``rollup_1s``, ``raw`` (all samples), or
-    ``samples``: then each is one sample and `bucket_ns` is 0. Every sample is in its bucket's min and max. `gaps` are
+    Bucket i begins at ``t_ns[i]`` and is `bucket_ns` long; buckets without samples are left out. `source` says what
+    they are made of: ``rollup_10s``, ``rollup_1s``, ``raw`` (all samples), or ``samples``: then each is one sample and
+    `bucket_ns` is 0. Buckets of rollups are whole: the first may begin before the stretch and the last end after it;
+    all of them together, and `samples`, are of `covers_from_ns` to `covers_to_ns`. Others have samples of the stretch
+    only. Every sample is in its bucket's min and max. `gaps` are
     stretches without samples, longer than 1.5 intervals. Values are in `unit_of_measure`. `is_live`: some samples have
     not come to the lake yet, so that the record probably goes on.
     """
@@ -76,6 +78,8 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     bucket_ns: int
     from_ns: int
     to_ns: int
+    covers_from_ns: int
+    covers_to_ns: int
     t_ns: list[int]
     min: list[float]
     max: list[float]
@@ -183,7 +187,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     first_ns = about["t_first_ns"] if first_ns is None else first_ns
     stop_ns = about["t_last_ns"] + 1 if stop_ns is None else stop_ns
     if stop_ns <= first_ns:
-        raise BadInput(f"to ({stop_ns}) is not after from ({first_ns})")
+        begin, end = asked.from_ or f"the first sample, {iso(first_ns)}", asked.to or f"the last, {iso(stop_ns - 1)}"
+        raise BadInput(f"the stretch ends ({end}) before it begins ({begin})")
     parts = [
         part
         for part in dictionaries(views, _PARTS, of)
@@ -193,10 +198,12 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     stretch = _Stretch(first_ns, stop_ns, asked.points, parts, live)
     source, bucket_ns, rows, note = _buckets(views, stretch)
     t_ns = [int(row["slot"]) for row in rows]
+    ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
     longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
     return SignalBuckets(
         **of, unit_of_measure=about["unit_of_measure"], source=source, bucket_ns=bucket_ns, from_ns=first_ns,
-        to_ns=stop_ns, t_ns=t_ns, min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
+        to_ns=stop_ns, covers_from_ns=min(first_ns, ends[0]), covers_to_ns=max(stop_ns, ends[1]), t_ns=t_ns,
+        min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
         mean=[row["mean"] for row in rows], n=[int(row["n"]) for row in rows],
         gaps=[] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns),
         samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
@@ -245,8 +252,7 @@ def _buckets(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any
 
 
 def _of_samples(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]]]:
-    width = of.width_ns
-    first, stop = of.first_ns // width * width, -(-of.stop_ns // width) * width
+    width, first, stop = of.width_ns, of.first_ns, of.stop_ns
     rows: list[dict[str, Any]] = []
     if of.parts:
         values = _VALUE.format(files=of.files(SAMPLES_FILE), channels=of.channels)
@@ -257,7 +263,6 @@ def _of_samples(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, 
         return "raw", width, rows
     single: list[tuple[int, float]] = []
     if of.parts:
-        bounds = {"first": of.first_ns, "stop": of.stop_ns}
         single = [(row["t_ns"], row["value"]) for row in dictionaries(views, values, bounds)]
     inside = (of.live_times >= of.first_ns) & (of.live_times < of.stop_ns)
     single += zip(of.live_times[inside].tolist(), of.live_values[inside].tolist(), strict=True)

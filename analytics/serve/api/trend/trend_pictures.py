@@ -1,13 +1,16 @@
 """Pictures of trends: all values over time, the control charts, yield by group, what units fail by."""
 
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from analytics.plots.picture import Axis, Curve, Label, Mark, Picture, Style
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.trend import trends
+
+if TYPE_CHECKING:
+    from analytics.trends.series import MetricSeries
 
 _MOST_GROUPS = 12
 _FEW_UNITS = 8
@@ -35,15 +38,13 @@ def trend_values(call: Call, asked: trends.TrendAsked) -> Picture:
         rows = [i for i, each in enumerate(groups) if each == level]
         if not rows:
             continue
-        error = [1.96 * float(series.uncertainty[i]) for i in rows]
         values = [float(series.value[i]) for i in rows]
         curves.append(
             Curve(
                 name=Label.same(level or "?"), x=[times[i] for i in rows], y=list(values), style="points",
-                lo=[value - each if each == each else None for value, each in zip(values, error, strict=True)],
-                hi=[value + each if each == each else None for value, each in zip(values, error, strict=True)],
+                lo=_bounds(series, 0, rows), hi=_bounds(series, 1, rows),
                 texts=[f"{series.unit[i]} {series.run[i]}" for i in rows],
-                links=[link("units", series.unit[i].split(" ")[0]) for i in rows],
+                links=[link("units", series.serial[i]) for i in rows],
             )
         )  # fmt: skip
     note = None
@@ -52,8 +53,16 @@ def trend_values(call: Call, asked: trends.TrendAsked) -> Picture:
     marks = [mark for shift in found["shifts"] if (mark := _shift(shift, found["unit_of_measure"])) is not None]
     return Picture(
         title=title, x=_TIME, y=Axis(label=title, unit=found["unit_of_measure"]),
-        curves=[*curves, *_specified(found, times)], marks=marks, note=note,
+        curves=[*curves, *_specified(found, times, series.t_ns.tolist())], marks=marks, note=note,
     )  # fmt: skip
+
+
+def _bounds(series: "MetricSeries", side: int, rows: list[int]) -> list[float | None] | None:
+    """The 95 % bounds of values on one side; None of a value without."""
+    if series.bounds is None:
+        return None
+    found = [float(series.bounds[side, i]) for i in rows]
+    return [each if each == each else None for each in found]
 
 
 @get("/api/trends/chart", table="", is_slow=True)
@@ -78,9 +87,11 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
     x = [float(each or 0.0) for each in times] if is_dated else place
     axis = _TIME if is_dated else Axis(label=Label("value, in the order of time", "数值，按时间顺序"))
     texts = [" ".join(filter(None, (point["unit"], point["run"], point["time"]))) for point in points]
-    links = [link("units", point["unit"].split(" ")[0]) for point in points]
-    values: list[float | None] = [point["value"] for point in points]
-    out: list[float | None] = [point["value"] if point["rules"] else None for point in points]
+    links = [link("units", point["serial"]) for point in points]
+    values: list[float | None] = [point["charted"] for point in points]
+    out: list[float | None] = [point["charted"] if point["rules"] else None for point in points]
+    if is_adjusted := chart["is_adjusted"]:
+        texts = [f"{text} {point['value']:.6g}" for text, point in zip(texts, points, strict=True)]
     curves = [Curve(name=title, x=x, y=values, style="both", texts=texts, links=links)]
     if any(each is not None for each in out):
         name = Label("found by the rules", "判异点")
@@ -97,9 +108,17 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
         if limits.get(key) is not None
     ]
     shown = Label(title.en if not chart["name"] else chart["name"], title.zh if not chart["name"] else chart["name"])
-    return Picture(
-        title=shown, x=axis, y=Axis(label=title, unit=found["unit_of_measure"]), curves=[*curves, *_specified(found, x)]
+    # limits are of values, not of what is left of them
+    specified = [] if is_adjusted else _specified(found, x, [point["t_ns"] for point in points])
+    note = Label(
+        "Each value without its unit's own level: the level there plus the deviation from the value expected of the "
+        "unit. The limits of the specification do not apply to these points; a point's text has its value.",
+        "各点已扣除产品自身水平：为该处水平加上与该产品期望值之差。规范限值不适用于这些点；测得值见各点文字。",
     )
+    return Picture(
+        title=shown, x=axis, y=Axis(label=title, unit=found["unit_of_measure"]), curves=[*curves, *specified],
+        note=note if is_adjusted else None,
+    )  # fmt: skip
 
 
 @get("/api/yield/groups", table="", is_slow=True)
@@ -166,17 +185,26 @@ def _levels(groups: dict[str, list[str]], by: str) -> tuple[list[str], list[str]
     return ["all"], ["all"] * len(groups["unit"])
 
 
-def _specified(found: dict[str, Any], x: list[float]) -> list[Curve]:
-    """Limits of the specification over the whole width."""
-    limits = found["specification"]
+def _specified(found: dict[str, Any], x: list[float], t_ns: list[int | None]) -> list[Curve]:
+    """Limits of the specification, each over the values that were measured while it was valid."""
     sides = (("lower", Label("lower limit", "下限")), ("upper", Label("upper limit", "上限")))
+    limits = found["specification"]
+    if not found["dated"] or None in t_ns:
+        stretches = [(limits, x)]
+    else:
+        moments = [(place, t or 0) for place, t in zip(x, t_ns, strict=True)]
+        stretches = [
+            (each, [place for place, t in moments if each["from_ns"] <= t < each["until_ns"]])
+            for each in limits["stretches"]
+        ]
     return [
         Curve(
-            name=Label(f"{name.en} {limits['source'] or ''}".strip(), f"{name.zh} {limits['source'] or ''}".strip()),
-            x=[min(x), max(x)], y=[limits[side], limits[side]], style="limit",
+            name=Label(f"{name.en} {valid['source'] or ''}".strip(), f"{name.zh} {valid['source'] or ''}".strip()),
+            x=[min(places), max(places)], y=[valid[side], valid[side]], style="limit",
         )
+        for valid, places in stretches
         for side, name in sides
-        if limits[side] is not None and x
+        if valid[side] is not None and places
     ]  # fmt: skip
 
 
@@ -188,7 +216,9 @@ def _shift(shift: dict[str, Any], unit_of_measure: str) -> Mark | None:
         return None
     size = f"{shift['size']:+.3g} {unit_of_measure}"
     where = shift["station"] or ""
-    return Mark(moment.timestamp(), Label(f"{where} {size}".strip(), f"{where} {size}".strip()))
+    doubt = ("perhaps ", "可能 ") if shift["lo"] <= 0.0 <= shift["hi"] else ("", "")
+    en, zh = (f"{where} {word}{size}".strip() for word in doubt)
+    return Mark(moment.timestamp(), Label(en, zh))
 
 
 def _levels_between(chart: dict[str, Any], x: list[float]) -> list[Curve]:

@@ -6,7 +6,7 @@ from functools import lru_cache
 from zoneinfo import ZoneInfo
 
 from analytics.serve.api.operation import Call
-from stream.errors import GyrofleetError
+from stream.errors import BadInput, GyrofleetError
 
 DEFAULT = "UTC"
 _ZONES = "select distinct time_zone from internal.served_runs where time_zone is not null"
@@ -33,16 +33,27 @@ def zone_of_run(call: Call, run: str) -> str | None:
 def local(t_ns: int, name: str) -> tuple[str, str]:
     """A moment at a place, to the second, and the zone that it is in: UTC if there is no such zone.
 
+    A moment that clocks show twice, as summer time ends, has its offset from UTC.
+
     >>> local(1_795_255_200_000_000_000, "Asia/Shanghai"), local(1_795_255_200_000_000_000, "Mars/Base")
     (('2026-11-21 18:00:00', 'Asia/Shanghai'), ('2026-11-21 10:00:00', 'UTC'))
+    >>> local(1_792_888_200_000_000_000, "Europe/Berlin")
+    ('2026-10-25 02:30:00+02:00', 'Europe/Berlin')
     """
     zone = _zone(name)
-    text = datetime.fromtimestamp(t_ns // 10**9, zone).strftime("%Y-%m-%d %H:%M:%S")
-    return text, DEFAULT if zone is UTC else name
+    moment = datetime.fromtimestamp(t_ns // 10**9, zone)
+    return f"{moment:%Y-%m-%d %H:%M:%S}{_offset(moment)}", DEFAULT if zone is UTC else name
+
+
+def _offset(moment: datetime) -> str:
+    """The offset of a moment whose time of day occurs twice; else nothing."""
+    return moment.isoformat()[-6:] if moment.replace(fold=0).utcoffset() != moment.replace(fold=1).utcoffset() else ""
 
 
 def zoned(text: str | None, name: str) -> str | None:
     """A moment that a person typed: one that states no zone is in this one; anything else is left as it is.
+
+    Raises BadInput for a time that clocks of the zone show twice, or skip.
 
     >>> zoned("2026-11-21 18:00", "Asia/Shanghai"), zoned("2026-11-21T10:00:00Z", "Asia/Shanghai"), zoned("noon", "UTC")
     ('2026-11-21T18:00:00+08:00', '2026-11-21T10:00:00Z', 'noon')
@@ -51,11 +62,14 @@ def zoned(text: str | None, name: str) -> str | None:
         moment = datetime.fromisoformat((text or "").strip())
     except ValueError:
         return text
-    return (
-        text
-        if moment.tzinfo is not None or (text or "").isdecimal()
-        else moment.replace(tzinfo=_zone(name)).isoformat()
-    )
+    if moment.tzinfo is not None or (text or "").isdecimal():
+        return text
+    early, late = (moment.replace(tzinfo=_zone(name), fold=fold) for fold in (0, 1))
+    if early.utcoffset() != late.utcoffset():
+        is_twice = early.astimezone(UTC) < late.astimezone(UTC)
+        what = "is there twice, as clocks are set back" if is_twice else "is skipped, as clocks are set forward"
+        raise BadInput(f"{text} in {name} {what}: add {early.isoformat()[-6:]} or {late.isoformat()[-6:]}")
+    return early.isoformat()
 
 
 def typed(t_ns: int, name: str) -> str:
@@ -64,11 +78,8 @@ def typed(t_ns: int, name: str) -> str:
     >>> typed(1_795_255_200_500_000_000, "Asia/Shanghai")
     '2026-11-21 18:00:00.500000'
     """
-    return (
-        datetime.fromtimestamp(t_ns // 10**9, _zone(name))
-        .replace(microsecond=t_ns % 10**9 // 1000, tzinfo=None)
-        .isoformat(" ")
-    )
+    moment = datetime.fromtimestamp(t_ns // 10**9, _zone(name)).replace(microsecond=t_ns % 10**9 // 1000)
+    return moment.replace(tzinfo=None).isoformat(" ") + _offset(moment)
 
 
 @lru_cache
