@@ -31,6 +31,11 @@ def kind_name(kind: str, language: str) -> str:
     return _of(_content()["kinds"], kind, language)
 
 
+def is_known_kind(kind: str) -> bool:
+    """Whether there are documents of this kind."""
+    return kind in _content()["kinds"]
+
+
 def summary(document: Mapping[str, Any], language: str = "en") -> str:
     """What a document says in a few words: its texts, outcomes and reasons.
 

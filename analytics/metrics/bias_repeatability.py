@@ -105,22 +105,22 @@ def _shared_parameters(tests: pa.Table, layout: Layout, found: Scatter) -> list[
     odd = (layout.total((durations < LEAST_S).astype(np.float64)) > 0) | (recorded < found.values)
     ends = np.cumsum(found.values).astype(np.int64)
     texts = []
-    for at, (position, earth_rate, is_dated) in enumerate(
-        zip(*(tests[name].to_pylist() for name in ("position", "earth_rate", "is_dated")), strict=True)
+    for at, (position, earth_rate, is_dated, stations) in enumerate(
+        zip(*(tests[name].to_pylist() for name in ("position", "earth_rate", "is_dated", "stations")), strict=True)
     ):
         own = slice(int(ends[at] - found.values[at]), int(ends[at]))
         parameters = {
             "position": position, "earth_rate": earth_rate, "power_ons": int(found.values[at]),
             "power_ons_recorded": int(recorded[at]), "days": int(found.groups[at]) if is_dated else None,
-            "remark": _remark(durations[own].tolist(), counted_by[own]) if odd[at] else None,
+            "remark": _remark(durations[own].tolist(), counted_by[own], stations) if odd[at] or stations else None,
         }  # fmt: skip
         texts.append(parameters_text(parameters)[1:-1])
     return texts
 
 
-def _remark(durations: Sequence[float], counted_by: Sequence[str]) -> str | None:
-    """Remark on short records and on power-ons that were not recorded."""
-    remarks = []
+def _remark(durations: Sequence[float], counted_by: Sequence[str], stations: str | None) -> str | None:
+    """Remark on several stations, on short records and on power-ons that were not recorded."""
+    remarks = [] if stations is None else [stations]
     if short := [each for each in durations if each < LEAST_S]:
         lengths = " to ".join(dict.fromkeys(f"{each:.0f}" for each in (min(short), max(short))))
         some = f"{len(short)} of {len(durations)} records are of {lengths} s"

@@ -29,6 +29,7 @@ with counted as (
       day: coalesce(day::varchar, 'run ' || run)
     } order by t_from_ns, run, power_on) as powered,
     bool_and(day is not null) as is_dated,
+    stations_remark(list(station)) as stations,
     list(distinct run order by run) as runs,
     flatten(list(steps order by run, t_from_ns, power_on)) as steps
   from scoped

@@ -4,7 +4,7 @@
 -- unit:      arcmin
 -- better:    lower
 -- grain:     unit, signal, run (or all runs of the unit, then no run is named)
--- parameters: misalignments, mean_arcmin
+-- parameters: misalignments, mean_arcmin, remark
 -- source:    JJF 2014-2022 7.2.12 (26)
 -- needs:     the misalignment in four positions, Q >= 7 times
 -- limits:    chi_square
@@ -24,6 +24,7 @@ with counted as (
 ), gathered as (
   select unit, signal, scope,
     coalesce(list(arcmin order by t_from_ns, run, repeat) filter (lack is null), []) as gammas,
+    stations_remark(list(station) filter (lack is null)) as stations,
     list(distinct run order by run) as runs,
     flatten(list(steps order by run, t_from_ns, repeat)) as steps,
     min('run ' || run || ': ' || lack) as lack
@@ -37,7 +38,7 @@ select
   null::double as standard_uncertainty,
   (len(gammas) - 1)::double as freedom,
   len(gammas) as n,
-  {misalignments: len(gammas), mean_arcmin: list_avg(gammas)} as parameters,
+  {misalignments: len(gammas), mean_arcmin: list_avg(gammas), remark: stations} as parameters,
   runs, steps,
   case when len(gammas) < 7 then
     len(gammas) || ' misalignments measured, the clause asks for 7 or more' || coalesce('; ' || lack, '') end as reason

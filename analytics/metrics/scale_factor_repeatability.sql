@@ -4,7 +4,7 @@
 -- unit:      ppm
 -- better:    lower
 -- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
--- parameters: kind, scale_factors, mean, days
+-- parameters: kind, scale_factors, mean, days, remark
 -- source:    GJB 2426A-2004 5.8.4 (12); JJF 2014-2022 7.2.4 (10)
 -- needs:     Q scale factors, the unit off and cooled in between; GJB: Q >= 6
 -- limits:    given
@@ -38,6 +38,7 @@ select unit, signal, scope as run, standard, if(standard = 'GJB2426A', '5.8.4 (1
   list(k order by t_from_ns, run, steps) filter (lack is null) as scales,
   list(coalesce(day, 'run ' || run) order by t_from_ns, run, steps) filter (lack is null) as days,
   bool_and(day is not null) as is_dated,
+  stations_remark(list(station) filter (lack is null)) as stations,
   list(distinct run order by run) as runs,
   flatten(list(steps order by run, t_from_ns, steps)) as steps,
   min('run ' || run || ': ' || lack) as lack

@@ -19,7 +19,7 @@ select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.lo, c.hi
   c.standard, c.parameters, c.reason,
   p.t_ns, coalesce(p.date_known, r.date_known, false) as date_known,
   coalesce(p.station, u.station, r.station) as station,
-  coalesce(p.lot, u.lot, r.lot) as lot,
+  coalesce(p.lot, u.lot, r.lot, w.lot) as lot,
   coalesce(p.fixture, u.fixture) as fixture,
   coalesce(p.product, u.product) as product,
   epoch_ns(coalesce(r.started, r.recorded)) as recorded_ns,
@@ -27,4 +27,5 @@ select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.lo, c.hi
 from chosen c
 left join placed p using (number)
 left join units u on u.run = coalesce(c.run, c.runs[-1]) and u.unit = c.unit
+left join unit_runs w on w.run = coalesce(c.run, c.runs[-1]) and w.unit = c.unit
 left join runs r on r.run = coalesce(c.run, c.runs[-1])

@@ -231,8 +231,15 @@ class FileSending:
         return RunStarted(
             run=run, t_ns=self._first_ns(run), uid=_uid("started", run, content), date_known=self._summary.date_known,
             source=f"file {self.path.name}", units=tuple(dict.fromkeys(signal.unit for signal in self._of[run])),
-            details=self._about,
+            details=self._about, procedure=self._summary.words.procedure if self._summary.words else None,
+            lot=self._lot(run),
         )  # fmt: skip
+
+    def _lot(self, run: str) -> str | None:
+        """The lot of all units of a run; None if they are of several."""
+        units = {signal.unit for signal in self._of[run]}
+        lots = {self._entries[unit].lot if unit in self._entries else None for unit in units}
+        return lots.pop() if len(lots) == 1 else None
 
     def _mounted(self, run: str) -> list[UnitMounted]:
         """Documents on the units of the run, if the last stored ones differ."""

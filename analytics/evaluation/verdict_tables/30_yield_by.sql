@@ -1,5 +1,6 @@
 -- How many units of a lot, station, fixture or day are good. Each group judges a unit by what was measured in it. The
--- yield is of the units that are decided or marginal; its 95 % interval is Wilson's.
+-- yield is of the units that are decided or marginal; its 95 % interval is Wilson's. Units that no limit applies to are
+-- NO_DATA where they were measured.
 create or replace view yield_by as
 with judged as materialized (
   select unit, signal, metric, subject, standard, specification, verdict, decision_rule, lot, station, fixture, day from verdicts
@@ -15,13 +16,21 @@ with judged as materialized (
 ), each_unit as (
   select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict
   from each_limit group by kind, name, unit
+), unlimited as (
+  select * from unit_runs anti join judged using (unit)
+), every_unit as (
+  from each_unit
+  union all select distinct 'lot', lot, unit, 'NO_DATA' from unlimited
+  union all select distinct 'station', station, unit, 'NO_DATA' from unlimited
+  union all select distinct 'fixture', fixture, unit, 'NO_DATA' from unlimited
+  union all select distinct 'day', day::varchar, unit, 'NO_DATA' from unlimited
 ), counted as (
   select kind, name, count(*) as units,
     count(*) filter (verdict = 'PASS') as passed,
     count(*) filter (verdict = 'FAIL') as failed,
     count(*) filter (verdict = 'MARGINAL') as marginal,
     count(*) filter (verdict = 'NO_DATA') as no_data
-  from each_unit group by kind, name
+  from every_unit group by kind, name
 ), rules as (
   select kind, name, list(distinct decision_rule order by decision_rule) filter (decision_rule is not null)
       as decision_rules

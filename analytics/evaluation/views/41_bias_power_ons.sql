@@ -32,7 +32,7 @@ select unit, signal, position, earth_rate, run, power_on,
     / count(*) end as u_white,
   sum(u_deg_per_h ** 2) ** 2 / nullif(sum(u_deg_per_h ** 4 / greatest(freedom, 1)), 0) as freedom,
   sum(duration_s) as duration_s, any_value(counted_by) as counted_by,
-  min(t_from_ns) as t_from_ns, min(day) as day,
+  min(t_from_ns) as t_from_ns, min(day) as day, min(station) as station,
   list("index" order by "index") as steps,
   bool_or(is_repeated) as is_repeated,
   any_value(case

@@ -5,7 +5,7 @@ from typing import Any, Literal
 import msgspec
 
 from analytics.audit import AUDITED
-from analytics.event_words import kind_name
+from analytics.event_words import is_known_kind, kind_name
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, moment, page_of
 from analytics.serve.api.unit.units import unit_row
@@ -87,10 +87,16 @@ class Events(msgspec.Struct, frozen=True, kw_only=True):
 def list_events(call: Call, asked: EventsAsked) -> Events:
     """Documents, the latest first: starts, ends, notes, limits, decisions, verdicts, notes of the store."""
     at, uid = _cursor(asked.after)
+    known = kinds_of(call)
+    if asked.kind and asked.kind not in known and not is_known_kind(asked.kind):
+        raise BadInput(f"no kind of document is named {asked.kind!r}; the store has {', '.join(known)}")
+    first_ns, stop_ns = moment(asked.from_, "from"), moment(asked.to, "to")
+    if first_ns is not None and stop_ns is not None and stop_ns <= first_ns:
+        raise BadInput(f"the stretch ends ({asked.to}) before it begins ({asked.from_})")
     names = ("kind", "run", "unit", "station", "what", "by", "only")
     given = {name: getattr(asked, name) for name in names} | {
-        "first": moment(asked.from_, "from"),
-        "stop": moment(asked.to, "to"),
+        "first": first_ns,
+        "stop": stop_ns,
         "at": at,
         "uid": uid,
         "rows": asked.limit + 1,
@@ -100,7 +106,7 @@ def list_events(call: Call, asked: EventsAsked) -> Events:
     following = {name: getattr(asked, name) for name in names} | {"from": asked.from_, "to": asked.to}
     after = f"{rows[-1].arrival_ns}:{rows[-1].uid}" if has_more else None
     next_page = link("api", "events", limit=asked.limit, after=after, **following) if has_more else None
-    return Events(events=rows, kinds=kinds_of(call), next=next_page)
+    return Events(events=rows, kinds=known, next=next_page)
 
 
 def kinds_of(call: Call) -> dict[str, int]:

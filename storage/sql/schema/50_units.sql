@@ -1,5 +1,6 @@
--- The units tested in each run: one row for each mounted unit of a run, joined by `using (run, unit)` to samples, steps
--- and estimates. Of several mountings the last one counts; all are in `events`.
+-- The units tested in each run: one row for each unit that was mounted in a run or that the run names, as one of a file
+-- without a list of units; joined by `using (run, unit)` to samples, steps and estimates. Of several mountings the last
+-- one counts; all are in `events`.
 create or replace view units as
 with mounted as (
   select run, unit, site, station, t_ns, uid, document,
@@ -7,12 +8,18 @@ with mounted as (
   from internal.lake_documents where kind = 'UnitMounted'
   qualify row_number() over (partition by run, unit order by t_ns desc, arrival_ns desc, uid desc) = 1
 ), started as (
-  select run,
+  select run, site, station, t_ns, uid, document,
     document->>'$.lot' as lot,
     document->>'$.operator' as operator,
     coalesce((document->>'$.date_known')::boolean, true) as date_known
   from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
+), listed as (
+  select * from mounted
+  union all
+  select s.run, s.unit, s.site, s.station, s.t_ns, s.uid, null, 0
+  from (select *, unnest(from_json(document->'$.units', '["varchar"]')) as unit from started) s
+  anti join mounted using (run, unit)
 )
 select
   m.unit, m.run,
@@ -28,4 +35,4 @@ select
   case when coalesce(s.date_known, true) then make_timestamp_ns(m.t_ns) end as mounted,
   m.mountings,
   m.site, m.station, m.t_ns, m.uid
-from mounted m left join started s using (run);
+from listed m left join started s using (run);

@@ -23,7 +23,8 @@ with listed as ({_RUN}), seen as (select coalesce(recorded_ns, 0) as before from
 select listed.* from listed
 where ($after = '' or (-coalesce(recorded_ns, 0), run) > (select row(-before, $after) from seen))
   and ($station = '' or station = $station) and ($procedure = '' or "procedure" = $procedure)
-  and ($outcome = '' or outcome = $outcome) and ($lot = '' or lot = $lot)
+  and ($outcome = '' or outcome = $outcome)
+  and ($lot = '' or lot = $lot or run in (select run from internal.served_units where lot = $lot))
   and contains(lower(run), lower($search))
 order by coalesce(recorded_ns, 0) desc, run limit $rows
 """  # noqa: S608  our own statement

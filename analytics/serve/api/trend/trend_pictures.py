@@ -1,13 +1,14 @@
 """Pictures of trends: all values over time, the control charts, yield by group, what units fail by."""
 
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
 from analytics.plots.picture import Axis, Curve, Label, Mark, Picture, Style
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.trend import trends
+from stream.errors import NotFound
 
 if TYPE_CHECKING:
     from analytics.trends.series import MetricSeries
@@ -20,7 +21,7 @@ _TIME = Axis(label=Label("time (UTC)", "时间（UTC）"), scale="time")
 class ChartAsked(trends.TrendAsked, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """As for the trend, and which of its charts, from 0 on."""
 
-    chart: int = 0
+    chart: Annotated[int, msgspec.Meta(ge=0)] = 0
 
 
 @get("/api/trends/values", table="", is_slow=True)
@@ -71,9 +72,10 @@ def trend_chart(call: Call, asked: ChartAsked) -> Picture:
     plain = {name: value for name, value in msgspec.structs.asdict(asked).items() if name != "chart"}
     found = trends.trend(call, trends.TrendAsked(**plain))
     title = _title(found, asked.metric)
-    if asked.chart not in range(len(found["charts"])):
-        why = Label.same(found["reason"] or f"there are {len(found['charts'])} charts, from 0 on")
-        return Picture(title=title, x=_TIME, y=Axis(label=title), reason=why)
+    if found["reason"]:
+        return Picture(title=title, x=_TIME, y=Axis(label=title), reason=Label.same(found["reason"]))
+    if asked.chart >= len(found["charts"]):
+        raise NotFound(f"there is no chart {asked.chart}: there are {len(found['charts'])}, from 0 on")
     chart = found["charts"][asked.chart]
     return chart_picture(chart, found, title)
 

@@ -1,5 +1,6 @@
 """Trends of metrics, yield, and what units fail by."""
 
+from datetime import date
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
@@ -28,6 +29,10 @@ with each_limit as (
   from ({_IN_GROUP}) group by unit, signal, metric, subject, standard, specification
 ), in_group as (
   select unit, unit_verdict(min(rank), count(specification)) as verdict from each_limit group by unit
+  union all
+  select distinct unit, 'NO_DATA' from unit_runs anti join verdicts using (unit)
+  where ($lot = '' or lot = $lot) and ($station = '' or station = $station) and ($fixture = '' or fixture = $fixture)
+    and ($day = '' or day::varchar = $day) and $metric = ''
 )
 select u.* replace (case when $is_group then g.verdict else u.verdict end as verdict)
 from unit_verdicts u left join in_group g using (unit)
@@ -56,6 +61,7 @@ where c.failed > 0
 window worst as (order by c.failed desc, c.marginal desc, c.metric, c.subject rows unbounded preceding)
 order by place
 """  # noqa: S608  our own statement
+AnyVerdict = Literal["", "PASS", "FAIL", "MARGINAL", "NO_DATA"]
 _GROUPS = ("lot", "station", "fixture", "day", "metric")
 
 
@@ -116,7 +122,7 @@ class Yield(msgspec.Struct, frozen=True, kw_only=True):
 class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which units: those measured in a group or against limits of a `metric`, judged by what was measured there."""
 
-    verdict: Name = ""
+    verdict: AnyVerdict = ""
     product: Name = ""
     lot: Name = ""
     station: Name = ""
@@ -197,13 +203,25 @@ def list_yield(call: Call, asked: YieldAsked) -> Yield:
     """Yield by lot, station, fixture or day, and the characteristics that units fail by, of all or of one group."""
     from analytics.specifications.verdicts import yield_by
 
+    groups = yield_by(call.metrics, asked.by)
+    if asked.name and asked.name not in (names := [row["name"] for row in groups]):
+        raise NotFound(f"no {asked.by} is named {asked.name!r}; there are {', '.join(map(str, names[:20])) or 'none'}")
     pareto = dictionaries(call.metrics, _PARETO, dict.fromkeys(_GROUPS, "") | ({asked.by: asked.name}))
-    return Yield(by=asked.by, name=asked.name, groups=yield_by(call.metrics, asked.by), pareto=pareto)
+    return Yield(by=asked.by, name=asked.name, groups=groups, pareto=pareto)
 
 
 @get("/api/verdicts", table="units", is_slow=True)
 def list_verdicts(call: Call, asked: VerdictsAsked) -> UnitVerdicts:
     """Units by name with their verdict by the specifications, and what they fail by."""
+    if asked.day:
+        try:
+            date.fromisoformat(asked.day)
+        except ValueError:
+            raise BadInput(f"day {asked.day!r} is not like 2026-03-29") from None
+    if asked.metric:
+        from analytics.metric_registry.registry import check_metrics
+
+        check_metrics((asked.metric,))
     given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
     del given["limit"]
     given["is_group"] = any(given[name] for name in _GROUPS)

@@ -1,6 +1,6 @@
 """Units: all of them by name, and one with its runs, metrics, verdicts and error models."""
 
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -57,7 +57,7 @@ class UnitsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
     product: Name = ""
     lot: Name = ""
     station: Name = ""
-    verdict: Name = ""
+    verdict: Literal["", "PASS", "FAIL", "MARGINAL", "NO_DATA", "ABORTED"] = ""
     instruments: bool = False  # what delivers samples in runs that do not name it as a unit, such as a chamber, as well
 
 
