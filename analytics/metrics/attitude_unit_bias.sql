@@ -10,8 +10,8 @@
 -- needs:     procedure attitude_unit_bias: the axis level to the east and west, each turned over; or _bias_many: equal angles
 -- limits:    t
 -- equation:  B = (N1 + N2 + N3 + N4)/(4 T); of n equally spaced positions their mean
--- influence: rate: per_ppm(value)
--- influence: clock: per_ppm(value)
+-- influence: rate: per_ppm(value + coalesce((parameters->>'$.vertical_rate_deg_per_h')::double, 0))
+-- influence: clock: per_ppm(value + coalesce((parameters->>'$.vertical_rate_deg_per_h')::double, 0))
 -- influence: levelling: earth_rate_per_arcsec() * abs(sin(radians(latitude_deg))) * level_rate_is_known(parameters)
 -- python:    analytics.metrics.attitude_unit_bias:compute
 -- of:        internal.attitude_bias_steps

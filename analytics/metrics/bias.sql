@@ -9,12 +9,13 @@
 -- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    t
 -- equation:  B0 = mean(F)/K
--- influence: rate: per_ppm(value)
--- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: rate: per_ppm(raw_deg_per_h)
+-- influence: voltage: per_ppm_of_voltage(raw_deg_per_h, volt)
 -- influence: voltage_offset: coalesce(abs(deg_per_h) / volt, 0)
 -- influence: levelling: levelling_deg_per_h(parameters->>'$.position', latitude_deg, signal)
 -- influence: heading: heading_deg_per_h(parameters->>'$.position', latitude_deg, signal)
 -- influence: latitude: if(parameters->>'$.earth_rate' = 'removed', latitude_deg_per_h(parameters->>'$.position', latitude_deg, signal), 0)
+-- An error of K acts on F/K as a whole, also where the Earth's rate is removed from it afterwards.
 -- The Earth's rate is removed where the position says how it enters; both the raw and the corrected value are reported.
 -- The interval is value -+ t(freedom) u with u = sd/sqrt(n_effective): where flicker or random walk leaves few degrees of
 -- freedom, t is larger than 1.96 and the interval wider than n_effective alone suggests.
@@ -44,5 +45,5 @@ select
   case when regexp_matches(position, '^IRA_(east|west|east_west)$') then '5.12.1 (19)'
     when is_attitude_known and side_in(position) is not null then '7.2.13 (27)(28)' end as clause,
   missing as reason,
-  deg_per_h
+  deg_per_h, mean_deg_per_h as raw_deg_per_h
 from judged

@@ -9,8 +9,8 @@
 -- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
 -- limits:    given
 -- equation:  (mean(+1 g) - mean(-1 g))/(2 g); of the unit the largest in magnitude
--- influence: rate: per_ppm(value)
--- influence: voltage: per_ppm_of_voltage(value, volt)
+-- influence: rate: per_ppm(raw_difference)
+-- influence: voltage: per_ppm_of_voltage(raw_difference, volt)
 -- influence: levelling: earth_rate_per_arcsec() * sqrt(0.5)
 -- influence: heading: if(earth_pointing(parameters->>'$.axis' || '_up', signal) = 'vertical', 0, earth_rate_per_arcsec() * cos(radians(latitude_deg)) * sqrt(0.5))
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
@@ -23,7 +23,9 @@ with shown as (
 ), counted as (
   select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent from shown
 )
-select unit, signal, run, half as difference, u, freedom, true as is_signed,
+-- An error of K acts on the differences before the Earth's rate is removed from them.
+select unit, signal, run, half as difference, max(abs(raw)) over (tested
+    order by axis rows between unbounded preceding and unbounded following) as raw_difference, u, freedom, true as is_signed,
   {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat, shown: shown, earth_rate: earth_rate}
     as test,
   {axis_of_largest: axis} as of_largest,

@@ -108,7 +108,11 @@ class LimitReport:
                 self._report(f"unit {document.unit}: early {document.outcome}, {limit}: {document.reason}")
         elif isinstance(document, VerdictGiven):
             self.verdicts[document.unit] = document.verdict.value
-            worst = [format_limit(each.limit) for each in document.checks if each.verdict is document.verdict]
+            worst = [
+                ": ".join(filter(None, (format_limit(each.limit), each.reason)))
+                for each in document.checks
+                if each.verdict is document.verdict
+            ]
             why = f" ({'; '.join(worst)})" if document.verdict is not Verdict.PASS and worst else ""
             self._report(f"unit {document.unit}: {document.verdict} by the live limits{why}")
 

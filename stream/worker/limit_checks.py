@@ -135,6 +135,16 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     return Check(limit=limit, verdict=verdict, value=value, lo=lo, hi=hi, reason=reason)
 
 
+def _of_whole_record(check: Check, own: Sequence[EstimatePublished], planned_s: float) -> Check:
+    """MARGINAL instead of a PASS by a record that lacks much of its planned length: its source fell silent."""
+    lengths = [each.samples * each.sample_interval_s for each in own if each.signal == check.limit.signal]
+    recorded_s = max(lengths, default=0.0)
+    if check.verdict is not Verdict.PASS or recorded_s >= WHOLE_RECORD * planned_s:
+        return check
+    reason = f"samples of {duration(recorded_s)} of {duration(planned_s)}: a PASS needs the whole record"
+    return msgspec.structs.replace(check, verdict=Verdict.MARGINAL, reason=reason)
+
+
 def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
     """Worst of a unit's checks, NO_DATA without any; ABORTED for an aborted run, whose samples may be disturbed."""
     if aborted:
@@ -175,6 +185,8 @@ def unit_verdicts(
         if limits.limits:
             own = [each for each in final if each.unit == unit]
             checks = tuple(judge(limit, own) for limit in limits.limits)
+            if unit not in released and limits.planned_s is not None:
+                checks = tuple(_of_whole_record(check, own, limits.planned_s) for check in checks)
             if (gone := released.get(unit)) is not None:
                 checks = tuple(
                     decided_early(check, decision, gone) if (decision := decisions.get((unit, check.limit))) else check

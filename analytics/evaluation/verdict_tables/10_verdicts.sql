@@ -13,20 +13,35 @@ left join (select unit, arg_max(product, t_start_ns) as product from unit_runs w
   on p.unit = u.unit
 qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_start_ns desc, u.run) = 1;
 
--- Every unit that was tested or checked, with the moment and place that decide what is asked of it: those of its last
--- run; without a run, those of the last check that was entered.
+-- Every unit that was tested, mounted or checked, with the moment and place that decide what is asked of it: those of its
+-- last run with a completed step; without one, those of its last run, else of the last check that was entered. `lack`
+-- says why such a run has no values.
 create or replace table internal.judged_units as
 with entered as (
   select unit, max(t_ns) as t_ns, min(arrival_ns) as recorded_ns
   from internal.lake_documents where kind = 'CheckEntered' group by unit
+), idle as (                            -- runs without a completed record of a unit that they name
+  select u.unit, u.run, u.product, u.lot, u.station, u.fixture, u.mounted is not null as date_known, u.t_ns,
+    cast(make_timestamp_ns(u.t_ns) as date) as day,
+    if(c.unit is null, 'no sample of it came', 'no step of its runs was completed') as lack
+  from units u
+  left join (select distinct unit, run from internal.lake_channels) c using (unit, run)
+  anti join internal.unit_last_run l on l.unit = u.unit
+  where u.mountings > 0
+  qualify row_number() over (partition by u.unit order by date_known desc, u.t_ns desc, u.run) = 1
 ), mounted as (
   select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot from units group by unit
 )
-select unit, run, product, lot, station, fixture, day, date_known, t_start_ns as t_ns, null::bigint as recorded_ns
+select unit, run, product, lot, station, fixture, day, date_known, t_start_ns as t_ns, null::bigint as recorded_ns,
+  null::varchar as lack
 from internal.unit_last_run
 union all
-select e.unit, '', m.product, m.lot, null, null, cast(make_timestamp_ns(e.t_ns) as date), true, e.t_ns, e.recorded_ns
-from entered e left join mounted m using (unit) anti join internal.unit_last_run l on l.unit = e.unit;
+select unit, run, product, lot, station, fixture, day, date_known, t_ns, null, lack from idle
+union all
+select e.unit, '', m.product, m.lot, null, null, cast(make_timestamp_ns(e.t_ns) as date), true, e.t_ns, e.recorded_ns,
+  null
+from entered e left join mounted m using (unit) anti join internal.unit_last_run l on l.unit = e.unit
+anti join idle i on i.unit = e.unit;
 
 -- At which moment it is looked up what was known of the specifications: when the run was recorded, so that what is
 -- entered later changes no verdict; where no limit applied by what was known then, the first moment after it when one
@@ -37,7 +52,7 @@ with placed as (
     null::bigint as recorded_ns
   from unit_runs u join internal.unit_last_run l on l.unit = u.unit
   union all
-  select unit, run, product, date_known, t_ns, recorded_ns from internal.judged_units where run = ''
+  select unit, run, product, date_known, t_ns, recorded_ns from internal.judged_units where run = '' or lack is not null
 ), recorded as (
   select unit, run, min(arrival_first_ns) as recorded_ns from internal.lake_channels group by unit, run
 ), moment as (
@@ -139,6 +154,9 @@ group by d.unit, d.run, d.signal, metric, d.tau_s, d.upper, d.unit_of_measure;
 create or replace table verdicts as
 with candidate as materialized (
   select * from internal.limit_candidates
+), lacking_samples as (                 -- records that lack more than a tenth of their samples
+  select run, unit, signal, list("index") as lacking_steps, arg_min(n, n / expected) as n, arg_min(expected, n / expected) as expected
+  from step_means where n < 0.9 * expected and lacks_samples(n, expected) group by run, unit, signal
 ), converted as (                       -- in the unit of the limit
   select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi,
     c."U" * abs(f.factor) as v_u_expanded, coalesce(c."U" / c.k, c.standard_uncertainty) * abs(f.factor) as v_u,
@@ -146,11 +164,16 @@ with candidate as materialized (
   from candidate c
   left join internal.result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
   where c.is_valid
+), widened as (                         -- the 95 % interval, as wide as U where that is known and wider
+  select * replace (
+    case when decision_rule = 'interval' and v_lo is not null then least(v_lo, v - v_u_expanded) else v_lo end as v_lo,
+    case when decision_rule = 'interval' and v_hi is not null then greatest(v_hi, v + v_u_expanded) else v_hi end as v_hi)
+  from converted
 ), guarded as (                         -- width of the guard band of JCGM 106 8.3, towards the inside
   select *,
     case decision_rule when 'guarded_acceptance' then guard_factor * v_u_expanded
       when 'guarded_rejection' then -guard_factor * v_u_expanded else 0.0 end as guard
-  from converted
+  from widened
 ), by_value as (
   select *,
     case
@@ -171,8 +194,9 @@ with candidate as materialized (
     case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of
   from guarded
 ), judged as (                          -- an early decision stands, unless the value says the opposite
-  select b.*, d.reason as early_reason, d.outcome as early,
+  select b.*, d.reason as early_reason, d.outcome as early, l.n as samples, l.expected,
     case
+      when d.outcome is null and by_value = 'PASS' and l.n is not null then 'MARGINAL'
       when d.outcome is null then by_value
       when d.outcome = 'PASS' and by_value = 'FAIL' or d.outcome = 'FAIL' and by_value = 'PASS' then 'MARGINAL'
       else d.outcome
@@ -184,6 +208,8 @@ with candidate as materialized (
       where f.source = b.limit_unit and f.target = d.unit_of_measure), 1)) <= 1e-9 * d.upper
     and (d.metric = 'angle_random_walk'
       or abs(d.tau_s - coalesce((b.parameters->>'$.average_s')::double, (b.parameters->>'$.tau_s')::double)) <= 1e-6 * d.tau_s)
+  left join lacking_samples l on l.run = b.run and l.unit = b.unit and l.signal = b.signal
+    and list_has_any(l.lacking_steps, b.steps)
 ), of_values as (
   select unit, signal, run, metric, subject, verdict, v as value, v_lo as lo, v_hi as hi, lower, upper,
     limit_unit as unit_of_measure, decision_rule, conformity, conformity_of, v_u as standard_uncertainty,
@@ -198,6 +224,8 @@ with candidate as materialized (
       when by_value = 'NO_DATA' then 'no U, which the rule ' || decision_rule || ' needs: ' || coalesce(uncertainty_reason, '')
       when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then format('U = {:.3g} is more than the {:.3g} up to '
         || 'which risks are shared: measure with a smaller one', v_u_expanded, "largest_U")
+      when by_value = 'PASS' and verdict = 'MARGINAL'
+        then samples || ' of ' || expected || ' samples of its record are there: a PASS needs nine tenths'
       when decision_rule <> 'interval' then null
       when verdict = 'MARGINAL' and (v_lo is null or v_hi is null)
         then 'the value has no interval, which the rule needs; simple_acceptance judges by the value alone'
@@ -221,7 +249,7 @@ with candidate as materialized (
   group by row, unit, signal, run, metric, specification
   having not bool_or(is_valid)
 ), in_force as (                        -- the limits that held when a unit was last tested or checked, of any product
-  select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns,
+  select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns, u.lack,
     s.* exclude (product), s.signal as limit_signal, s.product as limit_product
   from internal.judged_units u join internal.run_known k on k.unit = u.unit and k.run = u.run
   join internal.limit_editions s on k.known_ns >= s.known_from_ns and k.known_ns < s.known_until_ns
@@ -243,7 +271,8 @@ with candidate as materialized (
   select a.unit, a.limit_signal as signal, null::varchar as run, a.metric, a.subject, 'NO_DATA' as verdict,
     null::double as value, null::double as lo, null::double as hi, a.lower, a.upper, a.unit_of_measure, a.parameters,
     []::varchar[] as runs, coalesce(a.standard, n.standard) as standard, n.clause, a.specification, a.revision,
-    case when h.unit is null then 'not measured: it needs ' || n.needs
+    case when a.lack is not null then a.lack
+      when h.unit is null then 'not measured: it needs ' || n.needs
       else 'values of ' || a.metric || ' are there, but none of ' || a.subject end as reason,
     a.product, a.lot, a.station, a.fixture, a.day, a.t_ns
   from asked a

@@ -17,7 +17,9 @@ with judged as materialized (
   select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict
   from each_limit group by kind, name, unit
 ), unlimited as (
-  select * from unit_runs anti join judged using (unit)
+  select unit, lot, station, fixture, day from unit_runs anti join judged using (unit)
+  union all
+  select unit, lot, station, fixture, day from internal.judged_units anti join judged using (unit) where lack is not null
 ), every_unit as (
   from each_unit
   union all select distinct 'lot', lot, unit, 'NO_DATA' from unlimited

@@ -1,16 +1,15 @@
 -- Static steps that are records of a bias: of the procedures for it, and of others (files bring names of their own, or
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
--- `remark` flags what is shorter than the clauses ask for, counted without gaps as far as whole averages tell, what
--- stands still, and an attitude that does not say which axis it means.
+-- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, what stands still, and an attitude that does not say which axis it means.
 create or replace view internal.bias_steps as
 with counted as (
   select *,
     count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure")
       as temperatures,
-    greatest(n_1s, 10 * n_10s, 100 * n_100s) as averaged_s
+    case when lacks_samples(n, expected) then n / expected else 1.0 end as covered
   from internal.still_steps
 ), covered as (
-  select *, if(averaged_s > 0 and averaged_s < 0.9 * duration_s, averaged_s, duration_s) as covered_s from counted
+  select *, duration_s * covered as covered_s from counted
 )
 select *,
   case
@@ -25,8 +24,8 @@ select *,
       || 'was frozen, or its resolution is too coarse to show noise' end,
     case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
-    case when covered_s < duration_s then 'samples in about ' || round(covered_s)::bigint || ' s of '
-      || round(duration_s)::bigint || ' s' end,
+    case when covered < 1 then n || ' of ' || expected || ' samples are there, as of '
+      || round(covered_s)::bigint || ' s of ' || round(duration_s)::bigint || ' s' end,
     case when covered_s < 3590 then
       'record of ' || round(covered_s)::bigint || ' s: the clauses ask for one hour as a rule' end), '') as remark
 from covered

@@ -48,10 +48,10 @@ with flip as (
   window test as (partition by run, unit, signal, "procedure", repeat
     order by axis rows between unbounded preceding and unbounded following)
 )
-select run, unit, signal, "procedure", repeat, axis, axes, level, half, u, freedom, n, steps, scale_source, lack,
-  'none' as earth_rate
+select run, unit, signal, "procedure", repeat, axis, axes, level, half, half as raw, u, freedom, n, steps, scale_source,
+  lack, 'none' as earth_rate
 from whole
 union all
-select run, unit, signal, "procedure", repeat, axis, axes, level, half - coalesce(earth, 0), u, freedom, n, steps,
-  scale_source, lack, 'removed'
+select run, unit, signal, "procedure", repeat, axis, axes, level, half - coalesce(earth, 0), half, u, freedom, n,
+  steps, scale_source, lack, 'removed'
 from whole where len(level) < len(axes) or level is null;
