@@ -5,7 +5,9 @@ import ssl
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from email.message import EmailMessage
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+import msgspec
 
 from analytics.alerts.patience import Patience
 from analytics.alerts.targets import Message, NotSent, Target, clean, one_line, reason, secret, short
@@ -20,7 +22,7 @@ class EmailTarget(Target, frozen=True, kw_only=True):
     host: str
     sender: str
     to: tuple[str, ...]
-    port: int = 25
+    port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 25
     security: str = "none"  # none, starttls or tls
     user: str = ""
     password_env: str = ""

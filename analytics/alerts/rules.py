@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any
+from typing import Annotated, Any
 from zoneinfo import ZoneInfo
 
 import msgspec
@@ -136,8 +136,8 @@ class _RuleTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     to: tuple[str, ...]
     condition: None = None
     severity: str = WARNING
-    after_s: float = 0.0
-    clear_after_s: float = 60.0
+    after_s: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    clear_after_s: Annotated[float, msgspec.Meta(ge=0.0)] = 60.0
     units: str = "*"
 
 

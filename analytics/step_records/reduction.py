@@ -30,7 +30,8 @@ _AVERAGES = {
 }
 COLUMNS = pa.schema({
     "run": _TEXT, "unit": _TEXT, "signal": _TEXT, "t_from_ns": _WHOLE, "t_to_ns": _WHOLE, "unit_of_measure": _TEXT,
-    "n": _WHOLE, "expected": _WHOLE, "mean": _REAL, "sd": _REAL, "sd_freedom": _REAL, "standard_uncertainty": _REAL, "freedom": _REAL,
+    "n": _WHOLE, "expected": _WHOLE,
+    "mean": _REAL, "sd": _REAL, "sd_freedom": _REAL, "standard_uncertainty": _REAL, "freedom": _REAL,
     "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, "still": _REAL, **_AVERAGES, "reason": _TEXT,
 })  # fmt: skip
 

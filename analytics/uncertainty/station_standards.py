@@ -54,7 +54,10 @@ class StationStandards:
         self.day = None if t_ns is None else _day(t_ns, time_zone)
 
     def quantity(self, name: str) -> StatedQuantity:
-        """What is stated of a quantity; of several standards the largest, and none that is out of date."""
+        """What is stated of a quantity; of several standards the largest, unknown if any of them is out of date.
+
+        The station does not say which of them was read.
+        """
         expired = ""
         found: list[StatedQuantity] = []
         for standard in self.entries:
@@ -70,7 +73,9 @@ class StationStandards:
                                 float(entry["u"]), math.inf if freedom is None else freedom, "", entry, _named(standard)
                             )
                         )
-        if found:
+        if found and expired:
+            expired += "; another standard of the station states it too: take out what was not used"
+        if found and not expired:
             return max(found, key=lambda each: each.u)
         return StatedQuantity(math.nan, math.inf, expired or NOT_STATED)
 

@@ -38,11 +38,12 @@ def control(run: str, action: str, reason: str, by: str | None, folder: Path, *,
     store = Store.open(folder)
     ended_as: str | None = None
     if not is_at_work(store.folder, run):
-        with Catalog(store) as catalog:
-            found = catalog.rows("select outcome from runs where run = $run", {"run": run})
-        if not found:
+        with Catalog(store, live=True) as catalog:
+            found = catalog.user_reader("select outcome from runs where run = $run", {"run": run}).read_all()
+        if not found.num_rows:
             raise NotFound(f"run {run!r} is not in {folder}; `gyrofleet status` has the runs that are at work")
-        ended_as = None if found[0][0] == "open" else str(found[0][0])
+        outcome = str(found["outcome"][0].as_py())
+        ended_as = None if outcome == "open" else outcome
     given = give_command(store, run, RunAction(action), by=acting(by).name, reason=reason.strip(), ended_as=ended_as)
     answer = given.answer
     is_obeyed = answer.outcome in {CommandOutcome.ACCEPTED, CommandOutcome.DONE}

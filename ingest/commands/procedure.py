@@ -99,6 +99,7 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
     from ingest.procedures.file import near_name
     from ingest.procedures.plan import SETTINGS
     from ingest.procedures.procedure import load_procedure
+    from ingest.station.bench import check_limits
     from ingest.station.station import load_station
 
     found = load_procedure(name)
@@ -112,7 +113,10 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
             raise BadInput(f"--settings: {unknown[0]!r} is no setting{near}; there is {', '.join(SETTINGS)}")
         unmet = found.unmet(able, given)
     if station is not None:
-        unmet = found.unmet(load_station(station).settings, given)
+        there = load_station(station)
+        unmet = found.unmet(there.settings, given)
+        if not unmet:
+            check_limits(there, there.make_instruments(there.make_clock()), found, given)
     if unmet:
         raise BadInput(f"procedure {found.name} cannot be done at this station: {'; '.join(unmet)}")
     needed = found.requirements(given)

@@ -1,6 +1,9 @@
 """A chamber is away from the temperature that the step commands."""
 
 from collections.abc import Iterator
+from typing import Annotated
+
+import msgspec
 
 from analytics.alerts.finding import AlertView, Condition, Finding
 from analytics.loop.bilingual import Bilingual
@@ -15,7 +18,7 @@ class OffSetPointCondition(Condition, frozen=True, kw_only=True, tag="off_set_po
     """
 
     signal: str = "chamber_temperature"
-    within_deg_c: float = 3.0
+    within_deg_c: Annotated[float, msgspec.Meta(gt=0.0)] = 3.0
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Instruments that are off now."""

@@ -1,9 +1,13 @@
 """A role of the system is paused, has failed, was killed, is silent or lags, or the disk runs full."""
 
 from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import msgspec
 
 from analytics.alerts.finding import AlertView, Condition, Finding
 from analytics.loop.bilingual import Bilingual
+from stream.status.role_status import Role
 
 _ZH = {"paused": "已暂停", "failed": "已失败", "killed": "已被终止", "silent": "无响应"}
 
@@ -11,8 +15,10 @@ _ZH = {"paused": "已暂停", "failed": "已失败", "killed": "已被终止", "
 class RoleCondition(Condition, frozen=True, kw_only=True, tag="role"):
     """A recorder, estimator, builder of the lake or run is in one of `conditions`."""
 
-    roles: tuple[str, ...] = ("record", "estimate", "lake", "run")
-    conditions: tuple[str, ...] = ("paused", "failed", "killed", "silent")
+    roles: tuple[Role, ...] = (Role.RECORD, Role.ESTIMATE, Role.LAKE, Role.RUN)
+    conditions: tuple[Literal["paused", "failed", "killed", "silent", "ended"], ...] = (
+        "paused", "failed", "killed", "silent"
+    )  # fmt: skip
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Roles in trouble now."""
@@ -28,8 +34,8 @@ class RoleCondition(Condition, frozen=True, kw_only=True, tag="role"):
 class DiskCondition(Condition, frozen=True, kw_only=True, tag="disk"):
     """Less than `free_gb` gigabytes, or less than `free_percent` of the store's disk, are free."""
 
-    free_gb: float = 10.0
-    free_percent: float = 5.0
+    free_gb: Annotated[float, msgspec.Meta(ge=0.0)] = 10.0
+    free_percent: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 5.0
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """The disk, if it runs full."""

@@ -1,6 +1,9 @@
 """A unit of a run at work delivers nothing."""
 
 from collections.abc import Iterator
+from typing import Annotated
+
+import msgspec
 
 from analytics.alerts.finding import AlertView, Condition, Finding
 from analytics.floor import UnitNow
@@ -10,7 +13,7 @@ from analytics.loop.bilingual import Bilingual
 class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent"):
     """No sample of a unit was recorded for `silent_s` seconds while its run goes on."""
 
-    silent_s: float = 60.0
+    silent_s: Annotated[float, msgspec.Meta(gt=0.0)] = 60.0
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Units that are silent now."""
@@ -21,13 +24,21 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
                 began_ns = max(view.now_ns - round(role.works_s * 1e9), view.began_ns)
                 run, units = role.status.run.run, role.status.run.units
                 last |= {(run, unit): began_ns for unit in units if _is_awaited(view.units.get(unit), run)}
+        # what falls silent all at once has a common cause
+        newest_s = (view.now_ns - max(last.values(), default=0)) / 1e9
+        is_all = len(last) > 1 and newest_s > 0.8 * self.silent_s
         for (run, name), arrived_ns in last.items():
             silent_s = (view.now_ns - arrived_ns) / 1e9
             if silent_s > self.silent_s:
+                en, zh = f"nothing of unit {name} was recorded for {silent_s:,.0f} s in run {run}", f"{silent_s:,.0f}秒"
                 text = Bilingual(
-                    f"unit {name} has delivered nothing for {silent_s:,.0f} s in run {run}; check its power and wiring",
-                    f"产品{name}在试验{run}中已{silent_s:,.0f}秒无数据；请检查供电与接线",
+                    f"{en}; check its power and wiring", f"产品{name}在试验{run}中已{zh}无记录；请检查供电与接线"
                 )
+                if is_all:
+                    text = Bilingual(
+                        f"{en}, nor of any other unit; see that recorder, bus and station are at work",
+                        f"产品{name}在试验{run}中已{zh}无记录，其他产品亦无；请检查记录程序、总线与试验台",
+                    )
                 yield Finding(f"{run}/{name}", name, text, unit=name)
 
 

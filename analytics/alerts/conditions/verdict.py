@@ -1,17 +1,18 @@
 """A unit has a verdict by its live limits, at the end of its run or early."""
 
 from collections.abc import Iterator
+from typing import Literal
 
 from analytics.alerts.finding import AlertView, Condition, Finding
 from analytics.loop.bilingual import Bilingual
 from storage.specifications.live_limits import format_limit
-from stream.events import EarlyDecision, VerdictGiven
+from stream.events import EarlyDecision, Verdict, VerdictGiven
 
 
 class VerdictCondition(Condition, frozen=True, kw_only=True, tag="verdict"):
     """A unit is given one of `verdicts` at the end of its run."""
 
-    verdicts: tuple[str, ...] = ("FAIL",)
+    verdicts: tuple[Verdict, ...] = (Verdict.FAIL,)
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Verdicts that were given since the last look."""
@@ -29,12 +30,13 @@ class VerdictCondition(Condition, frozen=True, kw_only=True, tag="verdict"):
 class EarlyDecisionCondition(Condition, frozen=True, kw_only=True, tag="early_decision"):
     """A limit of a unit is decided before the end of its record, as one of `outcomes`."""
 
-    outcomes: tuple[str, ...] = ("FAIL",)
+    outcomes: tuple[Literal["PASS", "FAIL"], ...] = ("FAIL",)
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Limits decided since the last look, each once a run."""
         for document in view.documents:
-            if isinstance(document, EarlyDecision) and document.outcome in self.outcomes:
+            is_early = isinstance(document, EarlyDecision) and document.looked_at_fraction < 1.0
+            if isinstance(document, EarlyDecision) and is_early and document.outcome in self.outcomes:
                 limit = format_limit(document.limit)
                 text = Bilingual(
                     f"unit {document.unit}: early {document.outcome} in run {document.run}, {limit}: {document.reason}",

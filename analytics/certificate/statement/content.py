@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from analytics.certificate.statement.departures import compensation_of, departures, not_stated
+from analytics.certificate.statement.departures import compensation_of, departures, not_stated, states_any
 from analytics.certificate.statement.evidence import Evidence, Span
 from analytics.certificate.statement.order import Order, Text
 from analytics.certificate.statement.references import Reference
@@ -146,11 +146,15 @@ def _dates(facts: Facts) -> _Filled:
     if days is None:
         return lines, [Words("the date of a run is not known; import it with --start", "试验日期未知")]
     first, last = days
+    missing = []
+    if received is not None and received > first:
+        en = f"it was received on {received}, after the first run of {first}: correct the date"
+        missing.append(Words(en, f"接收日期 {received} 晚于首次试验 {first}：请更正"))
     text = first.isoformat() if first == last else f"{first} - {last}"
     lines.append(Line(Words("Calibrated", "校准日期"), Words(text, text)))
     lines.append(_dated("Issued", "签发日期", facts.issued))
     lines.append(_dated("Recommended next calibration", "建议复校日期", later(last, facts.order.valid_months)))
-    return lines, []
+    return lines, missing
 
 
 def _received_and_dates(facts: Facts) -> _Filled:
@@ -192,7 +196,7 @@ def _environment(facts: Facts) -> _Filled:
             missing.append(Words(f"{en.lower()} is neither recorded nor given", f"{zh}未记录也未给出"))
             continue
         lines.append(Line(Words(en, zh), _spanned(span, symbol, is_recorded=recorded is not None)))
-        if not wanted[0] <= span[0] <= span[1] <= wanted[1] and not Words.of(facts.order.deviations):
+        if not wanted[0] <= span[0] <= span[1] <= wanted[1] and not states_any(facts.order.deviations):
             between = f"{wanted[0]:g} - {wanted[1]:g} {symbol}"
             missing.append(
                 Words(f"{en.lower()} was outside {between}: state the deviation", f"{zh}超出 {between}：须说明偏离")

@@ -20,15 +20,23 @@ def departures(rows: Sequence[ResultRow]) -> list[Words]:
     return list(found.values())
 
 
+def states_any(stated: Text) -> bool:
+    """Whether an order states a deviation; "none" states none.
+
+    >>> states_any("none"), states_any("无。"), states_any(""), states_any("records of 60 s")
+    (False, False, False, True)
+    """
+    words = Words.of(stated)
+    return bool(words) and words.en.strip().lower().rstrip(".。") not in _NONE
+
+
 def not_stated(stated: Text, found: Sequence[Words]) -> list[Words]:
     """What is missing in an order that does not state the departures that were found.
 
     >>> [each.en for each in not_stated("none", [Words("records of 60 s", "60 s")])]
     ['the order states no deviation, and the records depart from the clause: state it (records of 60 s)']
     """
-    words = Words.of(stated)
-    is_none = not words or words.en.strip().lower().rstrip(".。") in _NONE
-    if not (found and is_none):
+    if not found or states_any(stated):
         return []
     en, zh = "; ".join(each.en for each in found), "；".join(each.zh for each in found)
     return [
