@@ -51,9 +51,9 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     unit: str
     U: float | None = None
-    k: float = 2.0
+    k: float | None = None  # by default 2
     half_width: float | None = None
-    distribution: Literal["uniform", "triangular", "u_shaped"] = "uniform"
+    distribution: Literal["uniform", "triangular", "u_shaped"] | None = None  # by default uniform
     freedom: float | None = None
 
     def entry(self, quantity: str) -> dict[str, Any]:
@@ -62,10 +62,12 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             near = difflib.get_close_matches(quantity, QUANTITIES, n=1)
             hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(QUANTITIES)}"
             raise BadInput(f"uncertainty.{quantity}: no such quantity; {hint}")
-        if (self.U is None) == (self.half_width is None):
+        mixed = self.distribution if self.half_width is None else self.k
+        if (self.U is None) == (self.half_width is None) or mixed is not None:
             raise BadInput(f"uncertainty.{quantity} has either U with k, or half_width with distribution")
         stated = self.U if self.U is not None else self.half_width
-        divisor = self.k if self.U is not None else _DIVISORS[self.distribution]
+        distribution = "normal" if self.U is not None else self.distribution or "uniform"
+        divisor = (2.0 if self.k is None else self.k) if self.U is not None else _DIVISORS[distribution]
         freedom = math.inf if self.freedom is None else self.freedom
         if stated is None or not (0 <= stated < math.inf and 0 < divisor < math.inf and freedom > 0):
             raise BadInput(f"uncertainty.{quantity}: U and half_width are from 0, k and freedom above 0")
@@ -76,7 +78,7 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             raise BadInput(f"uncertainty.{quantity}.unit: {error}; it is kept in {unit}") from error
         return {
             "quantity": quantity, "stated": stated * factor, "divisor": divisor, "u": stated * factor / divisor,
-            "unit": unit, "distribution": "normal" if self.U is not None else self.distribution,
+            "unit": unit, "distribution": distribution,
             "freedom": self.freedom,
         }  # fmt: skip
 

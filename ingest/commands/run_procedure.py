@@ -89,7 +89,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         is_ending = asked.is_ended or (known is not None and known.aborted_by is not None)
         is_over = phase not in {"starting", "running"} or (phase == "running" and is_ending)
         sources = None if is_over else StationSources(job.station, job.instruments, job.clock, job.serials)
-        found = _checked(stack, job, sources, destination, job.procedure.duration_s(asked.parameters))
+        found = _checked(stack, job, asked, sources, destination)
         t0_ns = job.clock.now_ns() if known is None else known.t0_ns
         limits = _limits(asked, job, sources, destination.folder, t0_ns)
         if asked.is_check:
@@ -219,15 +219,18 @@ def _carried_out(
 
 
 def _checked(
-    stack: ExitStack, job: _Job, sources: StationSources | None, destination: Destination, duration_s: float
+    stack: ExitStack, job: _Job, asked: ProcedureRun, sources: StationSources | None, destination: Destination
 ) -> Preflight:
     """Check whether a run can begin, where one is to; warnings are shown at once."""
     if sources is None:
         return Preflight({}, ())
+    duration_s = job.procedure.duration_s(asked.parameters)
     folders = [destination.spools] if destination.connect is not None else [destination.folder, destination.spools]
     found = preflight(
         stack, job.station, job.instruments, sources, folders=folders, now_ns=job.clock.now_ns(), duration_s=duration_s
     )
+    if (remark := sources.remark_on(asked.estimated)) is not None:
+        found = found._replace(warnings=(*found.warnings, f"warning: {remark}"))
     for warning in found.warnings:
         notes().print(warning, soft_wrap=True)
     return found

@@ -38,6 +38,9 @@ class Settling:
         return t_ns - self._since_ns >= self._stable_ns
 
 
+_ABSOLUTE_ZERO_DEG_C = -273.15
+
+
 class ScpiInstrument(Instrument):
     """An instrument behind a VISA resource; a subclass is mostly tables.
 
@@ -131,6 +134,11 @@ class ScpiInstrument(Instrument):
         if not text:
             raise InstrumentError(f"{self.who}: the query {query!r} is empty in the station file, and it is needed")
         value, answer = self.connection.number(text, self._patterns[query])
+        is_temperature = any(self.signals[name] == "degC" for name, asked in self.measured_by.items() if asked == query)
+        if is_temperature and value < _ABSOLUTE_ZERO_DEG_C:
+            raise InstrumentError(
+                f"{self.who}: asked {text!r} it answered {value:g} degC, which is below absolute zero; check its sensor"
+            )
         return Reading(query, answer.t_ns, value)
 
     def _text(self, name: str, value: float | None = None) -> str:

@@ -19,6 +19,7 @@ from ingest.station.station import Station
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 from stream.quantities import is_angular_rate
+from stream.worker.estimated_signals import EstimatedSignals
 
 
 class StationSources:
@@ -47,13 +48,25 @@ class StationSources:
         if taken := sorted(self._units & set(instruments)):
             raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
 
-    def rate_signals(self) -> dict[str, list[str]]:
-        """Angular rates that each unit delivers."""
-        found: dict[str, list[str]] = {unit: [] for unit in sorted(self._units)}
+    def remark_on(self, estimated: EstimatedSignals) -> str | None:
+        """What to say of signals that are to be estimated, and that nothing of the station delivers."""
+        known = {signal for _, signal, _ in self._delivered()}
+        known |= {signal for instrument in self._instruments.values() for signal in instrument.signals}
+        if not (strange := sorted(estimated.names - known)):
+            return None
+        return f"nothing delivers {', '.join(strange)}, which --estimates names; there is {', '.join(sorted(known))}"
+
+    def _delivered(self) -> list[tuple[str, str, str]]:
+        """Unit, name and unit of measure of the signals of units."""
         came = [signal for plan in self._plans.values() for signal in plan.signals]
         for name, line in self._lines.items():
             came += [(line.unit, field.signal, field.unit) for field in self._layouts[name].fields]
-        for unit, signal, unit_of_measure in came:
+        return came
+
+    def rate_signals(self) -> dict[str, list[str]]:
+        """Angular rates that each unit delivers."""
+        found: dict[str, list[str]] = {unit: [] for unit in sorted(self._units)}
+        for unit, signal, unit_of_measure in self._delivered():
             if unit in found and is_angular_rate(unit_of_measure):
                 found[unit].append(signal)
         return found
