@@ -28,7 +28,9 @@ select kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, t_
 from internal.lake_documents where {AUDITED} order by arrival_ns, t_ns, uid
 """  # noqa: S608  our own statement
 _BY = ("by", "author", "operator")
-_COLUMNS = ("at", "kind", "event", "run", "station", "by", "identity", "what", "limits", "software", "segments", "uid")
+_COLUMNS = (
+    "arrival", "at", "kind", "event", "run", "station", "by", "identity", "what", "limits", "software", "segments", "uid"
+)  # fmt: skip
 
 
 class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -54,7 +56,7 @@ class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def audit_of(catalog: Catalog, unit: str) -> list[AuditRow]:
-    """Everything that happened to a unit, the earliest first; NotFound if the store has nothing of it."""
+    """Everything that happened to a unit, by arrival, the earliest first; NotFound if the store has nothing of it."""
     sources = {part.name: with_sources(catalog.store.lake, part).sources for part in catalog.parts}
     rows = list(_rows(catalog, unit, sources))
     if not rows:

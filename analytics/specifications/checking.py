@@ -4,11 +4,16 @@ import math
 import re
 from contextlib import suppress
 
+from analytics.methods.repeatability import KINDS
 from analytics.metric_registry.registry import alike, check_metrics, metrics
 from storage.specifications import specification
 from storage.specifications.specification import Specification, SpecificationLimit
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_result_unit, result_factor
+
+
+# parameters that have one of a few words
+_WORDS = {"earth_rate": ("none", "removed"), "kind": KINDS}
 
 
 def checked_specification(content: bytes, source: str) -> Specification:
@@ -40,10 +45,13 @@ def _check_limit(limit: SpecificationLimit, found: Specification, place: str) ->
     check_metrics([limit.metric], place)
     header = metrics()[limit.metric].header
     _check_unit(limit, header.unit, place)
-    for name in limit.parameters:
+    for name, value in limit.parameters.items():
         if name not in header.parameters:
             known = alike(name, header.parameters, "its parameters are")
             raise BadInput(f"{place}: no value of {limit.metric} has a parameter {name!r}; {known}")
+        if name in _WORDS and value not in _WORDS[name]:
+            known = alike(str(value), _WORDS[name], "there is")
+            raise BadInput(f"{place}: no value of {limit.metric} has {name} = {value!r}; {known}")
     if limit.lower is None and limit.upper is None:
         raise BadInput(f"{place}: it has neither lower nor upper")
     for key, number in (("lower", limit.lower), ("upper", limit.upper)):

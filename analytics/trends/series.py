@@ -4,6 +4,7 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from importlib.resources import files
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -166,9 +167,26 @@ def parameter_text(value: object) -> str:
 def _nothing(metric: str, rows: list[dict[str, Any]], choice: Choice) -> str:
     if not rows:
         return f"{metric}: no unit of this store has been in such a test; `gyrofleet metrics` lists what there is"
-    asked = ", ".join(f"{name} {value}" for name, value in choice._asdict().items() if value not in (None, (), {}))
+    chosen = [(name, value) for name, value in choice._asdict().items() if value not in (None, (), {})]
+    asked = ", ".join(_in_words(name, value) for name, value in chosen)
     kinds = sorted(str(each) for each in _kinds(rows))
     return f"{metric}: none of {len(rows)} values is of {asked}; kinds of values: {'; '.join(kinds[:12])}"
+
+
+def _in_words(name: str, value: Any) -> str:
+    """What a choice asks for.
+
+    >>> _in_words("units", ("A", "B")), _in_words("since_ns", 1_795_255_200 * 10**9), _in_words("lot", "L1")
+    ('unit A or B', 'since 2026-11-21 10:00 UTC', 'lot L1')
+    """
+    match name:
+        case "units":
+            return f"unit {' or '.join(value)}"
+        case "since_ns":
+            return f"since {datetime.fromtimestamp(value / 1e9, UTC):%Y-%m-%d %H:%M} UTC"
+        case "parameters":
+            return ", ".join(f"{each} = {of}" for each, of in value.items())
+    return f"{name} {value}"
 
 
 def _settings(rows: list[dict[str, Any]]) -> set[str]:

@@ -11,8 +11,8 @@ from stream.terminal.console import counted, notes, print_json, reporting, resul
 from stream.terminal.result_table import ResultTable
 
 _TITLES = {
-    "en": ("when (UTC)", "what", "run", "who", "proved", "details"),
-    "zh": ("时间(UTC)", "事件", "试验", "人员", "身份验证", "内容"),
+    "en": ("arrived (UTC)", "of (UTC)", "what", "run", "who", "proved", "details"),
+    "zh": ("到达(UTC)", "时间(UTC)", "事件", "试验", "人员", "身份验证", "内容"),
 }
 
 
@@ -24,6 +24,8 @@ _TITLES = {
 @reporting
 def audit(folder: Path, unit: str, csv_path: Path | None, language: str, *, as_json: bool) -> None:
     """Who did what to a unit when, with which data, limits and version, from the log alone.
+
+    In the order of arrival in the log; what a document is of, as the records of an imported file, may lie long before.
 
     \b
     gyrofleet audit --unit FOG-0231
@@ -46,7 +48,13 @@ def audit(folder: Path, unit: str, csv_path: Path | None, language: str, *, as_j
         for row in rows:
             what = ", ".join(filter(None, (spoken(row, language), row.limits)))
             table.add_row(
-                row.at, kind_name(row.kind, language), row.run or "", row.by, _proof(row.identity, language), what
+                row.arrival,
+                row.at,
+                kind_name(row.kind, language),
+                row.run or "",
+                row.by,
+                _proof(row.identity, language),
+                what,
             )
         results().print(table)
 

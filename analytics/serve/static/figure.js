@@ -158,7 +158,7 @@ function overlay(plot, {colours, tables, curves, limits, marks, ink}) {
     const x = across(mark.x), text = mark.label[LANG], wide = pen.measureText(text).width;
     stroke(pen, [[x, box.top], [x, box.top + box.height]]);
     const right = x + wide + 6 * ratio < box.left + box.width;
-    pen.fillText(text, right ? x + 4 * ratio : x - wide - 4 * ratio, box.top + (14 + 14 * (i % 3)) * ratio);
+    pen.fillText(text, right ? x + 4 * ratio : Math.max(x - wide - 4 * ratio, box.left), box.top + (14 + 14 * (i % 3)) * ratio);
   });
   pen.restore();
 }

@@ -256,7 +256,7 @@ def _signals(call: Call) -> dict[str, dict[str, Any]]:
 def _kind(row: dict[str, Any]) -> str:
     """What distinguishes values of one characteristic: signal, standard, settings."""
     parameters = json.loads(row["parameters"] or "{}")
-    settings = [f"{name}={value}" for name, value in parameters.items() if name not in _RESULTS]
+    settings = [f"{name}={value}" for name, value in parameters.items() if name not in _RESULTS and value is not None]
     return ", ".join(each for each in (row["signal"], row["standard"], *settings) if each)
 
 
