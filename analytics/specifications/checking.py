@@ -11,7 +11,6 @@ from storage.specifications.specification import Specification, SpecificationLim
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_result_unit, result_factor
 
-
 # parameters that have one of a few words
 _WORDS = {"earth_rate": ("none", "removed"), "kind": KINDS}
 
