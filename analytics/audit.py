@@ -29,7 +29,8 @@ from internal.lake_documents where {AUDITED} order by arrival_ns, t_ns, uid
 """  # noqa: S608  our own statement
 _BY = ("by", "author", "operator")
 _COLUMNS = (
-    "arrival", "at", "kind", "event", "run", "station", "by", "identity", "what", "limits", "software", "segments", "uid"
+    "arrival", "at", "kind", "event", "run", "station", "by", "identity", "what", "limits", "software", "segments",
+    "uid",
 )  # fmt: skip
 
 

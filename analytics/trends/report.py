@@ -209,7 +209,10 @@ def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> W
     if pair is None:
         if elsewhere:
             return words("units_elsewhere", n=max(elsewhere))
-        few = words("units_few_on_both", n=found.on_both, s="s" * (found.on_both > 1), least=LEAST_PAIRS)
+        several = found.on_both > 1
+        few = words(
+            "units_few_on_both", n=found.on_both, s="s" * several, was="were" if several else "was", least=LEAST_PAIRS
+        )
         return few if found.on_both else words("units_on_one")
     sign = 1 if pair.level == found.level else -1
     lo, hi = sorted((sign * pair.effect.lo, sign * pair.effect.hi))

@@ -86,17 +86,18 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     answer = ask("verdicts")["verdicts"]
     found = {unit: bias_of(answer, unit) for unit in cases}
     assert {unit: row["verdict"] for unit, row in found.items()} == {
-        "LIVE": "PASS", "ONE": "MARGINAL", "DEAD": "MARGINAL", "FROZE": "MARGINAL", "GAP": "PASS",
+        "LIVE": "PASS", "ONE": "MARGINAL", "DEAD": "MARGINAL", "FROZE": "MARGINAL", "GAP": "MARGINAL",
     }  # fmt: skip
     for unit in ("ONE", "DEAD", "FROZE"):
         assert found[unit]["lo"] is found[unit]["hi"] is None
         assert found[unit]["reason"].startswith("the value has no interval")
     stability = {row["unit"]: row["verdict"] for row in answer if row["metric"] == "bias_stability"}
-    assert stability == {"LIVE": "PASS", "ONE": "NO_DATA", "DEAD": "NO_DATA", "FROZE": "MARGINAL", "GAP": "PASS"}
+    assert stability == {"LIVE": "PASS", "ONE": "NO_DATA", "DEAD": "NO_DATA", "FROZE": "MARGINAL", "GAP": "MARGINAL"}
+    assert found["GAP"]["reason"] == "61 of 3600 samples of its record are there: a PASS needs nine tenths"
     remarks = {unit: parameters(row)["remark"] or "" for unit, row in found.items()}
     assert "all 3600 samples are alike" in remarks["DEAD"]
     assert "2400 of 3600 samples in a row are alike" in remarks["FROZE"]
-    assert remarks["GAP"].startswith("samples in about 61 s of 3599 s; record of 61 s")
+    assert remarks["GAP"].startswith("61 of 3600 samples are there, as of 61 s of 3599 s; record of 61 s")
     assert not remarks["LIVE"]
 
 
