@@ -1,5 +1,7 @@
 -- The values of a metric, with when, where and in which lot each was measured.
-with chosen as (
+with own_lots as (                      -- a unit is of one lot, where its runs agree
+  select unit, min(lot) as lot from step_means group by unit having min(lot) = max(lot)
+), chosen as (
   select row_number() over () as number, *
   from unit_metrics where metric = $metric
 ), placed as (
@@ -27,5 +29,5 @@ select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.lo, c.hi
 from chosen c
 left join placed p using (number)
 left join units u on u.run = coalesce(c.run, c.runs[-1]) and u.unit = c.unit
-left join unit_runs w on w.run = coalesce(c.run, c.runs[-1]) and w.unit = c.unit
+left join own_lots w on w.unit = c.unit
 left join runs r on r.run = coalesce(c.run, c.runs[-1])

@@ -238,7 +238,8 @@ class Estimation:
             final = [estimate for analysis in finished for estimate in analysis.judged]
             early = [decision for analysis in finished for decision in analysis.decided]
             released = self._released.pop(document.run, {})
-            for verdict in unit_verdicts(document, applied, final, early, released):
+            unseen = {(analysis.unit, analysis.signal): analysis.unseen_s for analysis in finished}
+            for verdict in unit_verdicts(document, applied, final, early, released, unseen):
                 signal = verdict.checks[0].limit.signal
                 self._publish(estimate_key(place, verdict.unit, signal, VERDICT), verdict)
             self._forget_not_estimated(document.run)

@@ -136,9 +136,15 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     return Check(limit=limit, verdict=verdict, value=value, lo=lo, hi=hi, reason=reason)
 
 
-def _of_whole_record(check: Check, own: Sequence[EstimatePublished], planned_s: float) -> Check:
+def _of_whole_record(
+    check: Check, own: Sequence[EstimatePublished], planned_s: float, unseen: Mapping[tuple[str, str], float]
+) -> Check:
     """MARGINAL instead of a PASS by a record that lacks much of its planned length: its source fell silent."""
-    lengths = [each.samples * each.sample_interval_s for each in own if each.signal == check.limit.signal]
+    lengths = [
+        each.samples * each.sample_interval_s + unseen.get((each.unit, each.signal), 0.0)
+        for each in own
+        if each.signal == check.limit.signal
+    ]
     recorded_s = max(lengths, default=0.0)
     if check.verdict is not Verdict.PASS or recorded_s >= WHOLE_RECORD * planned_s:
         return check
@@ -170,10 +176,12 @@ def decided_early(check: Check, decision: EarlyDecision, released: UnitReleased)
 def unit_verdicts(
     ended: RunEnded, applied: Iterable[LimitsApplied], final: Sequence[EstimatePublished],
     early: Iterable[EarlyDecision] = (), released: Mapping[str, UnitReleased] = MappingProxyType({}),
+    unseen: Mapping[tuple[str, str], float] = MappingProxyType({}),
 ) -> Iterator[VerdictGiven]:  # fmt: skip
     """Verdict of each unit with limits by its `final` estimates; a unit's own limits replace those of the run.
 
-    Limits of a `released` unit that were decided `early` stay decided.
+    Limits of a `released` unit that were decided `early` stay decided. `unseen`: seconds of the record of a unit and
+    signal that came too long before the limits to be judged.
     """
     decisions = {(each.unit, each.limit): each for each in early if each.outcome != "UNDECIDED"}
     by_unit = {each.unit: each for each in applied}
@@ -187,7 +195,7 @@ def unit_verdicts(
             own = [each for each in final if each.unit == unit]
             checks = tuple(judge(limit, own) for limit in limits.limits)
             if unit not in released and limits.planned_s is not None:
-                checks = tuple(_of_whole_record(check, own, limits.planned_s) for check in checks)
+                checks = tuple(_of_whole_record(check, own, limits.planned_s, unseen) for check in checks)
             if (gone := released.get(unit)) is not None:
                 checks = tuple(
                     decided_early(check, decision, gone) if (decision := decisions.get((unit, check.limit))) else check

@@ -138,6 +138,11 @@ class SignalAnalysis:
         uid = uuid5(_NAMESPACE, name).hex
         return {"run": self.run, "t_ns": self._last_ns, "uid": uid, "unit": self.unit, "signal": self.signal}
 
+    @property
+    def unseen_s(self) -> float:
+        """Seconds of the record that came too long before its limits to be judged."""
+        return self._decisions.unseen_s
+
     def _estimate(self, estimator: PointEstimator, *, final: bool) -> EstimatePublished:
         estimate = NoEstimate(self._refusal) if self._refusal else estimator.estimate()
         return EstimatePublished(

@@ -154,11 +154,12 @@ def test_a_control_chart_has_the_figures_of_the_trend(pictures: httpx.Client) ->
     trend = got(pictures, "/api/trends", metric="bias", by="unit")
     for number, chart in enumerate(trend["charts"]):
         found = got(pictures, "/api/trends/chart", metric="bias", by="unit", chart=number)
-        assert curves(found, "both")[0]["y"] == [point["value"] for point in chart["points"]]
+        assert curves(found, "both")[0]["y"] == [point["charted"] for point in chart["points"]]
         if "centre" in chart["limits"]:
             assert curves(found, "centre")[0]["y"][0] == chart["limits"]["centre"]
-    beyond = got(pictures, "/api/trends/chart", metric="bias", chart=99)
-    assert "from 0 on" in beyond["reason"]["en"]
+    for beyond, code, word in ((99, 404, "from 0 on"), (-1, 400, "chart")):
+        answer = pictures.get("/api/trends/chart", params={"metric": "bias", "chart": beyond})
+        assert (answer.status_code, word in answer.text) == (code, True)
 
 
 def test_yield_and_what_a_group_fails_by(pictures: httpx.Client) -> None:

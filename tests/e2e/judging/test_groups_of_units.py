@@ -1,0 +1,117 @@
+"""Lots, stations and units in lists and yields: units without limits, tests without a list of units, two stations."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from gyrofleet import main
+from tests.e2e.judging.test_doubtful_records import parameters, written
+
+Ask = Callable[..., Any]
+LIMITS = """
+revision = "A"
+[product.FOG]
+[[limit]]
+metric = "bias"
+product = "FOG"
+upper = 10.0
+unit_of_measure = "deg/h"
+"""
+STATION = """
+[station]
+site = "plant"
+name = "{name}"
+latitude_deg = 40.0
+time_zone = "UTC"
+"""
+
+
+@pytest.fixture
+def ask(tmp_path: Path) -> Ask:
+    """A command on one store, with its answer in JSON."""
+
+    def ask(*words: object) -> Any:
+        done = CliRunner().invoke(main, [*(str(word) for word in words), "--store", str(tmp_path / "S"), "--json"])
+        assert done.exit_code == 0, (done.output, done.exception)
+        return json.loads(done.stdout.splitlines()[-1] if words[0] == "import" else done.stdout)
+
+    return ask
+
+
+def record(path: Path, bias: float, seed: int) -> Path:
+    """Ten minutes at rest."""
+    noise = np.random.default_rng(seed).standard_normal(600)
+    return written(path, np.arange(600.0), rate__dph=bias + 0.5 * noise)
+
+
+def rows_of(answer: Any) -> list[dict[str, Any]]:
+    return list(answer["rows"] if isinstance(answer, dict) and "rows" in answer else answer)
+
+
+def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
+    """Five units, one of a product without limits; one is tested again, without the list of units."""
+    serials = [f"G{at}" for at in range(5)]
+    listed = [f"{serial},{'MEMS' if serial == 'G4' else 'FOG'},L1" for serial in serials]
+    (tmp_path / "units.csv").write_text("\n".join(["serial,product,lot", *listed]) + "\n")
+    words = ("--procedure", "static_bias", "--position", "IRA_east_west")
+    for at, serial in enumerate(serials):
+        path = record(tmp_path / f"{serial}.csv", 2.0, at)
+        ask(
+            "import",
+            path,
+            "--unit",
+            serial,
+            "--start",
+            "2026-10-01T08:00:00Z",
+            *words,
+            "--units",
+            tmp_path / "units.csv",
+        )
+    again = record(tmp_path / "again.csv", 20.0, 9)
+    ask("import", again, "--unit", "G0", "--start", "2026-10-02T08:00:00Z", *words)
+    ask("import", record(tmp_path / "new.csv", 2.0, 10), "--unit", "NEW", "--start", "2026-10-02T08:00:00Z", *words)
+    bare = ask("verdicts", "--by", "lot")
+    groups = {row["name"]: row for row in bare["yield"]}
+    assert {name: (row["units"], row["no_data"]) for name, row in groups.items()} == {"L1": (5, 5), None: (1, 1)}
+    (tmp_path / "limits.toml").write_text(LIMITS)
+    ask("limits", "add", tmp_path / "limits.toml")
+    by_lot = {row["name"]: row for row in ask("verdicts", "--by", "lot")["yield"]}
+    counts = ("units", "passed", "failed", "no_data")
+    assert [by_lot["L1"][name] for name in counts] == [5, 3, 1, 1]
+    assert by_lot["L1"]["yield"] == pytest.approx(0.75)
+    found = {row["unit"]: row for row in ask("verdicts")["units"]}
+    assert (found["G0"]["lot"], found["G0"]["verdict"], found["G4"]["verdict"]) == ("L1", "FAIL", "NO_DATA")
+    listed_runs = rows_of(ask("sql", "select unit, run, product, lot, mountings from units order by run, unit"))
+    assert {row["unit"] for row in listed_runs if row["mountings"] == 0} == {"G0", "NEW"}
+    assert len(listed_runs) == 7
+    (run,) = rows_of(ask("sql", "select procedure, lot from runs where run = 'G1'"))
+    assert (run["procedure"], run["lot"]) == ("static_bias", "L1")
+
+
+def test_a_repeatability_over_two_stations_says_so(ask: Ask, tmp_path: Path) -> None:
+    for name in ("A", "B"):
+        (tmp_path / f"{name}.toml").write_text(STATION.format(name=name))
+    for at in range(6):
+        for unit, station in (("TWO", "AB"[at % 2]), ("ONE", "A")):
+            path = record(tmp_path / f"{unit}{at}.csv", 2.0 + 0.5 * (station == "B"), 10 * at + (unit == "ONE"))
+            ask(
+                "import", path, "--unit", unit, "--start", f"2026-10-0{at + 1}T08:00:00Z", "--procedure", "static_bias",
+                "--position", "IRA_east_west", "--station", tmp_path / f"{station}.toml",
+            )  # fmt: skip
+    answer = ask("metrics", "--metric", "bias_repeatability")
+    found = [row for row in (answer["metrics"] if isinstance(answer, dict) else answer) if row["value"] is not None]
+    said = "measured at 2 stations (A, B): what differs between these is in the scatter"
+    assert {row["unit"]: said in (parameters(row)["remark"] or "") for row in found} == {"TWO": True, "ONE": False}
+
+
+def test_a_word_that_no_value_has_is_no_limit(ask: Ask, tmp_path: Path) -> None:
+    ask("import", record(tmp_path / "one.csv", 2.0, 1), "--unit", "G1", "--start", "2026-10-01T08:00:00Z")
+    (tmp_path / "limits.toml").write_text(LIMITS + 'parameters = { earth_rate = "nonne" }\n')
+    done = CliRunner().invoke(main, ["limits", "add", str(tmp_path / "limits.toml"), "--store", str(tmp_path / "S")])
+    assert done.exit_code == 1
+    assert "no value of bias has earth_rate = 'nonne'; did you mean none?" in " ".join(done.output.split())
