@@ -10,7 +10,7 @@ from pypdf import PdfReader
 
 from analytics.certificate.statement.content import FILLED_BY
 from analytics.certificate.statement.standards import standards
-from tests.analytics.certificate.conftest import UNIT
+from tests.analytics.certificate.conftest import ORDER, UNIT
 from tests.analytics.certificate.pdf_checks import fonts_that_are_not_embedded, is_archivable
 
 
@@ -40,6 +40,24 @@ def test_without_an_order_a_draft_lists_what_is_missing(
     text = text_of(out)
     assert "DRAFT" in text
     assert "name of the laboratory is not given" in text
+
+
+@pytest.mark.parametrize(
+    ("given", "then", "missing"),
+    [
+        ("[20.4, 21.1]", "[20.4, 51.1]", "temperature was outside 15 - 25 °C: state the deviation"),
+        ("2026-02-27", "2026-03-27", "it was received on 2026-03-27, after the first run of 2026-03-02"),
+    ],
+)
+def test_an_order_that_contradicts_the_clause_or_the_runs_makes_a_draft(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path, given: str, then: str, missing: str
+) -> None:
+    """Its deviations are "none", which states none."""
+    (tmp_path / "order.toml").write_text(ORDER.replace(given, then), encoding="utf-8")
+    words = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--out", "new.pdf")
+    done = run_command(*words, "--draft", "--lang", "en", "--store", laboratory / "lab", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert any(missing in each for each in done.json["missing"]), done.json["missing"]
 
 
 @pytest.mark.parametrize("language", ["zh", "en"])

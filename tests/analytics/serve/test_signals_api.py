@@ -100,6 +100,26 @@ def test_arrow_and_csv_have_the_same_columns(api: httpx.Client) -> None:
     assert len(lines) == len(found["t_ns"]) + 1
 
 
+@pytest.mark.parametrize("offset_s", [0.013, 0.5, 3.3])
+@pytest.mark.parametrize("width_s", [0.5, 7.77, 41.3])
+@pytest.mark.parametrize("points", [3, 100])
+def test_a_stretch_has_its_own_samples_only(api: httpx.Client, offset_s: float, width_s: float, points: int) -> None:
+    """One that begins just behind the spike does not have it; buckets of rollups say how far they reach."""
+    first = SPIKE_NS + round(offset_s * 1e9)
+    stop = first + round(width_s * 1e9)
+    found = asked(api, points=points, **{"from": first, "to": stop})
+    t_ns = START_NS + np.arange(N) * DT_NS
+    covered = (t_ns >= found["covers_from_ns"]) & (t_ns < found["covers_to_ns"])
+    values = rates(1, 1)[covered]
+    assert found["samples"] == covered.sum()
+    assert (min(found["min"]), max(found["max"])) == (values.min(), values.max())
+    assert found["covers_from_ns"] <= first
+    assert found["covers_to_ns"] >= stop
+    if not found["source"].startswith("rollup"):
+        assert (found["covers_from_ns"], found["covers_to_ns"]) == (first, stop)
+        assert max(found["max"]) < SPIKE
+
+
 @pytest.mark.parametrize(
     ("parameters", "word"),
     [

@@ -118,6 +118,24 @@ def test_an_overload_is_an_error() -> None:
             voltmeter.sample()
 
 
+class BrokenSensor(SimulatedChamber):
+    """A chamber whose sensor is open: its controller gives the least number that it has."""
+
+    def handle(self, line: str) -> str | None:
+        """Answer a line."""
+        return "-9999.0" if "ACT?" in line else super().handle(line)
+
+
+def test_a_temperature_below_absolute_zero_is_none() -> None:
+    with ScpiServer({"C": BrokenSensor(StationClock(speed=100.0))}) as server:
+        chamber = TemperatureChamber("C", TemperatureChamberOptions(resource=server.resource("C")), StationClock())
+        with (
+            chamber,
+            pytest.raises(InstrumentError, match=r"-9999 degC, which is below absolute zero; check its sensor"),
+        ):
+            chamber.sample()
+
+
 def test_an_output_is_on_or_off() -> None:
     supply = PowerSupply("P", PowerSupplyOptions(resource="x", max_voltage_v=5.0, max_current_a=1.0), StationClock())
     with pytest.raises(BadInput, match=r"1 for on or 0 for off, not 0\.5"):

@@ -45,6 +45,19 @@ def test_check_says_what_a_station_lacks() -> None:
     assert "'speed' is no setting" in run("check", "scale_factor", "--settings", "speed", code=1)
 
 
+def test_check_says_what_lies_beyond_an_instrument(tmp_path: Path) -> None:
+    """The chamber reaches -40 to 85 degC."""
+    (tmp_path / "station.toml").write_text(
+        '[station]\nsite = "s"\nname = "n"\n[instruments.chamber]\nkind = "temperature_chamber"\n'
+        'resource = "TCPIP::127.0.0.1::1::SOCKET"\n'
+    )
+    own = 'name = "own"\nnames = {{en = "Own", zh = "自定义"}}\n[[step]]\nname = "still"\nrecord_s = 90\n{}\n'
+    for celsius, code in ((60, 0), (300, 1)):
+        (tmp_path / "own.toml").write_text(own.format(f"temperature_deg_c = {celsius}"), encoding="utf-8")
+        said = run("check", tmp_path / "own.toml", "--station", tmp_path / "station.toml", code=code)
+        assert ("may be set to -40 to 85 degC" in " ".join(said.split())) == (code == 1)
+
+
 def test_a_file_of_ones_own_works_where_a_name_does(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     text = 'name = "own"\nnames = {en = "Own", zh = "自定义"}\n[[step]]\nname = "still"\nrecord_s = 90\n'

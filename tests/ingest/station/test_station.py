@@ -103,6 +103,8 @@ def test_a_standard_that_is_not_connected_can_be_out_of_date(folder: Path) -> No
     ("stated", "said"),
     [
         ('rate = { U = 1, unit = "ppm", half_width = 2 }', "either U with k, or half_width"),
+        ('rate = { U = 5, k = 2, distribution = "uniform", unit = "ppm" }', "either U with k, or half_width"),
+        ('rate = { half_width = 20, k = 3, unit = "ppm" }', "either U with k, or half_width"),
         ('rate = { unit = "ppm" }', "either U with k, or half_width"),
         ('rate = { U = 1, unit = "degC" }', "it is kept in ppm"),
         ('rat = { U = 1, unit = "ppm" }', "did you mean rate"),

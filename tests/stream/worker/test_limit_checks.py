@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -165,6 +166,15 @@ def test_a_unit_is_judged_by_its_own_estimates() -> None:
 def test_limits_on_a_unit_take_the_place_of_those_on_the_run() -> None:
     found = verdicts(limits(), limits("FOG-2", upper=10.0))
     assert {unit: each.verdict for unit, each in found.items()} == {"FOG-1": Verdict.PASS, "FOG-2": Verdict.PASS}
+
+
+@pytest.mark.parametrize(("planned_s", "verdict"), [(0.55, Verdict.PASS), (1.0, Verdict.MARGINAL)])
+def test_a_unit_that_fell_silent_does_not_pass(planned_s: float, verdict: Verdict) -> None:
+    """Its estimates are of 0.5 s."""
+    found = verdicts(msgspec.structs.replace(limits(), planned_s=planned_s))
+    assert (found["FOG-1"].verdict, found["FOG-2"].verdict) == (verdict, Verdict.FAIL)
+    reason = found["FOG-1"].checks[0].reason or ""
+    assert reason.endswith("a PASS needs the whole record") == (verdict is Verdict.MARGINAL)
 
 
 def test_an_aborted_run_passes_and_fails_no_unit() -> None:
