@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Collection
 
-from analytics.alerts.book import LONGEST_WAIT_S, AlertBook, Parcel
+from analytics.alerts.book import CLEARED, LONGEST_WAIT_S, AlertBook, Parcel
 from analytics.alerts.kept_alerts import Alert
 from analytics.alerts.patience import Patience
 from analytics.alerts.rules import ALARM, QuietHours
@@ -122,7 +122,8 @@ class TargetSender(Closing):
             self._report(f"warning: {error}; after a restart a message may come again")
 
     def _message(self, alert: Alert, event: str) -> Message:
+        over, over_zh = ("over: ", "已结束：") if event == CLEARED else ("", "")
         return Message(
             id=alert.id, event=event, rule=alert.rule, severity=alert.severity, subject=alert.subject,
-            text=alert.text, text_zh=alert.text_zh, raised_ns=alert.raised_ns or 0, store=self._store,
+            text=over + alert.text, text_zh=over_zh + alert.text_zh, raised_ns=alert.raised_ns or 0, store=self._store,
         )  # fmt: skip

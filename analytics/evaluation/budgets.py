@@ -10,7 +10,7 @@ import pyarrow as pa
 from analytics.evaluation.evaluation import COLUMNS, choose_steps, columns_of, define_scripts, keep_scale_factors
 from analytics.evaluation.kept_metrics import unit_metrics
 from analytics.evaluation.type_b import COVERAGE, NO_SENSITIVITY, NO_TYPE_A, TypeB
-from analytics.metric_registry.registry import MetricHeader, metrics
+from analytics.metric_registry.registry import MetricHeader, alike, metrics
 from analytics.uncertainty.budget import Budget, Expanded, Unknown
 from analytics.uncertainty.component import Component
 from analytics.uncertainty.monte_carlo import Propagated
@@ -66,6 +66,10 @@ def value_budgets(catalog: Catalog, unit: str, metric: str, run: str | None = No
     begun = dict(catalog.rows("select run, t_ns from internal.run_standards"))
     rows.sort(key=lambda each: (begun.get(each[0]["run"]) or 0, each[0]["run"] or ""))
     budgets = [_budget(header, row, parts, type_b) for row, parts in rows if row["value"] is not None]
+    if not budgets and not rows:
+        known = sorted({name for (name,) in catalog.rows("select distinct unit from unit_runs")})
+        if unit not in known:
+            raise NotFound(f"no completed step is of unit {unit!r}; {alike(unit, known, 'units are')}")
     if not budgets:
         reasons = "; ".join(dict.fromkeys(row["reason"] for row, _ in rows if row["reason"]))
         where = f"run {run}, " if run is not None else ""

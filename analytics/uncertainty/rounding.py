@@ -25,15 +25,16 @@ def round_up(uncertainty: float, digits: int = 2) -> float:
 def round_with(value: float, uncertainty: float, digits: int = 2) -> tuple[str, str]:
     """A value and its uncertainty as they are printed: the value to the last digit of the rounded uncertainty.
 
-    >>> round_with(1.234567, 0.00123), round_with(98765.4, 1234.0), round_with(-0.5, 0.098)
-    (('1.2346', '0.0013'), ('98800', '1300'), ('-0.500', '0.098'))
+    >>> round_with(1.234567, 0.00123), round_with(98765.4, 1234.0), round_with(-0.00004, 0.01)
+    (('1.2346', '0.0013'), ('98800', '1300'), ('0.000', '0.010'))
     """
     rounded = Decimal(repr(round_up(uncertainty, digits)))
     if rounded == 0:
         return f"{value:.6g}", "0"
     last = _last_place(rounded, digits)
     exact = Decimal(repr(float(value)))
-    return f"{exact.quantize(last, rounding=ROUND_HALF_EVEN):f}", f"{rounded.quantize(last):f}"
+    shown = exact.quantize(last, rounding=ROUND_HALF_EVEN)
+    return f"{abs(shown) if shown == 0 else shown:f}", f"{rounded.quantize(last):f}"
 
 
 def _last_place(number: Decimal, digits: int) -> Decimal:

@@ -59,17 +59,31 @@ def check(
     entered = check_entered(Entry(verdict=judged, by=actor.name, **given), t_ns)
     document = msgspec.structs.replace(entered, identity=actor.identity)
     unknown = _unknown_unit(folder, document.unit)
+    warnings = [each for each in (unknown, _unknown_run(folder, document.run)) if each is not None]
     is_seen = enter(folder, [document], role="gyrofleet check")
     if as_json:
         answer = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
-        print_json({**answer, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
+        print_json({**answer, "unit_is_known": unknown is None, "warnings": warnings})
         return
     results().print(f"{document.verdict}: {document.item} of unit {document.unit}, entered by {document.by}")
-    if unknown is not None:
-        notes().print(f"warning: {unknown}", soft_wrap=True)
+    for warning in warnings:
+        notes().print(f"warning: {warning}", soft_wrap=True)
     if not is_seen:
         sees = "SQL sees it with the recorder's next segment."
         notes().print(f"The recorder that writes the store has it on disk; {sees}")
+
+
+def _unknown_run(folder: Path, run: str) -> str | None:
+    """Say that the store has no such run, if so."""
+    from storage.sql.catalog import Catalog
+    from storage.store import Store
+    from storage.store_marker import MARKER
+
+    if not run or not (folder / MARKER).exists():
+        return None
+    with Catalog(Store.open(folder), live=True) as catalog:
+        found = catalog.user_reader("select run from runs where run = $run", {"run": run}).read_all()
+    return None if found.num_rows else f"the store has no run {run!r}: is its name right? The check is entered"
 
 
 def _unknown_unit(folder: Path, unit: str) -> str | None:
