@@ -48,7 +48,7 @@ export function draw(host, picture, height = 300) {
       points: {show: isDotted(curve) || curve.style === "both", size: curve.style === "alarm" ? 10 : 6, stroke: ink(colours, i), fill: ink(colours, i)},
     }))],
     axes: [
-      x.scale === "names" ? {values: (_, splits) => splits.map(at => (Number.isInteger(at) ? x.names[at]?.[LANG] ?? "" : "")), splits: () => x.names.map((_, i) => i), space: 40} : {label: x.scale === "time" ? undefined : titled(x), space: x.scale === "time" ? 90 : 50},
+      x.scale === "names" ? {values: (_, splits) => splits.map(at => (Number.isInteger(at) ? x.names[at]?.[LANG] ?? "" : "")), splits: () => x.names.map((_, i) => i), space: 40} : {label: x.scale === "time" ? undefined : titled(x), space: x.scale === "time" ? 90 : x.scale === "log" ? 50 : 80},
       {label: y.unit && y.label[LANG] === picture.title[LANG] ? y.unit : titled(y), size: 70},
     ],
     hooks: {draw: [plot => overlay(plot, {colours, tables, curves, limits, marks, ink})], ready: [plot => plot.over.addEventListener("click", () => open(plot.cursor))]},

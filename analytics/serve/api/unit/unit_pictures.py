@@ -5,7 +5,9 @@ from collections import defaultdict
 from typing import Any
 
 import msgspec
+import numpy as np
 
+from analytics.methods.distributions import student_quantile
 from analytics.plots.picture import Axis, Curve, Label, Picture
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, dictionaries
@@ -48,7 +50,7 @@ from internal.served_signals s left join (
 ) e using (signal) where s.unit = $unit group by s.signal order by s.signal
 """
 _STEPS = """
-select run, step, temperature, bias, standard_uncertainty from temperature_curve
+select run, step, temperature, bias, standard_uncertainty, freedom from temperature_curve
 where unit = $unit and signal = $signal order by run, temperature
 """
 _WITH_STEPS = "select distinct unit from temperature_curve"
@@ -204,13 +206,15 @@ def unit_temperature(call: Call, asked: OfSignal) -> Picture:
 
 def _steps(name: Label, rows: list[dict[str, Any]]) -> Curve:
     """Bias of static steps with its 95 % bounds."""
-    half = [1.96 * (row["standard_uncertainty"] or 0.0) for row in rows]
+    u, freedom = (np.array([row[name] for row in rows], np.float64) for name in ("standard_uncertainty", "freedom"))
+    found = u * student_quantile(0.975, np.clip(np.nan_to_num(freedom, nan=1e9), 1.0, 1e9))
+    half = [None if each != each else each for each in found.tolist()]
     is_one_run = len({row["run"] for row in rows}) == 1
     return Curve(
         name=name, x=[row["temperature"] for row in rows], y=[row["bias"] for row in rows],
         style="both" if is_one_run else "points",
-        lo=[row["bias"] - each for row, each in zip(rows, half, strict=True)],
-        hi=[row["bias"] + each for row, each in zip(rows, half, strict=True)],
+        lo=[None if each is None else row["bias"] - each for row, each in zip(rows, half, strict=True)],
+        hi=[None if each is None else row["bias"] + each for row, each in zip(rows, half, strict=True)],
         texts=[f"{row['run']} {row['step']}" for row in rows], links=[link("runs", row["run"]) for row in rows],
     )  # fmt: skip
 
