@@ -17,6 +17,7 @@ from analytics.methods.confidence_bounds import chi_square_bounds, deviation_unc
 from analytics.metric_registry.registry import BoundsSource, Metric, parameters_text
 from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
 from storage.sql.catalog import Catalog
+from storage.sql.deferred import words_of
 from storage.sql.parquet_content import ParquetContent
 from stream.decoding import decode_json
 from stream.errors import UnknownUnit
@@ -168,7 +169,10 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     if isinstance(rows, pa.Table):
         return rows
     found = [{"runs": [row["run"]], **row, "parameters": parameters_text(row["parameters"])} for row in rows]
-    return pa.Table.from_pylist(found, schema=COLUMNS)
+    # numbers beside the columns that say how a standard's error enters
+    named = words_of(" ".join(each.sensitivity for each in metric.header.influences))
+    beside = sorted(named.intersection(*(row.keys() for row in found[:1])) - set(COLUMNS.names))
+    return pa.Table.from_pylist(found, schema=pa.schema([*COLUMNS, *((name, pa.float64()) for name in beside)]))
 
 
 def _make_readable(columns: dict[str, pa.Array]) -> None:

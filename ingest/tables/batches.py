@@ -10,6 +10,9 @@ import numpy as np
 from ingest.tables.grid import Sampling, is_gap
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
+# A minute of samples a batch: a message costs as much as some thousand samples, and a replay sends whole ones.
+_BATCH_NS = 60 * 10**9
+_LEAST_SAMPLES, _MOST_SAMPLES = 1000, 8192
 # Batches are split at gaps if that leaves at least this many samples per batch on average.
 SAMPLES_PER_GAP = 50
 
@@ -38,6 +41,15 @@ class SignalHead:
             **samples, times_ns=None if is_even else times_ns, irregular=irregular, scale=self.scale,
             offset=self.offset,
         )  # fmt: skip
+
+
+def usual_batch_samples(dt_ns: int) -> int:
+    """Samples in a batch: about a minute of them, between 1000 and as many as estimators take at once.
+
+    >>> usual_batch_samples(10**6), usual_batch_samples(10**7), usual_batch_samples(10**9)
+    (8192, 6000, 1000)
+    """
+    return min(max(_BATCH_NS // max(dt_ns, 1), _LEAST_SAMPLES), _MOST_SAMPLES)
 
 
 def splits_at_gaps(sampling: Sampling) -> bool:

@@ -41,7 +41,7 @@ class TableOptions:
     start_ns: int | None = None  # the run's start, nanoseconds UTC: added to times that count from it
     sample_rate_hz: float | None = None  # sampling rate in Hz of a file without a time column
     skip_bad: bool = False  # leave bad rows out instead of refusing the file
-    batch_samples: int = 1000  # most samples in a batch
+    batch_samples: int | None = None  # most samples in a batch; by default as `usual_batch_samples`
     words: StepWords | None = None  # step words of all rows, if no column has them
     renames: tuple[tuple[str, str], ...] = ()  # a column's title or name, and another: ``gyro_x``, ``gyro_x[deg/s]``
     time_zone: str | None = None  # of time stamps that name none
@@ -52,7 +52,7 @@ class TableOptions:
         if self.start_ns is not None and not -MAX_NS <= self.start_ns <= MAX_NS:
             latest = datetime.fromtimestamp(math.floor(MAX_NS / 1e9), UTC)
             raise BadInput(f"start {self.start_ns} ns: give a moment before {latest:%Y-%m-%d} UTC")
-        if self.batch_samples < 1:
+        if self.batch_samples is not None and self.batch_samples < 1:
             raise BadInput(f"batches of {self.batch_samples} samples: give at least 1")
 
 

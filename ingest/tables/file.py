@@ -10,7 +10,7 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
+from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps, usual_batch_samples
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
@@ -177,7 +177,8 @@ class TableFile:
                 unit=found.unit, signal=found.signal, run=found.run, epoch=epoch_of(found.unit, found.run),
                 dt_ns=sampling.dt_ns, unit_of_measure=found.unit_of_measure, irregular=sampling.irregular,
             )  # fmt: skip
-            batcher = Batcher(head, self._options.batch_samples, splits_at_gaps=splits_at_gaps(sampling))
+            most = self._options.batch_samples or usual_batch_samples(sampling.dt_ns)
+            batcher = Batcher(head, most, splits_at_gaps=splits_at_gaps(sampling))
             batchers.setdefault(Owner(found.unit, found.run), {})[found.signal] = batcher
         return batchers
 

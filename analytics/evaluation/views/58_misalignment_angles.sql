@@ -17,7 +17,8 @@ with placed as (
       freedom: freedom} order by "index") filter (rate_command < 0) as backwards,
     min(position) as position, bool_and(deg_per_h is not null) as is_scaled, min(scale_source) as scale_source,
     min(unit_of_measure) as unit_of_measure, max(abs(rate_command)) as rate,
-    min(t_from_ns) as t_from_ns, min(time_zone) as time_zone, bool_and(date_known) as date_known,
+    min(t_from_ns) as t_from_ns, min(station) as station, min(time_zone) as time_zone,
+    bool_and(date_known) as date_known,
     sum(n)::bigint as n, list("index" order by "index") as steps
   from placed group by all
 )
@@ -50,7 +51,8 @@ with paired as (
     string_agg(lack, '; ' order by mounting_axis, turned) as lack, list(mounting_axis || turned) as placed,
     bool_or(turned) or coalesce(regexp_matches("procedure", '^misalignment_(four|repeat)'), false) as is_four,
     not coalesce(regexp_matches("procedure", '^misalignment_(four|repeat)'), false) as is_two,
-    min(t_from_ns) as t_from_ns, min(time_zone) as time_zone, bool_and(date_known) as date_known,
+    min(t_from_ns) as t_from_ns, min(station) as station, min(time_zone) as time_zone,
+    bool_and(date_known) as date_known,
     sum(n)::bigint as n, list_sort(flatten(list(steps order by mounting_axis, turned))) as steps
   from internal.misalignment_angles group by run, unit, signal, "procedure", repeat
 ), counted as (
