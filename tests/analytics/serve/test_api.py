@@ -149,6 +149,27 @@ def test_yield_and_verdicts(api: httpx.Client) -> None:
     assert got(api, "/api/yield", by="station")["by"] == "station"
     verdicts = got(api, "/api/verdicts", limit=2)
     assert verdicts["after"] == verdicts["units"][-1]["unit"]
+    names = [each["unit"] for each in verdicts["units"]]
+    while verdicts["next"] is not None:
+        verdicts = got(api, verdicts["next"])
+        names += [each["unit"] for each in verdicts["units"]]
+    assert names == [each["unit"] for each in got(api, "/api/verdicts")["units"]]
+
+
+@pytest.mark.parametrize(
+    ("path", "word"),
+    [
+        ("/api/units?verdict=BAD", "verdict"), ("/api/verdicts?verdict=PAS", "verdict"),
+        ("/api/verdicts?day=29.03.2026", "2026-03-29"), ("/api/verdicts?day=2026-13-45", "2026-03-29"),
+        ("/api/verdicts?metric=bais", "bias"), ("/api/events?kind=nope", "RunStarted"),
+        ("/api/events?from=2026-11-22T00:00:00Z&to=2026-11-21T00:00:00Z", "before it begins"),
+        ("/api/yield?by=lot&name=nope", "no lot is named"), ("/api/trends/chart?metric=bias&chart=99", "from 0 on"),
+    ],
+)  # fmt: skip
+def test_what_can_match_nothing_is_refused(api: httpx.Client, path: str, word: str) -> None:
+    answer = api.get(path)
+    assert answer.status_code in {400, 404}
+    assert word in answer.json()["error"]["message"]
     metrics = {each["metric"]: each for each in got(api, "/api/metrics")["metrics"]}
     assert metrics["bias"]["zh"] == "零偏"
     assert metrics["bias"]["values"] > 0

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
-from analytics.serve.api.operation import Call, Nothing, get
+from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, page_of
 from stream.errors import BadInput, NotFound
 
@@ -132,10 +132,11 @@ class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class UnitVerdicts(msgspec.Struct, frozen=True, kw_only=True):
-    """A page of verdicts by the specifications; `after` of the next page, None on the last."""
+    """A page of verdicts by the specifications; the next page and its `after`, None on the last."""
 
     units: list[dict[str, Any]]
     after: str | None
+    next: str | None
 
 
 @get("/api/metrics", table="metrics", is_slow=True)
@@ -226,7 +227,9 @@ def list_verdicts(call: Call, asked: VerdictsAsked) -> UnitVerdicts:
     del given["limit"]
     given["is_group"] = any(given[name] for name in _GROUPS)
     units, has_more = page_of(dictionaries(call.metrics, _VERDICTS, given), asked.limit)
-    return UnitVerdicts(units=units, after=units[-1]["unit"] if has_more else None)
+    after = units[-1]["unit"] if has_more else None
+    following = msgspec.to_builtins(asked) | {"after": after}
+    return UnitVerdicts(units=units, after=after, next=link("api", "verdicts", **following) if has_more else None)
 
 
 def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
