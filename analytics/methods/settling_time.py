@@ -39,8 +39,8 @@ def settling_times(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of a metric: each test, as of the SQL macro ``settling_tests``, and the largest of a unit's tests.
 
     The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where that
-    is unknown, less the mean over the last quarter of the record (`reference` in the parameters). The time is that of
-    the first sample after the last one outside the band: it is known to a sample interval. The bounds include the
+    is unknown, less the mean over the last quarter of the record (`reference` in the parameters); if it still moves
+    there, the time has no upper bound. The time is that of the first sample after the last one outside the band: it is known to a sample interval. The bounds include the
     reference's uncertainty: they are the times for a band that is wider and narrower by 1.96 times that.
     """
     tests = catalog.reader(sql).read_all().to_pylist()
@@ -81,7 +81,26 @@ def _row(test: Mapping[str, Any], series: tuple[IntArray, FloatArray] | None) ->
     mean, mean_u, noise = _end_of(t_ns, output)
     expected, u = (test["expected"], test["expected_u"]) if known else (mean, mean_u)
     settled = settling(np.abs(output - expected), (t_ns - test["on_ns"]) / 1e9, band, u, noise)
+    if isinstance(settled, Settled) and not known and _still_moves(output, band):
+        # what it tends to is not known, and how long that takes
+        settled = settled._replace(hi=np.nan, standard_uncertainty=np.nan)
     return row | (settled._asdict() if isinstance(settled, Settled) else {"reason": f"{what}: {settled}"})
+
+
+def _still_moves(output: FloatArray, band: float) -> bool:
+    """Whether the output still moves at the end of a record, so that another one as long would take it far on.
+
+    >>> noise = np.random.default_rng(1).standard_normal(4000)
+    >>> _still_moves(noise, 100.0), _still_moves(noise + 500 * np.exp(-np.arange(4000) / 4000), 100.0)
+    (False, True)
+    """
+    size = int(len(output) * _TAIL) // 2
+    if size < 8:
+        return False
+    early, late = output[-2 * size : -size], output[-size:]
+    change = float(late.mean() - early.mean())
+    scatter = float(np.sqrt((early.var(ddof=1) + late.var(ddof=1)) / size))
+    return abs(change) > 4 * scatter and abs(change) * len(output) / size > 0.1 * band
 
 
 def _lack(test: Mapping[str, Any], *, has_samples: bool) -> str | None:

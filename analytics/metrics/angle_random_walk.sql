@@ -22,7 +22,7 @@ select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
   case when c.run is null then greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) end as freedom,
   to_json({
     method: 'allan', duration_s: round(s.duration_s), record: case when c.run is not null then 'run' else 'step' end,
-    remark: s.remark
+    remark: nullif(concat_ws('; ', c.misfit_remark, s.remark), '')
   })::varchar as parameters,
   case when s.lack is not null then s.lack when c.run is not null then c.reason when coalesce(s.white, 0) = 0 then
     'the record shows no angle random walk: other noise covers it at every averaging time' end as reason

@@ -4,7 +4,7 @@
 -- unit:      arcsec
 -- better:    lower
 -- grain:     unit, signal, run
--- parameters: method, duration_s, misfit, markov_correlation_s
+-- parameters: method, duration_s, misfit, markov_correlation_s, remark
 -- source:    GJB 2426A-2004 5.12.5.4.2 (25)-(31); JJF 2014-2022 7.2.20 (34)-(39)
 -- needs:     a run of one static step whose Allan curve was fitted when it ended (procedure allan_variance)
 -- limits:    given

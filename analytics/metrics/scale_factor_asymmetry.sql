@@ -5,6 +5,7 @@
 -- better:    lower
 -- grain:     unit, signal, run, position, temperature, repeat
 -- parameters: procedure, repeat, temperature_command, room, position, axis, phase, temperature, forwards, backwards
+-- parameters: remark
 -- source:    GJB 2426A-2004 5.8.3 (10)(11); JJF 2014-2022 7.2.3 (9)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
@@ -30,7 +31,8 @@ select
   u_size as standard_uncertainty,
   difference.freedom as freedom,
   n,
-  struct_insert(words, temperature := round(temperature, 2), forwards := plus.k, backwards := minus.k) as parameters,
+  struct_insert(words, temperature := round(temperature, 2), forwards := plus.k, backwards := minus.k,
+    remark := remark_on_still) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.3 (10)(11)' else '7.2.3 (9)' end as clause,
   lack as reason,

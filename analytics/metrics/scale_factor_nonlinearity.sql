@@ -5,7 +5,7 @@
 -- better:    lower
 -- grain:     unit, signal, run, position, temperature, repeat
 -- parameters: procedure, repeat, temperature_command, room, position
--- parameters: axis, phase, temperature, rate_of_maximum_deg_per_s, largest_rate_deg_per_s
+-- parameters: axis, phase, temperature, rate_of_maximum_deg_per_s, largest_rate_deg_per_s, remark
 -- source:    GJB 2426A-2004 5.8.2 (7)-(9); JJF 2014-2022 7.2.2 (6)-(8)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
@@ -32,12 +32,12 @@ select
   unit, signal, run,
   case when lack is null then worst.size end as value,
   case when worst.u is not null then list_max([greatest(0, d.size - wide * d.u) for d in deviations]) end as lo,
-  list_max([d.size + wide * d.u for d in deviations]) as hi,
+  case when worst.u is not null then list_max([d.size + wide * d.u for d in deviations]) end as hi,
   worst.u as standard_uncertainty,
   worst.freedom as freedom,
   n,
   struct_insert(words, temperature := round(temperature, 2), rate_of_maximum_deg_per_s := worst.rate,
-    largest_rate_deg_per_s := largest_rate) as parameters,
+    largest_rate_deg_per_s := largest_rate, remark := remark_on_still) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.2 (7)-(9)' else '7.2.2 (6)-(8)' end as clause,
   lack as reason

@@ -9,6 +9,7 @@ from stream.batch import BoolArray, FloatArray, IntArray
 from stream.compiled import compiled
 
 AVERAGES_S = (1.0, 10.0, 100.0)
+_ROUNDING = 1e-14  # relative; a hundred times that of a number
 LEAST_SHARE = 0.9
 _LEAST_BLOCKS = 8
 _TERMS = 3  # white, flicker, random walk
@@ -94,8 +95,10 @@ def series_statistics(
     means, squares = np.ldexp(means, -exponent), np.ldexp(squares, -2 * exponent)
     step = math.ldexp(step, -exponent)
     mean = float(np.dot(counts, means - means[0]) / n + means[0])
-    within = float(squares.sum())
-    between = float(np.dot(counts, (means - mean) ** 2))
+    still = _still_share(counts, means, squares)
+    # samples that are all alike scatter by the rounding of their sums only
+    within = 0.0 if still == 1.0 else float(squares.sum())
+    between = 0.0 if still == 1.0 else float(np.dot(counts, (means - mean) ** 2))
     sd = math.sqrt((within + between) / (n - 1)) if n > 1 else math.nan
     grid = (samples_per_block, base_ns, window_ns)
     averages = tuple(_average(start_ns, counts, means, round(each * 1e9), *grid) for each in AVERAGES_S)
@@ -118,7 +121,7 @@ def series_statistics(
         sd_freedom=_sd_freedom(n, means.size, within, between, dense),
         standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
-        walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step else _still_share(counts, means, squares),
+        walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step else still,
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )  # fmt: skip
 
@@ -131,8 +134,12 @@ def _still_share(counts: IntArray, means: FloatArray, squares: FloatArray) -> fl
     0.5
     >>> _still_share(ones, np.arange(8.0), zeros)
     0.0
+
+    Means and squares of blocks of samples that are alike differ by the rounding of their sums.
     """
-    goes_on = (means[1:] == means[:-1]) & (squares[1:] == 0) & (squares[:-1] == 0)
+    rounding = _ROUNDING * float(np.abs(means).max())
+    alike = squares <= counts * rounding**2
+    goes_on = (np.abs(means[1:] - means[:-1]) <= rounding) & alike[1:] & alike[:-1]
     if not goes_on.any():
         return 0.0
     stretches = np.add.reduceat(counts, np.flatnonzero(np.r_[True, ~goes_on]))

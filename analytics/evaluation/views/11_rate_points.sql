@@ -1,16 +1,20 @@
 -- Steps of which a scale factor is made: the table turning about the input axis, or at rest before and after. `output`
 -- is in deg/s where the source gives a rate, else in its own unit. Threshold and resolution tests hold a scale factor
--- too, whose steps are known by their names.
+-- too, whose steps are known by their names. Of an output that stood still at a rate the noise, and with it `u`, is not
+-- known: the points' distances from their line are what is left to tell.
 create or replace view internal.rate_points as
 select
   run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, product, "index", n,
   rate_command, input_rate, rate_command = 0 as at_rest,
   mean * coalesce(rate_factor / 3600, 1) as output,
-  standard_uncertainty * coalesce(rate_factor / 3600, 1) as u,
+  case when not stands_still then standard_uncertainty * coalesce(rate_factor / 3600, 1) end as u, stands_still,
   freedom,
   output_unit,
   temperature, station, time_zone, date_known, t_from_ns, t_to_ns, duration_s
-from internal.gyro_steps
+from (
+  select *, n > 1 and (sd = 0 or coalesce(still >= 0.05 and n * still >= 10, false)) as stands_still
+  from internal.gyro_steps
+)
 where n > 0 and rate_command is not null and frequency is null
   and (
     is_scale_factor_procedure("procedure") or not is_other_procedure("procedure")

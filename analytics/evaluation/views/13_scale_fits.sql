@@ -10,7 +10,7 @@ with measured as (
     min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns,
     coalesce(list({
       "index": "index", command: rate_command, rate: input_rate, output: output, u: u, freedom: coalesce(freedom, 1),
-      temperature: temperature,
+      temperature: temperature, stands_still: stands_still,
       -- from the first sample to the one after the last
       lasts_s: duration_s * n / greatest(n - 1, 1)
     } order by "index") filter (not at_rest), []) as points,
@@ -59,9 +59,17 @@ create or replace macro lack_of_directions(forwards, backwards, clause) as
       || '; measure each rate in both directions (' || clause || ')' end
   ), '');
 
-create or replace macro lack_of_answer(points) as
+create or replace macro lack_of_answer(points, k, u_k, freedom_k) as
   case when len(points) > 1 and list_min([p.output for p in points]) = list_max([p.output for p in points]) then
-    format('the output is {:g} at every rate: the axis does not answer', points[1].output) end;
+    format('the output is {:g} at every rate: the axis does not answer', points[1].output)
+    when abs(k) <= student_quantile(0.025, greatest(freedom_k, 1)) * u_k then
+      format('the output does not depend on the rate: K is {:.3g} with a standard uncertainty of {:.3g}, and may be 0', k, u_k)
+  end;
+
+create or replace macro remark_on_still(points) as
+  case when list_bool_or([p.stands_still for p in points]) then
+    'the output stands still at ' || len([p for p in points if p.stands_still]) || ' of ' || len(points) || ' rates: it is '
+    || 'frozen, or its resolution too coarse to show noise' end;
 
 create or replace macro lack_of_seconds(points, asked, clause) as
   case when list_min([p.lasts_s for p in points]) < asked * (1 - 1e-3) then
@@ -93,7 +101,8 @@ with sided as (
     (s.rest_before.output + s.rest_after.output) / 2 as rest_zero,
     case when output_unit = 'deg/s' then '1' when ends_with(output_unit, '/s') then output_unit[:-3] || '/deg'
       else output_unit || '/(deg/s)' end as k_unit,
-    lack_of_answer(points) as lack_of_answer,
+    lack_of_answer(points, k, u_k, freedom_k) as lack_of_answer,
+    remark_on_still(points) as remark_on_still,
     lack_of_directions(forwards, backwards, '5.8.1.3') as gjb_directions,
     lack_of_directions(forwards, backwards, '7.2.1.1 b') as jjf_directions,
     lack_of_range(largest_rate, max_rate_deg_per_s, product) as lack_of_range,

@@ -4,7 +4,8 @@ select run, unit, signal, arg_max(document, t_ns) as document from events where 
 
 -- Noise coefficients of IEEE 952 that were fitted to the Allan curve of a finished run: a row for each of a unit that
 -- did nothing in that run but stand still in one step. One that the record does not show has no value; `reason` says
--- by how much it is bounded. A step of the procedure for it without a fit has rows too.
+-- by how much it is bounded. Where the curve departs from the model by more than a quarter, as in
+-- `gyrofleet allan --fit`, values have no interval. A step of the procedure for it without a fit has rows too.
 create or replace view internal.noise_coefficients as
 with still as (
   select *, count(*) over (partition by run, unit, signal) as still_steps from internal.bias_steps where n > 0
@@ -20,12 +21,19 @@ with still as (
   where f.document is not null or regexp_matches(s."procedure", '^allan|Allan')
 ), parsed as (
   -- the fit is of the output in deg/h by its unit, the coefficients are of the input
-  select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale from expected
+  select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale,
+    coalesce((document->>'$.coefficients.misfit')::double > 0.25, false) as is_refused
+  from expected
 )
 select unit, signal, run, "index", coefficient, n, duration_s,
   case when (found->>'$.observable')::boolean then (found->>'$.value')::double * scale end as value,
-  (found->>'$.lo')::double * scale as lo, (found->>'$.hi')::double * scale as hi,
-  ((found->>'$.hi')::double - (found->>'$.lo')::double) * scale / (2 * 1.959963984540054) as standard_uncertainty,
+  case when not is_refused then (found->>'$.lo')::double * scale end as lo,
+  case when not is_refused then (found->>'$.hi')::double * scale end as hi,
+  case when not is_refused then ((found->>'$.hi')::double - (found->>'$.lo')::double) * scale / (2 * 1.959963984540054) end
+    as standard_uncertainty,
+  case when is_refused then 'the terms of the noise model do not describe the Allan curve, which departs from them by '
+    || round(100 * (document->>'$.coefficients.misfit')::double)::bigint || ' %, as where a line is in the spectrum: the value has '
+    || 'no interval' end as misfit_remark,
   (document->>'$.coefficients.misfit')::double as misfit,
   (document->>'$.coefficients.markov.correlation_s')::double as markov_correlation_s,
   case
@@ -39,7 +47,8 @@ from parsed;
 -- Rows of the metric of one coefficient.
 create or replace macro fitted_coefficient(name) as table
 select unit, signal, run, value, lo, hi, standard_uncertainty, null::double as freedom, n,
-  {method: 'allan', duration_s: round(duration_s), misfit: misfit, markov_correlation_s: markov_correlation_s}
+  {method: 'allan', duration_s: round(duration_s), misfit: misfit, markov_correlation_s: markov_correlation_s,
+    remark: misfit_remark}
     as parameters,
   [run] as runs, ["index"] as steps, reason
 from internal.noise_coefficients
