@@ -40,8 +40,9 @@ def settling_times(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
 
     The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where that
     is unknown, less the mean over the last quarter of the record (`reference` in the parameters); if it still moves
-    there, the time has no upper bound. The time is that of the first sample after the last one outside the band: it is known to a sample interval. The bounds include the
-    reference's uncertainty: they are the times for a band that is wider and narrower by 1.96 times that.
+    there, the time has no upper bound. The time is that of the first sample after the last one outside the band: it is
+    known to a sample interval. The bounds include the reference's uncertainty: they are the times for a band that is
+    wider and narrower by 1.96 times that.
     """
     tests = catalog.reader(sql).read_all().to_pylist()
     found = []

@@ -10,13 +10,16 @@ from stream.batch import BoolArray, IntArray
 _JITTER_NS = 1_000_000
 # A counter off by more than this share of its modulus after a long silence has restarted.
 _OUT_OF_STEP = 0.25
+# how many intervals show the usual one, and how far they may spread of it (10 to 90 %)
+_LEAST_INTERVALS, _STEADY = 20, 0.2
 
 
 class FrameCounter:
     """Numbers frames by a counter that runs from 0 to `modulus` - 1 and around.
 
-    If the interval of the frames is known, whole turns of the counter come from the times. `lost` frames are missing,
-    `repeated` ones came again or too late; `restarts` are silences after which the counter had restarted.
+    If the interval of the frames is known, whole turns of the counter come from the times; where it is not, from a
+    steady one that the first frames show. `lost` frames are missing, `repeated` ones came again or too late; `restarts`
+    are silences after which the counter had restarted.
 
     >>> counter = FrameCounter(16, interval_ns=10)
     >>> numbers, keep = counter.follow(np.array([0, 10, 12, 40]), np.array([14, 15, 15, 2]))
@@ -28,6 +31,7 @@ class FrameCounter:
         self._modulus, self._interval_ns = modulus, interval_ns
         self._last: tuple[int, int, int] | None = None  # time, counter, number of the last frame
         self._highest = -1
+        self._usual_ns: float | None = None
         self.lost = self.repeated = self.restarts = 0
 
     def follow(self, t_ns: IntArray, counter: IntArray) -> tuple[IntArray, BoolArray]:
@@ -44,6 +48,11 @@ class FrameCounter:
             is_restart = (elapsed > self._modulus) & out_of_step
             steps = np.where(is_restart, np.rint(elapsed).astype(np.int64), steps + turns * self._modulus)
             self.restarts += int(is_restart.sum())
+        elif (usual_ns := self._steady_ns(t_ns, steps)) is not None:
+            elapsed = np.diff(t_ns, prepend=np.int64(t_last)) / usual_ns
+            turns = np.maximum(np.rint((elapsed - steps) / self._modulus), 0).astype(np.int64)
+            is_in_step = np.abs(elapsed - steps - turns * self._modulus) <= _OUT_OF_STEP * self._modulus
+            steps += np.where(is_in_step, turns * self._modulus, 0)
         if self._last is None:
             steps[0] = 0
         numbers = n_last + np.cumsum(steps)
@@ -54,6 +63,16 @@ class FrameCounter:
         self._last = int(t_ns[-1]), int(counter[-1]), int(numbers[-1])
         self._highest = max(self._highest, int(numbers.max()))
         return numbers, keep
+
+    def _steady_ns(self, t_ns: IntArray, steps: IntArray) -> float | None:
+        """The interval of frames that follow each other, if it hardly varies."""
+        if self._usual_ns is None:
+            intervals = np.diff(t_ns)[steps[1:] == 1]
+            if len(intervals) < _LEAST_INTERVALS:
+                return None
+            low, middle, high = np.quantile(intervals, (0.1, 0.5, 0.9)).tolist()
+            self._usual_ns = middle if middle > 0 and high - low <= _STEADY * middle else 0.0
+        return self._usual_ns or None
 
 
 @dataclass

@@ -115,7 +115,7 @@ def bit_field(signal: "Signal") -> BitField:
 
 @dataclass(frozen=True)
 class SignalLayout:
-    """One signal of a message as in the database: value = raw * scale + offset.
+    """One signal of a message as in the database: value = raw * scale + offset, within `span` if that is stated.
 
     With a `switch` it is present only in frames whose multiplexer of that name has one of the raw values.
     """
@@ -126,6 +126,7 @@ class SignalLayout:
     offset: float = 0.0
     switch: tuple[str, tuple[int, ...]] | None = None
     unit_of_measure: str = ""
+    span: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -169,14 +170,17 @@ class MessageLayout:
         """Layout of a message of cantools, without signals that cannot be decoded."""
         signals: dict[str, SignalLayout] = {}
         unusable: dict[str, str] = {}
+        names = [signal.name for signal in message.signals]
         for signal in message.signals:
-            if (why := why_unusable(signal)) is not None:
+            why = "it is there twice" if names.count(signal.name) > 1 else why_unusable(signal, message.length)
+            if why is not None:
                 unusable[signal.name] = why
                 continue
             scale, offset = float(signal.conversion.scale), float(signal.conversion.offset)
             selector = signal.multiplexer_signal
             switch = None if selector is None else (selector, tuple(signal.multiplexer_ids or ()))
-            layout = SignalLayout(signal.name, bit_field(signal), scale, offset, switch, signal.unit or "")
+            span = _span(signal)
+            layout = SignalLayout(signal.name, bit_field(signal), scale, offset, switch, signal.unit or "", span)
             signals[signal.name] = layout
         for name, layout in list(signals.items()):
             if layout.switch is not None and layout.switch[0] not in signals:
@@ -215,7 +219,14 @@ class MessageLayout:
         return known[name]
 
 
-def why_unusable(signal: "Signal") -> str | None:
+def _span(signal: "Signal") -> tuple[float, float] | None:
+    """Least and greatest value that a database states; both 0 is none."""
+    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return None
+    return float(signal.minimum), float(signal.maximum)
+
+
+def why_unusable(signal: "Signal", message_bytes: int = 0) -> str | None:
     """Reason why a signal of a database cannot be decoded; None if it can."""
     try:
         conversion = (float(signal.conversion.scale), float(signal.conversion.offset))
@@ -227,4 +238,6 @@ def why_unusable(signal: "Signal") -> str | None:
         return f"it has {signal.length} bits"
     if bit_field(signal).needs_bytes > MOST_BYTES:
         return f"it ends beyond the {MOST_BYTES} bytes of a frame"
+    if 0 < message_bytes < bit_field(signal).needs_bytes:
+        return f"it ends beyond the {message_bytes} bytes of its message"
     return None

@@ -17,6 +17,7 @@ from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_
 from ingest.can.log_bounds import check_bounds, check_objects
 from ingest.can.log_structure import LEAST_BYTES, MAGIC, find_damage
 from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts, logged_by
+from ingest.can.text_logs import AscReader, CandumpReader, TrcReader, lines_left_out
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
@@ -32,6 +33,8 @@ Progress = Callable[[float], None]
 class CanLog:
     r"""One log file; raises BadInput if it cannot be opened, or is no such log.
 
+    `zone` is the time zone of a time of day that states none, as in ASC and TRC; by default UTC.
+
     >>> import tempfile
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = Path(folder.name) / "bench.log"
@@ -42,8 +45,8 @@ class CanLog:
     >>> folder.cleanup()
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, zone: str | None = None) -> None:
+        self.path, self._zone = path, zone
         self.damage = self.note = ""
         self.counts = LogFrameCounts()
         self._channels: dict[str, int] = {}
@@ -75,6 +78,11 @@ class CanLog:
                     held = None
                 if progress is not None:
                     progress(min(place / size, 1.0))
+            self.damage = self.damage or lines_left_out(reader)
+            if getattr(reader, "has_local_time", False):
+                told = f"its time of day has no zone and is taken as of {self._zone or 'UTC'}"
+                advice = "" if self._zone else "; give --time-zone if that is not right"
+                self.note = "; ".join(filter(None, [self.note, told + advice]))
         finally:
             _stop(reader)
         self._held = held
@@ -151,7 +159,7 @@ class CanLog:
             with warnings.catch_warnings(), logged_by("asammdf", "can") as logged:
                 # asammdf warns of what it repairs in an unfinished file; `find_damage` reports it
                 warnings.simplefilter("ignore")
-                reader = _READERS[self.path.suffix.lower()](self.path)
+                reader = _READERS[self.path.suffix.lower()](self.path, self._zone)
             self._add_damage(logged)
             return reader
         except BadInput:
@@ -175,7 +183,7 @@ def _stop(reader: MessageReader) -> None:
         reader.stop()
 
 
-def _mf4_reader(path: Path) -> MessageReader:
+def _mf4_reader(path: Path, _zone: str | None) -> MessageReader:
     from asammdf.blocks import mdf_v4
 
     # its destructor fails, and Python prints that, where the constructor did not come to its end
@@ -189,11 +197,11 @@ def _closed(close: Callable[[], None]) -> None:
         close()
 
 
-_READERS: dict[str, Callable[[Path], MessageReader]] = {
-    ".blf": _BlfReader,
-    ".trc": can.TRCReader,
-    ".log": can.CanutilsLogReader,
-    ".asc": lambda path: can.ASCReader(path, relative_timestamp=False),
+_READERS: dict[str, Callable[[Path, str | None], MessageReader]] = {
+    ".blf": lambda path, _: _BlfReader(path),
+    ".trc": TrcReader,
+    ".log": lambda path, _: CandumpReader(path),
+    ".asc": AscReader,
     ".mf4": _mf4_reader,
 }
 

@@ -26,6 +26,7 @@ from stream.events import StepEnded, StepStarted, StepWords
 from stream.identity import check_name
 
 _BATCH_SAMPLES = 1000
+_FEW_FRAMES = 10
 _SAME_WITHIN = 0.05
 
 _Name = tuple[str, str]
@@ -36,15 +37,17 @@ class CanLogFile:
 
     Its `run` is by default the file's name; `start_ns` its zero, nanoseconds UTC, if its times count from it. Each unit
     is in a step of the `words` all the time. `intervals` are nominal ones in nanoseconds by unit, run and signal in
-    earlier logs; this one adds its own. Raises BadInput if the log cannot be opened, or cannot name a run.
+    earlier logs; this one adds its own. `time_zone` is that of a time of day that states none. Raises BadInput if the
+    log cannot be opened, or cannot name a run.
     """
 
     def __init__(
         self, path: Path, plan: CanPlan | CanMapping, run: str | None = None, start_ns: int | None = None,
         words: StepWords | None = None, intervals: dict[tuple[str, str, str], int] | None = None,
+        time_zone: str | None = None,
     ) -> None:  # fmt: skip
         self._path = path
-        self._log = CanLog(path)
+        self._log = CanLog(path, time_zone)
         self._plan = plan if isinstance(plan, CanPlan) else plan.plan(self._occurring)
         self._run = check_name("run", path.stem if run is None else run)
         self._start_ns, self._words = start_ns, words
@@ -69,6 +72,14 @@ class CanLogFile:
             unknown = f"ids that are not in the database: {ids_text(counts.unknown)}; " if counts.unknown else ""
             none = f"{counts.frames} frames{damage} and not one sample of what is mapped"
             raise BadInput(f"{self._path}: {none}; {unknown}see `gyrofleet can scan`")
+        for each in counts.messages:
+            if each.frames > _FEW_FRAMES and each.late + each.retimed > each.frames / 2:
+                where = f"{self._path}: message {each.message} of unit {each.unit}"
+                raise BadInput(
+                    f"{where}: of {each.frames} frames {each.late} lie before one that came earlier, and {each.retimed} at "
+                    "its time: the times are differences from frame to frame, or one is far ahead; write the log with "
+                    "times of day, or take that frame out"
+                )
         signals = []
         for (unit, signal), grid in grids.items():
             plan = plans[unit, signal]

@@ -60,6 +60,7 @@ class CanMapping:
         if not routes:
             raise BadInput(f"{self._place}: no message with signals is mapped")
         _refuse_twins(self._place, routes)
+        self._remarks += _of_one_identifier(routes)
         self._plan = CanPlan(tuple(routes), tuple(self._remarks))
         return self._plan
 
@@ -266,3 +267,16 @@ def _named(where: str, kind: str, name: str) -> str:
         return check_name(kind, name)
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from error
+
+
+def _of_one_identifier(routes: list[Route]) -> Iterator[str]:
+    """Remarks on messages that are read from the same frames."""
+    of_frames: dict[tuple[int, str], dict[str, None]] = {}
+    for route in routes:
+        if route.channel is None and route.selector is None and route.source is None:
+            of_frames.setdefault((route.key, route.unit), {})[route.message.layout.name] = None
+    for (key, _), names in of_frames.items():
+        if len(names) > 1:
+            first, *others = names
+            more = ", ".join(others)
+            yield f"messages {first} and {more} have one identifier, {key:#x}: all are read from its frames"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ingest.can.counters import ForwardTimes, FrameCounter
-from ingest.can.decode import Decoded, FrameBytes, scaled
+from ingest.can.decode import Decoded, FrameBytes, RawArray, SignalLayout, scaled
 from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
 from ingest.can.summary import CanCounts, MessageCount
@@ -40,6 +40,10 @@ class _Frames(NamedTuple):
     source: IdArray
     octets: FrameBytes
     decoded: dict[str, Decoded]
+
+
+# greatest raw values that are measured ones, by bits (SAE J1939-71 5.1.4)
+_J1939_MOST = {8: 0xFA, 16: 0xFAFF, 32: 0xFAFFFFFF}
 
 
 class _RouteState:
@@ -140,6 +144,10 @@ class _RouteState:
                 mine_ns, raw = times_ns, found.all_raw if has_all else found.all_raw[keep]
             else:
                 mine_ns, raw = times_ns[found.rows[keep]], found.all_raw[found.rows & keep]
+            if self.route.is_j1939 and (meaning := _j1939_values(raw, plan.layout)) is not None:
+                self.tally.not_available += int(len(meaning) - meaning.sum())
+                mine_ns, raw = mine_ns[meaning], raw[meaning]
+            self.tally.outside += _outside(raw, plan.layout)
             data: CountArray | FloatArray
             if plan.is_counts:
                 data = raw.astype(np.int32)
@@ -153,6 +161,31 @@ class _RouteState:
                 pieces.append(SignalPiece(self.route, plan, mine_ns, data))
         self.tally.short += short
         return pieces
+
+
+def _j1939_values(raw: RawArray, layout: SignalLayout) -> BoolArray | None:
+    """Which raw values are measured ones; None if all are.
+
+    Above 0xFA, 0xFAFF and 0xFAFFFFFF are errors, what is not available, and reserved ones (SAE J1939-71 5.1.4).
+    """
+    most = _J1939_MOST.get(layout.field.bits)
+    if most is None or layout.field.is_signed or layout.field.is_float:
+        return None
+    is_value = raw <= most
+    return None if is_value.all() else np.asarray(is_value, np.bool_)
+
+
+def _outside(raw: RawArray, layout: SignalLayout) -> int:
+    """How many values lie outside what the database states, by more than half a step."""
+    if layout.span is None or not len(raw):
+        return 0
+    ends = scaled(np.array([raw.min(), raw.max()]), layout.scale, layout.offset)
+    room = 0.5 * abs(layout.scale)
+    least, most = layout.span[0] - room, layout.span[1] + room
+    if least <= ends.min() and ends.max() <= most:
+        return 0
+    values = scaled(raw, layout.scale, layout.offset)
+    return int(np.count_nonzero((values < least) | (values > most)))
 
 
 class CanSamples:

@@ -18,6 +18,8 @@ _COUNTED = {
     "not_finite": "values that are no finite number left out",
     "other_channel": "on another channel left out (say which with --mapping)",
     "other_source": "from another source address left out (say which with --mapping)",
+    "not_available": "values that say error or not available (J1939-71) left out",
+    "outside": "values outside the range that the database states",
     "late": "before one that came earlier left out",
     "retimed": "at the time of the one before, put a nanosecond after it",
 }
@@ -53,6 +55,8 @@ class MessageCount:
     checksum_failures: int = 0  # frames left out for a wrong checksum
     short: int = 0  # frames that lack bytes of a signal; that signal was left out
     not_finite: int = 0  # values left out as they are not finite
+    not_available: int = 0  # values of J1939 left out that say error or not available
+    outside: int = 0  # values outside the range that the database states
     other_channel: int = 0  # left out, of another channel than the first frame's, if the mapping names none
     late: int = 0  # left out as their time lies before that of an earlier one
     retimed: int = 0  # a little late, put after the one before
@@ -91,7 +95,11 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
     for identifier, frames in counts.unrouted.items():
         yield f"{frames} frames of {id_text(identifier)} on a channel or of a source or multiplexer that is no unit's"
     for count in counts.messages:
-        text = ", ".join(f"{number} {what}" for name, what in _COUNTED.items() if (number := getattr(count, name)))
+        text = ", ".join(
+            f"{number}{f' of {count.frames}' if name == 'late' else ''} {what}"
+            for name, what in _COUNTED.items()
+            if (number := getattr(count, name))
+        )
         if text:
             yield f"message {count.message} of unit {count.unit}: {text}"
 

@@ -245,7 +245,7 @@ def _file(
         from ingest.can.log_file import CanLogFile
 
         assert plan is not None
-        return CanLogFile(path, plan, options.run, options.start_ns, options.words, intervals)
+        return CanLogFile(path, plan, options.run, options.start_ns, options.words, intervals, options.time_zone)
     from ingest.tables.file import TableFile
 
     return TableFile(path, options)
