@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _PIECE_SAMPLES = 1_000_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DeviationCurve:
     """A deviation over averaging time, with 95 % confidence bounds.
 
@@ -104,6 +104,10 @@ def allan_deviation(
     """
     row = _row_of(values)
     interval_ns = _interval_ns(rate_hz)
+    if not isinstance(unit_of_measure, str):
+        raise BadInput(f"unit_of_measure is {unit_of_measure!r}, expected a text such as deg/s")
+    if not isinstance(points_per_octave, int | np.integer):
+        raise BadInput(f"points_per_octave is {points_per_octave!r}, expected 1, 2, 4 or 8")
     try:
         kind = Deviation(deviation)
     except ValueError:

@@ -76,9 +76,9 @@ class CanLogFile:
             if each.frames > _FEW_FRAMES and each.late + each.retimed > each.frames / 2:
                 where = f"{self._path}: message {each.message} of unit {each.unit}"
                 raise BadInput(
-                    f"{where}: of {each.frames} frames {each.late} lie before one that came earlier, and {each.retimed} at "
-                    "its time: the times are differences from frame to frame, or one is far ahead; write the log with "
-                    "times of day, or take that frame out"
+                    f"{where}: of {each.frames} frames {each.late} lie before one that came earlier, and "
+                    f"{each.retimed} at its time: the times are differences from frame to frame, or one is far ahead; "
+                    "write the log with times of day, or take that frame out"
                 )
         signals = []
         for (unit, signal), grid in grids.items():

@@ -16,7 +16,7 @@ import can
 
 _MOST_TEXT = 60
 _CANDUMP = re.compile(
-    r"\(\d+(\.\d+)?\)\s+\S+\s+[0-9A-Fa-f]{1,8}#(#[0-9A-Fa-f])?([Rr]\d*|([0-9A-Fa-f]{2})*)(\s+[RTrt])?"
+    r"\(([0-9.e+]+|nan|inf)\)\s+\S+\s+[0-9A-Fa-f]{1,8}#(#[0-9A-Fa-f])?([Rr]\d*|([0-9A-Fa-f]{2})*)(\s+[RTrt])?"
 )
 _TIMED = re.compile(r"(\s*)(\d+\.\d+)(\s.*)", re.DOTALL)
 _CLOCK_FORMATS = ("%m %d %I:%M:%S.%f %p %Y", "%m %d %I:%M:%S %p %Y", "%m %d %H:%M:%S.%f %Y", "%m %d %H:%M:%S %Y")

@@ -15,6 +15,7 @@ from storage.lake.lake import Lake
 from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
 from storage.log.files import quarantine_unknown
+from storage.log.misplaced import put_back
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
 from storage.log.sequence import LostStretch
 from storage.log.store_documents import append_document, store_document
@@ -69,6 +70,15 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
 def _repair_log(store: Store) -> Iterator[Action]:
     """Repair the log; losses are documented, durably, before anything is replaced, so that a kill loses nothing."""
     yield from _repair_manifest(store)
+    renamed: set[str] = set()
+    for path, own in put_back(store):
+        renamed.add(path.stem)
+        yield Action(
+            "segment_renamed", str(path), f"it is the segment {own.name}, by its SHA-256, and has its name again"
+        )
+    if renamed:
+        for name in Lake(store).drop_of_segments(renamed):
+            yield Action("lake_mended", str(store.lake / name), "made of a segment under another name; taken out")
     log = EventLog(store)
     for recovery in log.recovered:
         yield Action("segment_sealed", str(store.log / recovery.segment), _describe(recovery))

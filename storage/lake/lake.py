@@ -6,7 +6,7 @@ parts are in force. Replaced files stay for their readers for a while.
 
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from storage.lake.drops import Drops
 from storage.lake.part import BuiltPart, build_part, documented_drops, without_samples
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.files import sealed_segments
+from storage.log.misplaced import misplaced_segments
 from storage.manifests import lake as manifests
 from storage.manifests import part as descriptions
 from storage.manifests.log import LogManifest, read_log_manifest
@@ -48,8 +49,18 @@ class Lake:
         self._apply_dropped()
 
     def missing(self) -> list[str]:
-        """Sealed segments that are not in the lake."""
-        return sorted({path.stem for path in sealed_segments(self.store)} - self.manifest.segments)
+        """Sealed segments that are not in the lake, without those that are in it under another name."""
+        missing = {path.stem for path in sealed_segments(self.store)} - self.manifest.segments
+        if missing:
+            missing -= {name.removesuffix(".mcap") for name in misplaced_segments(self.store)}
+        return sorted(missing)
+
+    def drop_of_segments(self, names: Collection[str]) -> list[str]:
+        """Take parts out of force that are made of these segments alone; returns their names."""
+        dropped = [part.name for part in self.manifest.parts if part.segments and set(names).issuperset(part.segments)]
+        if dropped:
+            self.swap(dropped, [])
+        return dropped
 
     def bring(self, segments: Iterable[str], failed: dict[str, StoreError]) -> Iterator[str]:
         """Build sealed segments; yields each that is in force, collects damaged ones in `failed`.

@@ -17,11 +17,12 @@ import pyarrow as pa
 from storage.lake.clock_stretches import clock_table
 from storage.lake.rollups import rollup_tables
 from storage.lake.tables import MESSAGE_COLUMNS, TABLES
+from storage.log.misplaced import misplaced_segments
 from storage.manifests.log import read_log_manifest
 from storage.manifests.part import Part
 from storage.sql.sandbox.guard import plain_message
 from storage.sql.views import define_views, reading_lake
-from storage.store import Store
+from storage.store import Store, writer_is_active
 from stream.errors import QueryError, StoreError
 
 if TYPE_CHECKING:
@@ -122,6 +123,11 @@ class LiveTables:
         """Sealed segments beyond `MOST_SAMPLES`, the oldest: no builder is at work."""
         sealed = [match[1] for name in _names(self._store) if (match := _FILE.fullmatch(name)) and match[2] is None]
         missing = sorted(set(sealed) - self._in_lake)
+        if missing and not writer_is_active(self._store.folder) and (misplaced := misplaced_segments(self._store)):
+            names = ", ".join(f"{name} is {own}" for name, own in sorted(misplaced.items())[:3])
+            self.notes.append(f"segments of the log have other names than they were sealed with ({names}): "
+                              "`gyrofleet recover` puts them back")  # fmt: skip
+            return {name.removesuffix(".mcap") for name in misplaced}
         if len(missing) <= _FEW_SEGMENTS:
             return set()
         entries = read_log_manifest(self._store).entries

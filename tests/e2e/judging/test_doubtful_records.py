@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from gyrofleet import main
 from stream.batch import FloatArray
 
 Ask = Callable[..., Any]
@@ -29,18 +27,6 @@ metric = "bias_repeatability"
 upper = 1.0
 unit_of_measure = "deg/h"
 """
-
-
-@pytest.fixture
-def ask(tmp_path: Path) -> Ask:
-    """A command on one store, with its answer in JSON."""
-
-    def ask(*words: object) -> Any:
-        done = CliRunner().invoke(main, [*(str(word) for word in words), "--store", str(tmp_path / "S"), "--json"])
-        assert done.exit_code == 0, (done.output, done.exception)
-        return json.loads(done.stdout.splitlines()[-1] if words[0] == "import" else done.stdout)
-
-    return ask
 
 
 def written(path: Path, time_s: FloatArray, **columns: FloatArray) -> Path:

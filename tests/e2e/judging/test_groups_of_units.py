@@ -1,6 +1,5 @@
 """Lots, stations and units in lists and yields: units without limits, tests without a list of units, two stations."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,18 +28,6 @@ name = "{name}"
 latitude_deg = 40.0
 time_zone = "UTC"
 """
-
-
-@pytest.fixture
-def ask(tmp_path: Path) -> Ask:
-    """A command on one store, with its answer in JSON."""
-
-    def ask(*words: object) -> Any:
-        done = CliRunner().invoke(main, [*(str(word) for word in words), "--store", str(tmp_path / "S"), "--json"])
-        assert done.exit_code == 0, (done.output, done.exception)
-        return json.loads(done.stdout.splitlines()[-1] if words[0] == "import" else done.stdout)
-
-    return ask
 
 
 def record(path: Path, bias: float, seed: int) -> Path:

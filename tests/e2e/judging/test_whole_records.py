@@ -1,6 +1,5 @@
 """Records that lack samples, values whose U is known, and biases without the Earth's rate: what a verdict may claim."""
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -8,9 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from gyrofleet import main
 from stream.batch import FloatArray
 from tests.e2e.judging.test_doubtful_records import parameters, written
 
@@ -47,18 +44,6 @@ upper = {upper}
 unit_of_measure = "deg/h"
 parameters = {{ earth_rate = "{earth_rate}" }}
 """
-
-
-@pytest.fixture
-def ask(tmp_path: Path) -> Ask:
-    """A command on one store, with its answer in JSON."""
-
-    def ask(*words: object) -> Any:
-        done = CliRunner().invoke(main, [*(str(word) for word in words), "--store", str(tmp_path / "S"), "--json"])
-        assert done.exit_code == 0, (done.output, done.exception)
-        return json.loads(done.stdout.splitlines()[-1] if words[0] == "import" else done.stdout)
-
-    return ask
 
 
 def of_unit(answer: Any, unit: str) -> dict[str, Any]:
@@ -134,7 +119,10 @@ def test_a_bias_without_the_earths_rate_is_no_surer_than_with_it(measured: Ask) 
         assert row["U"] == pytest.approx(2.0 * math.hypot(of_table, row["u_type_a"]), rel=0.01)
 
 
-CASES = [(0.06, "MARGINAL"), (0.2, "PASS"), (-0.06, "MARGINAL"), (-0.2, "FAIL")]
+CASES = [
+    (0.06, "MARGINAL"), *(pytest.param(*each, marks=pytest.mark.long) for each in
+    [(0.2, "PASS"), (-0.06, "MARGINAL"), (-0.2, "FAIL")]),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("above", "verdict"), CASES)

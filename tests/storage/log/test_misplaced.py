@@ -1,0 +1,75 @@
+"""Segments that somebody renamed or swapped: each sample once before and after the repair, and the store as it was."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from storage.check.recover import recover
+from storage.lake.builder import build_missing, builder_lock
+from storage.log.misplaced import misplaced_segments
+from storage.segments.disk import sha256_of
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from tests.storage.verified_store import fill, kinds
+
+RENAMED = {"3": "9"}
+SWAPPED = {"2": "3", "3": "2"}
+AROUND = {"1": "2", "2": "3", "3": "1"}
+TWO = {"2": "7", "3": "8"}
+
+
+def name(number: str) -> str:
+    return f"{int(number):08}.mcap"
+
+
+def move(store: Store, names: Mapping[str, str]) -> None:
+    for old in names:
+        (store.log / name(old)).rename(store.folder / old)
+    for old, new in names.items():
+        (store.folder / old).rename(store.log / name(new))
+
+
+def counted(store: Store) -> tuple[int, int]:
+    with Catalog(store, live=True) as catalog:
+        found = catalog.user_reader("select count(*) as n, count(distinct seq) as seqs from samples").read_all()
+    return found["n"][0].as_py(), found["seqs"][0].as_py()
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    return {path.name: sha256_of(path) for path in folder.glob("*.mcap")}
+
+
+@pytest.mark.parametrize("is_built_before", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("names", [RENAMED, SWAPPED, AROUND, pytest.param(TWO, marks=pytest.mark.long)])
+def test_what_was_renamed_gets_its_name_back(tmp_path: Path, names: Mapping[str, str], is_built_before: bool) -> None:
+    store = Store.create(tmp_path / "store")
+    for first, last in ((0, 10), (10, 24), (24, 43)):  # of different sizes
+        fill(store, range(first, last))
+    samples = 100 * (10 + 14 + 19)
+    before = hashes(store.log)
+    if is_built_before:
+        with builder_lock(store):
+            list(build_missing(store))
+    move(store, names)
+    assert misplaced_segments(store) == {name(new): name(old) for old, new in names.items()}
+    n, seqs = counted(store)
+    assert n == seqs  # none twice
+    with builder_lock(store):
+        list(build_missing(store))
+    n, seqs = counted(store)
+    assert n == seqs
+    done = list(recover(store))
+    assert {each.what for each in done} <= {"segment_renamed", "lake_mended", "lake_built"}
+    assert hashes(store.log) == before
+    assert misplaced_segments(store) == {}
+    assert kinds(store) == []
+    assert counted(store) == (samples, samples)
+    assert list(recover(store)) == []
+
+
+def test_a_copy_of_a_sound_segment_is_not_misplaced(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "store")
+    fill(store, range(10))
+    (store.log / name("5")).write_bytes((store.log / name("1")).read_bytes())
+    assert misplaced_segments(store) == {}
