@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from analytics.certificate.statement.standards import standards
@@ -31,12 +32,15 @@ MORE = 'mounting = { U = 5.0, k = 2.0, unit = "arcsec" }\n'
 def lab(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a store `lab` of one calibrated unit, and another measured with a table that was out of date."""
     folder = tmp_path_factory.mktemp("attitude_lab")
+    rng = np.random.default_rng(1536)
     turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 1.0, 1.0))
     turns(turning, MATRIX, BIASES)
     four_positions(standing, BIASES)
     for axis in "XYZ":
         for rate in (0.0, 10.0, -10.0, 25.0, -25.0, 63.0, -63.0, 100.0, -100.0, 0.0):
-            samples = {each: ramp(rate * 20.0 if each == axis else 0.0, 20) for each in ANGLES}
+            samples = {
+                each: ramp(rate * 20.0 if each == axis else 0.0, 20) + rng.normal(0.0, 1e-5, 21) for each in ANGLES
+            }
             words = {"axis": axis, "position": f"{axis}_up", "rate_command": rate, "step": "rate" if rate else "rest"}
             rating.step(samples, procedure="attitude_unit_scale_factor", **words)
     (folder / "station.toml").write_text(STATION + MORE, encoding="utf-8")
