@@ -231,9 +231,16 @@ class FileSending:
         return RunStarted(
             run=run, t_ns=self._first_ns(run), uid=_uid("started", run, content), date_known=self._summary.date_known,
             source=f"file {self.path.name}", units=tuple(dict.fromkeys(signal.unit for signal in self._of[run])),
-            details=self._about, procedure=self._summary.words.procedure if self._summary.words else None,
+            details=self._about, procedure=self._procedure(),
             lot=self._lot(run),
         )  # fmt: skip
+
+    def _procedure(self) -> str | None:
+        """The procedure of all steps; None if they are of several."""
+        own = self._summary.procedures
+        if self._summary.words is not None:
+            own |= {self._summary.words.procedure}
+        return next(iter(own)) if len(own) == 1 else None
 
     def _lot(self, run: str) -> str | None:
         """The lot of all units of a run; None if they are of several."""

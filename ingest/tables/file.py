@@ -70,6 +70,7 @@ class TableFile:
         }
         tracker = StepTracker()
         steps = 0
+        procedures: set[str | None] = set()
         for good in self._good_rows(rows, progress):
             for name, cells in good.signals.items():
                 times_ns, values = _samples(good.times_ns, cells)
@@ -79,7 +80,9 @@ class TableFile:
             for begin, end, words in good.stretches:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
-                steps += started is not None
+                if started is not None:
+                    steps += 1
+                    procedures.add(started.words.procedure)
         if rows.bad_rows and not self._options.skip_bad:
             raise BadRows(self._path, tuple(rows.bad), rows.bad_rows)
         if not grids:
@@ -93,7 +96,7 @@ class TableFile:
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
             steps=steps, signals=signals, remarks=remarks,
-            words=self._options.words,
+            words=self._options.words, procedures=frozenset(procedures),
         )  # fmt: skip
         return self._summary
 

@@ -42,6 +42,7 @@ class TableSummary:
     damage: str = ""  # defect of the file whose good part is used; empty if there is none
     remarks: tuple[str, ...] = ()  # sentences for the user
     words: StepWords | None = None  # step words that apply to all rows
+    procedures: frozenset[str | None] = frozenset()  # those of the steps
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Lots, stations and units in lists and yields: units without limits, tests without a list of units, two stations."""
 
+import datetime as dt
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from gyrofleet import main
-from tests.e2e.judging.test_doubtful_records import parameters, written
+from tests.e2e.judging.test_doubtful_records import parameters
 
 Ask = Callable[..., Any]
 LIMITS = """
@@ -30,10 +31,13 @@ time_zone = "UTC"
 """
 
 
-def record(path: Path, bias: float, seed: int) -> Path:
-    """Ten minutes at rest."""
+def record(path: Path, unit: str, bias: float, seed: int, day: int = 1) -> Path:
+    """Ten minutes at rest on a day of October 2026."""
     noise = np.random.default_rng(seed).standard_normal(600)
-    return written(path, np.arange(600.0), rate__dph=bias + 0.5 * noise)
+    begin = int(dt.datetime(2026, 10, day, 8, tzinfo=dt.UTC).timestamp())
+    rows = [f"{begin + at},{bias + 0.5 * each:.6f},{unit},static_bias,IRA_east_west" for at, each in enumerate(noise)]
+    path.write_text("\n".join(["time[s],rate[deg/h],unit,procedure,position", *rows]) + "\n")
+    return path
 
 
 def rows_of(answer: Any) -> list[dict[str, Any]]:
@@ -45,23 +49,10 @@ def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
     serials = [f"G{at}" for at in range(5)]
     listed = [f"{serial},{'MEMS' if serial == 'G4' else 'FOG'},L1" for serial in serials]
     (tmp_path / "units.csv").write_text("\n".join(["serial,product,lot", *listed]) + "\n")
-    words = ("--procedure", "static_bias", "--position", "IRA_east_west")
-    for at, serial in enumerate(serials):
-        path = record(tmp_path / f"{serial}.csv", 2.0, at)
-        ask(
-            "import",
-            path,
-            "--unit",
-            serial,
-            "--start",
-            "2026-10-01T08:00:00Z",
-            *words,
-            "--units",
-            tmp_path / "units.csv",
-        )
-    again = record(tmp_path / "again.csv", 20.0, 9)
-    ask("import", again, "--unit", "G0", "--start", "2026-10-02T08:00:00Z", *words)
-    ask("import", record(tmp_path / "new.csv", 2.0, 10), "--unit", "NEW", "--start", "2026-10-02T08:00:00Z", *words)
+    paths = [record(tmp_path / f"{serial}.csv", serial, 2.0, at) for at, serial in enumerate(serials)]
+    ask("import", *paths, "--units", tmp_path / "units.csv")
+    again = record(tmp_path / "again.csv", "G0", 20.0, 9, day=2)
+    ask("import", again, record(tmp_path / "new.csv", "NEW", 2.0, 10, day=2))
     bare = ask("verdicts", "--by", "lot")
     groups = {row["name"]: row for row in bare["yield"]}
     assert {name: (row["units"], row["no_data"]) for name, row in groups.items()} == {"L1": (5, 5), None: (1, 1)}
@@ -83,13 +74,13 @@ def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
 def test_a_repeatability_over_two_stations_says_so(ask: Ask, tmp_path: Path) -> None:
     for name in ("A", "B"):
         (tmp_path / f"{name}.toml").write_text(STATION.format(name=name))
+    paths: dict[str, list[Path]] = {"A": [], "B": []}
     for at in range(6):
         for unit, station in (("TWO", "AB"[at % 2]), ("ONE", "A")):
-            path = record(tmp_path / f"{unit}{at}.csv", 2.0 + 0.5 * (station == "B"), 10 * at + (unit == "ONE"))
-            ask(
-                "import", path, "--unit", unit, "--start", f"2026-10-0{at + 1}T08:00:00Z", "--procedure", "static_bias",
-                "--position", "IRA_east_west", "--station", tmp_path / f"{station}.toml",
-            )  # fmt: skip
+            bias, seed = 2.0 + 0.5 * (station == "B"), 10 * at + (unit == "ONE")
+            paths[station].append(record(tmp_path / f"{unit}{at}.csv", unit, bias, seed, day=at + 1))
+    for station, files in paths.items():
+        ask("import", *files, "--station", tmp_path / f"{station}.toml")
     answer = ask("metrics", "--metric", "bias_repeatability")
     found = [row for row in (answer["metrics"] if isinstance(answer, dict) else answer) if row["value"] is not None]
     said = "measured at 2 stations (A, B): what differs between these is in the scatter"
@@ -97,7 +88,7 @@ def test_a_repeatability_over_two_stations_says_so(ask: Ask, tmp_path: Path) -> 
 
 
 def test_a_word_that_no_value_has_is_no_limit(ask: Ask, tmp_path: Path) -> None:
-    ask("import", record(tmp_path / "one.csv", 2.0, 1), "--unit", "G1", "--start", "2026-10-01T08:00:00Z")
+    ask("import", record(tmp_path / "one.csv", "G1", 2.0, 1))
     (tmp_path / "limits.toml").write_text(LIMITS + 'parameters = { earth_rate = "nonne" }\n')
     done = CliRunner().invoke(main, ["limits", "add", str(tmp_path / "limits.toml"), "--store", str(tmp_path / "S")])
     assert done.exit_code == 1
