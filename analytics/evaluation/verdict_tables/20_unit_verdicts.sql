@@ -1,7 +1,7 @@
 -- One verdict for each unit: the worst of its limits. A limit's own verdict is the worst of its values; an attempt that
 -- gave no value counts only where no other did. A unit passes only where limits of a specification were judged: checks
--- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each limit instead: after a
--- repair and a second test the two differ.
+-- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each
+-- limit instead: after a repair and a second test the two differ.
 create or replace table internal.limit_verdicts as
 select unit, signal, metric, subject, of_standard, specification,
   verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict,

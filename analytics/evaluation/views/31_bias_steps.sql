@@ -1,6 +1,7 @@
 -- Static steps that are records of a bias: of the procedures for it, and of others (files bring names of their own, or
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
--- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, what stands still, and an attitude that does not say which axis it means.
+-- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, what stands still, and an
+-- attitude that does not say which axis it means.
 create or replace view internal.bias_steps as
 with counted as (
   select *,
