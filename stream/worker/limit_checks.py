@@ -36,9 +36,9 @@ VERDICT = "verdict"
 
 _NAMESPACE = UUID("5b0f4f0e-58f1-4a55-9d4b-3d0a6d1c2e77")
 _SAME_TAU = 0.01
+WHOLE_RECORD = 0.9  # share of its planned length from which a record counts as whole
 # A failure stands whatever else is missing. MARGINAL comes before NO_DATA because values at the limit were seen:
 # it asks for a longer test or a decision, NO_DATA only for the missing measurement. PASS is left when all passed.
-WHOLE_RECORD = 0.9  # share of its planned length from which a record counts as whole
 _WORST_FIRST = (Verdict.FAIL, Verdict.MARGINAL, Verdict.NO_DATA, Verdict.PASS)
 
 
