@@ -31,6 +31,8 @@ COUNT_UNITS = frozenset({"count", "LSB"})
 
 _INT32 = np.iinfo(np.int32)
 
+_COMPRESSED = frozenset({".gz", ".bz2", ".xz", ".zst", ".zip", ".7z"})
+
 
 class TableFile:
     r"""A CSV or Parquet file that keeps the import contract; raises BadInput if the file cannot be read or its header
@@ -196,7 +198,8 @@ def _open(path: Path) -> CsvTable | ParquetTable:
             raise BadInput(f"{path}: a pipe or a device, and it is read twice; give a file")
         if suffix not in CSV_SUFFIXES | PARQUET_SUFFIXES:
             known = " ".join(sorted(CSV_SUFFIXES | PARQUET_SUFFIXES))
-            raise BadInput(f"{path}: unknown kind of file {suffix!r}; tables are {known}")
+            advice = "; decompress it first" if suffix in _COMPRESSED else ""
+            raise BadInput(f"{path}: unknown kind of file {suffix!r}; tables are {known}{advice}")
         if size == 0:
             raise BadInput(f"{path}: the file is empty")
         return CsvTable(path) if suffix in CSV_SUFFIXES else ParquetTable(path)

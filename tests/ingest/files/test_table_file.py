@@ -46,6 +46,7 @@ def parquet_bytes() -> bytes:
         ("r.csv", b'time[s],"rate[deg/s]\n0,1\n', "line 1: found"),
         ("r.csv", b"0.0,1.5\n0.1,1.6\n", "the first line must be the header"),
         ("r.csv", b"time[s],rate[deg/s]\n" + b"1" * (9 << 20), "line 2: longer than 8 MiB"),
+        ("r.csv.gz", b"\x1f", "tables are .csv .parquet .pq .tsv .txt; decompress it first"),
         ("r.xlsx", b"PK", "unknown kind of file '.xlsx'; tables are .csv .parquet .pq .tsv .txt"),
         ("r.parquet", b"PAR1", "not a Parquet file, or a damaged one"),
         ("r.parquet", parquet_bytes()[:-20], "not a Parquet file, or a damaged one"),
