@@ -44,8 +44,8 @@ select * exclude (points),
     else [p for p in points if p.command < 0] end as points
 from (select *, unnest(['both', 'forwards', 'backwards']) as side from internal.scale_sets);
 
-create or replace macro listed(rates) as
-  array_to_string([format('{:g}', r) for r in rates], ', ');
+create or replace macro listed(rates) as  -- the first of them, and how many there are
+  array_to_string([format('{:g}', r) for r in rates[:12]], ', ') || if(len(rates) > 12, ', ... (' || len(rates) || ')', '');
 
 create or replace macro lack_of_directions(forwards, backwards, clause) as
   nullif(concat_ws('; ',

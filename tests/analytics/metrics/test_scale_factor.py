@@ -13,6 +13,8 @@ from analytics.step_records.step_table import step_means
 from tests.analytics.conftest import START_NS
 from tests.analytics.metrics.rate_table import BOTH, Table, by_standard, cubic
 
+# as in a file whose column of commands has measured rates
+MEASURED = tuple(sign * rate - 0.25 + 0.25 * sign for rate in range(1, 21) for sign in (1, -1))
 
 def test_line_against_numpy(tested: Any, table: Callable[..., Table]) -> None:
     rig = table(gyro=cubic, unit="V")
@@ -75,6 +77,7 @@ def test_rates_given_in_other_units_have_a_scale_factor_of_one(tested: Any, tabl
         (BOTH, False, "no record of the table at rest before and after", None),
         (BOTH[:14], True, "7 rates measured forwards and 7 backwards, 11", "7 rates measured forwards and 7 backwards"),
         (BOTH[:-1], True, "the rates are not symmetric: 300 deg/s forwards only", "not symmetric: 300 deg/s forwards"),
+        (MEASURED, True, "11, 12, ... (20) deg/s forwards only and 1.5, 2.5, ", "12.5, ... (20) deg/s backwards only"),
     ],
 )
 def test_what_is_missing_is_said(
