@@ -16,6 +16,7 @@ from tests.analytics.metrics.rate_table import BOTH, Table, by_standard, cubic
 # as in a file whose column of commands has measured rates
 MEASURED = tuple(sign * rate - 0.25 + 0.25 * sign for rate in range(1, 21) for sign in (1, -1))
 
+
 def test_line_against_numpy(tested: Any, table: Callable[..., Table]) -> None:
     rig = table(gyro=cubic, unit="V")
     rate, mean = rig.rates(procedure="scale_factor")
