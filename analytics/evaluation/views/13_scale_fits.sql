@@ -62,7 +62,7 @@ create or replace macro lack_of_directions(forwards, backwards, clause) as
 create or replace macro lack_of_answer(points, k, u_k, freedom_k) as
   case when len(points) > 1 and list_min([p.output for p in points]) = list_max([p.output for p in points]) then
     format('the output is {:g} at every rate: the axis does not answer', points[1].output)
-    when abs(k) <= student_quantile(0.025, greatest(freedom_k, 1)) * u_k then
+    when isfinite(u_k) and abs(k) <= student_quantile(0.025, greatest(freedom_k, 1)) * u_k then
       format('the output does not depend on the rate: K is {:.3g} with a standard uncertainty of {:.3g}, and may be 0', k, u_k)
   end;
 
