@@ -211,7 +211,6 @@ def test_the_scale_factors_that_others_may_use(tested: Any, table: Callable[...,
     assert t_to_ns < first_ns
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["scale_fits", "scale_factors"])
 def test_without_rates_the_tables_have_the_same_columns(tested: Any, table: Callable[..., Table], name: str) -> None:
     table(gyro=cubic, unit="V").rates(procedure="scale_factor")
