@@ -81,7 +81,11 @@ def test_a_shift_of_one_chamber_is_dated_and_sized(ask: Ask) -> None:
     truth = date.fromordinal(date(2026, 1, 6).toordinal() + 7 * AFTER_WEEK)
     assert date.fromisoformat(shift["from"]) < truth <= date.fromisoformat(shift["to"])
     assert shift["units"] >= 20
-    assert found["charts"][0]["in_control"] is False
+    # the chart has the first value of each unit, and these lie before the shift
+    (chart,) = found["charts"]
+    assert len(chart["points"]) == UNITS
+    assert max(each["time"] for each in chart["points"]) < shift["from"]
+    assert chart["in_control"]
 
 
 @pytest.mark.long
