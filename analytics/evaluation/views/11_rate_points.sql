@@ -12,7 +12,7 @@ select
   output_unit,
   temperature, station, time_zone, date_known, t_from_ns, t_to_ns, duration_s
 from (
-  select *, n > 1 and (sd = 0 or coalesce(still >= 0.05 and n * still >= 10, false)) as stands_still
+  select *, n > 1 and coalesce(sd = 0 or still >= 0.05 and n * still >= 10, false) as stands_still
   from internal.gyro_steps
 )
 where n > 0 and rate_command is not null and frequency is null
