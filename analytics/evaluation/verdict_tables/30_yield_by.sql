@@ -1,3 +1,9 @@
+-- Where units that no limit applies to were measured, or were to be.
+create or replace view internal.unlimited_units as
+select unit, lot, station, fixture, day from unit_runs anti join verdicts using (unit)
+union all
+select unit, lot, station, fixture, day from internal.judged_units anti join verdicts using (unit) where lack is not null;
+
 -- How many units of a lot, station, fixture or day are good. Each group judges a unit by what was measured in it. The
 -- yield is of the units that are decided or marginal; its 95 % interval is Wilson's. Units that no limit applies to are
 -- NO_DATA where they were measured.
@@ -16,16 +22,12 @@ with judged as materialized (
 ), each_unit as (
   select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict
   from each_limit group by kind, name, unit
-), unlimited as (
-  select unit, lot, station, fixture, day from unit_runs anti join judged using (unit)
-  union all
-  select unit, lot, station, fixture, day from internal.judged_units anti join judged using (unit) where lack is not null
 ), every_unit as (
   from each_unit
-  union all select distinct 'lot', lot, unit, 'NO_DATA' from unlimited
-  union all select distinct 'station', station, unit, 'NO_DATA' from unlimited
-  union all select distinct 'fixture', fixture, unit, 'NO_DATA' from unlimited
-  union all select distinct 'day', day::varchar, unit, 'NO_DATA' from unlimited
+  union all select distinct 'lot', lot, unit, 'NO_DATA' from internal.unlimited_units
+  union all select distinct 'station', station, unit, 'NO_DATA' from internal.unlimited_units
+  union all select distinct 'fixture', fixture, unit, 'NO_DATA' from internal.unlimited_units
+  union all select distinct 'day', day::varchar, unit, 'NO_DATA' from internal.unlimited_units
 ), counted as (
   select kind, name, count(*) as units,
     count(*) filter (verdict = 'PASS') as passed,

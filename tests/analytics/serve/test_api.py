@@ -156,6 +156,18 @@ def test_yield_and_verdicts(api: httpx.Client) -> None:
     assert names == [each["unit"] for each in got(api, "/api/verdicts")["units"]]
 
 
+@pytest.mark.parametrize("by", ["station", "day"])
+def test_units_of_a_group_are_those_that_its_yield_counts(api: httpx.Client, by: str) -> None:
+    groups = [each for each in got(api, "/api/yield", by=by)["groups"] if each["name"]]
+    for group in groups:
+        listed = got(api, "/api/verdicts", **{by: group["name"]}, limit=1000)["units"]
+        verdicts = [each["verdict"] for each in listed]
+        assert len(verdicts) == group["units"], group["name"]
+        counts = [group[name] for name in ("passed", "failed", "marginal", "no_data")]
+        assert [verdicts.count(name) for name in ("PASS", "FAIL", "MARGINAL", "NO_DATA")] == counts, group["name"]
+    assert groups
+
+
 @pytest.mark.parametrize(
     ("path", "word"),
     [

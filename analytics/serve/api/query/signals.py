@@ -65,9 +65,9 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     they are made of: ``rollup_10s``, ``rollup_1s``, ``raw`` (all samples), or ``samples``: then each is one sample and
     `bucket_ns` is 0. Buckets of rollups are whole: the first may begin before the stretch and the last end after it;
     all of them together, and `samples`, are of `covers_from_ns` to `covers_to_ns`. Others have samples of the stretch
-    only. Every sample is in its bucket's min and max. `gaps` are
-    stretches without samples, longer than 1.5 intervals. Values are in `unit_of_measure`. `is_live`: some samples have
-    not come to the lake yet, so that the record probably goes on.
+    only. Every sample is in its bucket's min and max. `gaps` are stretches without samples, longer than 1.5 intervals.
+    Values are in `unit_of_measure`. `is_live`: some samples have not come to the lake yet, so that the record probably
+    goes on.
     """
 
     unit: str

@@ -30,7 +30,7 @@ with each_limit as (
 ), in_group as (
   select unit, unit_verdict(min(rank), count(specification)) as verdict from each_limit group by unit
   union all
-  select distinct unit, 'NO_DATA' from unit_runs anti join verdicts using (unit)
+  select distinct unit, 'NO_DATA' from internal.unlimited_units
   where ($lot = '' or lot = $lot) and ($station = '' or station = $station) and ($fixture = '' or fixture = $fixture)
     and ($day = '' or day::varchar = $day) and $metric = ''
 )
