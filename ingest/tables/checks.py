@@ -55,7 +55,7 @@ class RowFilter:
         self._last_ns: dict[Owner, int] = {}
         self._seen: dict[Owner, int] = {}
         self.clock = RunClock(options.start_ns)
-        self.rows = self.bad_rows = 0
+        self.rows = self.bad_rows = self.repeated_times = 0  # rows with the time of the row before
         self.bad: list[BadRow] = []  # the first of them
 
     def good(self, block: CellBlock) -> list[GoodRows]:
@@ -157,6 +157,7 @@ class RowFilter:
         late = times <= latest[:-1]
         if not late.any():
             return rows
+        self.repeated_times += int(np.count_nonzero(times == latest[:-1]))
         before = dict(zip(rows[late].tolist(), latest[:-1][late].tolist(), strict=True))
 
         def why(row: int) -> BadRow:

@@ -4,6 +4,7 @@ The first pass checks every row and finds the sampling of each signal; the secon
 holds more than a few blocks of the file.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from uuid import UUID
@@ -14,12 +15,12 @@ from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps, usual_bat
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
-from ingest.tables.dates import future_remark, repeated_hour_remark
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
+from ingest.tables.time_remarks import coarse_times_remark, future_remark, repeated_hour_remark, repeated_times_advice
 from ingest.tables.times import RunClock
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
@@ -86,7 +87,8 @@ class TableFile:
                     steps += 1
                     procedures.add(started.words.procedure)
         if rows.bad_rows and not self._options.skip_bad:
-            raise BadRows(self._path, tuple(rows.bad), rows.bad_rows)
+            repeated = repeated_times_advice(self._time_title, rows.repeated_times, rows.rows)
+            raise BadRows(self._path, tuple(rows.bad), rows.bad_rows, repeated)
         if not grids:
             raise BadInput(f"{self._path}: {rows.rows} rows, {rows.bad_rows} of them bad, and not one sample")
         units = {signal.name: signal.unit_of_measure for signal in self._columns.signals}
@@ -94,7 +96,7 @@ class TableFile:
             SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
             for (owner, name), grid in grids.items()
         )
-        remarks = (*self._columns.remarks, *self._reader.remarks, *self._remarks_on_dates(signals, rows.clock))
+        remarks = (*self._columns.remarks, *self._reader.remarks, *self._remarks_on_times(signals, rows.clock))
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
             steps=steps, signals=signals, remarks=remarks,
@@ -102,13 +104,20 @@ class TableFile:
         )  # fmt: skip
         return self._summary
 
-    def _remarks_on_dates(self, signals: Sequence[SignalSummary], clock: RunClock) -> Iterator[str]:
+    def _remarks_on_times(self, signals: Sequence[SignalSummary], clock: RunClock) -> Iterator[str]:
         first_ns = min(each.sampling.t_first_ns for each in signals)
         last_ns = max(each.sampling.t_last_ns for each in signals)
         found = [future_remark(last_ns) if clock.date_known else None]
         if (zone := self._reader.local_zone) is not None:
             found.append(repeated_hour_remark(first_ns, last_ns, zone))
         yield from filter(None, found)
+        coarse = Counter((each.sampling.step_ns, each.sampling.dt_ns) for each in signals if each.sampling.step_ns)
+        for (step_ns, dt_ns), count in coarse.items():
+            yield coarse_times_remark(self._time_title, step_ns, dt_ns, count)
+
+    @property
+    def _time_title(self) -> str:
+        return self._columns.time.title if self._columns.time is not None else ""
 
     def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
         """Every sample of the good rows, signal by signal and block by block; runs `check` first, raises as it."""

@@ -1,5 +1,6 @@
 """Sampling of a signal: its nominal interval, and whether every interval lies on the grid."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ MEDIAN_INTERVALS = 10_000
 _GRID_TOLERANCE = 0.1
 _MULTIPLE = 0.01  # of an interval: within it, a grid of rounded times is that of the samples
 _MOST_ROUNDING = 0.25  # of an interval: coarser times do not show that the samples are on a grid
+_LEAST_ROUNDED = 30  # intervals of the rarer length that show rounding
+_MOST_RANGE = 0.4  # of the times about their mean interval, in steps by the root of the number of those intervals
 _LONE_SAMPLE_DT_NS = 10**9
 _GAP = 1.5
 # After a gap longer than this many intervals the source may have restarted with another grid.
@@ -24,7 +27,8 @@ class Sampling:
 
     `dt_ns`: nominal interval, nanoseconds: the mean of the first 10,000 intervals, a gap divided by the intervals it
     lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has a
-    median of 10 ms.)
+    median of 10 ms.) Where times are rounded to more than a quarter of the interval, as those in 32-bit floats after a
+    day, it is that of an even grid through the longest stretch without losses.
     `off_grid`: intervals further than a tenth of the nominal one (or than the step to which the times are rounded, up
     to a quarter) from every multiple of it. Gaps of more than ten intervals are excepted: after such a gap the source
     may have restarted with another grid.
@@ -37,6 +41,7 @@ class Sampling:
     off_grid: int
     worst_ns: int  # largest distance of such an interval from a multiple of the nominal one, nanoseconds
     gaps: int  # intervals longer than 1.5 nominal ones
+    step_ns: int = 0  # to which the times of even samples are rounded, if it is over a quarter of the interval; else 0
 
     @property
     def irregular(self) -> bool:
@@ -52,7 +57,7 @@ class SamplingGrid:
     >>> grid = SamplingGrid()
     >>> grid.add(np.array([0, 10, 20, 50, 61]))
     >>> grid.finish()
-    Sampling(samples=5, t_first_ns=0, t_last_ns=61, dt_ns=10, off_grid=0, worst_ns=1, gaps=1)
+    Sampling(samples=5, t_first_ns=0, t_last_ns=61, dt_ns=10, off_grid=0, worst_ns=1, gaps=1, step_ns=0)
     """
 
     def __init__(self, nominal: Callable[[IntArray, int], int] | None = None) -> None:
@@ -60,7 +65,7 @@ class SamplingGrid:
         self._early: list[IntArray] = []
         self._samples = self._first_ns = self._last_ns = 0
         self._dt_ns: int | None = None
-        self._off_grid = self._worst_ns = self._gaps = 0
+        self._off_grid = self._worst_ns = self._gaps = self._step_ns = 0
 
     def add(self, times_ns: IntArray) -> None:
         """Add the times that follow, strictly increasing, nanoseconds."""
@@ -80,13 +85,18 @@ class SamplingGrid:
     def finish(self) -> Sampling:
         """The sampling of all times added, at least one."""
         dt_ns = self._settle() if self._dt_ns is None else self._dt_ns
-        return Sampling(self._samples, self._first_ns, self._last_ns, dt_ns, self._off_grid, self._worst_ns, self._gaps)
+        return Sampling(
+            self._samples, self._first_ns, self._last_ns, dt_ns, self._off_grid, self._worst_ns, self._gaps,
+            self._step_ns,
+        )  # fmt: skip
 
     def _settle(self) -> int:
         times_ns = np.concatenate(self._early)
         intervals_ns = times_ns[1:] - times_ns[:-1]
         self._early.clear()
         dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
+        if (rounded := _coarsely_rounded(intervals_ns[:MEDIAN_INTERVALS])) is not None:
+            dt_ns, self._step_ns = rounded
         if self._from_measured is not None:
             dt_ns = self._from_measured(intervals_ns, dt_ns)
         self._dt_ns = dt_ns = min(dt_ns, MAX_INTERVAL_NS)  # two samples decades apart have a gap between them
@@ -100,6 +110,9 @@ class SamplingGrid:
             self._off_grid += off_grid
             self._worst_ns = max(self._worst_ns, worst_ns)
             self._gaps += int(np.count_nonzero(is_gap(others, dt_ns)))
+            if off_grid and not self._step_ns:  # floats of 32 bits become coarse as the record goes on
+                rounded = _coarsely_rounded(intervals_ns[-MEDIAN_INTERVALS:])
+                self._step_ns = rounded[1] if rounded is not None else 0
 
 
 def off_grid_intervals(intervals_ns: IntArray, dt_ns: int) -> tuple[int, int]:
@@ -140,6 +153,43 @@ def _nominal(intervals_ns: IntArray) -> int:
         if near.any():
             dt_ns = max(1, round(int(intervals_ns[near].sum()) / int(multiples[near].sum())))
     return dt_ns
+
+
+def _coarsely_rounded(intervals_ns: IntArray) -> tuple[int, int] | None:
+    """Mean interval of even samples whose times are rounded to more than a quarter of it, and that step.
+
+    Rounded times stay within a step of an even grid. Lost samples move the later ones away from it: after k losses by
+    about sqrt(k) intervals. Times that range over less than 0.4 sqrt(k) steps, k at least 30, are rounded: losses stay
+    so near in one of 100,000 records (Kuiper, doi:10.1016/S1385-7258(60)50006-0).
+
+    >>> times_ms = np.round(np.arange(300) * 1000 / 60, -1).astype(int)
+    >>> _coarsely_rounded(np.diff(times_ms) * 10**6)
+    (16666517, 10000000)
+    >>> _coarsely_rounded(np.full(300, 10**7)) is None
+    True
+    """
+    if len(intervals_ns) < _LEAST_ROUNDED or not (intervals_ns != intervals_ns[0]).any():
+        return None
+    step_ns = int(np.gcd.reduce(intervals_ns))
+    if step_ns < _MOST_ROUNDING * _median(intervals_ns) / 2:
+        return None
+    steps, counts = np.unique(intervals_ns // step_ns, return_counts=True)
+    pairs = counts + np.where(np.append(np.diff(steps), 0) == 1, np.append(counts[1:], 0), 0)
+    low = int(steps[np.argmax(pairs)])
+    is_loss = (intervals_ns < low * step_ns) | (intervals_ns > (low + 1) * step_ns)
+    edges = np.concatenate([[-1], np.flatnonzero(is_loss), [len(intervals_ns)]])
+    longest = int(np.argmax(np.diff(edges)))
+    stretch_ns = intervals_ns[edges[longest] + 1 : edges[longest + 1]]
+    rarer = min(int(np.count_nonzero(stretch_ns == low * step_ns)), int(np.count_nonzero(stretch_ns > low * step_ns)))
+    if rarer < _LEAST_ROUNDED:
+        return None
+    times_ns = np.cumsum(stretch_ns)
+    places = np.arange(len(times_ns)) - (len(times_ns) - 1) / 2
+    mean_ns = float(places @ times_ns / (places @ places))  # the slope: of first and last, rounding would stay
+    away_ns = times_ns - mean_ns * places
+    if step_ns <= _MOST_ROUNDING * mean_ns or np.ptp(away_ns) > _MOST_RANGE * math.sqrt(rarer) * step_ns:
+        return None
+    return round(mean_ns), step_ns
 
 
 def _median(intervals_ns: IntArray) -> int:

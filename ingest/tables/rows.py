@@ -34,15 +34,18 @@ class BadRow:
 
 
 class BadRows(BadInput):
-    """A file with `count` rows that do not keep the contract; `bad` holds the first 1000."""
+    """A file with `count` rows that do not keep the contract; `bad` holds the first 1000.
 
-    def __init__(self, path: Path, bad: tuple[BadRow, ...], count: int) -> None:
+    `cause`: what most of them have in common and what to do about it; else they are to be corrected or left out.
+    """
+
+    def __init__(self, path: Path, bad: tuple[BadRow, ...], count: int, cause: str = "") -> None:
         shown = [f"  {row}" for row in bad[:BAD_ROWS_SHOWN]]
         if count > len(shown):
             shown.append(f"  ... and {count - len(shown)} more")
         noun = "row does" if count == 1 else "rows do"
         advice = "correct the file, or leave them out with --skip-bad"
-        head = f"{path}: {count} {noun} not keep the import contract; {advice}"
+        head = f"{path}: {count} {noun} not keep the import contract; {cause or advice}"
         super().__init__("\n".join([head, *shown]))
         self.bad, self.count = bad, count
 

@@ -251,7 +251,8 @@ def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     units = tmp_path / "units.csv"
     gyrofleet("import", path, "--unit", "U1")
     query = ("sql", "select unit, product, lot, fixture from units order by unit", "--json")
-    assert gyrofleet(*query).json == []
+    unlisted = {"unit": "U1", "product": None, "lot": None, "fixture": None}
+    assert gyrofleet(*query).json == [unlisted], "its run names it"
 
     units.write_text("serial,product,lot,fixture\nU1,FOG-70,L7,plate 2\nU9,FOG-80,L9,\n")
     again = gyrofleet("import", path, "--unit", "U1", "--units", units)

@@ -1,11 +1,15 @@
-"""Remarks on the dates of a table: those in the future, and local times that the end of summer time repeats."""
+"""Remarks on the times of a table: dates in the future, local times that the end of summer time repeats, times that
+are written too coarsely for the samples.
+"""
 
+import shlex
 import time
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 _DAY_NS = 86_400 * 10**9
 _MOST_DAYS = 4000
+_MANY_REPEATED = 0.1  # of the rows
 
 
 def future_remark(last_ns: int) -> str | None:
@@ -51,6 +55,40 @@ def repeated_hour_remark(first_ns: int, last_ns: int, zone: str) -> str | None:
                 "zone: they are taken as of the first pass; write them with their offset, as +02:00"
             )
     return None
+
+
+def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int) -> str:
+    """A warning that even samples have times rounded to steps of more than a quarter of their interval.
+
+    >>> coarse_times_remark("time[s]", 7812500, 10**7, 1)[:86]
+    "warning: column 'time[s]' is written in steps of 0.0078125 s, and samples of 1 signal "
+    """
+    which = "1 signal come" if signals == 1 else f"{signals} signals come"
+    return (
+        f"warning: column {title!r} is written in steps of {step_ns / 1e9:.6g} s, and samples of {which} every "
+        f"{dt_ns / 1e9:.6g} s on average: their times are taken as they are, as irregular, and single losses are not "
+        f"seen; {_evenly(title, f'{1e9 / dt_ns:.4g}')}"
+    )
+
+
+def repeated_times_advice(title: str, repeated: int, rows: int) -> str:
+    """What to do about a file in which many rows have the time of the row before; empty where they are few.
+
+    >>> repeated_times_advice("time[s]", 3, 100), repeated_times_advice("time[s]", 60, 100)[:51]
+    ('', "60 of its 100 rows have the time of the row before:")
+    """
+    if repeated < _MANY_REPEATED * rows:
+        return ""
+    return (
+        f"{repeated} of its {rows} rows have the time of the row before: column {title!r} is written with too few "
+        "digits (32-bit floats have seven), or the file has several units without a column 'unit'; "
+        f"{_evenly(title, 'RATE_HZ')}"
+    )
+
+
+def _evenly(title: str, rate_hz: str) -> str:
+    leave_out = shlex.quote(f"{title}=")
+    return f"if they were taken evenly, --rename {leave_out} --sample-rate {rate_hz} places them so"
 
 
 def _offset(at: datetime, place: ZoneInfo) -> timedelta:

@@ -1,0 +1,109 @@
+"""Times written too coarsely for the samples: 32-bit floats, hundredths of a second at 60 Hz, whole seconds."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
+from ingest.tables.grid import Sampling, SamplingGrid
+
+
+def sampling(times_ns: np.ndarray[tuple[int], np.dtype[np.int64]], piece: int = 4096) -> Sampling:
+    grid = SamplingGrid()
+    for begin in range(0, len(times_ns), piece):
+        grid.add(times_ns[begin : begin + piece])
+    return grid.finish()
+
+
+def float32_file(path: Path, start_s: float, n: int) -> Path:
+    times = (start_s + np.arange(n) * 0.01).astype(np.float32)
+    values = np.random.default_rng(1).standard_normal(n)
+    pq.write_table(pa.table({"time[s]": times, "rate[deg/s]": values}), path)
+    return path
+
+
+def test_floats_of_32_bits_keep_their_interval_and_are_said(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
+    path = float32_file(tmp_path / "a.parquet", 80_000.0, 20_000)
+    imported = gyrofleet("import", path, "--unit", "U1", "--json").json
+    (file,) = imported["files"]
+    (remark,) = [each for each in file["remarks"] if "is written in steps of" in each]
+    assert remark.startswith("warning: column 'time[s]' is written in steps of 0.0078125 s")
+    assert file["signals"][0]["irregular"]
+    assert file["signals"][0]["sample_interval_s"] == pytest.approx(0.01, rel=1e-5)
+    (row,) = gyrofleet("sql", "select sample_interval_s, samples from signals", "--json").json
+    assert row == {"sample_interval_s": pytest.approx(0.01, rel=1e-5), "samples": 20_000}
+    refused = gyrofleet("allan", "--unit", "U1", "--signal", "rate")
+    assert refused.code != 0, "the times show no grid, and no losses may be made of them"
+    assert "--resample" in refused.err
+
+    advised = ("--rename", "time[s]=", "--sample-rate", "100")
+    assert f"--rename 'time[s]=' {' '.join(advised[2:])}" in remark
+    evenly = gyrofleet("import", path, "--unit", "U2", "--run", "even", *advised, "--json").json
+    assert not evenly["files"][0]["signals"][0]["irregular"]
+    curve = gyrofleet("allan", "--unit", "U2", "--signal", "rate", "--json").json
+    assert curve["samples"] == 20_000
+    assert curve["missing"] == 0
+
+
+def test_times_that_become_coarse_as_the_record_goes_on_are_said(tmp_path: Path) -> None:
+    path = float32_file(tmp_path / "day.parquet", 32_500.0, 100_000)
+    summary = TableFile(path, TableOptions(unit="U1")).check()
+    (remark,) = summary.remarks
+    assert remark.startswith("warning: column 'time[s]' is written in steps of 0.00390625 s")
+    assert summary.signals[0].sampling.dt_ns == 10_000_000
+
+
+@pytest.mark.parametrize("rate_hz", [59.94, 60.0, 70.0, 30.3])
+def test_hundredths_of_a_second_give_the_interval(rate_hz: float) -> None:
+    times_ns = np.round(np.arange(20_000) / rate_hz, 2) * 1e9
+    found = sampling(np.rint(times_ns).astype(np.int64))
+    assert found.step_ns == 10_000_000
+    assert found.irregular
+    assert found.dt_ns == pytest.approx(1e9 / rate_hz, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("lost", [0.003, 0.02, 0.28, 0.4])
+def test_losses_are_not_taken_for_rounding(lost: float, seed: int) -> None:
+    kept = np.random.default_rng(seed).random(20_000) >= lost
+    found = sampling(np.flatnonzero(kept).astype(np.int64) * 7_812_500)
+    assert found.step_ns == 0
+    assert found.dt_ns == 7_812_500
+    assert not found.irregular
+
+
+def test_rounding_is_found_beside_losses() -> None:
+    index = np.flatnonzero(np.random.default_rng(3).random(20_000) >= 0.002)
+    times_ns = np.rint(np.round(index / 60, 2) * 1e9).astype(np.int64)
+    found = sampling(times_ns)
+    assert found.step_ns == 10_000_000
+    assert found.dt_ns == pytest.approx(1e9 / 60, rel=1e-4)
+
+
+@pytest.mark.parametrize("digits", [0, 1])
+def test_repeated_times_say_their_cause_and_what_to_do(
+    digits: int, gyrofleet: Callable[..., Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "coarse.csv"
+    rows = "".join(f"{i * 0.01:.{digits}f},{i % 7}\n" for i in range(3000))
+    path.write_text(f"time[s],rate[deg/s]\n{rows}")
+    refused = gyrofleet("import", path, "--unit", "U1")
+    assert refused.code != 0
+    assert "of its 3000 rows have the time of the row before: column 'time[s]' is written with too few" in refused.err
+    advised = ("--rename", "time[s]=", "--sample-rate", "100")
+    assert "--rename 'time[s]=' --sample-rate RATE_HZ" in refused.err
+    assert gyrofleet("import", path, "--unit", "U1", *advised, "--json").json["files"][0]["signals"][0]["added"] == 3000
+
+
+def test_a_few_repeated_rows_are_to_be_corrected(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "few.csv"
+    rows = "".join(f"{i - (i % 50 == 49)},1\n" for i in range(500))
+    path.write_text(f"time[s],rate[deg/s]\n{rows}")
+    refused = gyrofleet("import", path, "--unit", "U1")
+    assert "10 rows do not keep the import contract; correct the file, or leave them out with --skip-bad" in refused.err
