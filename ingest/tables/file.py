@@ -31,6 +31,7 @@ PARQUET_SUFFIXES = frozenset({".parquet", ".pq"})
 COUNT_UNITS = frozenset({"count", "LSB"})
 
 _INT32 = np.iinfo(np.int32)
+_EXACT = 2.0**53
 
 _COMPRESSED = frozenset({".gz", ".bz2", ".xz", ".zst", ".zip", ".7z"})
 
@@ -71,6 +72,8 @@ class TableFile:
             signal.name: signal.unit_of_measure in COUNT_UNITS or signal.title in self._reader.integer_titles
             for signal in self._columns.signals
         }
+        whole = {name for name, may_be in may_be_counts.items() if may_be}
+        rounded: Counter[str] = Counter()  # whole numbers that float64 cannot tell from their neighbours, by signal
         tracker = StepTracker()
         steps = 0
         procedures: set[str | None] = set()
@@ -79,7 +82,9 @@ class TableFile:
                 times_ns, values = _samples(good.times_ns, cells)
                 if len(times_ns):
                     grids.setdefault((good.owner, name), SamplingGrid()).add(times_ns)
-                    may_be_counts[name] = may_be_counts[name] and _are_int32(values)
+                    if name in whole and not _are_int32(values):
+                        may_be_counts[name] = False
+                        rounded[name] += int(np.count_nonzero(np.abs(values) >= _EXACT))
             for begin, end, words in good.stretches:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
@@ -96,7 +101,10 @@ class TableFile:
             SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
             for (owner, name), grid in grids.items()
         )
-        remarks = (*self._columns.remarks, *self._reader.remarks, *self._remarks_on_times(signals, rows.clock))
+        remarks = (
+            *self._columns.remarks, *self._reader.remarks, *self._remarks_on_times(signals, rows.clock),
+            *(rounded_remark(name, count) for name, count in rounded.items() if count),
+        )  # fmt: skip
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
             steps=steps, signals=signals, remarks=remarks,
@@ -222,6 +230,17 @@ def _samples(times_ns: IntArray, cells: NumberCells) -> tuple[IntArray, FloatArr
     if cells.valid is None:
         return times_ns, cells.values
     return times_ns[cells.valid], cells.values[cells.valid]
+
+
+def rounded_remark(signal: str, samples: int) -> str:
+    """A warning that whole numbers are too large for values of 64-bit floats.
+
+    >>> rounded_remark("angle", 2)
+    'warning: 2 whole numbers of signal angle are beyond 2**53: they are rounded to the nearest 64-bit float'
+    """
+    number = "1 whole number" if samples == 1 else f"{samples} whole numbers"
+    verb = "is beyond 2**53: it is" if samples == 1 else "are beyond 2**53: they are"
+    return f"warning: {number} of signal {signal} {verb} rounded to the nearest 64-bit float"
 
 
 def _are_int32(values: FloatArray) -> bool:

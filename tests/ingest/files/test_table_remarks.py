@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from ingest.tables.columns import TableOptions
@@ -79,3 +81,16 @@ def test_a_mark_that_may_separate_thousands_is_said(mark: str, value: str, tmp_p
     for rows in (f"0;0{mark}998\n1;1{mark}000\n", f"0;99\n1;1{mark}25\n", "0;998\n1;999\n"):
         remarks = checked(tmp_path / "b.csv", f"time[s];raw[count]\n{rows}").remarks
         assert not any("thousands" in each for each in remarks)
+
+
+def test_whole_numbers_beyond_the_floats_are_said(tmp_path: Path) -> None:
+    large = f"time[s],angle[count]\n0,{2**53 - 1}\n1,{2**53 + 1}\n2,{-(2**60)}\n"
+    assert any(
+        "2 whole numbers of signal angle are beyond 2**53" in each
+        for each in checked(tmp_path / "a.csv", large).remarks
+    )
+    exact = f"time[s],angle[count]\n0,{2**53 - 1}\n1,-4\n"
+    assert not any("2**53" in each for each in checked(tmp_path / "b.csv", exact).remarks)
+    pq.write_table(pa.table({"time[s]": [0, 1], "turns[1]": [1, 2**61 + 1]}), tmp_path / "c.parquet")
+    (remark,) = TableFile(tmp_path / "c.parquet", TableOptions(unit="U1")).check().remarks
+    assert remark.startswith("warning: 1 whole number of signal turns is beyond 2**53")
