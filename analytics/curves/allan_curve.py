@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
-from stream.errors import BadInput, NotFound
+from stream.errors import BadInput, NotEnoughData, NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.block_means import BlockMeans
@@ -88,8 +88,8 @@ def allan_curve(
 ) -> AllanCurve:  # fmt: skip
     """Allan deviation of a signal in the store, or another deviation.
 
-    Raises NotFound if the store does not hold the signal, or holds too little of it; BadInput if another deviation than
-    the overlapping Allan deviation, or averaging times, are asked for with strides.
+    Raises NotFound if the store does not hold the signal, NotEnoughData if it holds too little of it; BadInput if
+    another deviation than the overlapping Allan deviation, or averaging times, are asked for with strides.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _curve(
     if isinstance(points, NoEstimate):
         where = f"unit {record.unit}, signal {record.signal}"
         reason = points.reason.removeprefix(f"{where}: ")
-        raise NotFound(f"{where}, run {record.run}: no {FORMS[deviation].name}: {reason}")
+        raise NotEnoughData(f"{where}, run {record.run}: no {FORMS[deviation].name}: {reason}")
     return curve_of_points((record.unit, record.signal, record.run), estimator, points, deviation, overlap)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
-from stream.errors import NotFound
+from stream.errors import NotEnoughData
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.rolling_window import RollingWindow, WindowEstimate
@@ -76,7 +76,7 @@ def rolling_allan(
     if not held or first_ns is None or last_ns is None:
         length_s = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
         why = next((each.estimate.reason for each in windows if isinstance(each.estimate, NoEstimate)), None)
-        raise NotFound(
+        raise NotEnoughData(
             f"unit {unit}, signal {signal}, run {record.run}: no Allan deviation of a window of {window_s:g} s: "
             f"{why or f'the record has {length_s:g} s; give a shorter --rolling'}"
         )

@@ -15,7 +15,7 @@ from analytics.curves.humps import Hump, find_humps, independent_bins
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
-from stream.errors import BadInput, NotFound
+from stream.errors import BadInput, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
@@ -122,7 +122,7 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
     """
     record = find_signal(catalog, unit, signal, run)
     if record.irregular:
-        raise NotFound(
+        raise NotEnoughData(
             f"unit {unit}, signal {signal}, run {record.run}: no power spectral density: the samples are irregular, "
             "and it needs equal intervals; gyrofleet allan --resample SECONDS takes such samples, a spectrum needs "
             "the signal recorded or imported at equal intervals"
@@ -156,7 +156,7 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
         assert isinstance(refused, NoEstimate)
         where = f"unit {record.unit}, signal {record.signal}"
         reason = refused.reason.removeprefix(f"{where}: ")
-        raise NotFound(f"{where}, run {record.run}: no power spectral density: {reason}")
+        raise NotEnoughData(f"{where}, run {record.run}: no power spectral density: {reason}")
     lo_hz, hi_hz = spectral.searched_hz
     clear = _clear_of(lines, spectrum.density.size, spectral.bin_width_hz)
     humps = find_humps(

@@ -74,8 +74,8 @@ def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int) -> s
 def repeated_times_advice(title: str, repeated: int, rows: int) -> str:
     """What to do about a file in which many rows have the time of the row before; empty where they are few.
 
-    >>> repeated_times_advice("time[s]", 3, 100), repeated_times_advice("time[s]", 60, 100)[:51]
-    ('', "60 of its 100 rows have the time of the row before:")
+    >>> repeated_times_advice("time[s]", 3, 100), repeated_times_advice("time[s]", 60, 100)[:50]
+    ('', '60 of its 100 rows have the time of the row before')
     """
     if repeated < _MANY_REPEATED * rows:
         return ""

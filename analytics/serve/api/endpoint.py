@@ -21,7 +21,7 @@ from analytics.serve.problems import TooLarge, TooSlow
 from analytics.serve.service import Service
 from analytics.serve.shared_lake import LakeState
 from stream.decoding import converted, decode_json
-from stream.errors import BadInput, GyrofleetError, NotFound
+from stream.errors import BadInput, GyrofleetError, NotEnoughData, NotFound
 
 MOST_BODY_BYTES = 1 << 20
 _LONGEST_BODY_S = 30.0
@@ -104,7 +104,7 @@ async def computed(
         except GyrofleetError as error:
             state, before = await run(service.warming.newest), state
             # what is not there yet may be in what the log has got since
-            is_newer = isinstance(error, NotFound) and state.log_version != before.log_version
+            is_newer = isinstance(error, NotFound | NotEnoughData) and state.log_version != before.log_version
             if state.number == before.number and not is_newer:
                 raise
     return await run(functools.partial(answer, state, is_patient=True))

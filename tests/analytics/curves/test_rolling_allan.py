@@ -7,7 +7,7 @@ import pytest
 
 from analytics.curves.rolling_allan import RollingAllan, rolling_allan
 from analytics.plots.rolling_plot import plot_rolling
-from stream.errors import BadInput, NotFound
+from stream.errors import BadInput, NotEnoughData
 from tests.analytics.conftest import START_NS, TestedUnits
 
 HOUR_NS = 3600 * 10**9
@@ -76,5 +76,6 @@ def test_the_run_is_the_longest_one(tested: TestedUnits) -> None:
             return rolling_allan(catalog, "U1", "rate", window_s=window_s, step_s=window_s / 2).run
 
         assert [run_of(1000.0), run_of(3000.0), run_of(500.0)] == ["long", "long", "long"]
-        with pytest.raises(NotFound, match="run long: no Allan deviation of a window of 4000 s: the record has 2999 s"):
+        too_long = "run long: no Allan deviation of a window of 4000 s: the record has 2999 s"
+        with pytest.raises(NotEnoughData, match=too_long):
             run_of(4000.0)

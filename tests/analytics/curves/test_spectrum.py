@@ -15,7 +15,7 @@ from analytics.plots import figure_file, spectrum_plot
 from analytics.plots.spectrum_plot import plot_spectrum
 from storage.sql.reading import SignalRecord
 from stream.batch import FloatArray, SampleBatch
-from stream.errors import BadInput, NotFound
+from stream.errors import BadInput, NotEnoughData
 from stream.estimators.spectral_density import SpectralDensity
 
 INTERVAL_S, SIGMA = 0.01, 3.0
@@ -115,9 +115,9 @@ def test_segments_are_powers_of_two_that_the_estimator_takes(n: int) -> None:
 
 
 def test_too_little_is_refused_with_unit_and_run() -> None:
-    with pytest.raises(NotFound, match=r"unit FOG-1, signal rate, run r1: no power .* 100 samples seen"):
+    with pytest.raises(NotEnoughData, match=r"unit FOG-1, signal rate, run r1: no power .* 100 samples seen"):
         spectrum(white(100), 128)
-    with pytest.raises(NotFound, match=r"run r1: no power spectral density: values too large .* check the source"):
+    with pytest.raises(NotEnoughData, match=r"run r1: no power spectral density: values too large .* check the source"):
         spectrum(1e300 * white(2000), 512)
 
 

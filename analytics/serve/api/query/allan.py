@@ -9,7 +9,7 @@ from analytics.serve.api.operation import Call, get
 from analytics.serve.api.rows import dictionaries, iso
 from storage.sql.reading import find_signal
 from stream.decoding import decode_json
-from stream.errors import NotFound
+from stream.errors import NotEnoughData, NotFound
 from stream.events import EstimatePublished
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _of_lake(call: Call, of: dict[str, str]) -> Allan:
     noise = _noise(call, of)
     try:
         curve = allan_curve(call.views, of["unit"], of["signal"], of["run"])
-    except NotFound as error:  # too few samples, or dropped ones
+    except (NotEnoughData, NotFound) as error:  # too few samples, or dropped ones
         return Allan(
             **of, unit_of_measure=record.unit_of_measure, source="samples", final=True, t_ns=None, time=None,
             samples=record.samples, missing=0, sample_interval_s=0.0, tau_s=[], adev=[], lo=[], hi=[], edf=[],
