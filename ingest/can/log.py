@@ -4,6 +4,7 @@ Its times of day are float seconds with a resolution of a quarter of a microseco
 """
 
 import importlib.util
+import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -189,6 +190,10 @@ def _mf4_reader(path: Path, _zone: str | None) -> MessageReader:
     # its destructor fails, and Python prints that, where the constructor did not come to its end
     kind: Any = mdf_v4.MDF4
     kind.__del__ = lambda mdf: _closed(mdf.close)
+    # it prints some errors among our results; logged, they are reported as damage
+    vars(mdf_v4)["print"] = lambda *texts, **_: logging.getLogger("asammdf").warning(
+        str(texts[0]).strip().split("\n")[-1]
+    )
     return can.MF4Reader(str(path))
 
 

@@ -147,6 +147,8 @@ def _mf4_problem(file: BinaryIO) -> str | None:
             return f"a channel of the group at byte {at:,} lies beyond its records"
         if kinds[at] in _CHAINED and found:
             following[at] = found[0]
+    if (kind := _endless_groups(file, size)) is not None:
+        return f"its chain of {kind} blocks leads back to itself"
     ended: set[int] = set()
     for begin in following:
         at, seen = begin, set[int]()
@@ -157,3 +159,25 @@ def _mf4_problem(file: BinaryIO) -> str | None:
             at = following[at]
         ended |= seen
     return None
+
+
+def _endless_groups(file: BinaryIO, size: int) -> str | None:
+    """Which chain of groups never ends; asammdf counts them by their places, whatever kind of block is there."""
+
+    def link(at: int) -> int:
+        file.seek(at)
+        content = file.read(8)
+        return int.from_bytes(content, "little") if len(content) == 8 else size
+
+    def is_endless(at: int, chain: list[int]) -> bool:
+        seen: set[int] = set()
+        while 0 < at < size and at not in seen:
+            seen.add(at)
+            chain.append(at)
+            at = link(at + MF4_BLOCK.size)
+        return at in seen
+
+    groups: list[int] = []
+    if is_endless(link(_MF4_HEADER_AT + MF4_BLOCK.size), groups):
+        return "##DG"
+    return "##CG" if any(is_endless(link(each + MF4_BLOCK.size + 8), []) for each in groups) else None

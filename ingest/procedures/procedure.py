@@ -98,7 +98,10 @@ def load_procedure(name: str | Path) -> Procedure:
     file, source, folder = read_procedure(name)
     used, parameters = _with_used(file, source, folder, (source,))
     procedure = Procedure(file, used, parameters)
-    procedure.steps()
+    try:
+        procedure.steps()
+    except BadInput as error:
+        raise error if source in str(error) else BadInput(f"{source}: {error}") from error
     return procedure
 
 

@@ -147,7 +147,8 @@ def _change(holder: Any, key: Any, rng: random.Random, places: list[tuple[Any, A
             other, place = rng.choice(places)
             holder[key] = _copied(other[place])
         case 4 if isinstance(value, int | float) and not isinstance(value, bool):
-            holder[key] = rng.choice((value + 1, value - 1, -value, value * 1e9, value / 1e9))
+            far = (value * 10**9, value // 10**9) if isinstance(value, int) else (value * 1e9, value / 1e9)
+            holder[key] = rng.choice((value + 1, value - 1, -value, *far))
         case 5 if isinstance(value, str):
             at = rng.randrange(len(value) + 1)
             holder[key] = value[:at] + _text(rng) + value[at + rng.randrange(3) :]

@@ -53,7 +53,8 @@ def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
     stretches = []
     for begin, end in zip(edges, [*edges[1:], last + 1], strict=True):
         there = _limits_at(periods, series, begin)
-        stretches.append(LimitStretch(there.lower, there.upper, there.source, begin, end))
+        if there.lower is not None or there.upper is not None:
+            stretches.append(LimitStretch(there.lower, there.upper, there.source, begin, end))
     return _limits_at(periods, series, last)._replace(stretches=tuple(stretches))
 
 

@@ -75,6 +75,8 @@ def parse_fleet(text: str, source: str, kind: type[Settings]) -> Fleet[Settings]
         raise BadInput(f'{what}: one [fleet] and any number of [unit."..."] are needed{extra}')
     common = tree["fleet"]
     usual = _replaced(common, "$.fleet", what, lambda _, spread: spread.mean)
+    if not isinstance(usual, dict):  # its keys are those of a spread
+        raise BadInput(f"{what}: a table of settings and effects is needed - at `$.fleet`")
     own_fields = FleetSettings.__struct_fields__
     settings = _convert({k: v for k, v in usual.items() if k in own_fields}, FleetSettings, "$.fleet", what)
     _convert({k: v for k, v in usual.items() if k not in own_fields}, kind, "$.fleet", what)

@@ -61,10 +61,14 @@ def test_buckets_are_those_of_the_samples(api: httpx.Client, first: int, length:
     assert len(found["t_ns"]) <= points
     width = max(found["bucket_ns"], 1)
     for at, begin in enumerate(found["t_ns"]):
-        inside = values[(t_ns >= begin) & (t_ns < begin + width)]
+        # buckets of rollups are whole, others end with the stretch
+        first_ns, stop_ns = max(begin, found["covers_from_ns"]), min(begin + width, found["covers_to_ns"])
+        inside = values[(t_ns >= first_ns) & (t_ns < stop_ns)]
         assert found["n"][at] == inside.size
         assert (found["min"][at], found["max"][at]) == (inside.min(), inside.max())
         assert found["mean"][at] == pytest.approx(inside.mean(), rel=1e-9, abs=1e-12)
+    assert found["covers_from_ns"] <= from_ns or found["covers_from_ns"] <= START_NS
+    assert found["covers_to_ns"] >= min(to_ns, START_NS + N * DT_NS)
     # nothing of the stretch is left out
     edges = np.array(found["t_ns"], np.int64)
     for at in np.flatnonzero((t_ns >= from_ns) & (t_ns < to_ns))[[0, -1]] if edges.size else []:
