@@ -99,6 +99,8 @@ class RowFilter:
         return names
 
     def _owned(self, units: TextCells | None, runs: TextCells | None, n: int) -> Iterator[tuple[Owner, IndexArray]]:
+        if n == 0:
+            return
         if units is None and runs is None:
             assert self._unit is not None
             assert self._run is not None

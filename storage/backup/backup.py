@@ -64,7 +64,7 @@ def read_backup(folder: Path) -> Backup:
             f"{folder / BACKUP} cannot be read: {error}; write the backup again into a new folder"
         ) from error
     if found.format > _FORMAT:
-        raise StoreError(f"{folder} has a newer format than this gyrofleet reads: upgrade gyrofleet")
+        raise StoreError(f"{folder / BACKUP} has a newer format than this gyrofleet reads: upgrade gyrofleet")
     return found
 
 

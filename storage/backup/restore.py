@@ -85,8 +85,8 @@ def _place(path: str) -> str:
     """Path in the store of a file of a backup; what is no path within is refused."""
     top, _, rest = path.partition("/")
     place = rest.partition("/")[2] if top == "open" else rest
-    parts = Path(place).parts
-    if not parts or ".." in parts or Path(place).is_absolute():
+    whole = Path(path)
+    if not Path(place).parts or ".." in whole.parts or whole.is_absolute() or Path(place).is_absolute() or "\0" in path:
         raise StoreError(f"{path!r} is no path of a backup; its {BACKUP} is not to be trusted")
     return place if top == FILES else f"log/{place}"
 

@@ -48,6 +48,7 @@ class AccessList:
 
     def key_of(self, principal: Principal) -> "EllipticCurvePublicKey | None":
         """The public key of a principal; None if it is not admitted."""
+        from cryptography.exceptions import UnsupportedAlgorithm
         from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
         from cryptography.hazmat.primitives.serialization import load_der_public_key
 
@@ -55,7 +56,7 @@ class AccessList:
         if found is None and principal in self.admitted:
             try:
                 loaded = load_der_public_key(self.admitted[principal])
-            except ValueError as error:
+            except (ValueError, UnsupportedAlgorithm) as error:
                 raise BusError(
                     f"the key of {principal} in the {ACCESS_FILE} of the site cannot be read: {error}"
                 ) from error

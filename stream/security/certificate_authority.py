@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -196,11 +197,11 @@ class Site:
         path = self.folder_of(principal) / CERTIFICATE
         try:
             public = x509.load_pem_x509_certificate(path.read_bytes()).public_key()
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, UnsupportedAlgorithm) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise BadInput(
-                f"{path}, the certificate of {principal}, cannot be read: {reason}; restore it from a copy, or revoke "
-                f"{principal.common_name}"
+                f"{path}, the certificate of {principal} in {self.folder / _INDEX}, cannot be read: {reason}; restore "
+                f"it from a copy, or revoke {principal.common_name}"
             ) from error
         if not isinstance(public, ec.EllipticCurvePublicKey):
             raise BadInput(f"{path} is of a key that is not on the curve P-256; restore it from a copy")

@@ -111,6 +111,8 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             model = decode_json(document, cls)
         except msgspec.MsgspecError as error:
             raise BadInput(f"not an error model: {error}; write one with ErrorModel.to_json") from error
+        if not model.terms:
+            raise BadInput("not an error model: it has no term; write one with ErrorModel.to_json")
         model.labels()
         return model
 

@@ -13,8 +13,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ingest.tables.columns import TableOptions
+from ingest.tables.checks import RowFilter
+from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.file import TableFile
+from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from stream.batch import IntArray, SampleBatch
 from stream.errors import BadInput
 
@@ -166,3 +168,13 @@ def test_damaged_parquet(tmp_path: Path, flips: list[tuple[int, int]], cut: int)
 
 
 PARQUET = parquet_bytes()
+
+
+def test_a_block_without_rows_has_no_units() -> None:
+    columns = read_header(Path("a.csv"), ["unit", "time[s]", "rate[deg/s]"], TableOptions())
+    nothing = TextCells(np.empty(0, np.int32), [])
+    cells = {"rate": NumberCells(np.empty(0), None)}
+    block = CellBlock("line", np.empty(0, np.int64), np.empty(0, np.int64), cells, {"unit": nothing}, Sieve(0), 1.0)
+    rows = RowFilter(Path("a.csv"), columns, TableOptions())
+    assert rows.good(block) == []
+    assert rows.rows == 0
