@@ -192,7 +192,7 @@ def _mf4_reader(path: Path, _zone: str | None) -> MessageReader:
     kind.__del__ = lambda mdf: _closed(mdf.close)
     # it prints some errors among our results; logged, they are reported as damage
     vars(mdf_v4)["print"] = lambda *texts, **_: logging.getLogger("asammdf").warning(
-        str(texts[0]).strip().split("\n")[-1]
+        " ".join(map(str, texts)).strip().split("\n")[-1]
     )
     return can.MF4Reader(str(path))
 

@@ -14,7 +14,7 @@ _GRID_TOLERANCE = 0.1
 _MULTIPLE = 0.01  # of an interval: within it, a grid of rounded times is that of the samples
 _MOST_ROUNDING = 0.25  # of an interval: coarser times do not show that the samples are on a grid
 _LEAST_ROUNDED = 30  # intervals of the rarer length that show rounding
-_MOST_RANGE = 0.4  # of the times about their mean interval, in steps by the root of the number of those intervals
+_MOST_RANGE = 0.4  # of the times about an even grid, by what losses at random would make of it
 _LONE_SAMPLE_DT_NS = 10**9
 _GAP = 1.5
 # After a gap longer than this many intervals the source may have restarted with another grid.
@@ -158,9 +158,10 @@ def _nominal(intervals_ns: IntArray) -> int:
 def _coarsely_rounded(intervals_ns: IntArray) -> tuple[int, int] | None:
     """Mean interval of even samples whose times are rounded to more than a quarter of it, and that step.
 
-    Rounded times stay within a step of an even grid. Lost samples move the later ones away from it: after k losses by
-    about sqrt(k) intervals. Times that range over less than 0.4 sqrt(k) steps, k at least 30, are rounded: losses stay
-    so near in one of 100,000 records (Kuiper, doi:10.1016/S1385-7258(60)50006-0).
+    Rounded times stay within a step of an even grid. Samples lost at random move the later ones away from it: if a
+    share p of n intervals is longer, by about sqrt(n p (1 - p)) steps. Times that range over less than 0.4 of that,
+    with at least 30 intervals of the rarer length, are rounded: losses stayed so near in 2 of 2,700,000 simulated
+    records, and rounded times in all of 20,000 within 0.26 (Kuiper's statistic, doi:10.1016/S1385-7258(60)50006-0).
 
     >>> times_ms = np.round(np.arange(300) * 1000 / 60, -1).astype(int)
     >>> _coarsely_rounded(np.diff(times_ms) * 10**6)
@@ -187,7 +188,8 @@ def _coarsely_rounded(intervals_ns: IntArray) -> tuple[int, int] | None:
     places = np.arange(len(times_ns)) - (len(times_ns) - 1) / 2
     mean_ns = float(places @ times_ns / (places @ places))  # the slope: of first and last, rounding would stay
     away_ns = times_ns - mean_ns * places
-    if step_ns <= _MOST_ROUNDING * mean_ns or np.ptp(away_ns) > _MOST_RANGE * math.sqrt(rarer) * step_ns:
+    spread_ns = step_ns * math.sqrt(rarer * (1 - rarer / len(stretch_ns)))
+    if step_ns <= _MOST_ROUNDING * mean_ns or np.ptp(away_ns) > _MOST_RANGE * spread_ns:
         return None
     return round(mean_ns), step_ns
 

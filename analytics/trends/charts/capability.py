@@ -38,7 +38,7 @@ class SpecifiedLimits(NamedTuple):
     source: str = ""
     rule: str = ""  # decision rule of the limits
     why_not: Words | None = None
-    stretches: tuple[LimitStretch, ...] = ()  # from the first value to the last, in order of time
+    stretches: tuple[LimitStretch, ...] = ()  # those with limits, from the first value to the last
 
 
 def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:

@@ -33,6 +33,7 @@ class Thermometer(Instrument):
     signals: ClassVar[Mapping[str, str]] = MappingProxyType({"temperature": "degC", "humidity": "1"})
     busy = 0
     together = 0
+    calls = 0
     readings: Callable[[int], list[Reading]]
 
     def open(self) -> str:
@@ -42,6 +43,7 @@ class Thermometer(Instrument):
         pass
 
     def sample(self) -> list[Reading]:
+        self.calls += 1
         self.busy += 1
         self.together = max(self.together, self.busy)
         time.sleep(0.002)
@@ -174,10 +176,17 @@ def test_stopping_does_not_wait_for_an_instrument_that_is_gone() -> None:
 def test_commands_do_not_come_between_question_and_answer() -> None:
     instrument = thermometer(1.0, 0.001, both)
     sampler = Sampler(instrument, "r1", EPOCH, lambda batch: None, print)
-    sampler.start()
-    for _ in range(100):
+    commands = 0
+
+    def command() -> bool:
+        nonlocal commands
         with instrument.lock:
             instrument.set("temperature", 1.0)
+        commands += 1
+        return commands >= 100 and instrument.calls - commands > 20
+
+    sampler.start()
+    until(command)
     sampler.stop()
     assert sampler.samples > 20
     assert instrument.together == 1
