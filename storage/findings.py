@@ -31,7 +31,10 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class Verification(msgspec.Struct, frozen=True):
-    """Result of a verification."""
+    """Result of a verification.
+
+    `compared` segments were verified before and are compared by SHA-256 alone: those of the attestation `since`.
+    """
 
     store: str
     segments: int
@@ -41,6 +44,8 @@ class Verification(msgspec.Struct, frozen=True):
     lake_samples: int
     findings: tuple[Finding, ...]
     seconds: float
+    compared: int = 0
+    since: str = ""
 
     @property
     def is_sound(self) -> bool:

@@ -8,7 +8,7 @@ import base64
 import hashlib
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -49,7 +49,11 @@ class AttestedFile(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Statement(msgspec.Struct, frozen=True, kw_only=True):
-    """What is signed."""
+    """What is signed.
+
+    `unverified` are the segments that were sealed after the store was verified and found sound; None if it was not
+    verified for this attestation.
+    """
 
     format: int = _FORMAT
     store: str
@@ -59,6 +63,7 @@ class Statement(msgspec.Struct, frozen=True, kw_only=True):
     segments: tuple[AttestedSegment, ...]
     files: tuple[AttestedFile, ...]
     previous: str = ""
+    unverified: tuple[str, ...] | None = None
 
 
 class Attestation(msgspec.Struct, frozen=True, kw_only=True):
@@ -141,10 +146,13 @@ class Attested(NamedTuple):
     unstamped: str = ""
 
 
-def attest(store: Store, key: SigningKey, *, timestamp_url: str = "") -> Attested:
+def attest(
+    store: Store, key: SigningKey, *, timestamp_url: str = "", verified: Mapping[str, SegmentEntry] | None = None
+) -> Attested:
     """Sign what the store is now, have it stamped by an authority if one is given, and keep it there.
 
-    Without an answer of the authority it is kept without a stamp. StoreError if the log's manifest is damaged.
+    `verified` are the segments of a store that was just verified and is sound, which is signed too. Without an answer
+    of the authority it is kept without a stamp. StoreError if the log's manifest is damaged.
     """
     with only_one(store.folder / FOLDER / ".lock", "gyrofleet attest"):
         found = read_log_manifest(store, whole=True)
@@ -166,6 +174,9 @@ def attest(store: Store, key: SigningKey, *, timestamp_url: str = "") -> Atteste
                 for path in lasting_files(store)
             ),
             previous=sha256_of(before[-1]) if before else "",
+            unverified=None if verified is None else tuple(
+                name for name, entry in found.entries.items() if verified.get(name) != entry
+            ),
         )  # fmt: skip
         text = msgspec.json.encode(statement).decode()
         signature, stamp, unstamped = key.sign(text.encode()), "", ""

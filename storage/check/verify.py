@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from storage.attestation.comparison import own_findings
+from storage.attestation.verified_state import VerifiedState
 from storage.check.verify_lake import lasting_problems
 from storage.check.verify_log import LogState, verify_log
 from storage.findings import Finding, Severity, Verification
@@ -21,14 +22,31 @@ from stream.worker.checkpoint import generations, read_checkpoint
 
 CHECKPOINT = Path("checkpoints") / "estimate.checkpoint"
 
+_TO_BE_EXPLAINED = {Severity.DAMAGE, Severity.LOSS}
+
 Check = Callable[[Store], Iterable[Finding]]
 """Check of what a higher package keeps in a store; an entry point in the group `gyrofleet.verify`."""
 
 
-def verify(store: Store, progress: Callable[[float], None] | None = None) -> tuple[Verification, LogState]:
-    """Report what is wrong in the sealed part of a store, without changes; `progress` gets the fraction read."""
+def verify(
+    store: Store, progress: Callable[[float], None] | None = None, since: VerifiedState | None = None
+) -> tuple[Verification, LogState]:
+    """Report what is wrong in the sealed part of a store, without changes; `progress` gets the fraction read.
+
+    Of segments that were verified `since`, the SHA-256 is compared. They are read too as soon as anything is damaged
+    or lost: what the log documents in them may explain it.
+    """
     began = time.monotonic()
-    state = verify_log(store, progress)
+    found, state = _verify(store, progress, since, began)
+    if since is not None and any(finding.severity in _TO_BE_EXPLAINED for finding in found.findings):
+        return _verify(store, progress, None, began)
+    return found, state
+
+
+def _verify(
+    store: Store, progress: Callable[[float], None] | None, since: VerifiedState | None, began: float
+) -> tuple[Verification, LogState]:
+    state = verify_log(store, progress, since)
     findings = [
         *state.findings,
         *_run_check(lambda: lake_findings(store, state), store.lake),
@@ -47,7 +65,8 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
     verification = Verification(
         store=str(store.folder), segments=len(state.samples), messages=state.messages,
         samples=sum(state.samples.values()), parts=len(in_force), lake_samples=sum(part.samples for part in in_force),
-        findings=tuple(findings), seconds=time.monotonic() - began,
+        findings=tuple(findings), seconds=time.monotonic() - began, compared=len(state.compared),
+        since="" if since is None else since.where,
     )  # fmt: skip
     return verification, state
 

@@ -13,12 +13,11 @@ from storage.lake.part import without_samples
 from storage.lake.tables import open_table
 from storage.manifests import lake as manifests
 from storage.manifests import part as descriptions
-from storage.segments.disk import sha256_of
+from storage.segments.disk import HASHED_AT_ONCE, sha256_of
 from storage.store import Store
 from stream.errors import StoreError
 
 _SETTLED_WITHIN_S = 60.0
-_HASHED_AT_ONCE = 2
 
 
 class LakeProblem(NamedTuple):
@@ -74,7 +73,7 @@ def _problems(store: Store, sound: dict[str, descriptions.Part]) -> Iterator[Lak
         yield LakeProblem("", manifests.MANIFEST, str(error), remedy)
         manifest = manifests.Manifest(parts=tuple(manifests.found_parts(store)))
     seen: set[str] = set()
-    with ThreadPoolExecutor(_HASHED_AT_ONCE) as pool:
+    with ThreadPoolExecutor(HASHED_AT_ONCE) as pool:
         unknown = [part for part in manifest.parts if sound.get(part.name) != part]
         checked = {id(part): pool.submit(lambda each: list(_part_problems(store, each)), part) for part in unknown}
         for part in manifest.parts:

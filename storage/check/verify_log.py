@@ -1,24 +1,25 @@
 """Verification of the log: its manifest, every byte of its segments, and the numbers of every stream."""
 
 import time
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from uuid import UUID
 
+from storage.attestation.verified_state import VerifiedState
 from storage.check.ahead import ahead
 from storage.check.continued_messages import ContinuedMessages
 from storage.findings import Finding, Severity
 from storage.log.files import sealed_segments, unknown_files
 from storage.log.recovery import left_open, reached_in
-from storage.log.sequence import DOCUMENTS, LogPlace, LostStretch, SequenceCheck, place_of
+from storage.log.sequence import DOCUMENTS, LogPlace, LostStretch, SequenceCheck, place_of, raise_positions
 from storage.log.store_documents import is_foreign
 from storage.log.tail import open_records
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.lake import read_manifest
 from storage.manifests.log import manifest_path, read_log_manifest
-from storage.segments.disk import sha256_of
+from storage.segments.disk import HASHED_AT_ONCE, sha256_of
 from storage.segments.reader import SegmentScan, read_chunks, spans_in
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store, writer_is_active
@@ -42,7 +43,7 @@ class LogState:
     `before` are the positions of the streams before each of them. `undocumented` and `undocumented_salvage` are losses
     and salvaged segments without a document in the log, `declared` segments that documents declare damaged or missing,
     `documented` the lost stretches that have one. `uids` are those of the store's own documents, `totals` run and
-    number of samples at the end of each stream.
+    number of samples at the end of each stream. `compared` segments were not read, only their SHA-256 was compared.
     """
 
     store: str
@@ -61,17 +62,29 @@ class LogState:
     uids: set[str] = field(default_factory=set)
     documented: set[tuple[object, ...]] = field(default_factory=set)
     totals: dict[StreamId, tuple[str, int]] = field(default_factory=dict)
+    compared: set[str] = field(default_factory=set)
 
     def add(self, kind: str, severity: Severity, where: str, what: str, remedy: str = "") -> None:
         """Add a finding."""
         self.findings.append(Finding(kind, severity, where, what, remedy))
 
 
-def verify_log(store: Store, progress: Callable[[float], None] | None = None) -> LogState:
-    """Read all of a log; `progress` is called with the fraction that is read."""
+def verify_log(
+    store: Store, progress: Callable[[float], None] | None = None, since: VerifiedState | None = None
+) -> LogState:
+    """Read all of a log; `progress` is called with the fraction that is read.
+
+    Of segments that were verified `since`, only the SHA-256 is compared: what the log documents in them is not read.
+    """
     state = LogState(store.identity)
     sealed = _verify_manifest(store, state)
     done, size = 0, max(1, sum(path.stat().st_size for path in sealed))
+    if since is not None:
+        for path in _compared(sealed, state, since):
+            done += path.stat().st_size
+            if progress is not None:
+                progress(done / size)
+        sealed = [path for path in sealed if path.name not in state.compared]
     continued = ContinuedMessages(state.check)
     with ThreadPoolExecutor(1) as beside:  # hashes the next segment while one is read
         hashes = [beside.submit(sha256_of, path) for path in sealed[:1]]
@@ -139,6 +152,23 @@ def _has_parts(store: Store) -> bool:
         return bool(read_manifest(store).parts)
     except StoreError:
         return True
+
+
+def _compared(sealed: list[Path], state: LogState, since: VerifiedState) -> Iterator[Path]:
+    """Compare segments that were verified before, by their hashes; yields those that are unchanged."""
+    known = [path for path in sealed if (entry := state.entries.get(path.name)) is not None and since.has(entry)]
+    with ThreadPoolExecutor(HASHED_AT_ONCE) as beside:
+        for path, sha256 in zip(known, beside.map(sha256_of, known), strict=True):
+            entry = state.entries[path.name]
+            if sha256 != entry.sha256:
+                continue  # it is read, and reported
+            state.compared.add(path.name)
+            state.samples[path.name] = entry.samples
+            state.messages += entry.messages
+            raise_positions(state.check.next_seq, reached_in(path))
+            if entry.origin == "salvaged":
+                state.declared.add(path.stem)
+            yield path
 
 
 def _verify_segment(path: Path, state: LogState, hashed: Callable[[], str], continued: ContinuedMessages) -> bool:

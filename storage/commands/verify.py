@@ -3,6 +3,7 @@
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
     from storage.attestation.attestation import Attestation
+    from storage.attestation.verified_state import VerifiedState
     from storage.findings import Finding, Verification
+    from storage.store import Store
 
 _SHOWN_OF_A_KIND = 8
 _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
@@ -31,6 +34,11 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 @click.option(
     "--against", type=click.Path(path_type=Path, dir_okay=False, exists=True),
     help="Also compare with this attestation: nothing before it may have changed.",
+)  # fmt: skip
+@click.option(
+    "--since", metavar="FILE",
+    help="Compare what was verified before this attestation by its SHA-256 alone, and read what came since; the word "
+    "last stands for the store's own newest one.",
 )  # fmt: skip
 @click.option(
     "--timestamp-root", type=click.Path(path_type=Path, dir_okay=False),
@@ -45,6 +53,7 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 def verify(
     folder: Path,
     against: Path | None,
+    since: str | None,
     timestamp_root: Path | None,
     signed_by: str,
     url: str | None,
@@ -57,7 +66,9 @@ def verify(
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
     gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
     models in use and the copies of the specifications, whose documents in the log form an unbroken chain, and the
-    store's own attestations (`gyrofleet attest`). Of a fleet store every plant is verified. With
+    store's own attestations (`gyrofleet attest`). Of a fleet store every plant is verified. With --since the segments
+    that were verified before an attestation (`gyrofleet attest --verify`) are compared by their SHA-256 and not read
+    again, unless something is damaged or lost. With
     --lake every object of a published lake is read and compared with its manifest, with --store also with the log.
     """
     if url is not None:
@@ -72,17 +83,18 @@ def verify(
 
     if timestamp_root is not None and against is None:
         raise BadInput("--timestamp-root is of the time stamp of an attestation; give it by --against FILE")
-    if signed_by and against is None:
-        raise BadInput("--signed-by names the key of an attestation; give it by --against FILE")
+    if signed_by and against is None and since is None:
+        raise BadInput("--signed-by names the key of an attestation; give it by --against FILE or --since FILE")
     if is_fleet(folder):
-        if against is not None:
+        if against is not None or since is not None:
             raise BadInput(f"an attestation is of one plant: give --store {folder}/plants/NAME")
         _verify_fleet(folder, as_json=as_json)
     store = Store.open(folder)
     stamp: dict[str, object] | None = None
+    before = None if since is None else _verified(store, since, signed_by)
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {folder}", total=1.0)
-        found, _ = verify_store(store, lambda done: progress.update(task, completed=done))
+        found, _ = verify_store(store, lambda done: progress.update(task, completed=done), before)
     if against is not None:
         attestation = read_attestation(against)
         roots = None if timestamp_root is None else read_roots(timestamp_root)
@@ -99,7 +111,29 @@ def verify(
         known = "" if stamp["is_trusted"] else "; whether to trust it, --timestamp-root says"
         results().print(f"time stamp {stamp['at']} by {stamp['by']}{known}", soft_wrap=True)
     _print_counts(found)
+    if before is not None:
+        _print_compared(found, before)
     sys.exit(0 if found.is_sound else 1)
+
+
+def _verified(store: "Store", since: str, signed_by: str) -> "VerifiedState":
+    from storage.attestation.verified_state import last_verified_state, verified_state
+
+    return last_verified_state(store, signed_by) if since == "last" else verified_state(store, Path(since), signed_by)
+
+
+def _print_compared(found: "Verification", before: "VerifiedState") -> None:
+    """Which segments were not read, and who signed that they had been verified."""
+    at = f"{datetime.fromtimestamp(before.at_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    signed = f"{before.where}, signed at {at} by {before.signed_by}"
+    if not found.since:
+        results().print(f"everything was read, as something is damaged or lost since {signed}", soft_wrap=True)
+        return
+    results().print(
+        f"{counted(found.compared, 'segment')} had been verified before {signed}: their SHA-256 was compared, and "
+        f"{counted(found.segments - found.compared, 'segment')} read",
+        soft_wrap=True,
+    )
 
 
 def _stamp_of(attestation: "Attestation", roots: "list[Certificate] | None") -> dict[str, object] | None:

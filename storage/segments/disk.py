@@ -17,6 +17,9 @@ from stream.atomic_file import sync_folder
 _AT_FDCWD = -100
 _NOREPLACE = 1
 _NOT_HERE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}  # kernel or file system without that flag
+HASHED_AT_ONCE = max(2, len(os.sched_getaffinity(0)))
+"""Files that are hashed at the same time: hashing leaves the interpreter to others."""
+
 _library = ctypes.CDLL(None, use_errno=True)
 
 

@@ -236,10 +236,16 @@ def _fleet() -> Measured:
     return Measured(found["every_metric_s"], None, found["every_metric_s"] <= 10.0 and found["peak_mb"] <= 1500.0)
 
 
-@row("verify of a log", "GB/s", ">= 2; peer: SHA-256 alone")
-def _verify() -> Measured:
+def verified(name: str) -> Measured:
+    """GB of the log a second; the lake is hashed as well."""
     found = bench("verify_rate")[0]
-    return Measured(found["gb_per_s"], found["hashed_gb_per_s"], found["gb_per_s"] >= 2.0)
+    return Measured(found[name], found["hashed_gb_per_s"], found[name] >= 2.0)
+
+
+for _work, _name in (("everything read", "gb_per_s"), ("since an attestation", "since_gb_per_s")):
+    row(f"verify of a log and its lake, {_work}", "GB/s of log", ">= 2; peer: SHA-256 alone")(
+        functools.partial(verified, _name)
+    )
 
 
 @row("whole path: log, lake and every estimate", "M samples/s", ">= 15")
