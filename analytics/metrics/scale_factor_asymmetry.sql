@@ -32,7 +32,7 @@ select
   difference.freedom as freedom,
   n,
   struct_insert(words, temperature := round(temperature, 2), forwards := plus.k, backwards := minus.k,
-    remark := remark_on_still) as parameters,
+    remark := remark_on_points) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.3 (10)(11)' else '7.2.3 (9)' end as clause,
   lack as reason,

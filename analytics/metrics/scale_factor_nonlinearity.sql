@@ -37,7 +37,7 @@ select
   worst.freedom as freedom,
   n,
   struct_insert(words, temperature := round(temperature, 2), rate_of_maximum_deg_per_s := worst.rate,
-    largest_rate_deg_per_s := largest_rate, remark := remark_on_still) as parameters,
+    largest_rate_deg_per_s := largest_rate, remark := remark_on_points) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.2 (7)-(9)' else '7.2.2 (6)-(8)' end as clause,
   lack as reason

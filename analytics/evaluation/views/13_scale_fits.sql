@@ -2,6 +2,15 @@
 -- them by each standard, and the least-squares lines through all points, the forward ones and the backward ones.
 -- Planning the lines takes longer than computing them: the table scale_fits has them.
 
+-- Rates within a thousandth are one: a column of commands may hold what was measured.
+create or replace macro sorted_distinct_rates(sorted) as
+  list_filter(sorted, lambda r, i: i = 1 or r > sorted[i - 1] * 1.001);
+
+create or replace macro distinct_rates(rates) as sorted_distinct_rates(list_sort(rates));
+
+create or replace macro rates_without(rates, others) as
+  list_filter(rates, lambda r: not coalesce(list_bool_or([abs(o - r) <= r * 0.001 for o in others]), false));
+
 create or replace view internal.scale_sets as
 with measured as (
   select
@@ -21,8 +30,8 @@ with measured as (
   group by all
 ), counted as (
   select *,
-    list_sort(list_distinct([p.command for p in points if p.command > 0])) as forwards,
-    list_sort(list_distinct([-p.command for p in points if p.command < 0])) as backwards,
+    distinct_rates([p.command for p in points if p.command > 0]) as forwards,
+    distinct_rates([-p.command for p in points if p.command < 0]) as backwards,
     [r for r in rests if r."index" < points[1]."index"][-1] as rest_before,
     [r for r in rests if r."index" > points[-1]."index"][1] as rest_after
   from measured
@@ -52,10 +61,11 @@ create or replace macro lack_of_directions(forwards, backwards, clause) as
     case when least(len(forwards), len(backwards)) < 11 then
       len(forwards) || ' rates measured forwards and ' || len(backwards)
       || ' backwards, 11 in each direction are asked for (' || clause || ')' end,
-    case when forwards <> backwards then 'the rates are not symmetric: '
+    case when len(rates_without(forwards, backwards)) + len(rates_without(backwards, forwards)) > 0 then
+      'the rates are not symmetric: '
       || concat_ws(' and ',
-        nullif(listed(list_filter(forwards, lambda r: not list_contains(backwards, r))), '') || ' deg/s forwards only',
-        nullif(listed(list_filter(backwards, lambda r: not list_contains(forwards, r))), '') || ' deg/s backwards only')
+        nullif(listed(rates_without(forwards, backwards)), '') || ' deg/s forwards only',
+        nullif(listed(rates_without(backwards, forwards)), '') || ' deg/s backwards only')
       || '; measure each rate in both directions (' || clause || ')' end
   ), '');
 
@@ -66,10 +76,14 @@ create or replace macro lack_of_answer(points, k, u_k, freedom_k) as
       format('the output does not depend on the rate: K is {:.3g} with a standard uncertainty of {:.3g}, and may be 0', k, u_k)
   end;
 
-create or replace macro remark_on_still(points) as
-  case when list_bool_or([p.stands_still for p in points]) then
+create or replace macro remark_on_points(points) as
+  nullif(concat_ws('; ', case when list_bool_or([p.stands_still for p in points]) then
     'the output stands still at ' || len([p for p in points if p.stands_still]) || ' of ' || len(points) || ' rates: it is '
-    || 'frozen, or its resolution too coarse to show noise' end;
+    || 'frozen, or its resolution too coarse to show noise' end,
+    -- the zero and K follow the temperature: where it follows the rate, the line takes it in without a residual
+    case when list_max([p.temperature for p in points]) - list_min([p.temperature for p in points]) > 2 then
+      format('the temperature moved by {:.1f} degC from rate to rate: what it does to the output is in the value, and the interval '
+        'need not show it', list_max([p.temperature for p in points]) - list_min([p.temperature for p in points])) end), '');
 
 create or replace macro lack_of_seconds(points, asked, clause) as
   case when list_min([p.lasts_s for p in points]) < asked * (1 - 1e-3) then
@@ -78,7 +92,7 @@ create or replace macro lack_of_seconds(points, asked, clause) as
       asked, clause) end;
 
 create or replace macro lack_of_range(largest, asked, product) as
-  case when largest < asked * (1 - 1e-6) then
+  case when largest < asked * (1 - 1e-3) then
     format('the largest rate is {:g} deg/s, that of product {} is {:g} deg/s and must be among them', largest, product,
       asked)
   end;
@@ -102,7 +116,7 @@ with sided as (
     case when output_unit = 'deg/s' then '1' when ends_with(output_unit, '/s') then output_unit[:-3] || '/deg'
       else output_unit || '/(deg/s)' end as k_unit,
     lack_of_answer(points, k, u_k, freedom_k) as lack_of_answer,
-    remark_on_still(points) as remark_on_still,
+    remark_on_points(points) as remark_on_points,
     lack_of_directions(forwards, backwards, '5.8.1.3') as gjb_directions,
     lack_of_directions(forwards, backwards, '7.2.1.1 b') as jjf_directions,
     lack_of_range(largest_rate, max_rate_deg_per_s, product) as lack_of_range,

@@ -1,0 +1,69 @@
+"""Scale factors of rates that were measured instead of commanded, and of a temperature that moved meanwhile."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.analytics.conftest import START_NS
+from tests.analytics.metrics.rate_table import BOTH, RATES, Table, by_standard, cubic
+
+METRICS = ("scale_factor", "scale_factor_nonlinearity", "scale_factor_asymmetry")
+
+
+def test_measured_rates_in_the_column_of_commands_are_symmetric(tested: Any, table: Callable[..., Table]) -> None:
+    jitter = 1 + 2e-4 * np.random.default_rng(3).uniform(-1, 1, len(BOTH))
+    rate, mean = table(gyro=cubic, unit="V").rates((np.array(BOTH) * jitter).tolist(), procedure="scale_factor")
+    for metric in METRICS:
+        assert {row["standard"]: row["reason"] for row in tested.metric(metric)} == {"GJB2426A": None, "JJF2014": None}
+    found = by_standard(tested.metric("scale_factor"))["GJB2426A"]
+    assert found["value"] == pytest.approx(np.polyfit(rate[1:-1], mean[1:-1], 1)[0], rel=1e-9)
+
+
+def test_a_rate_measured_twice_with_jitter_is_one_rate(tested: Any, table: Callable[..., Table]) -> None:
+    few = [sign * rate * (1 + 1e-4 * turn) for rate in RATES[:6] for sign in (1, -1) for turn in (0, 1)]
+    table(gyro=cubic, unit="V").rates(few, procedure="scale_factor")
+    reason = by_standard(tested.metric("scale_factor"))["GJB2426A"]["reason"]
+    assert reason.startswith("6 rates measured forwards and 6 backwards, 11 in each direction are asked for")
+
+
+@pytest.mark.parametrize(("moved_degc", "is_named"), [(0.5, False), (12.0, True)])
+def test_a_temperature_that_moves_with_the_rates_is_named(tested: Any, moved_degc: float, is_named: bool) -> None:
+    """From the largest negative rate to the largest positive one: the line takes the change of the zero into K."""
+    rng = np.random.default_rng(1)
+    rates = [0.0, *sorted(BOTH), 0.0]
+    t_ns = START_NS
+    for number, rate in enumerate(rates):
+        degc = 20 + moved_degc * number / (len(rates) - 1)
+        values = rate + 0.01 * (degc - 20) + 1e-3 * rng.standard_normal(100)
+        signals = {"rate": (values, "deg/s"), "temperature": (np.full(10, degc), "degC")}
+        words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
+        t_ns = tested.step("r1", "U1", signals, t0_ns=t_ns, **words)
+    for metric in METRICS:
+        for row in tested.metric(metric):
+            assert (row["remark"] or "").startswith("the temperature moved by 1") is is_named, row["remark"]
+
+
+def test_from_a_file_to_the_answer(tmp_path: Path, run_command: Callable[..., Any]) -> None:
+    """A table that reports its rate to 0.01 %, in a chamber that warms by 8 degC."""
+    rng = np.random.default_rng(2)
+    rates = [0.0, *sorted(BOTH), 0.0]
+    lines, at = ["time[s],rate[deg/s],rate_command[deg/s],temperature[degC],procedure,step"], 0
+    for number, rate in enumerate(rates):
+        measured = rate * (1 + 1e-4 * rng.uniform(-1, 1))
+        for _ in range(30):
+            output = 1.0001 * rate + 1e-3 * rng.standard_normal()
+            step = "rest" if rate == 0 else "rate"
+            lines.append(f"{at},{output:.6f},{measured:.5f},{20 + number * 8 / 23:.2f},scale_factor,{step}{number}")
+            at += 1
+    (tmp_path / "r1.csv").write_text("\n".join(lines))
+    imported = run_command("import", "r1.csv", "--unit", "U1", "--start", "2026-01-05T08:00:00Z", cwd=tmp_path)
+    assert imported.code == 0, imported.err
+    found = run_command("metrics", "--metric", "scale_factor", "--json", cwd=tmp_path)
+    assert found.code == 0, found.err
+    (row,) = [each for each in found.json if each["standard"] == "GJB2426A"]
+    assert row["reason"] is None
+    assert row["value"] == pytest.approx(1.0001, rel=5e-5)
+    assert "the temperature moved by" in row["parameters"]["remark"]
