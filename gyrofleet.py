@@ -17,7 +17,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import click
+_IS_COMMAND = Path(sys.argv[0]).name == "gyrofleet" and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+if _IS_COMMAND:  # Ctrl-C while libraries load ends it without a traceback
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import click  # noqa: E402
 
 for _name in ("stream", "storage", "ingest", "analytics"):
     _spec = importlib.util.find_spec(_name)
@@ -151,6 +155,8 @@ def front_door() -> NoReturn:
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower() != "utf-8":
             stream.reconfigure(errors="replace")
     code = 0
+    if _IS_COMMAND:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         main()
     except SystemExit as end:

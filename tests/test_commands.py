@@ -1,6 +1,7 @@
 """Help of every command on a terminal of 80 columns, and completion in a shell."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -147,3 +148,15 @@ def test_a_command_imports_no_slow_library_that_it_does_not_need(tmp_path: Path)
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert "Traceback" not in done.stderr, done.stderr
         assert set(done.stdout.splitlines()[-1].split()) <= libraries, words
+
+
+@pytest.mark.parametrize(("before", "code"), [("default_int_handler", -signal.SIGINT), ("SIG_IGN", 0)])
+def test_an_interrupt_while_libraries_load_has_no_traceback(before: str, code: int) -> None:
+    """One that is ignored, as of a process in the background, stays ignored."""
+    script = (
+        f"import os, signal, sys; sys.argv[0] = 'gyrofleet'; signal.signal(signal.SIGINT, signal.{before})\n"
+        "import gyrofleet\n"
+        "os.kill(os.getpid(), signal.SIGINT)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (code, "")

@@ -44,6 +44,7 @@ class FrameCounter:
         if self._interval_ns is not None:
             elapsed = np.diff(t_ns, prepend=np.int64(t_last)) / self._interval_ns
             turns = np.rint((elapsed - steps) / self._modulus).astype(np.int64)
+            turns[turns < -1] = 0  # no frame comes a turn late: the clock was set back, and the counter goes on
             out_of_step = np.abs(elapsed - steps - turns * self._modulus) > _OUT_OF_STEP * self._modulus
             is_restart = (elapsed > self._modulus) & out_of_step
             steps = np.where(is_restart, np.rint(elapsed).astype(np.int64), steps + turns * self._modulus)

@@ -24,6 +24,8 @@ _COUNTED = {
     "retimed": "at the time of the one before, put a nanosecond after it",
 }
 
+_FAR_S = 1.0  # beyond what waits and priorities on a bus can delay a frame
+
 
 @dataclass
 class LogFrameCounts:
@@ -102,6 +104,12 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
         )
         if text:
             yield f"message {count.message} of unit {count.unit}: {text}"
+        if count.off_grid_s > _FAR_S:
+            yield (
+                f"message {count.message} of unit {count.unit}: frames came up to {count.off_grid_s:,.4g} s before or "
+                f"after the time that counter and interval_s give them, which is the one they have: the interval is not "
+                f"exact, or the logger's clock was changed"
+            )
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from ingest.can.frames import CanFrame, frame_block
 from ingest.can.mapping import CanMapping
 from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
+from ingest.can.summary import LogFrameCounts, remarks
 from ingest.checksums import checksums
 from stream.batch import SampleBatch
 from stream.errors import BadInput
@@ -134,6 +135,17 @@ def test_lost_repeated_and_damaged_frames_leave_gaps_in_the_grid(tmp_path: Path,
     assert (count.lost, count.repeated, count.checksum_failures) == (61, 1, 1)
     assert (count.frames, count.decoded) == (1941, 1939)
     assert 0 < count.off_grid_s < 0.0003
+
+
+@pytest.mark.parametrize("moved_s", [0, 3600])
+def test_a_clock_that_was_set_back_is_named(tmp_path: Path, moved_s: int) -> None:
+    """Counter and interval go on; the times of reception do not."""
+    plan = mapped(tmp_path, GRID)
+    frames = [imu(10**15 + i * MS - (moved_s * 10**9 if i >= 500 else 0), i) for i in range(1000)]
+    batches, decoder = decoded(plan, frames)
+    assert joined(batches)["FOG-1", "rate"][0] == [10**15 + i * MS for i in range(1000)]
+    found = list(remarks(decoder.counts, LogFrameCounts(data=1000)))
+    assert [f"frames came up to {moved_s:,} s before or after" in each for each in found] == [True] * (moved_s > 0)
 
 
 def test_receive_times_settle_the_interval_and_say_when_it_is_none(tmp_path: Path) -> None:
