@@ -11,7 +11,7 @@ import numpy as np
 from ingest.can.database import MessageIndex, is_j1939, load_database, own_names
 from ingest.can.decode import FrameBytes, MessageLayout, why_unusable
 from ingest.can.frames import EXTENDED, FrameBlock
-from ingest.can.log import CanLog
+from ingest.can.logs.can_log import CanLog
 from ingest.tables.units import database_unit
 from stream.batch import IntArray
 

@@ -107,7 +107,7 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
         if count.off_grid_s > _FAR_S:
             yield (
                 f"message {count.message} of unit {count.unit}: frames came up to {count.off_grid_s:,.4g} s before or "
-                f"after the time that counter and interval_s give them, which is the one they have: the interval is not "
+                f"after the time that counter and interval_s give them, which they now have: the interval is not "
                 f"exact, or the logger's clock was changed"
             )
 

@@ -242,7 +242,7 @@ def _file(
 ) -> "SampleFile":
     """Reader of a file, by its name; only what is needed is loaded."""
     if _is_can_log(path):
-        from ingest.can.log_file import CanLogFile
+        from ingest.can.logs.log_file import CanLogFile
 
         assert plan is not None
         return CanLogFile(path, plan, options.run, options.start_ns, options.words, intervals, options.time_zone)

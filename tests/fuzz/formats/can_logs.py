@@ -12,7 +12,7 @@ import can
 
 from ingest.can.database import MessageIndex, load_database, own_names
 from ingest.can.decode import MessageLayout
-from ingest.can.log_file import CanLogFile
+from ingest.can.logs.log_file import CanLogFile
 from ingest.can.mapping import CanMapping
 from tests.fuzz.format import Format
 from tests.fuzz.mutations import mutated_blocks, mutated_bytes, mutated_lines

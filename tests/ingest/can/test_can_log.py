@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from ingest.can.frames import EXTENDED
-from ingest.can.log import CanLog
-from ingest.can.log_structure import find_damage
+from ingest.can.logs.can_log import CanLog
+from ingest.can.logs.structure import find_damage
 from stream.errors import BadInput
 
 START_S = 1_700_000_000.25

@@ -11,7 +11,7 @@ import cantools
 import numpy as np
 import pytest
 
-from ingest.can.log_file import CanLogFile
+from ingest.can.logs.log_file import CanLogFile
 from ingest.can.mapping import CanMapping
 from stream.batch import SampleBatch
 

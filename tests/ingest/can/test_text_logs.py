@@ -7,8 +7,8 @@ from uuid import UUID
 
 import pytest
 
-from ingest.can.log import CanLog
-from ingest.can.log_file import CanLogFile
+from ingest.can.logs.can_log import CanLog
+from ingest.can.logs.log_file import CanLogFile
 from ingest.can.mapping import CanMapping
 from ingest.tables.sample_file import TableSummary
 from stream.batch import SampleBatch

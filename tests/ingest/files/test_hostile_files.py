@@ -11,7 +11,7 @@ import pytest
 
 from ingest.can.database import load_database
 from ingest.can.decode import MessageLayout
-from ingest.can.log import CanLog
+from ingest.can.logs.can_log import CanLog
 from ingest.procedures.file import parse_procedure
 from ingest.serial.frame_layout import decode_layout
 from ingest.station.station import load_station

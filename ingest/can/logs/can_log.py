@@ -4,7 +4,6 @@ Its times of day are float seconds with a resolution of a quarter of a microseco
 """
 
 import importlib.util
-import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -15,10 +14,11 @@ import can
 from can.io.generic import MessageReader
 
 from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_block
-from ingest.can.log_bounds import check_bounds, check_objects
-from ingest.can.log_structure import LEAST_BYTES, MAGIC, find_damage
+from ingest.can.logs.bounds import check_bounds, check_objects
+from ingest.can.logs.mf4 import mf4_reader
+from ingest.can.logs.structure import LEAST_BYTES, MAGIC, find_damage
+from ingest.can.logs.text_logs import AscReader, CandumpReader, TrcReader, lines_left_out
 from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts, logged_by
-from ingest.can.text_logs import AscReader, CandumpReader, TrcReader, lines_left_out
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
@@ -184,30 +184,12 @@ def _stop(reader: MessageReader) -> None:
         reader.stop()
 
 
-def _mf4_reader(path: Path, _zone: str | None) -> MessageReader:
-    from asammdf.blocks import mdf_v4
-
-    # its destructor fails, and Python prints that, where the constructor did not come to its end
-    kind: Any = mdf_v4.MDF4
-    kind.__del__ = lambda mdf: _closed(mdf.close)
-    # it prints some errors among our results; logged, they are reported as damage
-    vars(mdf_v4)["print"] = lambda *texts, **_: logging.getLogger("asammdf").warning(
-        " ".join(map(str, texts)).strip().split("\n")[-1]
-    )
-    return can.MF4Reader(str(path))
-
-
-def _closed(close: Callable[[], None]) -> None:
-    with suppress(AttributeError):
-        close()
-
-
 _READERS: dict[str, Callable[[Path, str | None], MessageReader]] = {
     ".blf": lambda path, _: _BlfReader(path),
     ".trc": TrcReader,
     ".log": lambda path, _: CandumpReader(path),
     ".asc": AscReader,
-    ".mf4": _mf4_reader,
+    ".mf4": lambda path, _: mf4_reader(path),
 }
 
 

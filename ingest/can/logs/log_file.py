@@ -9,7 +9,7 @@ from uuid import UUID
 import numpy as np
 
 from ingest.can.frames import ids_text
-from ingest.can.log import CanLog
+from ingest.can.logs.can_log import CanLog
 from ingest.can.mapping import CanMapping
 from ingest.can.plan import CanPlan, SignalPlan
 from ingest.can.samples import CanSamples, SignalPiece

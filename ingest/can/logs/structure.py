@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from ingest.can.log_bounds import BLF_OBJECT, MF4_BLOCK, MOST_UNPACKED_BYTES
+from ingest.can.logs.bounds import BLF_OBJECT, MF4_BLOCK, MOST_UNPACKED_BYTES
 
 _BLF_HEADER = struct.Struct("<4sLBBBBBBBBQQLL")
 _MF4_UNFINISHED = b"UnFinMF "

@@ -1,0 +1,1 @@
+"""Log files of CAN frames: BLF, ASC, TRC, candump and MF4."""
