@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analytics.curves.allan_curve import AllanCurve, curve_of_points
+from analytics.curves.stillness import Stillness
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
 from stream.errors import BadInput, EstimatorError, NotEnoughData
@@ -50,6 +51,11 @@ class DeviationCurve:
     kind: Deviation
     unit_of_measure: str
     curve: AllanCurve
+
+    @property
+    def remark(self) -> str:
+        """What a reader must know of the record, as that its output was frozen; empty for nothing."""
+        return "" if self.curve.remark is None else self.curve.remark[0]
 
     def polars(self) -> "pl.DataFrame":
         """As a Polars frame, one row an averaging time."""
@@ -113,8 +119,10 @@ def allan_deviation(
     except ValueError:
         raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}") from None
     with FullOverlap() as record:
+        still = Stillness()
         for begin in range(0, row.size, _PIECE_SAMPLES):
             piece = row[begin : begin + _PIECE_SAMPLES]
+            still.follow(piece)
             record.update(
                 SampleBatch("array", "values", "r1", UUID(int=0), begin, begin * interval_ns, interval_ns,
                             unit_of_measure, values=piece)
@@ -127,7 +135,7 @@ def allan_deviation(
             raise NotEnoughData(points.reason.removeprefix("unit array, signal values: "))
         exact = 1e9 / (rate_hz * interval_ns)  # intervals count in whole nanoseconds
         points = tuple(msgspec.structs.replace(each, tau_s=each.tau_s * exact) for each in points)
-        return deviation_curve(curve_of_points(("array", "values", ""), record, points, kind, "full"))
+        return deviation_curve(curve_of_points(("array", "values", ""), record, points, kind, "full", still))
 
 
 def noise_fit(curve: DeviationCurve) -> NoiseFit:

@@ -145,6 +145,8 @@ def _show(
         print_json(curve.document() if found is None else curve_document(curve, found, outliers))
         return
     results().print(_curve_table(curve))
+    if curve.remark is not None:
+        results().print("warning (警告): " + " ".join(curve.remark), soft_wrap=True)
     if isinstance(found, NoEstimate):
         results().print(f"No noise coefficients (无噪声系数): {found.reason}", soft_wrap=True)
     elif found is not None:

@@ -53,6 +53,8 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
     if found.humps:
         results().print(_hump_table(found))
     results().print(_level_table(found))
+    if found.remark is not None:
+        results().print("warning (警告): " + " ".join(found.remark), soft_wrap=True)
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from analytics.curves.stillness import Stillness, remark_on_stillness
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.errors import BadInput, NotEnoughData, NotFound
@@ -45,6 +46,7 @@ class AllanCurve:
     # exponents of the plausible noises at each averaging time, see `EstimatePoint`; empty where unknown
     plausible: tuple[tuple[int, ...], ...] = ()
     windows: tuple[int, ...] = ()  # number of differences of each deviation; empty where unknown
+    longest_still: int = 0  # samples of the longest stretch in which all are alike
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -75,6 +77,11 @@ class AllanCurve:
         if not self.deviation.startswith("o"):
             return self.bare_names
         return f"Overlapping {FORMS[self.deviation].name}", f"重叠 {FORMS[self.deviation].chinese}"
+
+    @property
+    def remark(self) -> tuple[str, str] | None:
+        """What a reader must know of the record, in English and Chinese."""
+        return remark_on_stillness(self.longest_still, self.samples)
 
     def document(self) -> dict[str, Any]:
         """The curve as JSON, with the same keys for every kind of deviation."""
@@ -112,13 +119,13 @@ def allan_curve(
         if taus_s:
             raise BadInput("given averaging times need every window: leave --overlap out, or say --overlap full")
         strided = AllanDeviation(points_per_octave=points_per_octave)
-        _feed(strided, catalog, record, resample_s)
-        return _curve(record, strided, strided.estimate(), deviation, overlap)
+        still = _feed(strided, catalog, record, resample_s)
+        return _curve(record, strided, strided.estimate(), deviation, overlap, still)
     with FullOverlap(scratch) as full:
-        _feed(full, catalog, record, resample_s)
+        still = _feed(full, catalog, record, resample_s)
         factors = [_factor(tau_s, full.sample_interval_s) for tau_s in taus_s] or None
         points = full.evaluate(deviation, points_per_octave, factors)
-        return _curve(record, full, points, deviation, overlap)
+        return _curve(record, full, points, deviation, overlap, still)
 
 
 def _factor(tau_s: float, interval_s: float) -> int:
@@ -129,14 +136,16 @@ def _factor(tau_s: float, interval_s: float) -> int:
     return factor
 
 
-def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> None:
+def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> Stillness:
+    still = Stillness()
     means = None if resample_s is None else BlockMeans(resample_s)
-    for batch in read_signal(catalog, record):
+    for batch in still.watched(read_signal(catalog, record)):
         if resample_s is not None and not record.irregular:
             _check_blocks(resample_s, batch.dt_ns / 1e9)
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
             estimator.update(block_means)
+    return still
 
 
 def _check_blocks(block_s: float, interval_s: float) -> None:
@@ -153,18 +162,18 @@ def _check_blocks(block_s: float, interval_s: float) -> None:
 
 def _curve(
     record: SignalRecord, estimator: _Estimator, points: tuple[EstimatePoint, ...] | NoEstimate, deviation: Deviation,
-    overlap: Overlap,
+    overlap: Overlap, still: Stillness,
 ) -> AllanCurve:  # fmt: skip
     if isinstance(points, NoEstimate):
         where = f"unit {record.unit}, signal {record.signal}"
         reason = points.reason.removeprefix(f"{where}: ")
         raise NotEnoughData(f"{where}, run {record.run}: no {FORMS[deviation].name}: {reason}")
-    return curve_of_points((record.unit, record.signal, record.run), estimator, points, deviation, overlap)
+    return curve_of_points((record.unit, record.signal, record.run), estimator, points, deviation, overlap, still)
 
 
 def curve_of_points(
     of: tuple[str, str, str], estimator: _Estimator, points: Sequence[EstimatePoint], deviation: Deviation,
-    overlap: Overlap,
+    overlap: Overlap, still: Stillness,
 ) -> AllanCurve:  # fmt: skip
     """The curve of a unit, signal and run from the points of an estimator."""
     unit, signal, run = of
@@ -174,6 +183,7 @@ def curve_of_points(
         adev=tuple(point.value for point in points), deviation=deviation, overlap=overlap,
         **{name: tuple(getattr(point, name) for point in points) for name in ("tau_s", "lo", "hi", "edf")},
         plausible=tuple(point.plausible for point in points), windows=tuple(point.n for point in points),
+        longest_still=still.longest,
     )  # fmt: skip
 
 

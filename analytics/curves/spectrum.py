@@ -12,6 +12,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analytics.curves.humps import Hump, find_humps, independent_bins
+from analytics.curves.stillness import Stillness, remark_on_stillness
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
@@ -65,11 +66,17 @@ class SignalSpectrum:
     searched_hi_hz: float
     lines: tuple[SpectralLine, ...]  # lowest frequency first, as the humps
     humps: tuple[Hump, ...] = ()
+    longest_still: int = 0  # samples of the longest stretch in which all are alike
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
         if len({len(column) for column in (self.frequency_hz, self.psd, self.lo, self.hi)}) != 1:
             raise BadInput(f"spectrum of unit {self.unit}, run {self.run}: its columns differ in length")
+
+    @property
+    def remark(self) -> tuple[str, str] | None:
+        """What a reader must know of the record, in English and Chinese."""
+        return remark_on_stillness(self.longest_still, self.samples)
 
     def document(self) -> dict[str, Any]:
         """Return the spectrum as it stands in JSON."""
@@ -128,11 +135,11 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
             "the signal recorded or imported at equal intervals"
         )
     size = segment_for(record.samples)
-    spectral = _fed(catalog, record, size)
+    spectral, still = _fed(catalog, record, size)
     while spectral.segments < _ENOUGH_SEGMENTS and size > (_SHORT_SEGMENT if spectral.segments else FEWEST_SAMPLES):
         size //= 2
-        spectral = _fed(catalog, record, size)
-    return _result(record, spectral)
+        spectral, still = _fed(catalog, record, size)
+    return _result(record, spectral, still.longest)
 
 
 def segment_for(samples: int) -> int:
@@ -142,14 +149,14 @@ def segment_for(samples: int) -> int:
     return min(LONGEST_SEGMENT, 1 << (longest.bit_length() - 1))
 
 
-def _fed(catalog: Catalog, record: SignalRecord, segment_samples: int) -> SpectralDensity:
-    spectral = SpectralDensity(segment_samples, CONFIDENCE)
-    for batch in read_signal(catalog, record):
+def _fed(catalog: Catalog, record: SignalRecord, segment_samples: int) -> tuple[SpectralDensity, Stillness]:
+    spectral, still = SpectralDensity(segment_samples, CONFIDENCE), Stillness()
+    for batch in still.watched(read_signal(catalog, record)):
         spectral.update(batch)
-    return spectral
+    return spectral, still
 
 
-def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
+def _result(record: SignalRecord, spectral: SpectralDensity, longest_still: int = 0) -> SignalSpectrum:
     spectrum, lines = spectral.estimate(), spectral.lines(FALSE_ALARM_PROBABILITY)
     if isinstance(spectrum, NoEstimate) or isinstance(lines, NoEstimate):
         refused = spectrum if isinstance(spectrum, NoEstimate) else lines
@@ -172,7 +179,7 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
         confidence=spectrum.confidence, edf=spectrum.edf, segments=spectrum.segments,
         segments_left_out=spectral.segments_left_out, segment_samples=spectral.segment_samples,
         bin_width_hz=spectral.bin_width_hz, false_alarm_probability=FALSE_ALARM_PROBABILITY, searched_lo_hz=lo_hz,
-        searched_hi_hz=hi_hz, lines=lines, humps=humps,
+        searched_hi_hz=hi_hz, lines=lines, humps=humps, longest_still=longest_still,
     )  # fmt: skip
 
 
