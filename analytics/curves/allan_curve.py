@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from analytics.curves.stillness import Stillness, remark_on_stillness
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.errors import BadInput, NotEnoughData, NotFound
@@ -16,6 +15,7 @@ from stream.estimators.block_means import BlockMeans
 from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.events import EstimatePoint
+from stream.stillness import Stillness, remark_on_stillness
 
 Overlap = Literal["full", "strided"]
 _Estimator = AllanDeviation | FullOverlap

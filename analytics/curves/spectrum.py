@@ -12,7 +12,6 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analytics.curves.humps import Hump, find_humps, independent_bins
-from analytics.curves.stillness import Stillness, remark_on_stillness
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
@@ -21,6 +20,7 @@ from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
 from stream.estimators.spectrum.spectral_lines import GUARD_BINS, SpectralLine, background_edf, hann_response
+from stream.stillness import Stillness, remark_on_stillness
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01

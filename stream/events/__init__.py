@@ -196,7 +196,8 @@ class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
 class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
     """Estimates of a signal at `t_ns`: points, or a reason why there are none.
 
-    They are published every `every_ns` of the signal's time, 0 if unknown.
+    They are published every `every_ns` of the signal's time, 0 if unknown. `longest_still`: samples of the longest
+    stretch in which all are alike, counted where the signal has limits.
     """
 
     unit: str
@@ -211,6 +212,7 @@ class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
     final: bool = False
     points: tuple[EstimatePoint, ...] = ()
     reason: str | None = None
+    longest_still: int = 0
 
 
 class NoiseFitted(Document, frozen=True, kw_only=True, tag=True):

@@ -18,6 +18,7 @@ from stream.estimators.decision.decision import AllanDecision, BiasStabilityDeci
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EarlyDecision, EstimatePoint, EstimatePublished, Limit, LimitsApplied
 from stream.quantities import conversion
+from stream.stillness import Stillness, remark_on_stillness
 from stream.worker.limit_checks import ALLAN_DEVIATION, ANGLE_RANDOM_WALK, estimator_key
 from stream.worker.recent_samples import RecentSamples
 
@@ -82,6 +83,7 @@ class EarlyDecisions:
         self._recent = RecentSamples()
         self.since_ns: int | None = None
         self.unseen_s = 0.0
+        self.still = Stillness()
         self.estimators: list[PointEstimator] = []
 
     def apply(self, limits: LimitsApplied) -> None:
@@ -101,7 +103,7 @@ class EarlyDecisions:
 
     def _set(self, limits: tuple[Limit, ...], since_ns: int | None = None) -> None:
         self._limits, self.since_ns = limits, since_ns
-        self._tests = {}
+        self._tests, self.still = {}, Stillness()
         self._exact = {i: _ExactTau(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
         of_record = {} if since_ns is None else {estimator_key(limit): limit for limit in limits}
         self.estimators = [
@@ -118,6 +120,8 @@ class EarlyDecisions:
             for estimator in self.estimators:
                 estimator.update(part)
             self._update_exact(part)
+            if self._limits:
+                self.still.follow(part.value_array)
 
     def _of_record(self, batch: SampleBatch) -> Iterator[SampleBatch]:
         """The samples of a batch that belong to the record that the limits are on."""
@@ -210,6 +214,7 @@ class EarlyDecisions:
                 if not estimate.unit_of_measure:
                     return _cannot("no sample yet", "尚无样本")
                 self._begin(number, self._plan(number, limit, estimate))
+            self._tests[number].doubt = remark_on_stillness(self.still.longest, self.still.samples)
             return self._tests[number].look(elapsed_s, point)
         except GyrofleetError as error:
             return _cannot(str(error), str(error))
@@ -237,7 +242,7 @@ class EarlyDecisions:
             "tests": tests, "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
             "since_ns": self.since_ns, "estimators": [take_snapshot(estimator) for estimator in self.estimators],
             "next": None if self._next is None else msgspec.json.encode(self._next),
-            "recent": self._recent.export_state(), "unseen_s": self.unseen_s,
+            "recent": self._recent.export_state(), "unseen_s": self.unseen_s, "still": self.still.export_state(),
         }  # fmt: skip
 
     @classmethod
@@ -252,6 +257,7 @@ class EarlyDecisions:
         decisions._next = None if following is None else decode_json(following, LimitsApplied)
         decisions._recent.import_state(state.get("recent", ()))
         decisions.unseen_s = state.get("unseen_s", 0.0)
+        decisions.still.import_state(state.get("still", [0, 0, 0, 0.0]))
         for number, saved in state["tests"].items():
             decisions._begin(int(number), converted(saved["plan"], DecisionPlan))
             decisions._tests[int(number)].import_state(saved["state"])

@@ -26,6 +26,7 @@ from stream.events import (
     VerdictGiven,
 )
 from stream.quantities import conversion
+from stream.stillness import remark_on_stillness
 
 ANGLE_RANDOM_WALK = "angle_random_walk"
 ALLAN_DEVIATION = "allan_deviation"
@@ -101,8 +102,9 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     deg/h, divided by 60 (N = sigma(1 s) sqrt(1 s)): true where white noise dominates at 1 s.
 
     PASS if the upper confidence bound is at or below the limit, FAIL if the lower one is above it, MARGINAL in between
-    (the data do not decide), NO_DATA with the reason if there is no estimate. What an estimate leaves out, its reason
-    says, and so does the check. Values are in the limit's unit of measure.
+    (the data do not decide), NO_DATA with the reason if there is no estimate. Where the output stood still nothing
+    passes. What an estimate leaves out, its reason says, and so does the check. Values are in the limit's unit of
+    measure.
 
     >>> limit = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=1.0, unit_of_measure="deg/h")
     >>> judge(limit, []).reason
@@ -130,6 +132,11 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     value, lo, hi = value * factor, lo * factor, hi * factor
     verdict = Verdict.PASS if hi <= limit.upper else Verdict.FAIL if lo > limit.upper else Verdict.MARGINAL
     reason = estimate.reason
+    still = remark_on_stillness(estimate.longest_still, estimate.samples)
+    if still is not None and hi <= 0.0:
+        return _no_data(limit, still[0])
+    if still is not None and verdict is Verdict.PASS:
+        return Check(limit=limit, verdict=Verdict.MARGINAL, value=value, lo=lo, hi=hi, reason=still[0])
     if verdict is Verdict.MARGINAL:
         undecided = f"the limit lies inside the {estimate.confidence:.0%} confidence bounds: the data do not decide"
         reason = "; ".join(filter(None, (undecided, reason)))

@@ -151,6 +151,7 @@ class SignalAnalysis:
             missing=estimator.missing, sample_interval_s=estimator.sample_interval_s, every_ns=self._every_ns,
             final=final, points=() if isinstance(estimate, NoEstimate) else estimate,
             reason=estimate.reason if isinstance(estimate, NoEstimate) else None,
+            longest_still=self._decisions.still.longest,
         )  # fmt: skip
 
     def _estimate_of_record(self, estimator: PointEstimator, *, final: bool) -> EstimatePublished:

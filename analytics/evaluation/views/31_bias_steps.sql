@@ -2,6 +2,12 @@
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
 -- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, what stands still, and an
 -- attitude that does not say which axis it means.
+create or replace macro remark_on_still(n, still, sd, stood_still) as
+  case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
+      || 'coarse to show noise'
+    when stood_still then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
+      || 'was frozen, or its resolution is too coarse to show noise' end;
+
 create or replace view internal.bias_steps as
 with counted as (
   select *,
@@ -19,10 +25,7 @@ select *,
   end as lack,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
   nullif(concat_ws('; ',
-    case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
-      || 'coarse to show noise'
-      when stood_still then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
-      || 'was frozen, or its resolution is too coarse to show noise' end,
+    remark_on_still(n, still, sd, stood_still),
     case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
     case when covered < 1 then n || ' of ' || expected || ' samples are there, as of '

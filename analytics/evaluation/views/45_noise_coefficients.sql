@@ -3,9 +3,9 @@ create or replace table internal.fitted_noise as
 select run, unit, signal, arg_max(document, t_ns) as document from events where kind = 'NoiseFitted' group by all;
 
 -- Noise coefficients of IEEE 952 that were fitted to the Allan curve of a finished run: a row for each of a unit that
--- did nothing in that run but stand still in one step. One that the record does not show has no value; `reason` says
+-- did nothing in that run but be at rest in one step. One that the record does not show has no value; `reason` says
 -- by how much it is bounded. Where the curve departs from the model by more than a quarter, as in
--- `gyrofleet allan --fit`, values have no interval. A step of the procedure for it without a fit has rows too.
+-- `gyrofleet allan --fit`, or the output stood still for a part of the record, values have no interval. A step of the procedure for it without a fit has rows too.
 create or replace view internal.noise_coefficients as
 with still as (
   select *, count(*) over (partition by run, unit, signal) as still_steps from internal.bias_steps where n > 0
@@ -22,7 +22,8 @@ with still as (
 ), parsed as (
   -- the fit is of the output in deg/h by its unit, the coefficients are of the input
   select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale,
-    coalesce((document->>'$.coefficients.misfit')::double > 0.25, false) as is_refused
+    coalesce((document->>'$.coefficients.misfit')::double > 0.25, false) as is_misfit, is_misfit or stood_still as is_refused,
+    remark_on_still(n, still, sd, stood_still) as still_remark
   from expected
 )
 select unit, signal, run, "index", coefficient, n, duration_s,
@@ -31,9 +32,9 @@ select unit, signal, run, "index", coefficient, n, duration_s,
   case when not is_refused then (found->>'$.hi')::double * scale end as hi,
   case when not is_refused then ((found->>'$.hi')::double - (found->>'$.lo')::double) * scale / (2 * 1.959963984540054) end
     as standard_uncertainty,
-  case when is_refused then 'the terms of the noise model do not describe the Allan curve, which departs from them by '
+  case when is_misfit then 'the terms of the noise model do not describe the Allan curve, which departs from them by '
     || round(100 * (document->>'$.coefficients.misfit')::double)::bigint || ' %, as where a line is in the spectrum: the value has '
-    || 'no interval' end as misfit_remark,
+    || 'no interval' end as misfit_remark, still_remark,
   (document->>'$.coefficients.misfit')::double as misfit,
   (document->>'$.coefficients.markov.correlation_s')::double as markov_correlation_s,
   case
@@ -48,7 +49,7 @@ from parsed;
 create or replace macro fitted_coefficient(name) as table
 select unit, signal, run, value, lo, hi, standard_uncertainty, null::double as freedom, n,
   {method: 'allan', duration_s: round(duration_s), misfit: misfit, markov_correlation_s: markov_correlation_s,
-    remark: misfit_remark}
+    remark: nullif(concat_ws('; ', misfit_remark, still_remark), '')}
     as parameters,
   [run] as runs, ["index"] as steps, reason
 from internal.noise_coefficients

@@ -31,11 +31,15 @@ _SAME_TAU = 1e-6
 
 
 class _Looks:
-    """Base of both kinds of decision. State: time and count of the last look, and the decision once given."""
+    """Base of both kinds of decision. State: time and count of the last look, and the decision once given.
+
+    While there is a `doubt` nothing passes.
+    """
 
     def __init__(self, plan: DecisionPlan) -> None:
         self.plan = plan
         self.decision: Decision | None = None
+        self.doubt: tuple[str, str] | None = None  # why it must not pass now, in English and Chinese
         self._elapsed_s = 0.0
         self._last_n = 0
 
@@ -72,6 +76,9 @@ class _Looks:
 
     def _decide(self, outcome: Outcome, rule: DecisionRule, promise: float, en: str, zh: str) -> Decision:
         fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
+        if outcome is Outcome.PASS and self.doubt is not None:
+            en, zh = (f"undecided; {self.doubt[0]}", f"未判定;{self.doubt[1]}")
+            return Decision(Outcome.UNDECIDED, en, zh, promise, fraction)
         self.decision = Decision(outcome, en, zh, promise, fraction, rule=rule)
         return self.decision
 

@@ -11,7 +11,8 @@ LEAST_SAMPLES = 10
 
 
 class Stillness:
-    """Follows a signal; `longest` is the number of samples of its longest stretch in which all are alike.
+    """Follows a signal; `longest` is the number of samples of its longest stretch in which all are alike,
+    of `samples` in all.
 
     A missing sample does not end a stretch.
 
@@ -23,7 +24,7 @@ class Stillness:
     """
 
     def __init__(self) -> None:
-        self.longest = 0
+        self.longest = self.samples = 0
         self._last, self._length = np.nan, 0
 
     def follow(self, values: FloatArray) -> None:
@@ -32,6 +33,7 @@ class Stillness:
         finite = values if is_finite.all() else values[is_finite]
         if not finite.size:
             return
+        self.samples += finite.size
         moves = finite[1:] != finite[:-1]
         carried = self._length if finite[0] == self._last else 0
         if moves.all():  # as of most signals
@@ -40,13 +42,27 @@ class Stillness:
             lengths = np.diff(np.flatnonzero(moves) + 1, prepend=0, append=finite.size)
         lengths[0] += carried
         self.longest = max(self.longest, int(lengths.max()))
-        self._last, self._length = finite[-1], int(lengths[-1])
+        self._last, self._length = float(finite[-1]), int(lengths[-1])
+
+    def export_state(self) -> list[float]:
+        """The state, in plain values."""
+        return [self.longest, self.samples, self._length, self._last if self._length else 0.0]
+
+    def import_state(self, state: list[float]) -> None:
+        """Take over a state."""
+        self.longest, self.samples, self._length = (int(each) for each in state[:3])
+        self._last = state[3] if self._length else np.nan
 
     def watched(self, batches: Iterable[SampleBatch]) -> Iterator[SampleBatch]:
         """The batches, each taken in."""
         for batch in batches:
             self.follow(batch.value_array)
             yield batch
+
+
+def is_still(longest: int, samples: int) -> bool:
+    """Whether a stretch is so long that the noise of the record cannot be judged by its samples."""
+    return longest >= max(LEAST_SAMPLES, LEAST_SHARE * samples)
 
 
 def remark_on_stillness(longest: int, samples: int) -> tuple[str, str] | None:
@@ -57,7 +73,7 @@ def remark_on_stillness(longest: int, samples: int) -> tuple[str, str] | None:
     >>> remark_on_stillness(1000, 1000)[0]
     'all 1,000 samples are alike: the output is frozen, or its resolution too coarse to show noise'
     """
-    if longest < max(LEAST_SAMPLES, LEAST_SHARE * samples):
+    if not is_still(longest, samples):
         return None
     if longest >= samples:
         return (
