@@ -37,6 +37,7 @@ VERDICT = "verdict"
 
 _NAMESPACE = UUID("5b0f4f0e-58f1-4a55-9d4b-3d0a6d1c2e77")
 _SAME_TAU = 0.01
+_FROZEN = "all samples are alike: the output is frozen, or its resolution too coarse to show noise"
 WHOLE_RECORD = 0.9  # share of its planned length from which a record counts as whole
 # A failure stands whatever else is missing. MARGINAL comes before NO_DATA because values at the limit were seen:
 # it asks for a longer test or a decision, NO_DATA only for the missing measurement. PASS is left when all passed.
@@ -133,8 +134,8 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
     verdict = Verdict.PASS if hi <= limit.upper else Verdict.FAIL if lo > limit.upper else Verdict.MARGINAL
     reason = estimate.reason
     still = remark_on_stillness(estimate.longest_still, estimate.samples)
-    if still is not None and hi <= 0.0:
-        return _no_data(limit, still[0])
+    if hi <= 0.0:  # also of an estimate that does not say how long it stood still
+        return _no_data(limit, _FROZEN if still is None else still[0])
     if still is not None and verdict is Verdict.PASS:
         return Check(limit=limit, verdict=Verdict.MARGINAL, value=value, lo=lo, hi=hi, reason=still[0])
     if verdict is Verdict.MARGINAL:

@@ -183,3 +183,9 @@ def test_an_aborted_run_passes_and_fails_no_unit() -> None:
 
 def test_without_limits_there_is_no_verdict() -> None:
     assert verdicts() == verdicts(LimitsApplied(run="r1", t_ns=0, revision="A", limits=(), unit="FOG-1")) == {}
+
+
+def test_a_deviation_of_0_is_no_pass() -> None:
+    check = judge(STABILITY, [published(point(10.0, 0.0, 0.0, 0.0))])
+    assert (check.verdict, check.value) == (Verdict.NO_DATA, None)
+    assert (check.reason or "").startswith("all samples are alike")
