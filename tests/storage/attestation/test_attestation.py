@@ -24,12 +24,6 @@ NAMES = [f"{number:08d}.mcap" for number in range(1, 5)]
 
 
 @pytest.fixture
-def key(tmp_path: Path) -> SigningKey:
-    create_key(tmp_path / "keys" / "attest.pem")
-    return SigningKey(tmp_path / "keys" / "attest.pem")
-
-
-@pytest.fixture
 def store(tmp_path: Path) -> Store:
     """Four segments, a certificate and an error model."""
     store = Store.create(tmp_path / "S")

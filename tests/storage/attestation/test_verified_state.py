@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from storage.attestation.attestation import Attested, attest
-from storage.attestation.signing_key import SigningKey, create_key
+from storage.attestation.signing_key import SigningKey
 from storage.attestation.verified_state import newest_verified_state, verified_state
 from storage.check.recover import recover
 from storage.check.verify import verify
@@ -22,12 +22,6 @@ from stream.errors import StoreError
 from tests.storage.verified_store import damage_last_chunk, fill
 
 ATTESTED = 6
-
-
-@pytest.fixture
-def key(tmp_path: Path) -> SigningKey:
-    create_key(tmp_path / "keys" / "attest.pem")
-    return SigningKey(tmp_path / "keys" / "attest.pem")
 
 
 @pytest.fixture
