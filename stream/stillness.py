@@ -11,10 +11,9 @@ LEAST_SAMPLES = 10
 
 
 class Stillness:
-    """Follows a signal; `longest` is the number of samples of its longest stretch in which all are alike,
-    of `samples` in all.
+    """Follows a signal and finds its longest stretch in which all samples are alike.
 
-    A missing sample does not end a stretch.
+    `longest` is its number of samples, `samples` that of the signal. A missing sample does not end a stretch.
 
     >>> found = Stillness()
     >>> for piece in ([1.0, 2.0, 2.0], [2.0, np.nan, 2.0, 3.0]):
