@@ -77,10 +77,13 @@ class _Looks:
     def _decide(self, outcome: Outcome, rule: DecisionRule, promise: float, en: str, zh: str) -> Decision:
         fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
         if outcome is Outcome.PASS and self.doubt is not None:
-            en, zh = (f"undecided; {self.doubt[0]}", f"未判定;{self.doubt[1]}")
-            return Decision(Outcome.UNDECIDED, en, zh, promise, fraction)
+            return self._doubtful(promise, self.doubt)
         self.decision = Decision(outcome, en, zh, promise, fraction, rule=rule)
         return self.decision
+
+    def _doubtful(self, promise: float, doubt: tuple[str, str]) -> Decision:
+        fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
+        return Decision(Outcome.UNDECIDED, f"undecided; {doubt[0]}", f"未判定;{doubt[1]}", promise, fraction)
 
     def _finish(self, point: EstimatePoint) -> Decision:
         """Compare the point with the limit, as the finished test does."""
@@ -103,6 +106,8 @@ class _Looks:
 
     def _undecided(self, promise: float, point: EstimatePoint | None, expect: Callable[[float], float]) -> Decision:
         fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
+        if self.doubt is not None:
+            return self._doubtful(promise, self.doubt)
         if point is None:
             en, zh = "no estimate at this averaging time yet", "该平均时间尚无估计值"
             return Decision(Outcome.UNDECIDED, en, zh, promise, fraction)
