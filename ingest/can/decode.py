@@ -220,10 +220,13 @@ class MessageLayout:
 
 
 def _span(signal: "Signal") -> tuple[float, float] | None:
-    """Least and greatest value that a database states; both 0 is none."""
+    """Least and greatest value that a database states; both 0 is none, and so are numbers beyond all that is sent."""
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
-    return float(signal.minimum), float(signal.maximum)
+    try:
+        return float(signal.minimum), float(signal.maximum)
+    except OverflowError:
+        return None
 
 
 def why_unusable(signal: "Signal", message_bytes: int = 0) -> str | None:
