@@ -12,6 +12,9 @@ from stream.errors import BadInput
 
 BLF_OBJECT = struct.Struct("<4sHHLL")
 MF4_BLOCK = struct.Struct("<4s4xQQ")
+_GROUP_HEAD = struct.Struct("<4s12xQQ48xQ")  # kind, number of links, next group; six links; records
+_GROUP_LINKS = 6
+_FARTHEST = 2**40
 MOST_UNPACKED_BYTES = 256 << 20  # recorders write 128 KiB in a container of BLF, 4 MiB in a block of MF4
 
 _HARMLESS_BYTES = MOST_UNPACKED_BYTES // 1032  # packed; zlib packs 1032 bytes into one at most
@@ -93,9 +96,43 @@ def check_objects(container: bytes) -> None:
         place += size
 
 
+def _lacks_records(file: BinaryIO, group: int, data: int) -> bool:
+    """Whether the only group of channels of some data counts 0 records: asammdf reads for ever."""
+    file.seek(min(group, _FARTHEST))
+    head = file.read(_GROUP_HEAD.size)
+    if len(head) < _GROUP_HEAD.size:
+        return False
+    kind, links, following, cycles = _GROUP_HEAD.unpack(head)
+    if kind != b"##CG" or links != _GROUP_LINKS or following or cycles:
+        return False
+    return _has_data(file, data)
+
+
+def _has_data(file: BinaryIO, first: int) -> bool:
+    """Whether a block of data, or a list of such, has any."""
+    seen: set[int] = set()
+    waiting = [first]
+    while waiting:
+        at = waiting.pop()
+        file.seek(min(at, _FARTHEST))
+        head = file.read(MF4_BLOCK.size)
+        if not at or at in seen or len(head) < MF4_BLOCK.size:
+            continue
+        seen.add(at)
+        kind, length, count = MF4_BLOCK.unpack(head)
+        if kind == b"##DZ" or (kind == b"##DT" and length > MF4_BLOCK.size):
+            return True
+        if kind in {b"##HL", b"##DL"}:
+            links = file.read(8 * min(count, _MOST_LINKS))
+            waiting += struct.unpack(f"<{len(links) // 8}Q", links[: len(links) // 8 * 8])
+    return False
+
+
 def _mf4_problem(file: BinaryIO) -> str | None:
-    """Why a reader of an MF4 would not end: a chain that leads back to itself."""
+    """Why a reader of an MF4 would not end: a chain leads back to itself, or data have no records."""
     size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    is_finished = file.read(4) == b"MDF "
     following: dict[int, int] = {}
     kinds: dict[int, bytes] = {}
     waiting = [_MF4_HEADER_AT]
@@ -109,6 +146,8 @@ def _mf4_problem(file: BinaryIO) -> str | None:
         links = file.read(8 * min(count, _MOST_LINKS)) if kinds[at].startswith(b"##") else b""
         found = struct.unpack(f"<{len(links) // 8}Q", links[: len(links) // 8 * 8])
         waiting += filter(None, found)
+        if kinds[at] == b"##DG" and len(found) > 2 and is_finished and _lacks_records(file, found[1], found[2]):
+            return f"its group at byte {at:,} states no records, and has data"
         if kinds[at] in _CHAINED and found:
             following[at] = found[0]
     if (kind := _endless_groups(file, size)) is not None:
