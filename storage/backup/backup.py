@@ -4,7 +4,7 @@
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from storage.backup.content import DATABASE, other_files, unlisted_segments
 from storage.backup.copied_file import CopiedFile, copy_database, copy_file
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
+from storage.segments.disk import sha256_of
 from storage.store import Store, only_one
 from storage.store_marker import check_folder
 from stream.atomic_file import write_durably
@@ -128,6 +129,7 @@ class _Writer:
 
     def _copied(self, found: LogManifest) -> Backup:
         entries = sorted(found.entries.values(), key=lambda entry: entry.segment)
+        self._check_kept(entries)
         total, done = max(1, sum(entry.size for entry in entries)), 0
         for entry in entries:
             self._bring(entry)
@@ -156,6 +158,22 @@ class _Writer:
         end = content.find(found.last.encode() + b"\n")
         return end + len(found.last) + 1
 
+    def _check_kept(self, entries: Sequence[SegmentEntry]) -> None:
+        """Refuse to replace an intact segment of the backup by another one, as by the part of it that was salvaged."""
+        known = {each.segment: each for each in self._before.segments} if self._before else {}
+        for entry in entries:
+            kept = known.get(entry.segment, entry)
+            if kept.sha256 == entry.sha256:
+                continue
+            if not CopiedFile(f"{LOG}/{entry.segment}", kept.size, kept.sha256).is_intact(self._folder):
+                continue
+            part = "the part of it that was salvaged" if entry.origin == "salvaged" else "another one"
+            raise StoreError(
+                f"{self._folder} has segment {entry.segment} whole, {kept.samples:,} samples, the store has {part}, "
+                f"{entry.samples:,} samples; the backup is as it was. `gyrofleet restore` brings the whole one back; "
+                "to go on with the store as it is, back up into a new folder"
+            )
+
     def _bring(self, entry: SegmentEntry) -> None:
         path = f"{LOG}/{entry.segment}"
         copy = CopiedFile(path, entry.size, entry.sha256)
@@ -169,15 +187,21 @@ class _Writer:
                 self._rewritten.append(entry.segment)
             else:
                 return
+        source = CopiedFile(entry.segment, entry.size, entry.sha256)
+        if target.exists() and not source.is_intact(self._store.log):
+            raise self._unsealed(entry, sha256_of(self._store.log / entry.segment))
         fresh = copy_file(self._store.log / entry.segment, self._folder, path)
         if fresh != copy:
             target.unlink()
-            raise StoreError(
-                f"{self._store.log / entry.segment} is not as it was sealed (SHA-256 {fresh.sha256[:12]}, listed "
-                f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; the backup is as it was"
-            )
+            raise self._unsealed(entry, fresh.sha256)
         self._added += 1
         self._added_bytes += entry.size
+
+    def _unsealed(self, entry: SegmentEntry, sha256: str) -> StoreError:
+        return StoreError(
+            f"{self._store.log / entry.segment} is not as it was sealed (SHA-256 {sha256[:12]}, listed "
+            f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; the backup is as it was"
+        )
 
     def _files(self) -> list[CopiedFile]:
         found = []

@@ -33,12 +33,15 @@ def verify(
 ) -> tuple[Verification, LogState]:
     """Report what is wrong in the sealed part of a store, without changes; `progress` gets the fraction read.
 
-    Of segments that were verified `since`, the SHA-256 is compared. They are read too as soon as anything is damaged
-    or lost: what the log documents in them may explain it.
+    Of segments that were verified `since`, the SHA-256 is compared. They are read too as soon as one of them is not
+    there as it was, or anything is damaged or lost: what the log documents in them may explain it.
     """
     began = time.monotonic()
     found, state = _verify(store, progress, since, began)
-    if since is not None and any(finding.severity in _TO_BE_EXPLAINED for finding in found.findings):
+    if since is None:
+        return found, state
+    is_whole = since.segments.keys() <= state.compared
+    if not is_whole or any(finding.severity in _TO_BE_EXPLAINED for finding in found.findings):
         return _verify(store, progress, None, began)
     return found, state
 

@@ -127,7 +127,8 @@ def _print_compared(found: "Verification", before: "VerifiedState") -> None:
     at = f"{datetime.fromtimestamp(before.at_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
     signed = f"{before.where}, signed at {at} by {before.signed_by}"
     if not found.since:
-        results().print(f"everything was read, as something is damaged or lost since {signed}", soft_wrap=True)
+        why = "not everything is as it had been verified" if found.is_sound else "something is damaged or lost"
+        results().print(f"everything was read: {why} before {signed}", soft_wrap=True)
         return
     results().print(
         f"{counted(found.compared, 'segment')} had been verified before {signed}: their SHA-256 was compared, and "

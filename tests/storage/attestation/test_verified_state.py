@@ -1,6 +1,7 @@
 """A verification that builds on an earlier one finds what a whole one finds."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,19 @@ def test_a_missing_segment_is_found(store: Store, key: SigningKey) -> None:
     assert "segment_missing" in {each.kind for each in both(store, path)[0].findings}
 
 
+def test_a_verified_segment_that_is_not_listed_any_more_is_missed(store: Store, key: SigningKey) -> None:
+    """Between two others, with a valid chain and without the attestation in the store and the lake: none else knows."""
+    kept = verified_and_attested(store, key).path
+    path = kept.rename(store.folder.parent / "kept.json")
+    name = sorted(read_log_manifest(store).entries)[2]
+    (store.log / name).unlink()
+    rewrite_manifest(store, [each for each in read_log_manifest(store).entries.values() if each.segment != name])
+    shutil.rmtree(store.lake)
+    since, _ = both(store, path)
+    assert "numbers_missing" in {each.kind for each in since.findings}
+    assert since.compared == 0
+
+
 def test_a_loss_that_was_documented_before_stays_explained(store: Store, key: SigningKey) -> None:
     damage_last_chunk(sorted(store.log.glob("*.mcap"))[2])
     mend(store)
@@ -180,5 +194,5 @@ def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]) -
     assert len(list((store.folder / "attestations").glob("*.json"))) == 2
     found = gyrofleet(*checked, "last")
     assert found.code == 1
-    assert "everything was read, as something is damaged or lost" in " ".join(found.out.split())
+    assert "everything was read: something is damaged or lost" in " ".join(found.out.split())
     assert json.loads((tmp_path / "kept.json").read_text())["public_key"]

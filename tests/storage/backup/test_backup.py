@@ -14,7 +14,7 @@ import pytest
 from storage.backup import restore as restoring
 from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
-from storage.check.recover import Action
+from storage.check.recover import Action, recover
 from storage.check.verify import verify
 from storage.fleet_store import FleetStore
 from storage.lake.builder import build_missing
@@ -25,7 +25,7 @@ from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
 from stream.errors import BadInput, StoreError
 from stream.transport.bus import LocalBus
-from tests.storage.verified_store import KEY, batch, fill
+from tests.storage.verified_store import KEY, batch, damage_last_chunk, fill
 
 COUNTS = "select unit, count(*) as n, sum(counts) as total from samples group by unit order by unit"
 
@@ -253,3 +253,30 @@ def test_a_restoration_that_is_killed_while_it_builds_the_lake_is_repeated(
     restore(tmp_path / "B", tmp_path / "R")
     assert verify(Store.open(tmp_path / "R"))[0].is_sound
     assert not (tmp_path / "R" / "restoring").exists()
+
+
+def test_a_salvaged_part_never_replaces_the_whole_segment(store: Store, tmp_path: Path) -> None:
+    back_up(store, tmp_path / "B")
+    kept = {path.name: path.read_bytes() for path in (tmp_path / "B").rglob("*") if path.is_file()}
+    damage_last_chunk(store.log / "00000002.mcap")
+    assert [each for each in recover(store) if each.what == "segment_salvaged"]
+    for is_checked in (False, True):
+        with pytest.raises(StoreError, match=r"has segment 00000002\.mcap whole, 200 samples, the store has the part"):
+            back_up(store, tmp_path / "B", is_checked=is_checked)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "B").rglob("*") if path.is_file()} == kept
+    restored = tmp_path / "R"
+    restore(tmp_path / "B", restored)
+    assert verify(Store.open(restored))[0].samples == 600
+    assert len(back_up(store, tmp_path / "B2").backup.segments) >= 3
+
+
+def test_a_backup_that_fails_changes_no_segment(store: Store, tmp_path: Path) -> None:
+    """The copy of one segment is damaged in the backup, another one in the store."""
+    back_up(store, tmp_path / "B")
+    copy = tmp_path / "B" / "log" / "00000001.mcap"
+    copy.write_bytes(copy.read_bytes()[:-1])
+    damage_last_chunk(store.log / "00000001.mcap")
+    before = copy.read_bytes()
+    with pytest.raises(StoreError, match="the backup is as it was"):
+        back_up(store, tmp_path / "B")
+    assert copy.read_bytes() == before
