@@ -13,10 +13,11 @@ _LARGEST_SHARE = 8
 
 @dataclass(frozen=True)
 class Answer:
-    """The body of an answer, and its media type."""
+    """The body of an answer, and its media type; headers say what a table cannot, as that there is more of it."""
 
     body: bytes
     media_type: str
+    headers: tuple[tuple[str, str], ...] = ()
 
 
 class AnswerCache:

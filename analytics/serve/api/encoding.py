@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
+from urllib.parse import quote
 
 import msgspec
 import pyarrow as pa
@@ -36,6 +37,9 @@ _MEDIA_TYPES = {
     Form.CSV: "text/csv; charset=utf-8",
     Form.PARQUET: "application/vnd.apache.parquet",
 }
+
+
+_IN_ADDRESS = "/?&=%:+,;@~!$'()*"
 
 
 @runtime_checkable
@@ -80,17 +84,23 @@ def encoded(answer: Any, form: Form, table: str | None) -> Answer:
         return answer.encoded(form)
     if form is Form.JSON:
         return Answer(json_text(answer).encode(), form.media_type)
-    columns = _columns(answer, table)
+    columns, more = _columns(answer, table), _more(answer)
     if form is Form.CSV:
-        return Answer(_csv(columns), form.media_type)
+        return Answer(_csv(columns), form.media_type, more)
     sink = io.BytesIO()
     arrow = pa.table({name: _array(values) for name, values in columns.items()})
     if form is Form.PARQUET:
         pq.write_table(arrow, sink, compression="zstd")
-        return Answer(sink.getvalue(), form.media_type)
+        return Answer(sink.getvalue(), form.media_type, more)
     with pa.ipc.new_stream(sink, arrow.schema) as writer:
         writer.write_table(arrow)
-    return Answer(sink.getvalue(), form.media_type)
+    return Answer(sink.getvalue(), form.media_type, more)
+
+
+def _more(answer: Any) -> tuple[tuple[str, str], ...]:
+    """The address of the next page, as a header (RFC 8288): a table has no room for it."""
+    following = getattr(answer, "next", None)
+    return (("Link", f'<{quote(following, safe=_IN_ADDRESS)}>; rel="next"'),) if following else ()
 
 
 def _columns(answer: Any, table: str | None) -> Mapping[str, Sequence[Any]]:

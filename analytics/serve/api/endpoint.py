@@ -68,14 +68,14 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
         finally:
             if not is_repeated:
                 service.has_changed()
-        return Response(made.body, operation.status, media_type=made.media_type)
+        return Response(made.body, operation.status, dict(made.headers), made.media_type)
     version = operation.version(service, state, request.path_params)
     tag = f'"{service.nonce}-{version}-{form}"'
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Accept"}
     if tag in {each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")}:
         return Response(status_code=304, headers=headers)
     made = await service.result(service.cache.answer((url_of(request), form, version), compute))
-    return Response(made.body, operation.status, headers, made.media_type)
+    return Response(made.body, operation.status, headers | dict(made.headers), made.media_type)
 
 
 async def _shared(

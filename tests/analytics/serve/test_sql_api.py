@@ -42,6 +42,22 @@ def test_more_rows_than_asked_are_cut_and_it_says_so(api: httpx.Client) -> None:
     assert api.post("/api/sql", json={"sql": "select 1 as one"}).json()["rows"] == [{"one": 1}]
 
 
+@pytest.mark.parametrize("form", ["json", "arrow", "csv", "parquet"])
+def test_every_form_says_that_it_is_cut(api: httpx.Client, form: str) -> None:
+    for rows, is_cut in ((10, "true"), (1000, "false")):
+        body = {"sql": "select * from range(1000)", "rows": rows, "format": form}
+        assert api.post("/api/sql", json=body).headers["x-truncated"] == is_cut
+
+
+@pytest.mark.parametrize("form", ["arrow", "csv", "parquet"])
+def test_a_list_as_a_table_has_the_address_of_its_next_page(api: httpx.Client, form: str) -> None:
+    following = api.get("/api/units", params={"limit": 1}).json()["next"]
+    page = api.get("/api/units", params={"limit": 1, "format": form})
+    assert page.headers["link"] == f'<{following}>; rel="next"'
+    assert api.get(page.links["next"]["url"]).json()["units"] == api.get(following).json()["units"]
+    assert "link" not in api.get("/api/units", params={"format": form}).headers
+
+
 def test_arrow_parquet_and_csv(api: httpx.Client) -> None:
     body = {"sql": "select 7 as n, '=1+1' as formula, null as nothing"}
     arrow = api.post("/api/sql", json=body, headers={"Accept": "application/vnd.apache.arrow.stream"})

@@ -66,7 +66,7 @@ class SqlResult:
                         "for Arrow or Parquet"
                     )
                 sink.write(piece)
-        return Answer(sink.getvalue(), form.media_type)
+        return Answer(sink.getvalue(), form.media_type, (("X-Truncated", str(self._is_truncated).lower()),))
 
     def _csv(self, names: list[str]) -> Iterator[bytes]:
         yield _csv_lines([csv_cells(pa.array(names))])
