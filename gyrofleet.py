@@ -21,7 +21,7 @@ _IS_COMMAND = Path(sys.argv[0]).name == "gyrofleet" and signal.getsignal(signal.
 if _IS_COMMAND:  # Ctrl-C while libraries load ends it without a traceback
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-import click  # noqa: E402
+import click  # noqa: E402  after the handler above
 
 for _name in ("stream", "storage", "ingest", "analytics"):
     _spec = importlib.util.find_spec(_name)

@@ -139,11 +139,12 @@ def _factor(tau_s: float, interval_s: float) -> int:
 def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> Stillness:
     still = Stillness()
     means = None if resample_s is None else BlockMeans(resample_s)
-    for batch in still.watched(read_signal(catalog, record)):
+    for batch in read_signal(catalog, record):
         if resample_s is not None and not record.irregular:
             _check_blocks(resample_s, batch.dt_ns / 1e9)
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
+            still.follow(block_means.value_array)  # of what counts as a sample of the curve
             estimator.update(block_means)
     return still
 

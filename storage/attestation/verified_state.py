@@ -4,13 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from storage.attestation.attestation import (
-    Attestation,
-    AttestedSegment,
-    entry_digest,
-    kept_attestations,
-    read_attestation,
-)
+from storage.attestation.attestation import AttestedSegment, entry_digest, kept_attestations, read_attestation
 from storage.attestation.signing_key import fingerprint
 from storage.manifests.entries import SegmentEntry
 from storage.store import Store
@@ -53,7 +47,9 @@ def verified_state(store: Store, path: Path, signer: str = "") -> VerifiedState:
         raise StoreError(f"{path} is of the store {stated.store}, {store.folder} is {store.identity}")
     if stated.unverified is None:
         raise StoreError(f"{path} does not say that the store was verified before it was signed; {_MAKE_ONE} that does")
-    return _state(str(path), found, stated.unverified)
+    left_out = set(stated.unverified)
+    segments = {each.name: each for each in stated.segments if each.name not in left_out}
+    return VerifiedState(str(path), stated.at_ns, by, segments)
 
 
 def newest_verified_state(store: Store, signer: str = "") -> VerifiedState | None:
@@ -76,9 +72,3 @@ def last_verified_state(store: Store, signer: str = "") -> VerifiedState:
         by = f" signed by {signer}" if signer else ""
         raise StoreError(f"no attestation in {store.folder}{by} says that the store was verified; {_MAKE_ONE}")
     return found
-
-
-def _state(where: str, attestation: Attestation, unverified: tuple[str, ...]) -> VerifiedState:
-    left_out, stated = set(unverified), attestation.stated
-    segments = {each.name: each for each in stated.segments if each.name not in left_out}
-    return VerifiedState(where, stated.at_ns, fingerprint(attestation.public), segments)

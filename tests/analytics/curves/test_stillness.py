@@ -40,6 +40,11 @@ def test_a_frozen_output_is_named(
         words = (command, "--unit", "U1", "--signal", "rate")
         assert run_command(*words, "--json", cwd=tmp_path).json["longest_still"] == max(1, frozen)
         remarks.append(run_command(*words, cwd=tmp_path).out)
+    resampled = run_command(
+        "allan", "--unit", "U1", "--signal", "rate", "--resample", "10", "--json", cwd=tmp_path
+    ).json
+    assert resampled["samples"] == 399, "the last block of ten is not closed by a sample after it"
+    assert resampled["longest_still"] == max(1, frozen // 10 - 1)
     for each in remarks:
         text = " ".join(each.split())
         assert ("alike" in text) is (said is not None)
