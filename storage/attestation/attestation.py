@@ -23,6 +23,7 @@ from storage.manifests.log import read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.specifications.copies import FOLDER as SPECIFICATIONS
 from storage.store import Store, only_one
+from storage.store_marker import is_replica
 from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import StoreError
@@ -152,8 +153,14 @@ def attest(
     """Sign what the store is now, have it stamped by an authority if one is given, and keep it there.
 
     `verified` are the segments of a store that was just verified and is sound, which is signed too. Without an answer
-    of the authority it is kept without a stamp. StoreError if the log's manifest is damaged.
+    of the authority it is kept without a stamp. StoreError if the log's manifest is damaged, or the store is a fleet
+    store's copy of a plant.
     """
+    if is_replica(store.folder):
+        raise StoreError(
+            f"{store.folder} is a fleet store's copy of a plant, nothing is signed: attest at the plant; its "
+            "attestations arrive with its segments"
+        )
     with only_one(store.folder / FOLDER / ".lock", "gyrofleet attest"):
         found = read_log_manifest(store, whole=True)
         if found.damage:

@@ -43,7 +43,7 @@ def restore(
             if copy_file(source / each.path, fresh, target) != CopiedFile(target, each.size, each.sha256):
                 raise StoreError(
                     f"{source / each.path} is damaged: its SHA-256 is not the one in {source / BACKUP}; restore from "
-                    "another backup, or write this one again with `gyrofleet backup --check` while the store is there"
+                    "another backup; if the store is still there, the option --check of its next backup mends this one"
                 )
             done += each.size
             progress(done / total)

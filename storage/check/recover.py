@@ -80,6 +80,10 @@ def _repair_log(store: Store) -> Iterator[Action]:
         for name in Lake(store).drop_of_segments(renamed):
             yield Action("lake_mended", str(store.lake / name), "made of a segment under another name; taken out")
     log = EventLog(store)
+    for entry in log.listed:
+        yield Action(
+            "segment_listed", str(store.log / entry.segment), f"read, {entry.samples:,} samples; it was sealed"
+        )
     for recovery in log.recovered:
         yield Action("segment_sealed", str(store.log / recovery.segment), _describe(recovery))
     state = verify_log(store)

@@ -132,7 +132,11 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
 def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | None:
     """What is wrong with a part of the lake compared with its segments."""
     where = str(store.lake / part.name)
-    gone = {segment for segment in part.segments if not (store.log / f"{segment}.mcap").exists()}
+    gone = {
+        segment
+        for segment in part.segments
+        if f"{segment}.mcap" not in state.samples and not (store.log / f"{segment}.mcap").exists()
+    }
     undeclared = sorted(gone - _declared(state))
     if undeclared:
         what = f"some of its segments are missing in the log without a document: {', '.join(undeclared[:5])}"
@@ -214,5 +218,6 @@ def _spools(store: Store) -> list[Finding]:
             continue
         if held:
             what = f"{held:,} messages of a source wait to be sent; they are safe"
-            found.append(Finding("spool_waits", Severity.NOTE, str(folder), what, "run `gyrofleet run` again"))
+            remedy = "start that source again: the run, `gyrofleet run-simulated`, or another program"
+            found.append(Finding("spool_waits", Severity.NOTE, str(folder), what, remedy))
     return found

@@ -70,10 +70,11 @@ def _with_recall(finding: Finding, to: str) -> Finding:
 def _of_replica(replica: Replica, to: str) -> Iterator[Finding]:
     where = replica.folder / RECEIVED
     for refusal in read_progress(replica).refused:
-        segment = replica.store.log / refusal.segment if refusal.segment else replica.store.log
+        is_carried_file = "/" in refusal.segment  # a certificate, model or attestation, by its path in the store
+        where_it_is = (replica.store.folder if is_carried_file else replica.store.log) / refusal.segment
         remedy = "repair it at the plant; what was received before stays"
         yield Finding(
-            "replication_refused", Severity.UNFINISHED, str(segment), f"{refusal.kind}: {refusal.what}", remedy
+            "replication_refused", Severity.UNFINISHED, str(where_it_is), f"{refusal.kind}: {refusal.what}", remedy
         )
     try:
         listed = PlantList(where)

@@ -12,6 +12,7 @@ from storage.check.ahead import ahead
 from storage.check.continued_messages import ContinuedMessages
 from storage.findings import Finding, Severity
 from storage.log.files import sealed_segments, unknown_files
+from storage.log.misplaced import misplaced_segments
 from storage.log.recovery import left_open, reached_in
 from storage.log.sequence import DOCUMENTS, LogPlace, LostStretch, SequenceCheck, place_of, raise_positions
 from storage.log.store_documents import is_foreign
@@ -42,7 +43,8 @@ class LogState:
     sealed segment and `messages` of all are those that can be read. `damaged` segments are not what was written;
     `before` are the positions of the streams before each of them. `undocumented` and `undocumented_salvage` are losses
     and salvaged segments without a document in the log, `declared` segments that documents declare damaged or missing,
-    `documented` the lost stretches that have one. `uids` are those of the store's own documents, `totals` run and
+    `documented` the lost stretches that have one. `misplaced` are files by their name that are, unchanged, the segment
+    of another name, under which all else lists them. `uids` are those of the store's own documents, `totals` run and
     number of samples at the end of each stream. `compared` segments were not read, only their SHA-256 was compared.
     """
 
@@ -63,6 +65,11 @@ class LogState:
     documented: set[tuple[object, ...]] = field(default_factory=set)
     totals: dict[StreamId, tuple[str, int]] = field(default_factory=dict)
     compared: set[str] = field(default_factory=set)
+    misplaced: dict[str, str] = field(default_factory=dict)
+
+    def segment_of(self, path: Path) -> str:
+        """Name of the segment that a file is."""
+        return self.misplaced.get(path.name, path.name)
 
     def add(self, kind: str, severity: Severity, where: str, what: str, remedy: str = "") -> None:
         """Add a finding."""
@@ -77,7 +84,7 @@ def verify_log(
     Of segments that were verified `since`, only the SHA-256 is compared: what the log documents in them is not read.
     """
     state = LogState(store.identity)
-    sealed = _verify_manifest(store, state)
+    sealed = _verify_manifest(store, state, is_whole=since is None)
     done, size = 0, max(1, sum(path.stat().st_size for path in sealed))
     if since is not None:
         for path in _compared(sealed, state, since):
@@ -110,8 +117,8 @@ def verify_log(
     return state
 
 
-def _verify_manifest(store: Store, state: LogState) -> list[Path]:
-    """Compare the manifest with the files; returns the sealed segments."""
+def _verify_manifest(store: Store, state: LogState, *, is_whole: bool) -> list[Path]:
+    """Compare the manifest with the files; returns the sealed segments in their order."""
     if not store.log.is_dir():
         what = "the folder of the log is missing, with every segment"
         remedy = "restore it from a copy; else start it again, and document in it what is lost"
@@ -137,13 +144,30 @@ def _verify_manifest(store: Store, state: LogState) -> list[Path]:
         state.add("manifest_missing", Severity.DAMAGE, where, "the manifest of the log is missing", remedy)
     for damage in manifest.damage:
         state.add("manifest_damaged", Severity.DAMAGE, where, f"line {damage.line}: {damage.reason}", remedy)
+    sealed = _take_misplaced(store, state, sealed, misplaced_segments(store, manifest, with_equal_sizes=is_whole))
+    there = {state.segment_of(path) for path in sealed}
     for name, entry in sorted(manifest.entries.items()):
-        if not (store.log / name).exists():
+        if name not in there and not (store.log / name).exists():
             state.gone.append(name)
             what = f"listed with {entry.samples:,} samples and {entry.size:,} bytes, but missing"
             remedy = "restore it from a copy; else document the loss in the log, and list it as lost"
             state.add("segment_missing", Severity.DAMAGE, str(store.log / name), what, remedy)
     return sealed
+
+
+def _take_misplaced(store: Store, state: LogState, sealed: list[Path], misplaced: dict[str, str]) -> list[Path]:
+    """Report segments under another name; returns the segments in their order, without what has the name of one."""
+    state.misplaced = misplaced
+    where_of = {own: name for name, own in misplaced.items()}
+    for name, own in sorted(misplaced.items()):
+        what = f"it is the segment {own}, by its SHA-256, under another name"
+        state.add("segment_misplaced", Severity.DAMAGE, str(store.log / name), what, "give it its name again")
+    for path in sealed:
+        if path.name in where_of and path.name not in misplaced:
+            what = f"it is not the segment of its name, which is {where_of[path.name]}; it was not read"
+            state.add("segment_in_the_way", Severity.DAMAGE, str(path), what, "give it a free number, and read it")
+    own_files = [path for path in sealed if path.name in misplaced or path.name not in where_of]
+    return sorted(own_files, key=state.segment_of)
 
 
 def _has_parts(store: Store) -> bool:
@@ -156,7 +180,11 @@ def _has_parts(store: Store) -> bool:
 
 def _compared(sealed: list[Path], state: LogState, since: VerifiedState) -> Iterator[Path]:
     """Compare segments that were verified before, by their hashes; yields those that are unchanged."""
-    known = [path for path in sealed if (entry := state.entries.get(path.name)) is not None and since.has(entry)]
+    known = [
+        path
+        for path in sealed
+        if path.name not in state.misplaced and (entry := state.entries.get(path.name)) is not None and since.has(entry)
+    ]
     with ThreadPoolExecutor(HASHED_AT_ONCE) as beside:
         for path, sha256 in zip(known, beside.map(sha256_of, known), strict=True):
             entry = state.entries[path.name]
@@ -172,7 +200,8 @@ def _compared(sealed: list[Path], state: LogState, since: VerifiedState) -> Iter
 
 
 def _verify_segment(path: Path, state: LogState, hashed: Callable[[], str], continued: ContinuedMessages) -> bool:
-    entry = state.entries.get(path.name)
+    name = state.segment_of(path)
+    entry = state.entries.get(name)
     if entry is None:
         what = "sealed, but not in the manifest"
         state.add("segment_unlisted", Severity.UNFINISHED, str(path), what, "read it whole and list it")
@@ -195,15 +224,21 @@ def _verify_segment(path: Path, state: LogState, hashed: Callable[[], str], cont
     # a salvaged segment has marks of what its streams had reached
     for stream, next_seq in reached_in(path).items():
         state.check.reach(stream, next_seq)
-    state.samples[path.name] = samples
+    state.samples[name] = samples
     state.messages += messages
     if entry is not None and not reasons and (samples, messages) != (entry.samples, entry.messages):
         listed = f"listed are {entry.samples:,} in {entry.messages:,}"
         reasons.append(f"{samples:,} samples in {messages:,} messages, {listed}")
     if reasons:
-        lost = "" if entry is None else f"; {entry.samples - samples:,} of {entry.samples:,} samples cannot be read"
+        lost = "" if entry is None else f"; {_unread(entry.samples, samples)}"
         state.add("segment_damaged", Severity.DAMAGE, str(path), "; ".join(reasons) + lost, _SALVAGE)
     return not reasons
+
+
+def _unread(listed: int, read: int) -> str:
+    if read > listed:
+        return f"it holds {read:,} samples, listed are {listed:,}"
+    return f"{listed - read:,} of {listed:,} samples cannot be read"
 
 
 def _differences(path: Path, entry: SegmentEntry, hashed: Callable[[], str]) -> list[str]:

@@ -1,22 +1,32 @@
 """The command `gyrofleet attest`."""
 
+import os
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from stream.errors import BadInput
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
-from stream.terminal.console import counted, notes, print_json, reporting, results, store_option, until_stopped
+from stream.terminal.console import (
+    counted,
+    notes,
+    print_json,
+    reporting,
+    results,
+    status_listen_option,
+    store_option,
+    until_stopped,
+)
 from stream.terminal.option_checks import about, options_checked
 
 if TYPE_CHECKING:
-    from storage.attestation.attestation import Statement
-    from storage.manifests.entries import SegmentEntry
-    from storage.store import Store
+    from storage.attestation.attestation import Attestation, Statement
 
 _SECONDS_PER_H = 3600.0
 
@@ -48,6 +58,7 @@ def _check(options: Mapping[str, Any]) -> None:
     "`gyrofleet verify --since` builds on it.",
 )  # fmt: skip
 @click.option("--every-h", type=click.FloatRange(min=0.01), help="Again each so many hours, until stopped.")
+@status_listen_option
 @configured("attest")
 @reporting
 @logged("attest")
@@ -58,6 +69,7 @@ def attest(
     out: Path | None,
     every_h: float | None,
     timestamp_url: str,
+    status_listen: str | None,
     *,
     is_verified_first: bool,
     as_json: bool,
@@ -67,68 +79,72 @@ def attest(
     The signature is over every sealed segment with its SHA-256, their order, and the certificates, error models and
     specifications that were issued. `gyrofleet verify --against FILE` compares a store with it. Keep the file, and the
     fingerprint of the key, where those who write the store cannot change them. With --timestamp-url an authority
-    proves that it existed at its time; if it does not answer, the exit code is 1 though the attestation is kept.
+    proves that it existed at its time; if it does not answer, the exit code is 1 though the attestation is kept. With
+    --every-h a store that is not sound is a trouble of `gyrofleet status`, and tried again; so is a full disk.
     """
-    from storage.attestation.attestation import attest as attest_store
     from storage.attestation.signing_key import SigningKey, create_key, default_key, fingerprint
+    from storage.check.attesting import AttestService
+    from storage.recording.status_board import StatusBoard
     from storage.store import Store, check_outside
-    from stream.atomic_file import write_durably
+    from stream.errors import GyrofleetError
+    from stream.status.reporter import StatusReporter, served
 
-    store = Store.open(folder)
+    store, log = Store.open(folder), RoleLog("attest")
     if out is not None:
         check_outside(store, out)
+        _check_writable(out)
     path = key or default_key()
     if not path.exists():
         create_key(path)
         notes().print(f"made the key {path}; its public half is {path.with_suffix('.pub')}", soft_wrap=True)
     signing = SigningKey(path)
-    with until_stopped() as stopped:
+    service = AttestService(store, signing, out=out, timestamp_url=timestamp_url, verifies=is_verified_first)
+    with until_stopped() as stopped, ExitStack() as stack:
+        if every_h is not None:
+            stack.enter_context(served(status_listen, service.status))
+            stack.enter_context(StatusReporter(service.status, StatusBoard(store).put))
         while True:
-            verified = _verified(store, fingerprint(signing.public)) if is_verified_first else None
-            kept, signed, unstamped = attest_store(store, signing, timestamp_url=timestamp_url, verified=verified)
-            if unstamped:
-                RoleLog("attest").write("warning", "unstamped", f"attested without a time stamp: {unstamped}")
-            if out is not None:
-                write_durably(out, kept.read_bytes())
-            stated, by = signed.stated, fingerprint(signing.public)
-            if as_json:
-                print_json(
-                    {
-                        "attestation": str(kept), "at_ns": stated.at_ns, "store": stated.store, "head": stated.head,
-                        "segments": len(stated.segments), "files": len(stated.files), "signed_by": by,
-                        "is_stamped": bool(signed.time_stamp),
-                        "unverified": None if stated.unverified is None else len(stated.unverified),
-                    }
-                )  # fmt: skip
-            RoleLog("attest").write("debug", "attested", f"attested as {kept}", segments=len(stated.segments))
-            if not as_json:
-                at = datetime.fromtimestamp(stated.at_ns / 1e9, UTC)
-                results().print(
-                    f"{kept}: {counted(len(stated.segments), 'segment')} and {counted(len(stated.files), 'file')} at "
-                    f"{at:%Y-%m-%d %H:%M:%S} UTC, head {stated.head[:12]}, signed by {by}{_verified_words(stated)}"
-                )
-            if every_h is None and unstamped:
-                sys.exit(1)
+            try:
+                kept, signed, unstamped = service.round()
+            except GyrofleetError as error:
+                if every_h is None:
+                    raise
+                log.write("error", "not_attested", f"not attested, tried again in {every_h:g} h: {error}")
+            else:
+                if unstamped:
+                    log.write("warning", "unstamped", f"attested without a time stamp: {unstamped}")
+                _show(kept, signed, fingerprint(signing.public), as_json=as_json)
+                log.write("debug", "attested", f"attested as {kept}", segments=len(signed.stated.segments))
+                if every_h is None and unstamped:
+                    sys.exit(1)
             if every_h is None or stopped.wait(every_h * _SECONDS_PER_H):
                 break
 
 
-def _verified(store: "Store", signer: str) -> "Mapping[str, SegmentEntry]":
-    """Entries of the segments of a store that is sound; StoreError if it is not."""
-    from storage.attestation.verified_state import newest_verified_state
-    from storage.check.verify import verify
-    from storage.findings import Severity
-    from stream.errors import StoreError
+def _check_writable(out: Path) -> None:
+    """BadInput if a file cannot be written there: known before anything is signed."""
+    folder = out.parent
+    if out.is_dir() or not folder.is_dir() or not os.access(out if out.exists() else folder, os.W_OK):
+        raise BadInput(f"--out {out} cannot be written: give a file in a folder that exists and that you may write")
 
-    found, state = verify(store, since=newest_verified_state(store, signer))
-    if not found.is_sound:
-        wrong = [each for each in found.findings if each.severity is not Severity.NOTE]
-        raise StoreError(
-            f"{store.folder} is not sound, nothing is signed: {wrong[0].where}: {wrong[0].what}"
-            + (f"; and {counted(len(wrong) - 1, 'finding')} more" if len(wrong) > 1 else "")
-            + ". `gyrofleet verify` lists all"
-        )
-    return {name: entry for name, entry in state.entries.items() if name in state.samples}
+
+def _show(kept: Path, signed: "Attestation", by: str, *, as_json: bool) -> None:
+    stated = signed.stated
+    if as_json:
+        print_json(
+            {
+                "attestation": str(kept), "at_ns": stated.at_ns, "store": stated.store, "head": stated.head,
+                "segments": len(stated.segments), "files": len(stated.files), "signed_by": by,
+                "is_stamped": bool(signed.time_stamp),
+                "unverified": None if stated.unverified is None else len(stated.unverified),
+            }
+        )  # fmt: skip
+        return
+    at = datetime.fromtimestamp(stated.at_ns / 1e9, UTC)
+    results().print(
+        f"{kept}: {counted(len(stated.segments), 'segment')} and {counted(len(stated.files), 'file')} at "
+        f"{at:%Y-%m-%d %H:%M:%S} UTC, head {stated.head[:12]}, signed by {by}{_verified_words(stated)}"
+    )
 
 
 def _verified_words(stated: "Statement") -> str:

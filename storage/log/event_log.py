@@ -30,8 +30,8 @@ class EventLog:
     """The log of one store, open for appending; the caller holds its writer lock.
 
     A segment is sealed at a payload of `rotate_bytes` or an age of `rotate_s`. `marks` are the numbers that the streams
-    expect next, from the log itself, `recovered` the segments that an earlier process left open, and `warnings`
-    irregularities that do not prevent recording.
+    expect next, from the log itself, `recovered` the segments that an earlier process left open, `listed` those that
+    were sealed and not in the manifest, and `warnings` irregularities that do not prevent recording.
     """
 
     def __init__(
@@ -48,6 +48,7 @@ class EventLog:
         self._unlisted: list[SegmentEntry] = []
         self.marks: dict[StreamId, int] = {}
         self.recovered: list[Recovery] = []
+        self.listed: list[SegmentEntry] = []
         self.warnings: list[str] = []
         self._manifest = ManifestWriter(store, disk)
         if self._manifest.found.damage:
@@ -183,6 +184,7 @@ class EventLog:
             if sealed.name not in self._manifest.found.entries:
                 entry, found = unlisted_entry(self._store, sealed)
                 self._list(entry)
+                self.listed.append(entry)
         except StoreError as error:
             self.warnings.append(str(error))
             found = reached_in(sealed)

@@ -98,19 +98,18 @@ class _Recall:
         self._bytes = self._files = self._intact = 0
 
     def run(self) -> Recalled:
-        if read_plant(self._store.folder) is None:
-            write_plant(self._store.folder, self._plant)
         trouble = ""
         try:
             if self._manifest.found.damage:
                 raise StoreError("the log's manifest is damaged: `gyrofleet recover` rewrites it; then recall again")
-            for entry in self._listed():
-                if self._stopped():
-                    raise Stopped
-                self._take(entry)
-            files = CarriedFiles()
-            files.fetch(self._source, self._store.folder, self._arrivals, self._refuse, self._stopped)
-            self._files = files.added
+            listed = list(self._listed())
+            forks = [entry for entry in listed if self._is_fork(entry)]
+            for entry in forks:
+                mine = self._manifest.found.entries[entry.segment].sha256[:12]
+                what = f"segment {entry.segment} has SHA-256 {mine} here, {entry.sha256[:12]} there"
+                self._refuse("fork", entry.segment, f"{what}; both histories stay, nothing is brought back")
+            if not forks:
+                self._take_all(listed)
         except Stopped:
             trouble = _STOPPED
         except ListRefused as error:
@@ -136,6 +135,20 @@ class _Recall:
         found.update((entry.segment, entry) for entry in self._source.originals())
         yield from sorted(found.values(), key=lambda entry: entry.segment)
 
+    def _is_fork(self, entry: SegmentEntry) -> bool:
+        """Whether this store once sealed another segment under that name."""
+        mine = self._manifest.found.entries.get(entry.segment)
+        return mine is not None and mine.sha256 != entry.sha256 and mine.origin != SALVAGED
+
+    def _take_all(self, listed: list[SegmentEntry]) -> None:
+        for entry in listed:
+            if self._stopped():
+                raise Stopped
+            self._take(entry)
+        files = CarriedFiles()
+        files.fetch(self._source, self._store.folder, self._arrivals, self._refuse, self._stopped)
+        self._files = files.added
+
     def _take(self, entry: SegmentEntry) -> None:
         name, path = entry.segment, self._store.log / entry.segment
         found = self._manifest.found
@@ -144,11 +157,8 @@ class _Recall:
         if mine is not None and mine.sha256 == entry.sha256:
             if is_intact(path, entry):
                 self._intact += 1
+                self._name_plant()
                 return
-        elif mine is not None and mine.origin != SALVAGED:
-            what = f"segment {name} has SHA-256 {mine.sha256[:12]} here, {entry.sha256[:12]} there; both histories stay"
-            self._refuse("fork", name, what)
-            return
         elif mine is None and lost is not None and lost.sha256 not in ("", entry.sha256):
             self._refuse("fork", name, f"segment {name} was lost with SHA-256 {lost.sha256[:12]}, the copy has another")
             return
@@ -178,7 +188,13 @@ class _Recall:
             DISK.sync_folder(self._store.log)
             self._bytes += entry.size
         self._segments.append(entry.segment)
+        self._name_plant()
         return True
+
+    def _name_plant(self) -> None:
+        """State in a store without a plant whose it is, as soon as it has a segment of that plant."""
+        if read_plant(self._store.folder) is None:
+            write_plant(self._store.folder, self._plant)
 
     def _build_lake(self) -> None:
         """Parts made of what was left of a segment are made of the whole one."""

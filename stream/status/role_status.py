@@ -31,6 +31,7 @@ class Role(StrEnum):
     RUN = "run"
     SERVE = "serve"
     ALERT = "alert"
+    ATTEST = "attest"
 
 
 class RoleState(StrEnum):

@@ -53,6 +53,7 @@ def test_what_was_renamed_gets_its_name_back(tmp_path: Path, names: Mapping[str,
             list(build_missing(store))
     move(store, names)
     assert misplaced_segments(store) == {name(new): name(old) for old, new in names.items()}
+    assert kinds(store) == ["segment_misplaced"] * len(names)
     n, seqs = counted(store)
     assert n == seqs  # none twice
     with builder_lock(store):
@@ -73,3 +74,38 @@ def test_a_copy_of_a_sound_segment_is_not_misplaced(tmp_path: Path) -> None:
     fill(store, range(10))
     (store.log / name("5")).write_bytes((store.log / name("1")).read_bytes())
     assert misplaced_segments(store) == {}
+
+
+def test_segments_of_equal_size_get_their_names_back(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "store")
+    by_size: dict[int, str] = {}
+    for number in range(80):  # the sizes are about a hundred: two are the same after some twenty
+        fill(store, range(5 * number, 5 * number + 5))
+        path = store.log / name(str(number + 1))
+        other = by_size.setdefault(path.stat().st_size, path.stem)
+        if other != path.stem:
+            break
+    else:
+        pytest.fail("no two segments have the same size")
+    with builder_lock(store):
+        list(build_missing(store))
+    before = hashes(store.log)
+    move(store, {other: path.stem, path.stem: other})
+    assert kinds(store) == ["segment_misplaced"] * 2
+    assert {each.what for each in recover(store)} <= {"segment_renamed", "lake_mended", "lake_built"}
+    assert hashes(store.log) == before
+    assert kinds(store) == []
+    assert list(recover(store)) == []
+
+
+def test_another_file_under_the_name_of_a_segment_costs_nothing(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "store")
+    for first, last in ((0, 10), (10, 24), (24, 43)):
+        fill(store, range(first, last))
+    before = hashes(store.log)
+    move(store, {"2": "7"})
+    (store.log / name("2")).write_bytes((store.log / name("3")).read_bytes()[:-100])
+    assert kinds(store) == ["segment_in_the_way", "segment_misplaced"]
+    list(recover(store))
+    assert before.items() <= hashes(store.log).items()
+    assert counted(store) == (4300, 4300)

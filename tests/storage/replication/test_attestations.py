@@ -14,6 +14,7 @@ from storage.manifests.log import read_log_manifest, rewrite_manifest
 from storage.replication.attestation_check import KIND
 from storage.replication.sources.folder_source import FolderSource
 from storage.store import Store
+from stream.errors import StoreError
 from tests.storage.replication.plants import plant, received
 from tests.storage.verified_store import fill
 
@@ -48,6 +49,8 @@ def test_attestations_arrive_and_agree_and_later_ones_follow(store: Store, key: 
         second = received(source, fleet)
     assert (second.added, second.added_files, second.is_well, second.notes) == (1, 1, True, ())
     assert list(own_findings(copy)) == []
+    with pytest.raises(StoreError, match="attest at the plant"):
+        attest(copy, key)
 
 
 def test_a_segment_that_arrives_later_than_its_followers_is_no_reordering(
@@ -65,6 +68,8 @@ def test_a_segment_that_arrives_later_than_its_followers_is_no_reordering(
     copy = fleet.replica("a").store
     assert list(read_log_manifest(copy).entries)[-1] == path.name
     assert list(own_findings(copy)) == []
+    with pytest.raises(StoreError, match="attest at the plant"):
+        attest(copy, key)
 
 
 def test_a_copy_that_is_behind_its_attestation_is_well(store: Store, key: SigningKey, tmp_path: Path) -> None:
@@ -78,6 +83,8 @@ def test_a_copy_that_is_behind_its_attestation_is_well(store: Store, key: Signin
     (copy.folder / "attestations").mkdir()
     (copy.folder / "attestations" / path.name).write_bytes(path.read_bytes())
     assert list(own_findings(copy)) == []
+    with pytest.raises(StoreError, match="attest at the plant"):
+        attest(copy, key)
 
 
 def test_a_file_that_was_changed_before_it_was_fetched_is_found_and_named(

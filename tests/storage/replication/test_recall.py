@@ -11,6 +11,7 @@ from storage.check.recover import recover
 from storage.check.verify import verify
 from storage.fleet_store import FleetStore
 from storage.manifests.log import manifest_path
+from storage.plant import FILE as PLANT
 from storage.plant import read_plant
 from storage.replication.recall import Recalled, recall
 from storage.replication.receiver import Receiver
@@ -118,6 +119,16 @@ def test_another_history_is_not_overwritten(tmp_path: Path, store: Store, fleet:
     found = recalled(store, fleet)
     assert [(each.kind, each.segment) for each in found.refused] == [("fork", FIRST)]
     assert segments_of(store)[FIRST] == before[FIRST]
+
+
+def test_a_store_without_a_plant_is_not_named_by_a_refused_recall(store: Store, fleet: FleetStore) -> None:
+    for folder in (store.log, store.lake):
+        shutil.rmtree(folder)
+        folder.mkdir()
+    (store.folder / PLANT).unlink()
+    fill(store, range(2))
+    assert {each.kind for each in recalled(store, fleet).refused} == {"fork"}
+    assert read_plant(store.folder) is None
 
 
 def test_the_copy_of_another_plant_is_refused(tmp_path: Path, store: Store, fleet: FleetStore) -> None:
