@@ -28,6 +28,7 @@ from stream.errors import BadInput, StoreError
 
 _LOCK = "writer.lock"
 _LOCK_ATTEMPTS = 5
+_LOOKS_EVERY_S = 0.02
 REPLICATION = "gyrofleet replicate"
 """Role of the only writer of the copies in a fleet store."""
 _OUTPUT_FOLDERS = {"plots", "reports"}  # within a store, for files that commands write for people
@@ -150,10 +151,14 @@ class WriterLock(Closing):
     """Lock of the one process that writes a store: on ``writer.lock``, which names the holder, and on the log folder.
 
     `role` is who writes, for the error message of other processes; `endpoint` is where, empty if it does not listen,
-    `security` the folder of its certificate, empty if its bus has no security.
+    `security` the folder of its certificate, empty if its bus has no security. Who is `brief` enters some documents
+    and has done; with `patience_s` that is waited for.
     """
 
-    def __init__(self, store: Store, role: str, endpoint: str = "", security: str = "") -> None:
+    def __init__(
+        self, store: Store, role: str, endpoint: str = "", security: str = "", *, is_brief: bool = False,
+        patience_s: float = 0.0,
+    ) -> None:  # fmt: skip
         if is_replica(store.folder) and role != REPLICATION:
             raise StoreError(
                 f"{store.folder} is a fleet store's copy of a plant, which `gyrofleet replicate` alone writes: record, "
@@ -164,10 +169,16 @@ class WriterLock(Closing):
         path.touch()
         self._file = path.open("r+")
         self._log = os.open(store.log, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        if not (_locked(self._file.fileno()) and _locked(self._log)):
+        until = time.monotonic() + patience_s
+        while not (is_mine := _locked(self._file.fileno()) and _locked(self._log)):
+            holder = _holder(store.folder)  # without a role: it has just begun, or ended
+            if time.monotonic() >= until or not (holder.get("is_brief") or "role" not in holder):
+                break
+            fcntl.flock(self._file.fileno(), fcntl.LOCK_UN)
+            time.sleep(_LOOKS_EVERY_S)
+        if not is_mine:
             self._file.close()
             os.close(self._log)
-            holder = _holder(store.folder)
             where = f" (--connect {holder['endpoint']})" if holder.get("endpoint") else ""
             raise StoreError(
                 f"{store.folder} is being written by {holder.get('role', 'another process')}, process "
@@ -175,7 +186,9 @@ class WriterLock(Closing):
             ) from None
         self._last_endpoint = endpoint or _holder(store.folder).get("last_endpoint", "")
         self._write(
-            {"role": role, "process": os.getpid(), "endpoint": endpoint} | ({"security": security} if security else {})
+            {"role": role, "process": os.getpid(), "endpoint": endpoint}
+            | ({"security": security} if security else {})
+            | ({"is_brief": True} if is_brief else {})
         )
 
     def close(self) -> None:

@@ -117,15 +117,15 @@ def _in_lists(
     return " and ".join(conditions), given
 
 
-def dated(text: str) -> int:
-    """Nanoseconds UTC of the value of `--since`: a date (its first moment, UTC), or a moment with a time zone.
+def dated(text: str, name: str = "--since") -> int:
+    """Nanoseconds UTC of the value `name`: a date (its first moment, UTC), or a moment with a time zone.
 
     Raises BadInput if it is neither.
 
     >>> dated("2026-11-21") == dated("2026-11-21T08:00:00+08:00")
     True
     """
-    return moment_ns(f"{text}T00:00:00Z" if len(text) == len("2026-11-21") else text, "--since")
+    return moment_ns(f"{text}T00:00:00Z" if len(text) == len("2026-11-21") else text, name)
 
 
 def undated_runs(catalog: Catalog, asked: Selection) -> int:

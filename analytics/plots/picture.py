@@ -75,6 +75,11 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True):
         names = ("curve", "point", "time" if self.x.scale == "time" else "x", "y", "lo", "hi")
         return {name: [row[i] for row in rows] for i, name in enumerate(names)}
 
+    def column_types(self) -> Mapping[str, type]:
+        """What the values of its table are."""
+        x = {"time": str} if self.x.scale == "time" else {"x": str if self.x.scale == "names" else float}
+        return {"curve": str, "point": str, **x, "y": float, "lo": float, "hi": float}
+
     def place(self, x: float) -> float | str:
         """A number of the x axis for people: a moment, a name, or itself.
 

@@ -3,7 +3,7 @@ with own_lots as (                      -- a unit is of one lot, where its runs 
   select unit, min(lot) as lot from step_means group by unit having min(lot) = max(lot)
 ), chosen as (
   select row_number() over () as number, *
-  from unit_metrics where metric = $metric
+  from unit_metrics where metric = $metric and ($unit = '' or unit = $unit)
 ), placed as (
   select c.number,
     max(s.t_to_ns) as t_ns,
@@ -25,7 +25,7 @@ select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.lo, c.hi
   coalesce(p.fixture, u.fixture) as fixture,
   coalesce(p.product, u.product) as product,
   epoch_ns(coalesce(r.started, r.recorded)) as recorded_ns,
-  c.steps
+  c.steps, c.run as own_run
 from chosen c
 left join placed p using (number)
 left join units u on u.run = coalesce(c.run, c.runs[-1]) and u.unit = c.unit

@@ -5,7 +5,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 from analytics.evaluation.selection import evaluated
 from analytics.metric_registry.registry import MetricHeader, check_metrics, metrics
 from analytics.specifications.verdicts import rows_of
+from analytics.trends.values_sql import METRIC_VALUES
 from analytics.trends.words import UNGIVEN
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
@@ -29,7 +29,6 @@ _RESULTS = {
 _TEMPERATURE = "temperature"
 _TEMPERATURE_GAP_DEG_C = 5.0
 _FEW = 12
-_SQL = files("analytics.trends").joinpath("metric_values.sql").read_text()
 
 
 class Variant(NamedTuple):
@@ -122,7 +121,7 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     """
     check_metrics([metric])
     with evaluated(catalog, [metric]):
-        found = rows_of(catalog, _SQL, {"metric": metric})
+        found = rows_of(catalog, METRIC_VALUES, {"metric": metric, "unit": ""})
     rows = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found]
     kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:

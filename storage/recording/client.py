@@ -31,6 +31,7 @@ from stream.wire import requests
 _AGAIN_S = 2.0
 _OTHERS_S = 0.2
 _PATIENCE_S = 60.0
+_BRIEF_S = 10.0  # for others that enter documents
 _SETTLE_S = 300.0
 _RELEASE_S = 1.0  # else it ends with its lease
 
@@ -185,7 +186,7 @@ def record_documents(
     """Append documents to the log of a store, durably: through its recorder, else through a temporary one.
 
     `role` is who writes, for the message that another writer gets, `place` where the documents are from. A temporary
-    recorder also builds the lake if `builds_lake`.
+    recorder also builds the lake if `builds_lake`, and waits for another one that enters documents.
     """
     endpoint = writer_endpoint(store.folder)
     if endpoint is not None:
@@ -198,7 +199,7 @@ def record_documents(
     from storage.recording.recorder import Recorder
     from stream.transport.bus import LocalBus
 
-    with WriterLock(store, role):
+    with WriterLock(store, role, is_brief=True, patience_s=_BRIEF_S):
         if (own := process_security().credentials) is not None:
             keep_signed_rules(store, own, lambda text: notes().print(f"warning: {text}", soft_wrap=True, markup=False))
         with (

@@ -7,11 +7,11 @@ from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 from urllib.parse import quote
 
-import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from analytics.serve.answer_cache import Answer
+from analytics.serve.api.table import Table
 from analytics.serve.problems import NotAcceptable
 from stream.errors import BadInput
 from stream.terminal.console import csv_text, json_text
@@ -43,14 +43,6 @@ _IN_ADDRESS = "/?&=%:+,;@~!$'()*"
 
 
 @runtime_checkable
-class Columnar(Protocol):
-    """An answer that has its table as columns."""
-
-    def columns(self) -> Mapping[str, Sequence[Any]]:
-        """The columns."""
-
-
-@runtime_checkable
 class SelfEncoded(Protocol):
     """An answer that knows its forms."""
 
@@ -61,8 +53,12 @@ class SelfEncoded(Protocol):
 def form_of(accept: str, named: str | None, forms: Sequence[Form]) -> Form:
     """The form that a client wants: the one that ``format`` names, else the first of its Accept that there is.
 
+    Of its Accept those with the greatest ``q`` come first (RFC 9110, 12.5.1), and ``q=0`` is not accepted.
+
     >>> form_of("text/html, application/vnd.apache.arrow.stream;q=0.9", None, list(Form)).value
     'arrow'
+    >>> form_of("application/json;q=0.1, text/csv", None, list(Form)).value
+    'csv'
     >>> form_of("*/*", None, list(Form)).value
     'json'
     """
@@ -71,11 +67,30 @@ def form_of(accept: str, named: str | None, forms: Sequence[Form]) -> Form:
             raise BadInput(f"format {named!r} is not one of {', '.join(forms)}")
         return Form(named)
     by_type = {each.media_type.partition(";")[0]: each for each in forms}
-    wanted = [each.partition(";")[0].strip().lower() for each in accept.split(",")]
+    wanted = accepted(accept)
     found = next((by_type[each] for each in wanted if each in by_type), None)
     if found is None and accept and not any(each in {"*/*", "application/*", "text/html", "text/*"} for each in wanted):
         raise NotAcceptable(f"the answer comes as {', '.join(by_type)}; not as {accept}")
     return found or Form.JSON
+
+
+def accepted(header: str) -> list[str]:
+    """What a header such as Accept or Accept-Encoding lists, the most wanted first, without what it refuses.
+
+    >>> accepted("text/csv;q=0.5, application/json, gzip;q=0")
+    ['application/json', 'text/csv']
+    """
+    found: list[tuple[float, str]] = []
+    for each in header.split(","):
+        name, *parameters = (part.strip().lower() for part in each.split(";"))
+        given = next((part.partition("=")[2] for part in parameters if part.startswith("q=")), "1")
+        try:
+            weight = float(given)
+        except ValueError:
+            weight = 1.0
+        if name and weight > 0.0:
+            found.append((weight, name))
+    return [name for _, name in sorted(found, key=lambda each: -each[0])]
 
 
 def encoded(answer: Any, form: Form, table: str | None) -> Answer:
@@ -84,11 +99,10 @@ def encoded(answer: Any, form: Form, table: str | None) -> Answer:
         return answer.encoded(form)
     if form is Form.JSON:
         return Answer(json_text(answer).encode(), form.media_type)
-    columns, more = _columns(answer, table), _more(answer)
+    found, more = Table(answer, table or ""), _more(answer)
     if form is Form.CSV:
-        return Answer(_csv(columns), form.media_type, more)
-    sink = io.BytesIO()
-    arrow = pa.table({name: _array(values) for name, values in columns.items()})
+        return Answer(_csv(found.columns), form.media_type, more)
+    sink, arrow = io.BytesIO(), found.arrow
     if form is Form.PARQUET:
         pq.write_table(arrow, sink, compression="zstd")
         return Answer(sink.getvalue(), form.media_type, more)
@@ -101,28 +115,6 @@ def _more(answer: Any) -> tuple[tuple[str, str], ...]:
     """The address of the next page, as a header (RFC 8288): a table has no room for it."""
     following = getattr(answer, "next", None)
     return (("Link", f'<{quote(following, safe=_IN_ADDRESS)}>; rel="next"'),) if following else ()
-
-
-def _columns(answer: Any, table: str | None) -> Mapping[str, Sequence[Any]]:
-    if isinstance(answer, Columnar):
-        return answer.columns()
-    rows = msgspec.to_builtins(getattr(answer, table or ""))
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return {name: [_flat(row.get(name)) for row in rows] for name in names}
-
-
-def _flat(value: Any) -> Any:
-    """A cell; what is nested becomes JSON."""
-    if isinstance(value, dict) or (isinstance(value, list) and any(isinstance(each, dict | list) for each in value)):
-        return json_text(value)
-    return value
-
-
-def _array(values: Sequence[Any]) -> pa.Array:
-    try:
-        return pa.array(values)
-    except (pa.ArrowInvalid, pa.ArrowTypeError):  # numbers beside texts
-        return pa.array([None if each is None else json_text(each) for each in values], pa.string())
 
 
 def _csv(columns: Mapping[str, Sequence[Any]]) -> bytes:

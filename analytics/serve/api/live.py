@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from analytics.floor import UnitNow
+from analytics.serve.api.encoding import accepted
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.admission import admitted
@@ -27,6 +28,7 @@ _MOST_LISTENERS = 1000
 _MOST_OF_ONE = 200
 _LONGEST_S = 3600.0
 _SHARED_S = 0.25
+_EVENT_STREAM = "text/event-stream"
 _RETRY, _SILENCE = b"retry: 2000\n\n", b": \n\n"
 
 
@@ -130,11 +132,14 @@ async def live(request: Request, *, service: Service) -> Response:
     A browser that comes back with Last-Event-ID gets what it has missed, if that is kept, instead of all.
     """
     person = admitted(request.scope, Role.VIEWER)
+    headers = {"X-Accel-Buffering": "no", "Vary": "Accept-Encoding"}
+    if request.method == "HEAD":
+        return Response(media_type=_EVENT_STREAM, headers=headers)
     if service.changes.listeners >= _MOST_LISTENERS or service.listening[person.name] >= _MOST_OF_ONE:
         raise TooMany("too many pages listen to the floor", 10.0)
     nonce, _, number = request.headers.get("last-event-id", "").partition("-")
     version = int(number) if nonce == service.nonce and number.isdecimal() and len(number) < 16 else -1
-    is_packed = "gzip" in request.headers.get("accept-encoding", "")
+    is_packed = "gzip" in accepted(request.headers.get("accept-encoding", ""))
     first = _RETRY
     if version < 0 or not service.changes.has_after(version):
         encode = functools.partial(_all, service)
@@ -142,10 +147,9 @@ async def live(request: Request, *, service: Service) -> Response:
     if is_packed:
         first = await anyio.to_thread.run_sync(packed, first, limiter=service.fast, abandon_on_cancel=True)
     events = _of_person(service, person.name, _events(service, version, first, is_packed=is_packed))
-    headers = {"X-Accel-Buffering": "no", "Vary": "Accept-Encoding"}
     if is_packed:
         headers["Content-Encoding"] = "gzip"
-    return StreamingResponse(events, media_type="text/event-stream", headers=headers)
+    return StreamingResponse(events, media_type=_EVENT_STREAM, headers=headers)
 
 
 def _all(service: Service) -> tuple[int, bytes]:

@@ -29,9 +29,51 @@ _REFUSALS = {
     "401": "Nobody is known by this token or session.",
     "403": "The role is not enough.",
     "404": "There is no such unit, run or signal; the message names similar ones.",
+    "406": "The answer does not come in the form that Accept asks for.",
     "422": "There is not enough data.",
     "429": "Too many requests; Retry-After says when to try again.",
     "503": "The store cannot be read now.",
+}
+
+
+_OF_CHANGES = {
+    "409": "It needs a confirmation, or something else is in its way; a station refused it, or has not answered.",
+    "413": "The body has more than 1 MiB.",
+}
+_STREAM: dict[str, Any] = {
+    "get": {
+        "operationId": "live",
+        "summary": "Changes of the floor as server-sent events.",
+        "description": "First the event floor, the document of /api/floor, then each change. Needs the role viewer.",
+        "parameters": [{"name": "Last-Event-ID", "in": "header", "required": False, "schema": {"type": "string"}}],
+        "responses": {"200": {"description": "Events, until it is closed.", "content": {"text/event-stream": {}}}},
+    }
+}
+_PERSON: dict[str, Any] = {
+    "get": {
+        "operationId": "me",
+        "summary": "Who asks: name, role, and the token that changes of a session need.",
+        "description": "Needs the role viewer.",
+        "parameters": [],
+        "responses": {
+            "200": {
+                "description": "Who asks.",
+                "content": {
+                    "application/json": {
+                        "schema": {
+                            "type": "object",
+                            "required": ["name", "role", "csrf"],
+                            "properties": {
+                                "name": {"type": "string"},
+                                "role": {"type": "string"},
+                                "csrf": {"type": ["string", "null"]},
+                            },
+                        }
+                    }
+                },
+            }
+        },
+    }
 }
 
 
@@ -45,6 +87,10 @@ def openapi_document(operations: Sequence[Operation[Any, Any]]) -> dict[str, Any
         paths.setdefault(operation.path, {})[operation.method.lower()] = _operation(
             operation, of_asked, of_answer, components
         )
+    error = {"application/json": {"schema": {"$ref": _REF.format(name="Error")}}}
+    refused = {status: {"description": _REFUSALS[status], "content": error} for status in ("401", "403", "429")}
+    for path, found in (("/api/live", _STREAM), ("/api/me", _PERSON)):
+        paths[path] = {"get": found["get"] | {"responses": found["get"]["responses"] | refused}}
     return {
         "openapi": "3.1.0",
         "info": {
@@ -94,14 +140,17 @@ def _operation(
             parameters.append({"name": "format", "in": "query", "required": False, "schema": chosen})
     else:
         found["requestBody"] = {"required": True, "content": {"application/json": {"schema": asked}}}
-    content: dict[str, Any] = {
-        each.media_type.partition(";")[0]: {"schema": answer if each is Form.JSON else {}} for each in forms
-    }
+    content: dict[str, Any] = (
+        {operation.media_type: {}}
+        if operation.media_type
+        else {each.media_type.partition(";")[0]: {"schema": answer if each is Form.JSON else {}} for each in forms}
+    )
     found["responses"] = {str(operation.status): {"description": operation.about, "content": content}}
     if operation.is_kept:
         found["responses"]["304"] = {"description": "As the ETag of the request says."}
     error = {"application/json": {"schema": {"$ref": _REF.format(name="Error")}}}
-    found["responses"] |= {status: {"description": text, "content": error} for status, text in _REFUSALS.items()}
+    refusals = _REFUSALS | (_OF_CHANGES if operation.method == "POST" else {})
+    found["responses"] |= {status: {"description": text, "content": error} for status, text in refusals.items()}
     return found
 
 

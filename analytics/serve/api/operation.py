@@ -103,6 +103,7 @@ class Operation(Generic[Asked, Given]):
     is_slow: It needs metrics or long computations, in a pool of threads of their own.
     status: Of its answer.
     shared_s: Who asks the same within so many seconds gets the same answer.
+    media_type: Of an answer that is a file.
     """
 
     method: str
@@ -116,6 +117,7 @@ class Operation(Generic[Asked, Given]):
     is_live: bool = False
     sees_log: bool = False
     shared_s: float = 0.0
+    media_type: str = ""
 
     def version(self, service: Service, state: LakeState, path: Mapping[str, str]) -> str:
         """Names all that a kept answer depends on."""
@@ -178,12 +180,23 @@ def get(
     is_live: bool = False,
     sees_log: bool = False,
     shared_s: float = 0.0,
+    media_type: str = "",
 ) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
     """Declare an operation that reads."""
 
     def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
         return Operation(
-            "GET", path, handler, role, table, is_kept, is_slow, is_live=is_live, sees_log=sees_log, shared_s=shared_s
+            "GET",
+            path,
+            handler,
+            role,
+            table,
+            is_kept,
+            is_slow,
+            is_live=is_live,
+            sees_log=sees_log,
+            shared_s=shared_s,
+            media_type=media_type,
         )
 
     return declare

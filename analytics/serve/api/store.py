@@ -1,7 +1,7 @@
 """The store itself: segments of the log, parts of the lake, disk, who writes it, clocks, last verification."""
 
 import shutil
-from typing import Any
+from typing import Any, TypedDict
 
 import msgspec
 
@@ -113,6 +113,24 @@ class DiskRow(msgspec.Struct, frozen=True, kw_only=True):
     free_bytes: int
 
 
+class ClockRow(TypedDict):
+    """The clock of a source beside the recorder's, as the table ``clocks`` has it."""
+
+    unit: str
+    signal: str
+    run: str
+    drift_ppm: float | None
+    drift_uncertainty_ppm: float | None
+    offset_least_ns: int | None
+    offset_most_ns: int | None
+    backward_jumps: int | None
+    jumps: int | None
+    largest_jump_ns: int | None
+    stretches: int | None
+    messages: int | None
+    reason: str | None
+
+
 class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
     """A store and its state; `verified` is the last verification that this server ran, None if there was none."""
 
@@ -126,7 +144,7 @@ class StoreDocument(msgspec.Struct, frozen=True, kw_only=True):
     segments: list[SegmentRow]
     delivery: list[DeliveryRow]
     counters: list[CounterRow]
-    clocks: list[dict[str, Any]]
+    clocks: list[ClockRow]
     notes: list[dict[str, Any]]
     verified: dict[str, Any] | None
     verified_ns: int | None

@@ -1,5 +1,7 @@
 """Two processes at one store: the second is refused, and whatever happens no sealed segment is overwritten."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -107,3 +109,23 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
     DISK.replace(tmp_path / "c", b)
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
     assert b.read_text() == "a"
+
+
+def test_who_enters_documents_waits_for_another_who_does(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    first = WriterLock(store, "gyrofleet check", is_brief=True)
+    with ThreadPoolExecutor(1) as pool:
+        second = pool.submit(WriterLock, store, "gyrofleet serve", is_brief=True, patience_s=20.0)
+        with pytest.raises(TimeoutError):
+            second.result(timeout=0.3)
+        first.close()
+        second.result(timeout=20.0).close()
+
+
+def test_a_recorder_is_not_waited_for(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    with WriterLock(store, "gyrofleet record"):
+        began = time.monotonic()
+        with pytest.raises(StoreError, match="being written by gyrofleet record"):
+            WriterLock(store, "gyrofleet serve", is_brief=True, patience_s=20.0)
+        assert time.monotonic() - began < 10.0

@@ -66,7 +66,11 @@ class Allan(msgspec.Struct, frozen=True, kw_only=True):
 
     def columns(self) -> Mapping[str, Sequence[Any]]:
         """Its table, for Arrow and CSV."""
-        return {name: getattr(self, name) for name in ("tau_s", "adev", "lo", "hi", "edf")}
+        return {name: getattr(self, name) for name in self.column_types()}
+
+    def column_types(self) -> Mapping[str, type]:
+        """What the values of its table are."""
+        return dict.fromkeys(("tau_s", "adev", "lo", "hi", "edf"), float)
 
 
 @get("/api/allan/{unit}/{run}/{signal}", table="", is_slow=True, is_live=True)

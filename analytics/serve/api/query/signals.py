@@ -65,7 +65,8 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     they are made of: ``rollup_10s``, ``rollup_1s``, ``raw`` (all samples), or ``samples``: then each is one sample and
     `bucket_ns` is 0. Buckets of rollups are whole: the first may begin before the stretch and the last end after it;
     all of them together, and `samples`, are of `covers_from_ns` to `covers_to_ns`. Others have samples of the stretch
-    only. Every sample is in its bucket's min and max. `gaps` are stretches without samples, longer than 1.5 intervals.
+    only. Every sample is in its bucket's min and max. `gaps` are stretches within the record and what was asked that
+    have no samples and are longer than 1.5 intervals and than a bucket, also where the stretch begins or ends in one.
     Values are in `unit_of_measure`. `is_live`: some samples have not come to the lake yet, so that the record probably
     goes on.
     """
@@ -100,6 +101,10 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
         """Its table, for Arrow and CSV."""
         columns = {name: getattr(self, name) for name in ("t_ns", "min", "max", "mean", "n")}
         return {"time": [iso(each) for each in self.t_ns], **columns}
+
+    def column_types(self) -> Mapping[str, type]:
+        """What the values of its table are."""
+        return {"time": str, "t_ns": int, "min": float, "max": float, "mean": float, "n": int}
 
 
 @dataclass(frozen=True)
@@ -199,13 +204,14 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     source, bucket_ns, rows, note = _buckets(views, stretch)
     t_ns = [int(row["slot"]) for row in rows]
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
+    within = max(first_ns, about["t_first_ns"]), min(stop_ns, about["t_last_ns"] + 1)
     longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
     return SignalBuckets(
         **of, unit_of_measure=about["unit_of_measure"], source=source, bucket_ns=bucket_ns, from_ns=first_ns,
         to_ns=stop_ns, covers_from_ns=min(first_ns, ends[0]), covers_to_ns=max(stop_ns, ends[1]), t_ns=t_ns,
         min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
         mean=[row["mean"] for row in rows], n=[int(row["n"]) for row in rows],
-        gaps=[] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns),
+        gaps=[] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns, within),
         samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
         first_ns=about["t_first_ns"], last_ns=about["t_last_ns"], first=iso(about["t_first_ns"]),
         last=iso(about["t_last_ns"]), note=note, is_live=live is not None,
@@ -288,6 +294,18 @@ def _together(rows: list[dict[str, Any]], live: Sequence[Mapping[str, Any]]) -> 
     return [slots[slot] for slot in sorted(slots)]
 
 
-def _gaps(t_ns: list[int], bucket_ns: int, longest_ns: float) -> list[tuple[int, int]]:
-    """Stretches without samples: from the end of the bucket before to the begin of the one after."""
-    return [(before + bucket_ns, after) for before, after in itertools.pairwise(t_ns) if after - before > longest_ns]
+def _gaps(t_ns: Sequence[int], bucket_ns: int, longest_ns: float, within: tuple[int, int]) -> list[tuple[int, int]]:
+    """Stretches without samples, from the end of a bucket to the begin of the next, and at the ends of what is asked.
+
+    >>> _gaps([0, 10, 50], 10, 10.0, (0, 90)), _gaps([], 10, 10.0, (20, 50)), _gaps([20], 0, 15.0, (0, 30))
+    ([(20, 50), (60, 90)], [(20, 50)], [(0, 20)])
+    """
+    first_ns, stop_ns = within
+    if not t_ns:
+        return [within] if stop_ns - first_ns > longest_ns - bucket_ns else []
+    gaps = [(before + bucket_ns, after) for before, after in itertools.pairwise(t_ns) if after - before > longest_ns]
+    if t_ns[0] - first_ns > longest_ns:
+        gaps.insert(0, (first_ns, t_ns[0]))
+    if stop_ns - (t_ns[-1] + bucket_ns) > longest_ns:
+        gaps.append((t_ns[-1] + bucket_ns, stop_ns))
+    return gaps

@@ -8,7 +8,7 @@ from analytics.metric_registry.registry import alike
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, Paged, Views, dictionaries, iso, page_of
 from stream.decoding import decode_json
-from stream.errors import NotFound
+from stream.errors import BadInput, NotFound
 
 _RUN = """
 select run, site, station, date_known, case when date_known then epoch_ns(started) end as started_ns,
@@ -71,6 +71,14 @@ where run = $run and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'NoteAdded
   'LimitsApplied', 'StationStated', 'CheckEntered')
 order by arrival_ns, t_ns limit 500
 """
+
+
+_OUTCOMES = ("open", "completed", "aborted")
+_UNITS_OF = """
+select unit from internal.served_units where run = $run
+union select unit from internal.served_signals where run = $run
+"""
+_IN_RUN = f"select 1 from ({_UNITS_OF}) where unit = $unit limit 1"  # noqa: S608  our own statement
 
 
 class RunsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -188,6 +196,10 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/runs", table="runs", sees_log=True)
 def list_runs(call: Call, asked: RunsAsked) -> Runs:
     """All runs, the newest first: when, where, which procedure, how they ended."""
+    if asked.after and not call.fresh.rows("select 1 from internal.served_runs where run = $run", {"run": asked.after}):
+        raise BadInput(f"after {asked.after!r} is not what the page before gave as its next one")
+    if asked.outcome:
+        _check_outcome(call, asked.outcome)
     given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
     del given["limit"]
     runs, has_more = page_of([_run_row(row) for row in dictionaries(call.fresh, _PAGE, given)], asked.limit)
@@ -203,6 +215,8 @@ def run(call: Call, asked: RunAsked) -> RunDocument:
     given = {"run": name, "after": asked.after, "rows": asked.limit + 1}
     units, has_more = page_of([RunUnit(**each) for each in dictionaries(call.fresh, _UNITS, given)], asked.limit)
     steps = dictionaries(call.fresh, _STEPS, {"run": name, "unit": asked.unit})
+    if asked.unit and not steps:
+        check_in_run(call, name, asked.unit)
     documents = [
         each | {"document": decode_json(each["document"]), "time": iso(each["t_ns"])}
         for each in dictionaries(call.fresh, _DOCUMENTS, {"run": name})
@@ -215,6 +229,20 @@ def run(call: Call, asked: RunAsked) -> RunDocument:
         verdicts=so_far or {str(verdict): int(n) for verdict, n in counts},
         next=link("api", "runs", name, **parameters) if has_more else None,
     )  # fmt: skip
+
+
+def _check_outcome(call: Call, outcome: str) -> None:
+    found = call.fresh.rows("select distinct outcome from internal.served_runs order by outcome")
+    known = sorted({*_OUTCOMES, *(each for (each,) in found)})
+    if outcome not in known:
+        raise BadInput(f"no run ends as {outcome!r}; there are {', '.join(known)}")
+
+
+def check_in_run(call: Call, run: str, unit: str) -> None:
+    """BadInput if a unit is not in a run; the message names similar ones."""
+    if not call.fresh.rows(_IN_RUN, {"run": run, "unit": unit}):
+        units = [each for (each,) in call.fresh.rows(_UNITS_OF, {"run": run})]
+        raise BadInput(f"unit {unit!r} is not in run {run!r}; {alike(unit, units, 'its units are')}")
 
 
 def run_row(views: Views, name: str) -> RunRow:

@@ -126,7 +126,8 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
 @get("/api/yield/groups", table="", is_slow=True)
 def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     """Yield of each lot, station, fixture or day with its 95 % interval."""
-    found = [row for row in trends.list_yield(call, asked).groups if row["yield"] is not None]
+    groups: list[dict[str, Any]] = msgspec.to_builtins(trends.list_yield(call, asked).groups)
+    found = [row for row in groups if row["yield"] is not None]
     names = [row["name"] or "?" for row in found]
     percent = {name: [100 * row[name] for row in found] for name in ("yield", "yield_lo", "yield_hi")}
     curve = Curve(

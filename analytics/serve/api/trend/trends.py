@@ -1,7 +1,7 @@
 """Trends of metrics, yield, and what units fail by."""
 
 from datetime import date
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, cast
 
 import msgspec
 
@@ -110,12 +110,31 @@ class YieldAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     name: Name = ""
 
 
+YieldGroup = TypedDict(
+    "YieldGroup",
+    {
+        "name": str | None,
+        "units": int,
+        "passed": int,
+        "failed": int,
+        "marginal": int,
+        "no_data": int,
+        "yield": float | None,
+        "yield_lo": float | None,
+        "yield_hi": float | None,
+        "decision_rules": list[str],
+        "reason": str | None,
+    },
+)
+"""Units of a group by verdict, and its yield; as the table ``yield_by``."""
+
+
 class Yield(msgspec.Struct, frozen=True, kw_only=True):
     """Yield of each group with its 95 % interval, of units that were judged; and what units fail by."""
 
     by: str
     name: str
-    groups: list[dict[str, Any]]
+    groups: list[YieldGroup]
     pareto: list[dict[str, Any]]
 
 
@@ -131,10 +150,28 @@ class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True
     metric: Name = ""
 
 
+class UnitVerdict(TypedDict):
+    """A unit with its verdict; as the table ``unit_verdicts``."""
+
+    unit: str
+    product: str | None
+    lot: str | None
+    verdict: str
+    latest_verdict: str
+    passed: int
+    failed: int
+    marginal: int
+    no_data: int
+    failures: list[str]
+    undecided: list[str]
+    lacking: list[str]
+    reason: str | None
+
+
 class UnitVerdicts(msgspec.Struct, frozen=True, kw_only=True):
     """A page of verdicts by the specifications; the next page and its `after`, None on the last."""
 
-    units: list[dict[str, Any]]
+    units: list[UnitVerdict]
     after: str | None
     next: str | None
 
@@ -194,7 +231,7 @@ def series_of(call: Call, asked: TrendAsked) -> "MetricSeries":
         units=asked.unit, signal=asked.signal or None, parameters=_pairs(asked.parameter), lot=asked.lot or None,
         standard=standard_named(asked.standard) if asked.standard else None, station=asked.station or None,
         fixture=asked.fixture or None, product=asked.product or None,
-        since_ns=dated(asked.since) if asked.since else None,
+        since_ns=dated(asked.since, "since") if asked.since else None,
     )  # fmt: skip
     return read_series(call.metrics, asked.metric, choice)
 
@@ -204,7 +241,7 @@ def list_yield(call: Call, asked: YieldAsked) -> Yield:
     """Yield by lot, station, fixture or day, and the characteristics that units fail by, of all or of one group."""
     from analytics.specifications.verdicts import yield_by
 
-    groups = yield_by(call.metrics, asked.by)
+    groups = cast("list[YieldGroup]", yield_by(call.metrics, asked.by))
     if asked.name and asked.name not in (names := [row["name"] for row in groups]):
         raise NotFound(f"no {asked.by} is named {asked.name!r}; there are {', '.join(map(str, names[:20])) or 'none'}")
     pareto = dictionaries(call.metrics, _PARETO, dict.fromkeys(_GROUPS, "") | ({asked.by: asked.name}))
@@ -226,7 +263,8 @@ def list_verdicts(call: Call, asked: VerdictsAsked) -> UnitVerdicts:
     given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
     del given["limit"]
     given["is_group"] = any(given[name] for name in _GROUPS)
-    units, has_more = page_of(dictionaries(call.metrics, _VERDICTS, given), asked.limit)
+    found = cast("list[UnitVerdict]", dictionaries(call.metrics, _VERDICTS, given))
+    units, has_more = page_of(found, asked.limit)
     after = units[-1]["unit"] if has_more else None
     following = msgspec.to_builtins(asked) | {"after": after}
     return UnitVerdicts(units=units, after=after, next=link("api", "verdicts", **following) if has_more else None)

@@ -82,7 +82,7 @@ def _logged(call: Call) -> "Certificates":
     return found
 
 
-@get("/api/certificates/{number}/pdf", is_kept=False)
+@get("/api/certificates/{number}/pdf", is_kept=False, media_type="application/pdf")
 def certificate_pdf(call: Call, asked: Nothing) -> CertificatePdf:
     """The PDF of an issued certificate, byte for byte."""
     from analytics.certificate.record import file_of, sha256_of

@@ -12,25 +12,24 @@ from analytics.plots.picture import Axis, Curve, Label, Picture
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.api.unit.units import unit_row
+from analytics.trends.values_sql import METRIC_VALUES
+from stream.errors import NotFound
 from stream.quantities import is_angular_rate, report_unit
 
 _MOST_CURVES = 12
-_VALUES = """
+_VALUES = f"""
 with judged as (
   select unit, metric, signal, run, standard, parameters, lower, upper, verdict, specification, revision
   from verdicts where unit = $unit and metric = $metric
-), began as (select run, min(t_start_ns) as t_ns, bool_and(date_known) as date_known from unit_runs where unit = $unit
-  group by run
 )
-select m.signal, m.run, m.value, m.lo, m.hi, m.unit_of_measure, m.standard, m.parameters, b.t_ns,
-  coalesce(b.date_known, false) as date_known, j.lower, j.upper, j.verdict,
-  j.specification || '-' || j.revision as specification
-from unit_metrics m left join began b on b.run = m.run
-left join judged j on j.signal is not distinct from m.signal and j.run is not distinct from m.run
+select m.signal, m.run, m.value, m.lo, m.hi, m.unit_of_measure, m.standard, m.parameters, m.t_ns, m.date_known,
+  j.lower, j.upper, j.verdict, j.specification || '-' || j.revision as specification
+from ({METRIC_VALUES}) m
+left join judged j on j.signal is not distinct from m.signal and j.run is not distinct from m.own_run
   and j.standard is not distinct from m.standard and j.parameters is not distinct from m.parameters
-where m.unit = $unit and m.metric = $metric and m.value is not null and ($signal = '' or m.signal = $signal)
-order by b.t_ns nulls last, m.run
-"""
+where m.value is not null and ($signal = '' or m.signal = $signal)
+order by m.t_ns nulls last, m.run
+"""  # noqa: S608  our own statement
 _ALLAN = """
 select e.run, e.tau_s, e.value, e.lo, e.hi, e.unit_of_measure, e.final
 from estimates e join (
@@ -103,12 +102,16 @@ class OfSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 @get("/api/units/{unit}/history", table="", is_slow=True)
 def unit_history(call: Call, asked: HistoryAsked) -> Picture:
     """A characteristic of a unit over time, each value with its 95 % bounds, against the limits valid at the time."""
-    from analytics.metric_registry.registry import check_metrics, metrics
+    from analytics.metric_registry.registry import alike, check_metrics, metrics
 
     check_metrics((asked.metric,))
     unit, header = call.path["unit"], metrics()[asked.metric].header
     unit_row(call, unit)
     rows = dictionaries(call.metrics, _VALUES, {"unit": unit, "metric": asked.metric, "signal": asked.signal})
+    if asked.signal and not rows and asked.signal not in (known := _signals(call)):
+        raise NotFound(
+            f"unit {unit!r} has no signal {asked.signal!r}; {alike(asked.signal, list(known), 'signals are')}"
+        )
     dated = bool(rows) and all(row["date_known"] and row["t_ns"] is not None for row in rows)
     title, measure = Label(header.en, header.zh), rows[0]["unit_of_measure"] if rows else header.unit
     runs = list(dict.fromkeys(row["run"] or "" for row in rows))

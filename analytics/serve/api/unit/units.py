@@ -1,6 +1,6 @@
 """Units: all of them by name, and one with its runs, metrics, verdicts and error models."""
 
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import msgspec
 
@@ -111,6 +111,36 @@ class UnitRun(msgspec.Struct, frozen=True, kw_only=True):
     ended: str | None = None
 
 
+class UnitMetric(TypedDict):
+    """A characteristic with its names, as the table ``unit_metrics`` has it."""
+
+    metric: str
+    en: str
+    zh: str
+    unit: str
+    signal: str | None
+    run: str | None
+    value: float | None
+    unit_of_measure: str
+    lo: float | None
+    hi: float | None
+    standard_uncertainty: float | None
+    u_type_a: float | None
+    u_type_b: float | None
+    U: float | None
+    k: float | None
+    p: float | None
+    nu: float | None
+    uncertainty_reason: str | None
+    n: int | None
+    parameters: dict[str, Any]
+    runs: list[str]
+    steps: list[int]
+    standard: str
+    clause: str
+    reason: str | None
+
+
 class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
     """Everything of a unit: runs, characteristics, verdicts by the specifications, error models, certificates."""
 
@@ -118,7 +148,7 @@ class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
     about: UnitRow
     verdict: dict[str, Any] | None
     runs: list[UnitRun]
-    metrics: list[dict[str, Any]]
+    metrics: list[UnitMetric]
     verdicts: list[dict[str, Any]]
     models: list[ModelRow]
     certificates: list[CertificateRow]
