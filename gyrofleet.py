@@ -86,62 +86,73 @@ def main() -> None:
     """Screen many gyroscopes for hours or weeks: record, estimate while it flows, ask in SQL."""
 
 
-def _add_commands() -> None:
-    """Add the commands of all packages, in the order of use."""
-    from analytics.commands.allan import allan
-    from analytics.commands.closed_loop.compensate import compensate
-    from analytics.commands.closed_loop.diagnose import diagnose
-    from analytics.commands.closed_loop.model import model
-    from analytics.commands.evaluation.attitude import attitude
-    from analytics.commands.evaluation.budget import budget
-    from analytics.commands.evaluation.limits import limits
-    from analytics.commands.evaluation.metrics import metrics
-    from analytics.commands.evaluation.trend import trend
-    from analytics.commands.evaluation.verdicts import verdicts
-    from analytics.commands.records.audit import audit
-    from analytics.commands.records.certificate import certificate
-    from analytics.commands.records.proposal import proposal
-    from analytics.commands.services.alert import alert
-    from analytics.commands.services.config import config, supervise
-    from analytics.commands.services.demo import demo
-    from analytics.commands.services.serve import serve
-    from analytics.commands.services.users import users
-    from analytics.commands.spectrum import spectrum
-    from ingest.commands.can import can
-    from ingest.commands.check import check
-    from ingest.commands.control import control
-    from ingest.commands.import_files import import_files
-    from ingest.commands.procedure import procedure
-    from ingest.commands.replay import replay
-    from ingest.commands.run import run, run_simulated
-    from ingest.commands.simulate import simulate
-    from storage.commands.attest import attest
-    from storage.commands.backup import backup, restore
-    from storage.commands.estimate import estimate
-    from storage.commands.export_iceberg import export_iceberg
-    from storage.commands.lake import lake, rebuild, retain
-    from storage.commands.record import record, router
-    from storage.commands.replicate import replicate
-    from storage.commands.site import site
-    from storage.commands.sql import sql
-    from storage.commands.status import status
-    from storage.commands.verify import recover, verify
-    from stream.terminal.completion import completion
+_COMMANDS = {
+    "Bring data in": {
+        "demo": "analytics.commands.services.demo:demo",
+        "import": "ingest.commands.import_files:import_files",
+        "can": "ingest.commands.can:can",
+        "procedure": "ingest.commands.procedure:procedure",
+        "run": "ingest.commands.run:run",
+        "control": "ingest.commands.control:control",
+        "simulate": "ingest.commands.simulate:simulate",
+        "run-simulated": "ingest.commands.run:run_simulated",
+        "check": "ingest.commands.check:check",
+    },
+    "Record and estimate": {
+        "record": "storage.commands.record:record",
+        "router": "storage.commands.record:router",
+        "estimate": "storage.commands.estimate:estimate",
+        "replay": "ingest.commands.replay:replay",
+        "status": "storage.commands.status:status",
+        "alert": "analytics.commands.services.alert:alert",
+    },
+    "Ask": {
+        "sql": "storage.commands.sql:sql",
+        "allan": "analytics.commands.allan:allan",
+        "spectrum": "analytics.commands.spectrum:spectrum",
+        "metrics": "analytics.commands.evaluation.metrics:metrics",
+        "trend": "analytics.commands.evaluation.trend:trend",
+        "limits": "analytics.commands.evaluation.limits:limits",
+        "verdicts": "analytics.commands.evaluation.verdicts:verdicts",
+    },
+    "Certify": {
+        "budget": "analytics.commands.evaluation.budget:budget",
+        "attitude": "analytics.commands.evaluation.attitude:attitude",
+        "certificate": "analytics.commands.records.certificate:certificate",
+        "audit": "analytics.commands.records.audit:audit",
+    },
+    "Close the loop": {
+        "diagnose": "analytics.commands.closed_loop.diagnose:diagnose",
+        "model": "analytics.commands.closed_loop.model:model",
+        "compensate": "analytics.commands.closed_loop.compensate:compensate",
+    },
+    "Show": {"serve": "analytics.commands.services.serve:serve", "users": "analytics.commands.services.users:users"},
+    "Secure the bus, and who decides": {
+        "site": "storage.commands.site:site",
+        "proposal": "analytics.commands.records.proposal:proposal",
+    },
+    "Keep roles at work": {
+        "config": "analytics.commands.services.config:config",
+        "supervise": "analytics.commands.services.config:supervise",
+    },
+    "Look after the store": {
+        "lake": "storage.commands.lake:lake",
+        "rebuild": "storage.commands.lake:rebuild",
+        "retain": "storage.commands.lake:retain",
+        "verify": "storage.commands.verify:verify",
+        "recover": "storage.commands.verify:recover",
+        "attest": "storage.commands.attest:attest",
+        "backup": "storage.commands.backup:backup",
+        "restore": "storage.commands.backup:restore",
+        "replicate": "storage.commands.replicate:replicate",
+    },
+    "Give to other programs": {"export-iceberg": "storage.commands.export_iceberg:export_iceberg"},
+    "Shell": {"completion": "stream.terminal.completion:completion"},
+}
+"""Sections of the help, with each command and where it is; a command that is not asked for is not loaded."""
 
-    main.add_section("Bring data in", demo, import_files, can, procedure, run, control, simulate, run_simulated, check)
-    main.add_section("Record and estimate", record, router, estimate, replay, status, alert)
-    main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
-    main.add_section("Certify", budget, attitude, certificate, audit)
-    main.add_section("Close the loop", diagnose, model, compensate)
-    main.add_section("Show", serve, users)
-    main.add_section("Secure the bus, and who decides", site, proposal)
-    main.add_section("Keep roles at work", config, supervise)
-    main.add_section("Look after the store", lake, rebuild, retain, verify, recover, attest, backup, restore, replicate)
-    main.add_section("Give to other programs", export_iceberg)
-    main.add_section("Shell", completion)
-
-
-_add_commands()
+for _title, _places in _COMMANDS.items():
+    main.add_section(_title, _places)
 
 
 def front_door() -> NoReturn:

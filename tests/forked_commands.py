@@ -246,6 +246,11 @@ def _serve(path: str) -> None:
 
     for name in _WANTED:
         importlib.import_module(name)
+    import click
+
+    group = sys.modules["gyrofleet"].main
+    for name in group.list_commands(click.Context(group)):
+        group.get_command(click.Context(group), name)
     sys.modules["analytics.metric_registry.registry"].metrics()
     sys.modules["storage.segments.records"].schemas()
     pages = importlib.import_module("analytics.serve.pages.frame.render")

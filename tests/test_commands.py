@@ -16,7 +16,11 @@ import gyrofleet
 
 def commands(group: click.Group, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
     yield path, group
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        assert command.name == name
         if isinstance(command, click.Group):
             yield from commands(command, (*path, name))
         else:
@@ -104,7 +108,10 @@ def test_without_the_station_extra_files_are_imported_and_asked(tmp_path: Path) 
         assert done.returncode == 0, done.stderr
 
 
-SLOW = ("matplotlib", "numba", "pandas", "pint", "polars", "scipy.optimize", "scipy.special", "scipy.stats", "zenoh")
+SLOW = (
+    "duckdb", "matplotlib", "numba", "pandas", "pint", "polars", "pyarrow.parquet", "scipy.optimize", "scipy.special",
+    "scipy.stats", "zenoh",
+)  # fmt: skip
 # runs a command, and prints which of these libraries it has imported: an import at its first row
 PROGRAM = """
 import sys
@@ -142,12 +149,27 @@ def test_a_command_imports_no_slow_library_that_it_does_not_need(tmp_path: Path)
         ("metrics", "--metric", "bias", "--json", "--lang", "en"): {"pandas", "polars", "scipy.special"},  # kept
         ("trend", "bias", "--json"): {"pandas", "polars", "scipy.optimize", "scipy.special"},
     }
+    tables = {"duckdb", "pyarrow.parquet"}
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     for words, libraries in needed.items():
         command = [sys.executable, "-P", "-c", PROGRAM.format(libraries=SLOW), *words, "--store", "S"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert "Traceback" not in done.stderr, done.stderr
-        assert set(done.stdout.splitlines()[-1].split()) <= libraries, words
+        assert set(done.stdout.splitlines()[-1].split()) <= libraries | (tables if words[0] != "import" else set()), (
+            words
+        )
+
+
+def test_a_command_is_loaded_alone() -> None:
+    """Without the modules of the others."""
+    script = (
+        "import sys, gyrofleet\n"
+        "try: gyrofleet.main(['status', '--help'])\n"
+        "except SystemExit: pass\n"
+        "print(*(each for each in sys.modules if '.commands.' in each), file=sys.stderr)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr.split() == ["storage.commands.status"]
 
 
 @pytest.mark.parametrize(("before", "code"), [("default_int_handler", -signal.SIGINT), ("SIG_IGN", 0)])

@@ -209,13 +209,13 @@ def _can_mapping(
     variants: tuple[str, ...],
 ) -> "CanMapping | None":  # fmt: skip
     """What to decode of the CAN logs among the files, read once for all of them; None if there is no log."""
-    from ingest.can.mapping import CanMapping
-
     logs = [path for path in files if _is_can_log(path)]
     if not logs:
         if databases or mapping or variants:
             raise BadInput("--dbc, --mapping and --message are for CAN logs, and none of the files is one")
         return None
+    from ingest.can.mapping import CanMapping
+
     if not databases:
         raise BadInput(f"{logs[0]}: a CAN log needs its database: give --dbc FILE.dbc")
     if mapping is None and unit is None:

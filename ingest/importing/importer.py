@@ -12,8 +12,7 @@ from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, 
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
 from storage.recording.client import HeldClaim, RecorderClient
-from storage.recording.knowledge import AskedAhead, CatalogKnowledge, Knowledge
-from storage.sql.catalog import Catalog
+from storage.recording.knowledge import AskedAhead, CatalogKnowledge, Knowledge, lake_knowledge
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import StoreError
@@ -86,9 +85,11 @@ def _sent_embedded(
     ) as pipeline:
         recovered = tuple(each.segment for each in pipeline.recovered)
         pipeline.recorder.wait_for_lake()
-        with Catalog(pipeline.store) as catalog:
-            _send(group, CatalogKnowledge(catalog), pipeline, progress)
+        with lake_knowledge(pipeline.store) as knowledge:
+            _send(group, knowledge, pipeline, progress)
         pipeline.finish()
+    from storage.sql.catalog import Catalog
+
     with Catalog(pipeline.store) as catalog:
         in_lake = counted(CatalogKnowledge(catalog), group, str(pipeline.store.log))
     yield from _results(group, in_lake, began, recovered)

@@ -3,17 +3,19 @@
 from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers, ns_from_timestamps
 from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 BLOCK_ROWS = 131_072
 _BLOCK_CELLS = 1_000_000
@@ -91,7 +93,9 @@ class ParquetTable:
         except Exception as error:  # the decoder raises whatever a damaged file makes it meet
             raise self._damaged(error) from error
 
-    def _open(self) -> pq.ParquetFile:
+    def _open(self) -> "pq.ParquetFile":
+        import pyarrow.parquet as pq
+
         return pq.ParquetFile(
             self._path, buffer_size=_PAGE_BYTES, pre_buffer=False, memory_map=False, page_checksum_verification=True
         )

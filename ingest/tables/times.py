@@ -8,7 +8,6 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
@@ -73,6 +72,8 @@ def ns_from_decimals(times: pa.Array, places: int) -> tuple[IntArray, BoolArray]
     A decimal of scale `places` is the number of nanoseconds itself, in 128 bits.
     """
     if times.type != pa.decimal128(38, places):
+        import pyarrow.compute as pc
+
         wide = times.cast(pa.decimal128(38, max(times.type.scale, places)))
         times = pc.round(wide, places, "half_to_even").cast(pa.decimal128(38, places))
     words = np.frombuffer(times.buffers()[1], np.int64).reshape(-1, 2)[times.offset : times.offset + len(times)]
@@ -131,6 +132,8 @@ def numpy_of(numbers: pa.Array) -> Any:
 
 def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
     """`ns_from_stamp` of many cells at once; None if one of them must be read by itself."""
+    import pyarrow.compute as pc
+
     cells = pc.replace_substring_regex(pc.utf8_trim(cells, " \t"), r"\s([Z+-])", r"\1")
     cells = pc.replace_substring(cells, ",", ".")
     try:
@@ -151,6 +154,8 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
 
 def ns_from_timestamps(times: pa.Array, zone: str) -> tuple[IntArray, BoolArray]:
     """Nanoseconds UTC of Arrow's time stamps without nulls, in `zone` if they have none; and which are out of range."""
+    import pyarrow.compute as pc
+
     written, ns = times, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[times.type.unit]
     if times.type.tz is None:
         times = pc.assume_timezone(times, zone, ambiguous="earliest", nonexistent="latest")

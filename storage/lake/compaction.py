@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from storage.lake.drops import Drops
 from storage.lake.part import BuiltPart, fresh_folder
@@ -36,6 +35,8 @@ from storage.manifests.part import Part, PartFile, hull, with_sources, write_par
 from stream.errors import StoreError
 
 if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
     from storage.lake.lake import Lake
 
 FAN_IN = 64
@@ -175,7 +176,7 @@ class _Stretch(NamedTuple):
     channel: int
     seq_first: int
     seq_last: int
-    file: pq.ParquetFile
+    file: "pq.ParquetFile"
     row_group: int
     first_row: int
     rows: int
@@ -216,7 +217,7 @@ def _sorted_samples(lake: "Lake", group: list[Part], stack: ExitStack) -> Iterat
         raise damaged(lake.store.lake, error) from error
 
 
-def _stretches(file: pq.ParquetFile) -> Iterator[_Stretch]:
+def _stretches(file: "pq.ParquetFile") -> Iterator[_Stretch]:
     metadata = file.metadata
     for index in range(metadata.num_row_groups):
         group = metadata.row_group(index)

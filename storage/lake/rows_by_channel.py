@@ -2,13 +2,15 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from stream.batch import IntArray
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 GROUP_ROWS = 65_536  # of whole channels, that make a row group: who asks for one channel reads few rows of others
 MOST_WAITING = 4_000_000  # rows in memory, about 65 bytes each
@@ -22,7 +24,7 @@ class _RowGroup(NamedTuple):
 
 
 def rows_by_channel(
-    files: Sequence[pq.ParquetFile], *, group_rows: int = GROUP_ROWS, most_waiting: int = MOST_WAITING
+    files: Sequence["pq.ParquetFile"], *, group_rows: int = GROUP_ROWS, most_waiting: int = MOST_WAITING
 ) -> Iterator[pa.Table]:
     """Rows by channel and bucket, in tables of whole channels of at least `group_rows`, but for the last.
 
@@ -52,7 +54,7 @@ def rows_by_channel(
         enough = max(2 * group_rows, 2 * rows)  # so that no row is sorted again and again
 
 
-def _row_groups(files: Sequence[pq.ParquetFile]) -> Iterator[_RowGroup]:
+def _row_groups(files: Sequence["pq.ParquetFile"]) -> Iterator[_RowGroup]:
     for place, file in enumerate(files):
         for number in range(file.metadata.num_row_groups):
             group = file.metadata.row_group(number)

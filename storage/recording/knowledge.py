@@ -2,12 +2,15 @@
 
 import json
 from collections import defaultdict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from storage.manifests.lake import read_manifest
+from storage.store import Store
 from stream.batch import FloatArray, IntArray
 from stream.decoding import decode_json
 from stream.events import UnitMounted
@@ -113,6 +116,37 @@ class CatalogKnowledge:
 
     def _of_runs(self, runs: list[str], sql: str, order: str = "") -> list[tuple[Any, ...]]:
         return self._catalog.rows(f"{sql} run in (select unnest($runs)) {order}", {"runs": runs})
+
+
+class NothingKnown:
+    """Answers from a store without anything in its lake."""
+
+    def signals(self, runs: list[str]) -> list[KnownSignal]:
+        """As of `Knowledge`."""
+        del runs
+        return []
+
+    def runs(self, runs: list[str]) -> KnownRuns:
+        """As of `Knowledge`."""
+        del runs
+        return KnownRuns(dated={}, open=[], uids=[], mounted=[], stated={}, steps=[])
+
+    def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
+        """As of `Knowledge`."""
+        del unit, signal, run, first_ns, last_ns
+        return np.empty(0, np.int64), np.empty(0)
+
+
+@contextmanager
+def lake_knowledge(store: Store) -> Iterator[Knowledge]:
+    """What the lake of a store knows now; without parts it is not opened, which takes as long as a small import."""
+    if not read_manifest(store).parts:
+        yield NothingKnown()
+        return
+    from storage.sql.catalog import Catalog
+
+    with Catalog(store) as catalog:
+        yield CatalogKnowledge(catalog)
 
 
 class AskedAhead:

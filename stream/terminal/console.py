@@ -12,16 +12,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import click
 import msgspec
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from stream.errors import GyrofleetError
 from stream.terminal.hints import completed, hinted
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -213,9 +215,11 @@ def output_is_closed() -> bool:
 
 
 @contextmanager
-def progress_bar(*, hidden: bool) -> Iterator[Progress]:
+def progress_bar(*, hidden: bool) -> Iterator["Progress"]:
     """A progress bar on standard error; nothing where that is not a terminal or `hidden`."""
     console = notes()
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=hidden or not console.is_terminal, transient=True) as progress:
         yield progress

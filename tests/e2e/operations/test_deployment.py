@@ -15,6 +15,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -36,6 +37,12 @@ class CaseKept(configparser.ConfigParser):
         return optionstr
 
 
+def command(name: str) -> click.Command:
+    found = main.get_command(click.Context(main), name)
+    assert found is not None
+    return found
+
+
 def unit(path: Path) -> configparser.ConfigParser:
     found = CaseKept(strict=False, interpolation=None, delimiters=("=",))
     found.read(path)
@@ -53,7 +60,7 @@ def test_settings_of_the_example_are_accepted() -> None:
 def test_the_unit_starts_a_command_that_there_is(role: str) -> None:
     words = shlex.split(unit(UNIT)["Service"]["ExecStart"].replace("%i", role))
     assert words[1:] == [role, "--config", "/etc/gyrofleet/gyrofleet.toml"]
-    assert "--config" in {each for option in main.commands[role].params for each in option.opts}
+    assert "--config" in {each for option in command(role).params for each in option.opts}
 
 
 def test_the_alert_role_has_its_two_words() -> None:
@@ -124,7 +131,7 @@ def test_the_container_runs_without_root_and_says_how_it_is() -> None:
     probe = json.loads(check.partition("CMD ")[2])
     compile(probe[2], "probe", "exec")
     assert json.loads(of("ENTRYPOINT")[0]) == ["gyrofleet"]
-    assert json.loads(of("CMD")[0])[0] in main.commands
+    assert json.loads(of("CMD")[0])[0] in main.list_commands(click.Context(main))
     assert of("STOPSIGNAL") == ["SIGTERM"]
     runs = " ".join(of("RUN"))
     assert "--no-cache-dir" in runs
@@ -148,7 +155,7 @@ def test_the_composition_reads_its_root_only_and_turns_its_logs_over() -> None:
     (user,) = of("USER")
     for name, service in content["services"].items():
         assert service["command"][0] == name
-        assert name in main.commands
+        assert name in main.list_commands(click.Context(main))
         assert service["user"] == user
         assert service["read_only"] is True
         assert service["cap_drop"] == ["ALL"]
