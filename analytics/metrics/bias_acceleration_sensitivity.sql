@@ -3,8 +3,8 @@
 -- zh:        零偏加速度灵敏度
 -- unit:      deg/h/g
 -- better:    lower
--- grain:     unit, signal, run, axis
--- parameters: axis, earth_rate, repeat, scale_factor, earth_rate_unknown, axis_of_largest
+-- grain:     unit, signal, run, axis, temperature
+-- parameters: axis, earth_rate, repeat, temperature_command, remark, scale_factor, earth_rate_unknown, axis_of_largest
 -- source:    JJF 2014-2022 7.2.17
 -- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
 -- limits:    given
@@ -26,8 +26,8 @@ with shown as (
 -- An error of K acts on the differences before the Earth's rate is removed from them.
 select unit, signal, run, half as difference, max(abs(raw)) over (tested
     order by axis rows between unbounded preceding and unbounded following) as raw_difference, u, freedom, true as is_signed,
-  {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat, shown: shown, earth_rate: earth_rate}
-    as test,
+  {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat,
+    temperature_command: temperature_command, shown: shown, earth_rate: earth_rate} as test,
   {axis_of_largest: axis} as of_largest,
   case when shown = 'largest' then (sum(n) over tested)::bigint else n end as n,
   case when shown = 'largest' then list_sort(flatten(list(steps) over (tested
@@ -35,9 +35,10 @@ select unit, signal, run, half as difference, max(abs(raw)) over (tested
   case when shown = 'largest' and len(absent) > 0 and not list_contains(axes, 'IRA') then
     'no flip of axis ' || array_to_string(absent, ', ') || ': the clause asks for X, Y and Z' else lack end as reason,
   {
-    axis: shown, earth_rate: earth_rate, repeat: repeat, scale_factor: scale_source,
+    axis: shown, earth_rate: earth_rate, repeat: repeat, temperature_command: temperature_command, remark: remark,
+    scale_factor: scale_source,
     earth_rate_unknown: case when shown = 'largest' and earth_rate = 'removed' then level end
   } as parameters
 from counted
-window tested as (partition by unit, signal, run, "procedure", repeat, shown, earth_rate)
+window tested as (partition by unit, signal, run, "procedure", repeat, temperature_command, shown, earth_rate)
 order by test, axis

@@ -3,8 +3,8 @@
 -- zh:        零偏冲击前后变化量
 -- unit:      deg/h
 -- better:    lower
--- grain:     unit, signal, run, axis
--- parameters: axis, repeat, scale_factor, axis_of_largest
+-- grain:     unit, signal, run, axis, temperature
+-- parameters: axis, repeat, temperature_command, scale_factor, axis_of_largest, remark
 -- source:    JJF 2014-2022 7.2.18 (32)
 -- needs:     procedure bias_shock: static steps before and after a shock along X, Y and Z
 -- limits:    given

@@ -5,7 +5,7 @@
 -- better:    lower
 -- grain:     unit, signal, run
 -- parameters: room_temperature_deg_c, temperature_source, points
--- parameters: position, repeat, scale_factor, temperature_deg_c_of_largest
+-- parameters: position, repeat, scale_factor, temperature_deg_c_of_largest, remark
 -- source:    GJB 2426A-2004 5.12.4 (22); JJF 2014-2022 7.2.16 (31)
 -- needs:     procedure bias_temperature_sensitivity: static steps at several temperatures, one of them room temperature
 -- limits:    given
@@ -23,7 +23,7 @@ select unit, signal, run, all_n as n, all_steps as steps, lack as reason, slope 
   {
     room_temperature_deg_c: round(room_temperature, 2), temperature_source: temperature_source, points: points,
     position: position, repeat: again, scale_factor: scale_source,
-    temperature_deg_c_of_largest: round(temperature, 2)
+    temperature_deg_c_of_largest: round(temperature, 2), remark: remark
   } as parameters
 from internal.bias_temperature_points
 order by test, "index"

@@ -3,8 +3,8 @@
 -- zh:        零偏振动前后变化量
 -- unit:      deg/h
 -- better:    lower
--- grain:     unit, signal, run, axis
--- parameters: axis, repeat, scale_factor, axis_of_largest
+-- grain:     unit, signal, run, axis, temperature
+-- parameters: axis, repeat, temperature_command, scale_factor, axis_of_largest, remark
 -- source:    JJF 2014-2022 7.2.19 (33)
 -- needs:     procedure bias_vibration: static steps before and after a vibration along X, Y and Z
 -- limits:    given

@@ -3,8 +3,9 @@
 -- zh:        拟合零位
 -- unit:      deg/h
 -- better:    neither
--- grain:     unit, signal, run, position, temperature, repeat
--- parameters: procedure, repeat, temperature_command, room, position, axis, phase, temperature, output, output_unit
+-- grain:     unit, signal, run, position, temperature, repeat, visit
+-- parameters: procedure, repeat, temperature_command, room, position, axis, phase, visit, temperature, output
+-- parameters: output_unit
 -- source:    GJB 2426A-2004 5.8.1 (6); JJF 2014-2022 7.2.1 (5); JJF 1536-2015 7.1 (15)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t

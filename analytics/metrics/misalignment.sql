@@ -3,8 +3,8 @@
 -- zh:        输入轴失准角
 -- unit:      arcmin
 -- better:    lower
--- grain:     unit, signal, run, positions, repeat
--- parameters: procedure, repeat, positions, rate_deg_per_s, towards_x_arcmin, towards_y_arcmin, arcsec, scale_factor
+-- grain:     unit, signal, run, positions, repeat, temperature
+-- parameters: procedure, repeat, temperature_command, positions, rate_deg_per_s, towards_x_arcmin, towards_y_arcmin, arcsec, scale_factor
 -- source:    GJB 2426A-2004 5.15 (47)-(49); JJF 2014-2022 7.2.11 (19)-(25)
 -- needs:     both directions of a rate with ox up and oy up; against the fixture's error also turned 180 deg about IRA
 -- limits:    given
@@ -32,7 +32,7 @@ select
   freedom,
   n,
   {
-    "procedure": "procedure", repeat: repeat, positions: positions, rate_deg_per_s: rate,
+    "procedure": "procedure", repeat: repeat, temperature_command: temperature_command, positions: positions, rate_deg_per_s: rate,
     towards_x_arcmin: of_x * 10800 / pi(), towards_y_arcmin: of_y * 10800 / pi(), arcsec: arcmin * 60,
     scale_factor: scale_source
   } as parameters,

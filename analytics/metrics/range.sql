@@ -3,9 +3,9 @@
 -- zh:        最大输入角速度
 -- unit:      deg/s
 -- better:    higher
--- grain:     unit, signal, run, position, temperature, repeat
+-- grain:     unit, signal, run, position, temperature, repeat, visit
 -- parameters: procedure, repeat, temperature_command, room, position
--- parameters: axis, phase, temperature, nonlinearity_ppm, largest_rate_deg_per_s
+-- parameters: axis, phase, visit, temperature, nonlinearity_ppm, largest_rate_deg_per_s
 -- source:    GJB 2426A-2004 5.9; JJF 2014-2022 7.2.2
 -- needs:     rates as of a scale factor, and the product's limit nonlinearity_ppm
 -- limits:    given
@@ -20,15 +20,16 @@ with judged as (
     case f.standard when 'GJB2426A'
       then list_max([abs(p.output - (r.rest_before.output + r.rest_after.output) / 2) for p in r.points])
       else abs(r.k) * (list_max(r.x) - list_min(r.x)) end as full_scale,
-    student_quantile(0.05 / r.n_points, list_min(r.freedoms)) as wide
-  from line_fits('internal.range_sets') r join scale_results('internal.scale_fits') f using (run, unit, signal, steps)
+    student_quantile(0.05 / r.n_points, list_min(r.noise.freedoms)) as wide
+  from (select *, pooled_noise(u, freedoms) as noise from line_fits('internal.range_sets')) r
+    join scale_results('internal.scale_fits') f using (run, unit, signal, steps)
   where f.standard <> 'JJF1536'
 ), deviating as (
   select *,
     list_max([abs(r) for r in residuals]) / full_scale * 1e6 <= nonlinearity_ppm as meets,
-    list_max([abs(z[1]) + wide * z[2] for z in list_zip(residuals, residual_uncertainties(dx, sxx, u))])
+    list_max([abs(z[1]) + wide * z[2] for z in list_zip(residuals, residual_uncertainties(dx, sxx, noise.u))])
       / full_scale * 1e6 <= nonlinearity_ppm as surely_meets,
-    list_max([abs(z[1]) - wide * z[2] for z in list_zip(residuals, residual_uncertainties(dx, sxx, u))])
+    list_max([abs(z[1]) - wide * z[2] for z in list_zip(residuals, residual_uncertainties(dx, sxx, noise.u))])
       / full_scale * 1e6 > nonlinearity_ppm as surely_fails
   from judged
 ), reached as (

@@ -12,10 +12,12 @@
 -- influence: rate: per_ppm(value)
 -- python:    analytics.metrics.resolution:compute
 -- of:        internal.resolution_procedures
--- The base rate of a direction is its smallest one; measured before and after the increments, it is the mean of both.
+-- The base rate of a direction is that of its steps `base`, else its smallest one; measured before and after the
+-- increments, it is the mean of both.
 with turning as (
   select *, rate_command > 0 as is_forward, mean * deg_per_h as output, standard_uncertainty * abs(deg_per_h) as u,
-    abs(rate_command) <= min(abs(rate_command)) over side * (1 + 1e-9) as is_base
+    case when bool_or(step = 'base') over side then coalesce(step = 'base', false)
+      else abs(rate_command) <= min(abs(rate_command)) over side * (1 + 1e-9) end as is_base
   from rate_steps
   where n > 0 and rate_command <> 0 and frequency is null and regexp_matches("procedure", '^resolution|分辨率')
     and coalesce(step, '') <> 'rate'

@@ -3,9 +3,9 @@
 -- zh:        标度因数
 -- unit:      1
 -- better:    neither
--- grain:     unit, signal, run, position, temperature, repeat
+-- grain:     unit, signal, run, position, temperature, repeat, visit
 -- parameters: procedure, repeat, temperature_command, room, position
--- parameters: axis, phase, temperature, rates, largest_rate_deg_per_s, remark
+-- parameters: axis, phase, visit, temperature, rates, largest_rate_deg_per_s, remark
 -- source:    GJB 2426A-2004 5.8.1 (1)-(6); JJF 2014-2022 7.2.1 (2)-(5); JJF 1536-2015 7.1 (10)-(15)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t

@@ -3,8 +3,8 @@
 -- zh:        标度因数轴向加速度敏感度
 -- unit:      1/g
 -- better:    neither
--- grain:     unit, signal, run, repeat
--- parameters: procedure, repeat, up, down, ppm_per_g
+-- grain:     unit, signal, run, repeat, temperature
+-- parameters: procedure, repeat, temperature_command, up, down, ppm_per_g, remark
 -- source:    JJF 2014-2022 7.2.6
 -- needs:     scale factors with the input reference axis up and down, at least 11 rates in each direction
 -- limits:    t
@@ -15,15 +15,20 @@
 -- The clause compares magnitudes: where the rate is counted about the table's axis, which the IRA points against when
 -- it is down, that scale factor has the other sign.
 with placed as (
-  select *, regexp_extract(position, '_(up|down)$', 1) as pointing,
+  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
+      as temperature_command), regexp_extract(position, '_(up|down)$', 1) as pointing,
     {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
-      freedoms: freedoms, points: points} as line
+      freedoms: freedoms, points: points, temperature: temperature} as line,
+    same_temperature(temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat), dense_rank() over (
+      partition by run, unit, signal, "procedure", repeat, position order by visit is not null, case when visit is not null
+        then temperature end)) as level
   from scale_results('internal.scale_fits')
   where standard = 'JJF2014' and phase is null
     and (regexp_matches(position, '^(IRA|vertical)_(up|down)$')
       or starts_with("procedure", 'scale_factor_acceleration'))
 ), paired as (
-  select run, unit, signal, "procedure", repeat, k_unit,
+  select run, unit, signal, "procedure", repeat, k_unit, level, min(temperature_command) as temperature_command,
+    count(*) filter (pointing = 'up') as ups, count(*) filter (pointing = 'down') as downs,
     arg_min(line, steps) filter (pointing = 'up') as up,
     arg_min(line, steps) filter (pointing = 'down') as down,
     list(coalesce(position || ': ', '') || lack order by steps) filter (lack is not null) as lacks,
@@ -33,12 +38,16 @@ with placed as (
 ), turned as (
   select *, slope_difference(up, struct_pack(k := down.k * sign(up.k * down.k), u_k := down.u_k,
       freedom_k := down.freedom_k, residuals := [r * sign(up.k * down.k) for r in down.residuals],
-      slope_weights := down.slope_weights, u := down.u, freedoms := down.freedoms, points := down.points), 1)
-      as difference,
+      slope_weights := down.slope_weights, u := down.u, freedoms := down.freedoms, points := down.points,
+      temperature := down.temperature), 1) as difference,
+    remark_on_temperatures(up, down, 'up', 'down') as remark,
     case
       when up is null then 'not measured with the IRA up: the clause asks for up and down (7.2.6.1 c)'
       when down is null then 'not measured with the IRA down: the clause asks for up and down (7.2.6.1 c)'
       when len(lacks) > 0 then array_to_string(lacks, '; ')
+      when greatest(ups, downs) > 1 then ups || ' scale factors with the IRA up and ' || downs
+        || ' with it down; say which belong together by the word repeat'
+      else lack_of_same_temperature(up, down, 'up', 'down')
     end as lack
   from paired where is_asked or (up is not null and down is not null)
 )
@@ -49,7 +58,7 @@ select
   difference.u / 2 as standard_uncertainty,
   difference.freedom as freedom,
   n,
-  {"procedure": "procedure", repeat: repeat, up: up.k, down: down.k, ppm_per_g: difference.change / 2 / up.k * 1e6}
+  {"procedure": "procedure", repeat: repeat, temperature_command: temperature_command, remark: remark, up: up.k, down: down.k, ppm_per_g: difference.change / 2 / up.k * 1e6}
     as parameters,
   [run] as runs, list_sort(steps) as steps,
   lack as reason

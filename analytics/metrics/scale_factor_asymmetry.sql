@@ -3,8 +3,8 @@
 -- zh:        标度因数不对称性
 -- unit:      ppm
 -- better:    lower
--- grain:     unit, signal, run, position, temperature, repeat
--- parameters: procedure, repeat, temperature_command, room, position, axis, phase, temperature, forwards, backwards
+-- grain:     unit, signal, run, position, temperature, repeat, visit
+-- parameters: procedure, repeat, temperature_command, room, position, axis, phase, visit, temperature, forwards, backwards
 -- parameters: remark
 -- source:    GJB 2426A-2004 5.8.3 (10)(11); JJF 2014-2022 7.2.3 (9)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after

@@ -3,9 +3,9 @@
 -- zh:        标度因数非线性度
 -- unit:      ppm
 -- better:    lower
--- grain:     unit, signal, run, position, temperature, repeat
+-- grain:     unit, signal, run, position, temperature, repeat, visit
 -- parameters: procedure, repeat, temperature_command, room, position
--- parameters: axis, phase, temperature, rate_of_maximum_deg_per_s, largest_rate_deg_per_s, remark
+-- parameters: axis, phase, visit, temperature, rate_of_maximum_deg_per_s, largest_rate_deg_per_s, remark
 -- source:    GJB 2426A-2004 5.8.2 (7)-(9); JJF 2014-2022 7.2.2 (6)-(8)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
@@ -13,17 +13,19 @@
 -- influence: rate_nonuniformity: if(standard = 'GJB2426A', 1, 0.5)
 -- of:        internal.scale_fits
 -- A maximum comes out too large where noise rules. Its limits hold for all points at once (Bonferroni): the largest
--- lower and the largest upper limit of any point.
-with scaled as (
+-- lower and the largest upper limit of any point. Noise that may be one at all rates is taken as one.
+with pooled as (
+  select *, pooled_noise(u, freedoms) as noise from scale_results('internal.scale_fits') where standard <> 'JJF1536'
+), scaled as (
   select *,
     case standard when 'GJB2426A' then list_max([abs(p.output - rest_zero) for p in points])
       else abs(k) * (list_max(x) - list_min(x)) end as full_scale,
-    student_quantile(0.05 / n_points, list_min(freedoms)) as wide
-  from scale_results('internal.scale_fits') where standard <> 'JJF1536'
+    student_quantile(0.05 / n_points, list_min(noise.freedoms)) as wide
+  from pooled
 ), deviating as (
   select *,
-    [{size: abs(z[1] / full_scale) * 1e6, u: z[2] / full_scale * 1e6, rate: z[3].command, freedom: z[3].freedom}
-      for z in list_zip(residuals, residual_uncertainties(dx, sxx, u), points)] as deviations
+    [{size: abs(z[1] / full_scale) * 1e6, u: z[2] / full_scale * 1e6, rate: z[3].command, freedom: z[4]}
+      for z in list_zip(residuals, residual_uncertainties(dx, sxx, noise.u), points, noise.freedoms)] as deviations
   from scaled
 ), largest as (
   select *, list_sort(deviations, 'desc')[1] as worst from deviating

@@ -18,16 +18,18 @@ with conditioned as (
   select *,
     count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     count(distinct coalesce(position, '')) over test as positions,
+    count(distinct coalesce(visit, 0)) over test as visits,
     case when date_known then strftime(timezone(time_zone, make_timestamptz(t_from_ns // 1000)), '%Y-%m-%d') end as day
   from scale_results('internal.scale_fits')
-  where standard <> 'JJF1536' and phase is null and axis is null
+  where standard <> 'JJF1536' and phase is null
+    and (axis is null or axis_word_of(axis) = named_axis_of(signal))
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(temp|acc|shock|vib)|threshold|resolution)')
   window test as (partition by run, unit, signal, "procedure", standard)
 ), counted as (
   select *,
     count(*) over own as in_run,
     bool_or(starts_with("procedure", 'scale_factor_repeatability')) over own as is_test
-  from conditioned where temperatures = 1 and positions = 1
+  from conditioned where temperatures = 1 and positions = 1 and visits = 1
   window own as (partition by unit, signal, output_unit, standard, run)
 ), scoped as (
   select *, run as scope from counted where is_test or in_run > 1

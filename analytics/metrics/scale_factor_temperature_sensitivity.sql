@@ -4,7 +4,7 @@
 -- unit:      ppm/degC
 -- better:    lower
 -- grain:     unit, signal, run
--- parameters: procedure, position, repeat, points, temperature_of_maximum, room_temperature
+-- parameters: procedure, position, axis, repeat, points, temperature_of_maximum, room_temperature
 -- source:    GJB 2426A-2004 5.8.5 (13); JJF 2014-2022 7.2.5 (11)
 -- needs:     scale factors at room temperature and at other temperatures
 -- limits:    given
@@ -12,11 +12,13 @@
 -- influence: temperature: value * sqrt(2) / nullif(abs((parameters->>'$.temperature_of_maximum')::double - (parameters->>'$.room_temperature')::double), 0)
 -- of:        internal.scale_fits
 -- Erratum: GJB (13) prints max under the quotient only; meant is the largest quotient. Room temperature is what says
--- so, else the one set nearest to 20 degC, at most 10 degC from it; points nearer to it than 1 degC are no points. A
+-- so, else the one set nearest to 20 degC, at most 10 degC from it; visited more than once, K_m is the mean. Any other
+-- visit is a point of its own; points nearer to the room's temperature than 1 degC are none. A
 -- maximum of noisy values is too large by nature: its limits are those that hold for all points together (Bonferroni),
 -- the largest of the lower and the largest of the upper ones.
 with tested as (
   select *, count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
+    max(temperature) over test - min(temperature) over test as spread,
     bool_or(room) over test as says_room,
     coalesce(temperature_command, temperature) as set_to,
     min(abs(coalesce(temperature_command, temperature) - 20)) over test as nearest,
@@ -24,16 +26,16 @@ with tested as (
     arg_min(coalesce(temperature_command, temperature), (abs(coalesce(temperature_command, temperature) - 20), steps))
       over test as room_set_to
   from scale_results('internal.scale_fits') where standard <> 'JJF1536' and phase is null
-  window test as (partition by run, unit, signal, "procedure", position, repeat, standard)
+  window test as (partition by run, unit, signal, "procedure", position, axis, repeat, standard)
 ), marked as (
   select *, case when says_room then room
-    else coalesce(set_to = room_set_to and nearest <= 10, false) end
+    else coalesce(abs(set_to - room_set_to) <= if(temperature_command is null, 2, 0) and nearest <= 10, false) end
       as is_room
   from tested
-  where regexp_matches("procedure", '^scale_factor_temperature') or (temperatures > 1
+  where regexp_matches("procedure", '^scale_factor_temperature') or ((temperatures > 1 or spread > 5)
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(acc|shock|vib)|threshold|resolution)'))
 ), gathered as (
-  select run, unit, signal, "procedure", position, repeat, standard, k_unit,
+  select run, unit, signal, "procedure", position, axis, repeat, standard, k_unit,
     list({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
       freedoms: freedoms, points: points, temperature: temperature} order by steps) filter (not is_room) as others,
     list({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
@@ -42,10 +44,9 @@ with tested as (
     min(nearest) as nearest, flatten(list(steps order by steps)) as steps, sum(n)::bigint as n
   from marked group by all
 ), compared as (
-  select * exclude (others), rooms[1] as room,
-    [struct_insert(slope_difference(p, rooms[1], 1), apart := p.temperature - rooms[1].temperature, at := p.temperature)
-      for p in others if abs(p.temperature - rooms[1].temperature) >= 1] as changes
-  from gathered
+  select * exclude (others), [struct_insert(slope_difference(p, room, 1), apart := p.temperature - room.temperature, at := p.temperature)
+      for p in others if abs(p.temperature - room.temperature) >= 1] as changes
+  from (select *, mean_line(rooms) as room from gathered)
 ), quotients as (
   select *, [{
       size: abs(c.change / (room.k * c.apart)) * 1e6, u: abs(c.u / (room.k * c.apart)) * 1e6, freedom: c.freedom,
@@ -60,7 +61,6 @@ with tested as (
       when rooms is null then
         'the room-temperature point is missing: nothing is marked room, and the nearest to 20 degC'
         || coalesce(format(' is {:.1f} degC from it, at most 10 are allowed', nearest), ' is unknown')
-      when len(rooms) > 1 then len(rooms) || ' scale factors at room temperature; say which is meant by the word repeat'
       when room.temperature is null then
         'the temperature at room temperature is unknown: record one, or say temperature_command'
       when coalesce(len(points), 0) = 0 then
@@ -76,7 +76,7 @@ select
   worst.u as standard_uncertainty,
   worst.freedom as freedom,
   n,
-  {"procedure": "procedure", position: position, repeat: repeat, points: len(points),
+  {"procedure": "procedure", position: position, axis: axis, repeat: repeat, points: len(points),
     temperature_of_maximum: round(worst.temperature, 2), room_temperature: round(room.temperature, 2)} as parameters,
   [run] as runs, list_sort(steps) as steps, standard,
   case standard when 'GJB2426A' then '5.8.5 (13)' else '7.2.5 (11)' end as clause,

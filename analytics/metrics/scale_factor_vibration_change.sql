@@ -3,8 +3,8 @@
 -- zh:        标度因数振动前后变化量
 -- unit:      1
 -- better:    lower
--- grain:     unit, signal, run, axis (X, Y, Z and the largest of them), repeat
--- parameters: procedure, repeat, axis, axis_of_largest, ppm
+-- grain:     unit, signal, run, axis (X, Y, Z and the largest of them), repeat, temperature
+-- parameters: procedure, repeat, temperature_command, axis, axis_of_largest, ppm, remark
 -- source:    JJF 2014-2022 7.2.8 (14)(15)
 -- needs:     scale factors before and after a vibration along X, Y and Z, at least 11 rates in each direction
 -- limits:    given

@@ -26,6 +26,7 @@ with step as (
 ), around as (
   select s.run, s.unit, s."index",
     min(deg_c(b.mean, b.unit_of_measure)) filter (b.signal = 'chamber_temperature') as chamber_temperature,
+    max((deg_c(b.sd, b.unit_of_measure) - deg_c(0, b.unit_of_measure)) * sqrt(12)) filter (b.signal = 'chamber_temperature') as chamber_moved,
     any_value(if(b.unit_of_measure = 'deg/s', b.mean, deg_per_h(b.mean, b.unit_of_measure) / 3600) order by b.unit)
       filter (b.signal = 'table_rate' and deg_per_h(b.mean, b.unit_of_measure) is not null) as table_rate
   from step s join beside b on b.run = s.run and b.t_from_ns = s.t_from_ns and b.t_to_ns = s.t_to_ns
@@ -34,6 +35,8 @@ with step as (
   select run, unit, t_from_ns, t_to_ns,
     min(deg_c(mean, unit_of_measure)) filter (signal = 'temperature') as temperature,
     min(deg_c(mean, unit_of_measure)) filter (signal = 'chamber_temperature') as chamber_temperature,
+    max((deg_c(sd, unit_of_measure) - deg_c(0, unit_of_measure)) * sqrt(12)) filter (signal = 'temperature') as moved,
+    max((deg_c(sd, unit_of_measure) - deg_c(0, unit_of_measure)) * sqrt(12)) filter (signal = 'chamber_temperature') as chamber_moved,
     min(if(unit_of_measure = 'deg/s', mean, deg_per_h(mean, unit_of_measure) / 3600)) filter (signal = 'table_rate')
       as table_rate
   from internal.reduced group by all
@@ -58,6 +61,11 @@ select
     when coalesce(o.chamber_temperature, x.chamber_temperature) is not null then 'chamber'
     when s.temperature_command is not null then 'command'
   end as temperature_source,
+  coalesce(o.chamber_temperature, x.chamber_temperature) as chamber_temperature,
+  case
+    when o.temperature is not null then o.moved
+    else coalesce(o.chamber_moved, x.chamber_moved)
+  end as temperature_moved,
   coalesce(o.table_rate, x.table_rate, s.rate_command) as input_rate,
   case
     when coalesce(o.table_rate, x.table_rate) is not null then 'table'

@@ -33,6 +33,23 @@ create or replace macro residual_uncertainties(dx, sxx, u) as
         + q_.sum_u2 / q_.n ** 2 + 2 * z[1] * q_.sum_dx_u2 / (q_.n * sxx) + (z[1] / sxx) ** 2 * q_.sum_dx2_u2)) end
       for z in list_zip(dx, u)])[1];
 
+-- The points' uncertainties, taken together where all may be one: a third of the records of white noise are given few
+-- degrees of freedom, since they cannot rule out more, and of twenty records one nearly always is. The mean of the
+-- variances has the freedom of Welch and Satterthwaite. They are one unless a variance is larger than chance allows at
+-- 5 % (chi-squared by Wilson and Hilferty, Bonferroni over the points): noise that grows with the rate stays as it is.
+create or replace macro pooled_noise(u, freedoms) as
+  list_transform(list_transform([{
+      variance: case when list_count(u) = len(u) and list_min(u) > 0 then list_avg([e ** 2 for e in u]) end,
+      freedom: list_sum([e ** 2 for e in u]) ** 2
+        / nullif(list_sum([z[1] ** 4 / greatest(z[2], 1) for z in list_zip(u, freedoms)]), 0),
+      z: -normal_quantile(0.05 / len(u))
+    }],
+    lambda q_: struct_insert(q_, is_one := coalesce(list_bool_and([z[1] ** 2 <= q_.variance
+        * (1 - 2 / (9 * greatest(z[2], 1)) + q_.z * sqrt(2 / (9 * greatest(z[2], 1)))) ** 3
+      for z in list_zip(u, freedoms)]), false))),
+    lambda q_: case when q_.is_one
+      then {u: [sqrt(q_.variance) for e in u], freedoms: [q_.freedom for e in u]} else {u: u, freedoms: freedoms} end)[1];
+
 create or replace macro line_fits(source) as table
 with given as (
   select *, [p.rate for p in points] as x, [p.output for p in points] as y, [p.u for p in points] as u,

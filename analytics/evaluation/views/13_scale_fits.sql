@@ -11,10 +11,40 @@ create or replace macro distinct_rates(rates) as sorted_distinct_rates(list_sort
 create or replace macro rates_without(rates, others) as
   list_filter(rates, lambda r: not coalesce(list_bool_or([abs(o - r) <= r * 0.001 for o in others]), false));
 
+-- A temperature that was visited twice gives two scale factors: `visit` counts them, null where there is one. Without
+-- commanded temperatures a step of more than 5 degC between two rates begins a visit. Temperatures that change from rate
+-- to rate are no visits: each has three rates at least.
+create or replace view internal.visited_rate_points as
+with moved as (
+  select *, coalesce(temperature_command <> lag(temperature_command) over steps
+      or temperature_command is null and abs(temperature - lag(temperature) over steps) > 5, false) as moves
+  from internal.rate_points
+  window steps as (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit
+    order by "index")
+), stayed as (
+  select *, sum(moves::int) over (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit
+    order by "index" rows unbounded preceding) as stay
+  from moved
+), rated as (
+  select *,
+    count(distinct rate_command) filter (not at_rest)
+      over (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit, stay) as stay_rates,
+    count(distinct stay) over alike as stays,
+    dense_rank() over (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit,
+      temperature_command, room order by stay) as number
+  from stayed
+  window alike as (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit,
+    temperature_command, room)
+)
+select * exclude (moves, stay, stay_rates, stays, number),
+  case when stays > 1 and min(nullif(stay_rates, 0)) over test >= 3 then number end as visit
+from rated
+window test as (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit);
+
 create or replace view internal.scale_sets as
 with measured as (
   select
-    run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, output_unit,
+    run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, visit, output_unit,
     min(product) as product, min(station) as station, min(time_zone) as time_zone, bool_and(date_known) as date_known,
     min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns,
     coalesce(list({
@@ -26,8 +56,9 @@ with measured as (
     list({"index": "index", output: output, u: u, freedom: coalesce(freedom, 1)} order by "index")
       filter (at_rest) as rests,
     sum(n)::bigint as n
-  from internal.rate_points
+  from internal.visited_rate_points
   group by all
+  having visit is null or count(*) filter (not at_rest) > 0
 ), counted as (
   select *,
     distinct_rates([p.command for p in points if p.command > 0]) as forwards,
@@ -142,7 +173,7 @@ select *,
     as jjf1536_reason,
   {
     "procedure": "procedure", repeat: repeat, temperature_command: temperature_command, room: room, position: position,
-    axis: axis, phase: phase
+    axis: axis, phase: phase, visit: visit
   } as words
 from lacks;
 

@@ -3,15 +3,23 @@
 -- again (`again`) is a group of its own. Room temperature is the step that says so, else the one set nearest to 20
 -- degC (of two that are as near, the one measured first), at most 10 degC from it; points nearer to it than 1 degC are
 -- no points, their quotient would be noise.
+-- Steps that wait for the chamber, by their name, are no points where others measure.
+create or replace macro is_waiting_step(step) as
+  coalesce(regexp_matches(lower(step), '^(soak|ramp|heat|cool|warm|settl|stabili|transition|wait|保温|升温|降温|稳定|等待)'), false);
+
 create or replace view internal.bias_temperature_points as
-with placed as (
+with measuring as (
+  select *, is_waiting_step(step)
+    and bool_or(not is_waiting_step(step)) over (partition by run, unit, signal, "procedure") as waits
+  from internal.still_steps where phase is null and not turns
+), placed as (
   select *,
     -- what was set tells the room: a unit warms itself above it
     coalesce(temperature_command, temperature) as set_to,
     abs(coalesce(temperature_command, temperature) - 20) as from_20,
     count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     case when bool_and(repeat is not null) over test then repeat end as again
-  from internal.still_steps where phase is null and not turns
+  from measuring where not waits
   window test as (partition by run, unit, signal, "procedure")
 ), test as (
   select *,
@@ -45,7 +53,9 @@ with placed as (
     count(*) filter (is_point) over curve as points,
     (sum(n) over curve)::bigint as all_n,
     list("index") over (curve order by "index" rows between unbounded preceding and unbounded following) as all_steps,
-    bool_and(deg_per_h is not null) over curve as is_scaled
+    bool_and(deg_per_h is not null) over curve as is_scaled,
+    max(temperature_moved) over curve as moved,
+    nullif(count(*) filter (temperature_moved > 2) over curve, 0) as ramps
   from point
   window curve as (partition by run, unit, signal, "procedure", position, again)
 ), judged as (
@@ -66,6 +76,8 @@ with placed as (
 )
 select unit, signal, run, "procedure", position, again, "index", temperature, temperature_source, room_temperature,
   scale_source, points, all_n, all_steps, lack,
+  case when ramps is not null then format('the temperature moved within {} of the steps, by up to {:.1f} degC: the clauses ask '
+    'for a steady one (5.12.4.3 b)', ramps, moved) end as remark,
   (mean_deg_per_h - room_mean) / (temperature - room_temperature) as slope,
   sqrt(u_deg_per_h ** 2 + room_u ** 2) / abs(temperature - room_temperature) as u,
   (u_deg_per_h ** 2 + room_u ** 2) ** 2

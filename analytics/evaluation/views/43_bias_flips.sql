@@ -1,9 +1,21 @@
--- How the bias differs between +1 g and -1 g along an axis, half of it, deg/h/g: a row for each axis of a test, as it
+-- How the bias differs between +1 g and -1 g along an axis, half of it, deg/h/g: a row for each axis of a test and
+-- commanded temperature, as it
 -- was measured and, where the flipped axis is the input axis, without the Earth's rate, which flips with it. Across
 -- the input axis the flip leaves it level, and what the Earth's rate adds depends on a heading that no word tells.
+create or replace macro temperatures_remark(coldest, warmest) as
+  case when warmest - coldest > 2 then
+    format('steps from {:.1f} to {:.1f} degC are compared: what that does to the bias is in the value', coldest, warmest) end;
+
+-- What was commanded at some steps of a test counts for those that say nothing, where it is one temperature.
+create or replace macro temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat) as
+  coalesce(temperature_command, case when min(temperature_command) over (partition by run, unit, signal, "procedure", repeat)
+      = max(temperature_command) over (partition by run, unit, signal, "procedure", repeat)
+    then max(temperature_command) over (partition by run, unit, signal, "procedure", repeat) end);
+
 create or replace view internal.bias_flips as
 with flip as (
-  select *,
+  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
+      as temperature_command),
     coalesce(upper(axis), axis_in(position),
       case when regexp_matches(position, '^(IRA|vertical)_(up|down)$') then 'IRA' end, 'unnamed') as flipped,
     side_in(position) as g
@@ -12,7 +24,7 @@ with flip as (
     and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
       or "procedure" is null and regexp_matches(position, '^[XYZ]_(up|down)$'))
 ), side as (
-  select run, unit, signal, "procedure", repeat, flipped, g,
+  select run, unit, signal, "procedure", repeat, temperature_command, flipped, g,
     count(*) filter (n = 0 or deg_per_h is null) as unknown,
     any_value(unit_of_measure) as unit_of_measure, any_value(scale_source) as scale_source,
     any_value(latitude_deg) as latitude_deg, bool_and(deg_per_h is not null) as is_scaled,
@@ -20,16 +32,18 @@ with flip as (
     sqrt(sum(u_deg_per_h ** 2 order by "index")) / count(*) as u,
     sum(u_deg_per_h ** 2 order by "index") ** 2
       / nullif(sum(u_deg_per_h ** 4 / greatest(freedom, 1) order by "index"), 0) as freedom,
+    min(temperature) as coldest, max(temperature) as warmest,
     sum(n)::bigint as n, list("index" order by "index") as steps
   from flip where g is not null
   group by all
 ), pair as (
-  select run, unit, signal, "procedure", repeat, flipped as axis,
+  select run, unit, signal, "procedure", repeat, temperature_command, flipped as axis,
     (max(mean) filter (g = 1) - max(mean) filter (g = -1)) / 2 as half,
     sqrt(sum(u ** 2 order by g)) / 2 as u,
     sum(u ** 2 order by g) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by g), 0) as freedom,
     sum(n)::bigint as n, list_sort(flatten(list(steps order by g))) as steps,
     any_value(scale_source) as scale_source,
+    temperatures_remark(min(coldest), max(warmest)) as remark,
     case when flipped = 'IRA' or flipped = body_axis_of(signal)
       then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
     case
@@ -39,19 +53,19 @@ with flip as (
         || case when max(g) = 1 then 'up' else 'down' end || ', the clause asks for up and down'
     end as lack
   from side
-  group by run, unit, signal, "procedure", repeat, flipped
+  group by run, unit, signal, "procedure", repeat, temperature_command, flipped
 ), whole as (
   select *,
     list(axis) over test as axes,
     list(axis) filter (earth is null) over test as level
   from pair
-  window test as (partition by run, unit, signal, "procedure", repeat
+  window test as (partition by run, unit, signal, "procedure", repeat, temperature_command
     order by axis rows between unbounded preceding and unbounded following)
 )
-select run, unit, signal, "procedure", repeat, axis, axes, level, half, half as raw, u, freedom, n, steps, scale_source,
+select run, unit, signal, "procedure", repeat, temperature_command, remark, axis, axes, level, half, half as raw, u, freedom, n, steps, scale_source,
   lack, 'none' as earth_rate
 from whole
 union all
-select run, unit, signal, "procedure", repeat, axis, axes, level, half - coalesce(earth, 0), half, u, freedom, n,
+select run, unit, signal, "procedure", repeat, temperature_command, remark, axis, axes, level, half - coalesce(earth, 0), half, u, freedom, n,
   steps, scale_source, lack, 'removed'
 from whole where len(level) < len(axes) or level is null;

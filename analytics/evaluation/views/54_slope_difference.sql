@@ -25,3 +25,25 @@ create or replace macro welch_freedom(u_a, freedom_a, u_b, freedom_b) as
   case when u_a > 0 or u_b > 0
     then (u_a ** 2 + u_b ** 2) ** 2 / (u_a ** 4 / greatest(freedom_a, 1) + u_b ** 4 / greatest(freedom_b, 1))
     else 1e9 end;
+
+-- The mean of several lines, point by point where they have the same rates; else without points, so that
+-- `slope_difference` takes their uncertainties.
+create or replace macro mean_line(lines) as
+  case when len(lines) <= 1 then lines[1] else
+    list_transform([{
+        same: list_bool_and([[round(p.command, 9) for p in each.points] = [round(p.command, 9) for p in lines[1].points]
+          for each in lines]),
+        places: range(1, len(lines[1].points) + 1)
+      }],
+      lambda all_: struct_pack(
+        k := list_avg([each.k for each in lines]),
+        u_k := sqrt(list_sum([each.u_k ** 2 for each in lines])) / len(lines),
+        freedom_k := list_sum([each.u_k ** 2 for each in lines]) ** 2
+          / nullif(list_sum([each.u_k ** 4 / greatest(each.freedom_k, 1) for each in lines]), 0),
+        residuals := [list_avg([each.residuals[i] for each in lines]) for i in all_.places if all_.same],
+        slope_weights := lines[1].slope_weights,
+        u := [sqrt(list_sum([each.u[i] ** 2 for each in lines])) / len(lines) for i in all_.places if all_.same],
+        freedoms := [list_min([each.freedoms[i] for each in lines]) for i in all_.places if all_.same],
+        points := if(all_.same, lines[1].points, lines[1].points[1:0]),
+        temperature := list_avg([each.temperature for each in lines])))[1]
+  end;

@@ -1,31 +1,46 @@
 -- How far the input axis is off towards each mounting axis: one row for each position in which ox or oy was up, across
 -- the table, with both directions. delta = (F+ - F-)/(2 K Omega): erratum, GJB 2426A (47)(48) multiply by K. The
 -- table's rates are the measured ones where they were. `turned` tells the positions in which the unit was turned 180
--- deg about the IRA.
+-- deg about the IRA. A direction that was measured several times is the mean of them, with their scatter.
+create or replace macro mean_turn(turns) as
+  case when turns is not null then list_transform(list_transform([{
+      n: len(turns), output: list_avg([e.output for e in turns]), rate: list_avg([e.rate for e in turns]),
+      own: list_sum([e.u ** 2 for e in turns]) / len(turns) ** 2,
+      own_freedom: list_sum([e.u ** 2 for e in turns]) ** 2
+        / nullif(list_sum([e.u ** 4 / greatest(e.freedom, 1) for e in turns]), 0)
+    }],
+    lambda q_: struct_insert(q_, seen := case when q_.n > 1
+      then list_sum([(e.output - q_.output) ** 2 for e in turns]) / (q_.n * (q_.n - 1)) end)),
+    lambda q_: {output: q_.output, rate: q_.rate, n: q_.n,
+      u: case when list_count([e.u for e in turns]) = q_.n then sqrt(greatest(q_.own, coalesce(q_.seen, 0))) end,
+      freedom: case when q_.seen > q_.own then q_.n - 1 else coalesce(q_.own_freedom, 1e9) end})[1] end;
+
 create or replace view internal.misalignment_angles as
 with placed as (
-  select *, lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
+  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
+      as temperature_command), lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
     regexp_matches(position, '_down$|turned_180$') as turned
   from rate_steps
   where n > 0 and rate_command <> 0 and frequency is null
     and regexp_matches(position, '^[Oo][XxYy]_(up|down|up_turned_180)$')
 ), directed as (
-  select run, unit, signal, "procedure", repeat, mounting_axis, turned,
-    list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
-      freedom: freedom} order by "index") filter (rate_command > 0) as forwards,
-    list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
-      freedom: freedom} order by "index") filter (rate_command < 0) as backwards,
+  select run, unit, signal, "procedure", repeat, temperature_command, mounting_axis, turned,
+    mean_turn(list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
+      freedom: freedom} order by "index") filter (rate_command > 0)) as forwards,
+    mean_turn(list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
+      freedom: freedom} order by "index") filter (rate_command < 0)) as backwards,
     min(position) as position, bool_and(deg_per_h is not null) as is_scaled, min(scale_source) as scale_source,
     min(unit_of_measure) as unit_of_measure, max(abs(rate_command)) as rate,
     min(t_from_ns) as t_from_ns, min(station) as station, min(time_zone) as time_zone,
     bool_and(date_known) as date_known,
+    min(temperature) as coldest, max(temperature) as warmest,
     sum(n)::bigint as n, list("index" order by "index") as steps
   from placed group by all
 )
 select * exclude (forwards, backwards),
-  (forwards[1].output - backwards[1].output) / (forwards[1].rate - backwards[1].rate) as delta,
-  sqrt(forwards[1].u ** 2 + backwards[1].u ** 2) / (forwards[1].rate - backwards[1].rate) as u,
-  welch_freedom(forwards[1].u, forwards[1].freedom, backwards[1].u, backwards[1].freedom) as freedom,
+  (forwards.output - backwards.output) / (forwards.rate - backwards.rate) as delta,
+  sqrt(forwards.u ** 2 + backwards.u ** 2) / (forwards.rate - backwards.rate) as u,
+  welch_freedom(forwards.u, forwards.freedom, backwards.u, backwards.freedom) as freedom,
   case
     when not is_scaled then no_scale_factor(unit_of_measure)
     when forwards is null or backwards is null then 'position ' || position || ': measured in one direction only'
@@ -37,7 +52,7 @@ from directed;
 -- GJB (50), the root of the sum of all four squares, cancels nothing; not offered.
 create or replace view internal.misalignments as
 with paired as (
-  select run, unit, signal, "procedure", repeat, min(scale_source) as scale_source, max(rate) as rate,
+  select run, unit, signal, "procedure", repeat, temperature_command, min(scale_source) as scale_source, max(rate) as rate,
     max(delta) filter (mounting_axis = 'x' and not turned) as x,
     max(delta) filter (mounting_axis = 'y' and not turned) as y,
     max(delta) filter (mounting_axis = 'x' and turned) as x_turned,
@@ -54,7 +69,7 @@ with paired as (
     min(t_from_ns) as t_from_ns, min(station) as station, min(time_zone) as time_zone,
     bool_and(date_known) as date_known,
     sum(n)::bigint as n, list_sort(flatten(list(steps order by mounting_axis, turned))) as steps
-  from internal.misalignment_angles group by run, unit, signal, "procedure", repeat
+  from internal.misalignment_angles group by run, unit, signal, "procedure", repeat, temperature_command
 ), counted as (
   select *, unnest(list_filter([2, 4], lambda p: (p = 2 and is_two) or (p = 4 and is_four))) as positions from paired
 ), angled as (

@@ -7,7 +7,8 @@ with zero as (
   from internal.bias_steps where lack is null and earth_deg_per_h is not null
 ), test as (
   select *, coalesce(abs(rate_command), 0) > 0 as is_rate,
-    t_from_ns - coalesce(round(time_since_power_on_s * 1e9)::bigint, 0) as on_ns
+    -- what a step leaves out to settle is what is measured here
+    coalesce(t_from_ns - round(time_since_power_on_s * 1e9)::bigint, t_start_ns) as on_ns
   from rate_steps where regexp_matches("procedure", of_procedure)
 )
 select s.unit, s.signal, s.run, s."index", s.position, s.rate_command, s.is_rate, s.on_ns, s.t_to_ns, s.n, s.product,

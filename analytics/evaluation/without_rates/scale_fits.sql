@@ -3,7 +3,7 @@
 
 create or replace table internal.scale_fits (
   "run" varchar, "unit" varchar, "signal" varchar, "procedure" varchar, "repeat" bigint, "temperature_command"
-  double, "room" boolean, "position" varchar, "axis" varchar, "phase" varchar, "output_unit" varchar, "product"
+  double, "room" boolean, "position" varchar, "axis" varchar, "phase" varchar, "visit" bigint, "output_unit" varchar, "product"
   varchar, "station" varchar, "time_zone" varchar, "date_known" boolean, "t_from_ns" bigint, "t_to_ns" bigint,
   "rests" struct("index" bigint, output double, u double, freedom double)[], "n" bigint, "forwards" double[],
   "backwards" double[], "rest_before" struct("index" bigint, output double, u double, freedom double), "rest_after"
@@ -21,5 +21,5 @@ create or replace table internal.scale_fits (
   double, "k_unit" varchar, "lack_of_answer" varchar, "remark_on_points" varchar, "gjb_directions" varchar, "jjf_directions" varchar,
   "lack_of_range" varchar, "lack_of_rest" varchar, "jjf1536_lack" varchar, "jjf1536_remark" varchar, "gjb_reason"
   varchar, "jjf_reason" varchar, "jjf1536_reason" varchar, "words" struct("procedure" varchar, repeat bigint,
-  temperature_command double, room boolean, "position" varchar, axis varchar, phase varchar)
+  temperature_command double, room boolean, "position" varchar, axis varchar, phase varchar, visit bigint)
 );
