@@ -175,3 +175,18 @@ def test_entered_checks(tested: Any) -> None:
     assert (row["value"], row["unit_of_measure"], row["lower"], row["verdict"]) == (120.0, "megaohm", 100.0, "PASS")
     assert one(electrical, item="dielectric_strength")["value"] == 1.0
     assert len(electrical) == 2
+
+
+def test_without_a_power_on_the_step_begins_the_time_also_where_it_settles(tested: Any) -> None:
+    rng = np.random.default_rng(22)
+    tested.product(SPECIFICATION)
+    tested.run("r1", procedure="startup_time")
+    tested.mount("r1", "U1", product="FOG-70")
+    output = starting(rng, 100.0, BIAS + UP)
+    tested.step(
+        "r1", "U1", output, t0_ns=START_NS, dt_ns=DT_NS, procedure="startup_time", position="IRA_up", settle_s=2.0
+    )
+    row = one(tested.metric("startup_time"), test="position IRA_up")
+    expected = last_outside(output, output[-N // 4 :].mean()) - AFTER_NS / SECOND_NS
+    assert row["value"] == pytest.approx(expected, abs=0.5)
+    assert row["counted_from"] == "step start"
