@@ -1,5 +1,6 @@
 """Base class of SCPI instruments: commands by name, limits, and settling."""
 
+import math
 from collections.abc import Mapping
 from string import Formatter
 from typing import Any, ClassVar
@@ -10,6 +11,7 @@ from ingest.instruments.base import NOTHING, Instrument, Reading
 from ingest.instruments.scpi import NUMBER, ScpiConnection, ScpiOptions, checked_pattern
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
+from stream.quantities import check_unit
 
 
 class Settling:
@@ -20,6 +22,12 @@ class Settling:
     [False, False, False, True]
     >>> settling.update(100 * 10**9, 40.6), settling.update(110 * 10**9, 40.0), settling.update(170 * 10**9, 40.0)
     (False, False, True)
+
+    Once it has settled, `departure` is how far it is off where three measurements in a row were off by more than twice
+    the band; 0 otherwise.
+
+    >>> [settling.update(180 * 10**9, 90.0) for _ in range(3)][-1], settling.departure, settling.text("degC")
+    (False, 50.0, '90 degC measured, 40 +-0.5 degC set')
     """
 
     def __init__(self, target: float, band: float, stable_s: float) -> None:
@@ -28,16 +36,34 @@ class Settling:
         self._target, self._band = target, band
         self._stable_ns = round(stable_s * 1e9)
         self._since_ns: int | None = None
+        self._has_settled = False
+        self._measured = math.nan
+        self._far = 0  # measurements in a row
 
     def update(self, t_ns: int, value: float) -> bool:
         """Take a measurement; whether it is settled."""
+        self._measured = value
+        self._far = 0 if abs(value - self._target) <= 2.0 * self._band else self._far + 1
         if not abs(value - self._target) <= self._band:
             self._since_ns = None
             return False
         self._since_ns = t_ns if self._since_ns is None else self._since_ns
-        return t_ns - self._since_ns >= self._stable_ns
+        is_settled = t_ns - self._since_ns >= self._stable_ns
+        self._has_settled = self._has_settled or is_settled
+        return is_settled
+
+    @property
+    def departure(self) -> float:
+        """How far what had settled is off now."""
+        return abs(self._measured - self._target) if self._has_settled and self._far >= _FAR_IN_A_ROW else 0.0
+
+    def text(self, unit: str) -> str:
+        """What is measured and what is set."""
+        measured = "nothing" if math.isnan(self._measured) else f"{self._measured:.6g} {unit}"
+        return f"{measured} measured, {self._target:g} +-{self._band:g} {unit} set"
 
 
+_FAR_IN_A_ROW = 3
 _ABSOLUTE_ZERO_DEG_C = -273.15
 
 
@@ -63,11 +89,30 @@ class ScpiInstrument(Instrument):
         self._patterns = {name: checked_pattern(f"{self.who}: answer {name}", each) for name, each in answers.items()}
         self._settling: dict[str, Settling] = {}
         self.connection = ScpiConnection(self.who, options, clock, self.prepare)
+        self._check_names()
         for what in self.settings:
             low, high = self.limits(what)
             if not low <= high:
                 raise BadInput(f"{self.who}: {what} from {low:g} to {high:g} {self.settings[what]} is an empty range")
             self.settling(what, high)
+
+    def _check_names(self) -> None:
+        """BadInput where the class names a command that it does not have, or a unit that there is not."""
+        wanted = {f"setting {what}": self._set_by[what] for what in self.settings}
+        wanted |= {f"measuring {what}": query for what, query in self._settled_by.items()}
+        wanted |= {f"signal {signal}": query for signal, query in self.measured_by.items()}
+        for what, command in wanted.items():
+            if command not in self.commands:
+                raise BadInput(
+                    f"{self.who}: {what} is done by {command!r}, which is not one of its commands: "
+                    f"{', '.join(self.commands) or 'it has none'}"
+                )
+        for unit in (*self.settings.values(), *self.signals.values()):
+            check_unit(unit)
+
+    def settling_of(self, what: str) -> Settling | None:
+        """How a setting does that was commanded and is measured; None of others."""
+        return self._settling.get(what)
 
     def open(self) -> str:
         """Connect; returns the answer to ``*IDN?``."""
@@ -82,11 +127,11 @@ class ScpiInstrument(Instrument):
 
     def limits(self, what: str) -> tuple[float, float]:
         """Lowest and highest value of a setting, in its unit."""
-        raise NotImplementedError
+        raise BadInput(f"{self.who}: its class does not say within which limits {what} may be set; define `limits`")
 
     def settling(self, what: str, value: float) -> Settling:
         """Criterion by which a setting has settled."""
-        raise NotImplementedError
+        raise BadInput(f"{self.who}: its class does not say when {what} of {value:g} has settled; define `settling`")
 
     def set(self, what: str, value: float) -> None:
         """Command a setting; a value beyond its limits is not sent."""

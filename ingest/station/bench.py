@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 
 from ingest.instruments.base import Instrument
-from ingest.instruments.scpi_instrument import ScpiInstrument
+from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 from ingest.procedures.procedure import Procedure
 from ingest.station.station import Station
 from stream.errors import BadInput, InstrumentError
@@ -74,6 +74,31 @@ class StationBench:
                 with instrument.lock:
                     instrument.carry(position)
         return True
+
+    def settling(self, what: str) -> str:
+        """What is measured and set of a setting; empty where its instrument does not say."""
+        found, unit = self._settling_of(what)
+        return "" if found is None else found.text(unit)
+
+    def departures(self, but: Collection[str] = ()) -> dict[str, tuple[float, str]]:
+        """Settings that had settled and are off now: how far, and what is measured; not those of some supplies."""
+        found = {what: self._settling_of(what) for what, name in self._station.settings.items() if name not in but}
+        return {
+            what: (settling.departure, settling.text(unit))
+            for what, (settling, unit) in found.items()
+            if settling is not None and settling.departure
+        }
+
+    def left_as_they_are(self) -> list[str]:
+        """Instruments with settings that nothing brings to a safe state."""
+        default = Instrument.make_safe
+        return [name for name, each in self._instruments.items() if each.settings and type(each).make_safe is default]
+
+    def _settling_of(self, what: str) -> tuple[Settling | None, str]:
+        instrument = self._instruments[self._station.settings[what]]
+        if not isinstance(instrument, ScpiInstrument):
+            return None, ""
+        return instrument.settling_of(what), instrument.settings[what]
 
     def is_settled(self, what: str) -> bool:
         """Whether a setting is reached."""

@@ -17,6 +17,7 @@ from stream.errors import InstrumentError, RunAborted
 
 _LOOK_S = 0.05
 _SAVE_EVERY_S = 5.0
+_LONG_S = 3600.0  # at the station; then what settles is reported
 _ASK_SETTLED_S = 1.0  # at the station
 _RETRY_S = 2.0
 _ARRIVE_S = 2.0  # how long the last samples of a step may take to come
@@ -86,6 +87,8 @@ class StationRun:
         active: list[RunSource] = []
         outcome = "interrupted"
         try:
+            for name in self._bench.left_as_they_are():
+                self.report(f"warning: {name} has settings and no safe state: it is left as it is when the run ends")
             for sampler in samplers:
                 sampler.start()
             self._power_up()
@@ -161,7 +164,10 @@ class StationRun:
             self._until(step, doing, is_set, self._settle_timeout_s)
         # what was set before an interruption has to be reached again
         for what in dict.fromkeys([*(each for each in due if each not in step.settings), *step.wait_settled]):
-            self._until(step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s)
+            self._until(
+                step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s,
+                about=partial(self._bench.settling, what),
+            )  # fmt: skip
         if step.power in {"cycle", "on"}:
             self._until(step, "switching on", partial(self._bench.switch, 1.0, self._idle()), self._settle_timeout_s)
             self._log.power_on()
@@ -173,8 +179,14 @@ class StationRun:
             self._on_record(since_ns)
             # what settles is in the data, and dropped when the step is evaluated
             end_ns = since_ns + round(step.record_s * 1e9)
-            is_over = lambda: self._clock.now_ns() >= end_ns or self._is_released(step, since_ns)  # noqa: E731
+            off: dict[str, float] = {}
+
+            def is_over() -> bool:
+                self._watch(step, off)
+                return self._clock.now_ns() >= end_ns or self._is_released(step, since_ns)
+
             self._until(step, "recording", is_over, None)
+            self._report_departures(step, off)
             if not self._log.units_left:
                 self.report("every unit is decided: the record ends early")
                 self._log.pass_step()
@@ -184,6 +196,21 @@ class StationRun:
         else:
             self._pause(step, "settling", step.settle_s)
             self._log.pass_step()
+
+    def _watch(self, step: PlannedStep, off: dict[str, float]) -> None:
+        """Report a setting that leaves its band while a step records; `off` keeps the largest departure of each."""
+        for what, (departure, text) in self._bench.departures(self._idle()).items():
+            if what not in off:
+                self.report(f"warning: {self._named(step)}: {what} has left its band: {text}; the record goes on")
+            off[what] = max(departure, off.get(what, 0.0))
+
+    def _report_departures(self, step: PlannedStep, off: Mapping[str, float]) -> None:
+        for what, departure in off.items():
+            self.report(f"warning: {self._named(step)}: {what} was off by up to {departure:.4g} during the record")
+
+    @staticmethod
+    def _named(step: PlannedStep) -> str:
+        return f"step {step.number} ({step.words.step or step.words.procedure})"
 
     def _is_released(self, step: PlannedStep, since_ns: int) -> bool:
         """Release the units that are decided; whether none is left. Raises InstrumentError if a supply fails."""
@@ -235,10 +262,14 @@ class StationRun:
         timeout_s: float | None,
         *,
         is_recorded: bool = False,
+        about: Callable[[], str] = lambda: "",
     ) -> None:
-        """Wait until `is_so`; an instrument that fails meanwhile is tried again for as long."""
+        """Wait until `is_so`; an instrument that fails meanwhile is tried again for as long.
+
+        `about` says more of what is waited for: it is shown, and reported where that takes an hour, two, four.
+        """
         began_ns = self._clock.now_ns()
-        asked_ns = 0
+        asked_ns, report_s = 0, _LONG_S
         trouble = ""
         while True:
             before_ns = self._clock.now_ns()
@@ -260,10 +291,16 @@ class StationRun:
                 named = step.words.step or step.words.procedure
                 raise RunStopped(
                     f"run {self._log.state.run}, step {step.number} ({named}): {doing} is not done after "
-                    f"{passed_s:,.0f} s{trouble}; the station was made safe"
+                    f"{passed_s:,.0f} s{f' ({more})' if (more := about()) else ''}{trouble}; the station was made safe"
                 )
-            left_s = sum(map(lasts_s, self._steps[self._log.state.step + is_recorded :])) - passed_s
-            self._operator.at(step, doing, max(0.0, left_s))
+            more = about()
+            if more and passed_s > report_s:
+                self.report(f"{self._named(step)}: {doing} for {passed_s / 3600.0:.1f} h: {more}{trouble}")
+                report_s *= 2.0
+            # what settles takes no time of the plan
+            left_s = sum(map(lasts_s, self._steps[self._log.state.step + is_recorded :]))
+            left_s -= passed_s if timeout_s is None else 0.0
+            self._operator.at(step, f"{doing} ({more})" if more else doing, max(0.0, left_s))
             self._mark_seen()
             time.sleep(_LOOK_S)
 
