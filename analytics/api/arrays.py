@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     import polars as pl
 
 _PIECE_SAMPLES = 1_000_000
+_OFF_GRID = 0.5  # of an interval
+_NO_NUMBERS = {"M": "times", "m": "durations", "b": "true and false", "U": "texts", "S": "texts"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +112,7 @@ def allan_deviation(
     """
     row = _row_of(values)
     interval_ns = _interval_ns(rate_hz)
+    _check_index(values, rate_hz)
     if not isinstance(unit_of_measure, str):
         raise BadInput(f"unit_of_measure is {unit_of_measure!r}, expected a text such as deg/s")
     if not isinstance(points_per_octave, int | np.integer):
@@ -186,12 +189,35 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
     return msgspec.structs.replace(found, **bounds)
 
 
+def _check_index(values: object, rate_hz: float) -> None:
+    """BadInput where a series of pandas has times that are not `rate_hz` apart: its values alone would not show it."""
+    index = getattr(values, "index", None)
+    times = np.asarray(index) if index is not None and not callable(index) else np.empty(0)
+    if times.dtype.kind not in "mM" or times.size < 2:
+        return
+    steps_s = np.diff(times).astype("timedelta64[ns]").astype(np.int64) / 1e9
+    is_apart = np.isclose(steps_s * rate_hz, 1.0, rtol=0.0, atol=_OFF_GRID)
+    if not is_apart.all():
+        at = int(np.flatnonzero(~is_apart)[0])
+        raise BadInput(
+            f"the index has {steps_s[at]:g} s between samples {at} and {at + 1}, and rate_hz={rate_hz:g} says "
+            f"{1.0 / rate_hz:g} s: sort it, fill what is missing with NaN (series.asfreq), or give the values alone "
+            "(series.to_numpy())"
+        )
+
+
 def _row_of(values: npt.ArrayLike) -> FloatArray:
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float64), np.nan)
     found = np.asarray(values)
     if np.iscomplexobj(found):
         raise BadInput("values are complex numbers: one real number a sample is expected")
+    is_other = found.dtype.kind in _NO_NUMBERS or (
+        found.dtype.kind == "O" and any(isinstance(e, str) for e in found.flat)
+    )
+    if is_other or values is None:
+        what = "nothing" if values is None else _NO_NUMBERS.get(found.dtype.kind, "texts")
+        raise BadInput(f"values are {what}: one number a sample is expected")
     try:
         row = np.ascontiguousarray(found, np.float64)
     except (TypeError, ValueError) as error:

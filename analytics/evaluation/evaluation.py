@@ -8,6 +8,7 @@ from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
 
+import duckdb
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -16,15 +17,17 @@ from analytics.evaluation.type_b import COVERAGE, UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
 from analytics.metric_registry.registry import BoundsSource, Metric, parameters_text
 from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
-from storage.sql.catalog import Catalog
+from storage.sql.catalog import Catalog, NotKept
 from storage.sql.deferred import words_of
 from storage.sql.parquet_content import ParquetContent
 from stream.decoding import decode_json
-from stream.errors import UnknownUnit
+from stream.errors import GyrofleetError, QueryError, UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 _TOO_LITTLE = "the steps hold too little to compute it"
 _WITH_TEXT = "select * replace (to_json(parameters)::varchar as parameters) from ({})"
+_OF_THE_COMPUTER = (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.InterruptException, duckdb.FatalException)
+_CONTRADICTS = "its interval does not contain the value: the definition of the metric is wrong"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
 _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_uncertainty", "freedom")
@@ -162,6 +165,24 @@ def columns_of(catalog: Catalog, metric: Metric) -> tuple[pa.Table, dict[str, pa
 
 
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:
+    """Rows of a metric as `_computed` has them; an error of its own statement or function names it."""
+    try:
+        return _computed(catalog, metric)
+    except (GyrofleetError, NotKept, MemoryError, OSError, *_OF_THE_COMPUTER) as error:
+        if isinstance(error, QueryError):
+            raise _own_error(metric, str(error).partition(" (views: ")[0]) from error
+        raise
+    except Exception as error:
+        raise _own_error(metric, f"{type(error).__name__}: {error}") from error
+
+
+def _own_error(metric: Metric, what: str) -> QueryError:
+    place = f"analytics/metrics/{metric.header.id}.sql"
+    function = f" ({metric.header.python})" if metric.header.python else ""
+    return QueryError(f"metric {metric.header.id} cannot be computed: {what}; its definition is {place}{function}")
+
+
+def _computed(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric's statement or function, before the columns that all metrics share are filled in."""
     if not metric.header.python:
         return catalog.table(_WITH_TEXT.format(metric.sql))
@@ -199,6 +220,12 @@ def _add_bounds(columns: dict[str, pa.Array], source: BoundsSource) -> None:
         degrees = np.nan_to_num(freedom, nan=1.0)
         lo, hi = chi_square_bounds(value, degrees)
         u = np.where(np.isnan(u), deviation_uncertainty(value, degrees), u)
+    # a statement that gives its own bounds can be wrong; what is judged by them would be too
+    margin = 1e-9 * np.abs(value)
+    wrong = ~missing & ((lo > value + margin) | (hi < value - margin))
+    if wrong.any():
+        columns["reason"] = pc.if_else(pa.array(wrong), _CONTRADICTS, columns["reason"])
+        missing = missing | wrong
     for name, array in (("value", value), ("lo", lo), ("hi", hi), ("standard_uncertainty", u)):
         columns[name] = pa.array(array, pa.float64(), mask=missing | ~np.isfinite(array))
     columns["freedom"] = pa.array(freedom, pa.float64(), mask=~np.isfinite(freedom))

@@ -120,12 +120,17 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
     if unmet:
         raise BadInput(f"procedure {found.name} cannot be done at this station: {'; '.join(unmet)}")
     needed = found.requirements(given)
+    recorded = sum(each.is_recorded for each in steps)
     if as_json:
-        about = {"procedure": found.name, "steps": len(steps), "requirements": needed}
+        about = {"procedure": found.name, "steps": len(steps), "recorded_steps": recorded, "requirements": needed}
         print_json({**about, "station_checked": settings is not None or station is not None})
         return
     needs = "; ".join(f"{each.setting} {each.least:g} to {each.most:g} {each.unit}" for each in needed) or "nothing"
     results().print(f"{found.name}: {len(steps)} steps, in order. It sets: {needs}.")
+    if not recorded:
+        from ingest.procedures.run_steps import NOTHING_RECORDED
+
+        notes().print(NOTHING_RECORDED)
     if settings is None and station is None:
         notes().print("Whether a station can do it was not checked; give --station or --settings.")
 

@@ -15,7 +15,7 @@ import msgspec
 from ingest.instruments.base import Instrument
 from ingest.procedures.plan import PlannedStep
 from ingest.procedures.procedure import Procedure, load_procedure
-from ingest.procedures.run_steps import resume_index
+from ingest.procedures.run_steps import NOTHING_RECORDED, resume_index
 from ingest.run import run_path
 from ingest.run.command_boxes import command_box
 from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
@@ -123,7 +123,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         stack.enter_context(served(asked.status_listen, collect))
         stack.enter_context(StatusReporter(collect, path.put_status))
         operator.watch(trouble.look)
-        for remark in (*limits.remarks, *(releases.remarks() if releases else ())):
+        nothing = () if any(each.is_recorded for each in job.steps) else (f"warning: {NOTHING_RECORDED}",)
+        for remark in (*nothing, *limits.remarks, *(releases.remarks() if releases else ())):
             operator.report(remark)
         log.begin(
             path.sender, mounted_documents(job.entries, run, log.state.t0_ns),

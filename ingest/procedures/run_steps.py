@@ -7,6 +7,8 @@ import msgspec
 from ingest.procedures.plan import ENDS, PlannedStep
 from stream.errors import BadInput
 
+NOTHING_RECORDED = "This procedure records nothing: none of its steps has a record_s above 0."
+
 
 def resume_index(steps: Sequence[PlannedStep], at: int) -> int:
     """Index of the step at which a run resumes that was interrupted in the step `at`.

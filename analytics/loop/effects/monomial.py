@@ -99,6 +99,15 @@ def _moment(channel: Channel, reference: float, power: int) -> FloatArray:
     return np.asarray(mean**3 + 3.0 * mean * channel.spread**2)
 
 
+def is_linear(effect: Monomial) -> bool:
+    """Whether an effect is proportional to one channel, without a parameter.
+
+    >>> is_linear(channel_linear("pressure"))
+    True
+    """
+    return list(effect.powers.values()) == [1] and not effect.parameters
+
+
 def channel_linear(channel: str) -> Monomial:
     """Linear effect of one channel, named ``channel:NAME``; for the channels without a standard name."""
     en, zh = channel_name(channel)

@@ -12,7 +12,7 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS, RunBlocks
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.events import TURN_ON, TurnOnScatter
-from analytics.loop.effects.monomial import PREFIX, channel_linear
+from analytics.loop.effects.monomial import PREFIX, Monomial, channel_linear, is_linear
 from stream.errors import BadInput
 
 _PACKAGE = __name__.rpartition(".")[0]
@@ -22,8 +22,17 @@ _PACKAGE = __name__.rpartition(".")[0]
 def effects() -> Mapping[str, Effect]:
     """Every effect of the library by its name, in the order of names."""
     package = importlib.import_module(_PACKAGE)
-    found = [each for module in pkgutil.iter_modules(package.__path__) for each in _effects_in(module.name)]
-    return MappingProxyType({each.name: each for each in sorted(found, key=lambda each: each.name)})
+    found: dict[str, Effect] = {}
+    places: dict[str, str] = {}
+    for module in pkgutil.iter_modules(package.__path__):
+        for each in _effects_in(module.name):
+            if each.name in found:
+                raise BadInput(
+                    f"effect {each.name!r} is in {places[each.name]}.py and in {module.name}.py of "
+                    "analytics/loop/effects: give one of them another name"
+                )
+            found[each.name], places[each.name] = each, module.name
+    return MappingProxyType(dict(sorted(found.items())))
 
 
 def _effects_in(module: str) -> Iterator[Effect]:
@@ -78,4 +87,6 @@ def _candidates(runs: Sequence[RunBlocks]) -> dict[str, Effect]:
     others = present - set(STANDARD_CHANNELS)
     if "temperature" not in present:
         others |= present & {"case_temperature"}  # else it is temperature and temperature_gradient together
-    return {**effects(), **{each.name: each for each in map(channel_linear, sorted(others))}}
+    # the same column twice could not be told apart by any test
+    named = {next(iter(each.powers)) for each in effects().values() if isinstance(each, Monomial) and is_linear(each)}
+    return {**effects(), **{each.name: each for each in map(channel_linear, sorted(others - named))}}

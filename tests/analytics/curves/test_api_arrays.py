@@ -74,13 +74,17 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([], {}, NotEnoughData, "0 seen"),
     ([np.nan] * 10, {}, NotEnoughData, "seen"),
     ([[1.0, 2.0]], {}, BadInput, r"shape \(1, 2\)"),
-    (["a"], {}, BadInput, "not numbers"),
+    (["a"], {}, BadInput, "texts: one number a sample"),
     ([1.0, 2.0, 3.0], {"rate_hz": 0.0}, BadInput, "rate_hz is 0"),
     ([1.0, 2.0, 3.0], {"rate_hz": 1e-12}, BadInput, "from 3.5e-09 to 1e9"),
     ([1.0, 2.0, 3.0], {"rate_hz": "10"}, BadInput, "rate_hz is '10'"),
     ([1.0, 2.0, 3.0], {"points_per_octave": 3}, BadInput, "1, 2, 4 or 8"),
     ([1.0, np.inf, 3.0], {}, BadInput, "value 1 is infinite"),
     ([1.0, 2.0j, 3.0], {}, BadInput, "complex"),
+    (np.arange(3).astype("datetime64[s]"), {}, BadInput, "values are times"),
+    ([True, False, True], {}, BadInput, "true and false"),
+    (["1", "2", "3"], {}, BadInput, "texts"),
+    (None, {}, BadInput, "values are nothing"),
     ([1.0, 2.0, 3.0], {"rate_hz": float("nan")}, BadInput, "rate_hz is nan"),
     ([1.0, 2.0, 3.0], {"deviation": "tdev"}, BadInput, "choose one of"),
     ([1.0, 2.0, 3.0], {"unit_of_measure": "parsnips"}, BadInput, "parsnips"),
@@ -140,3 +144,15 @@ def test_a_term_that_is_not_observable_has_a_bound_and_no_value() -> None:
     assert not fit.rate_ramp.observable
     assert np.isnan(fit.rate_ramp.value)
     assert fit.rate_ramp.hi > 0.0
+
+
+def test_a_series_whose_times_are_not_the_rate_is_refused() -> None:
+    """The samples alone do not show a gap, another order or another rate."""
+    pd = pytest.importorskip("pandas")
+    values = np.random.default_rng(1).normal(size=1000)
+    series = pd.Series(values, index=pd.date_range("2026-01-01", periods=1000, freq="10ms"))
+    assert gf.allan_deviation(series, 100.0).deviation[0] == gf.allan_deviation(values, 100.0).deviation[0]
+    for wrong, rate_hz in ((series, 1.0), (series.drop(series.index[10:20]), 100.0), (series.iloc[::-1], 100.0)):
+        with pytest.raises(BadInput, match="the index has"):
+            gf.allan_deviation(wrong, rate_hz)
+    assert gf.allan_deviation(series.drop(series.index[10:20]).asfreq("10ms"), 100.0).n[0] < 999
