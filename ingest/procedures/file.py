@@ -155,7 +155,9 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
     try:
         parsed = decode_toml(text, ProcedureFile)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise BadInput(f"{source}: {error}{_near_key(str(error))}") from error
+        if "codec can't decode" in str(error):
+            raise BadInput(f"{source}: it is not text in UTF-8 ({error}); save it in that encoding") from error
+        raise BadInput(f"{source}: {error}{_near_key(str(error))}{_brackets(str(error))}") from error
     try:
         check_name("procedure", parsed.name)
     except BadInput as error:
@@ -182,7 +184,14 @@ def _near_key(message: str) -> str:
         return ""
     keys = re.findall(r"[a-z_]+", found[2] or "")
     kind = next((_KINDS[key] for key in reversed(keys) if key in _KINDS), ProcedureFile)
-    return near_name(found[1], [field.encode_name for field in msgspec.structs.fields(kind)])
+    known = [field.encode_name for field in msgspec.structs.fields(kind)]
+    return near_name(found[1], known) or f"; there are {', '.join(known)}"
+
+
+def _brackets(message: str) -> str:
+    """What to write for a table that is to be one of several."""
+    found = re.fullmatch(r"Expected `array`, got `object` - at `\$\.((?:step(?:\[\d+\])?\.?)+)`", message)
+    return f"; write [[{re.sub(r'[^a-z.]', '', found[1])}]], with two brackets, also for one" if found else ""
 
 
 def check_value(parameter: Parameter, value: float | str, where: str) -> None:

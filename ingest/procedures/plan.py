@@ -83,15 +83,21 @@ class Planner:
         """All steps."""
         for i, item in enumerate(used.items):
             part = item.name or item.use or (f"for {item.over}" if item.over is not None else "repeats")
-            self._item(item, used, f"$.step[{i}]", dict(variables), {}, part)
+            self._item(item, used, f"$.step[{i}]", dict(variables), {}, part, frozenset())
         return tuple(self._steps)
 
     def _item(
         self, item: Item, used: Used, key: str, variables: dict[str, Scalar | tuple[Scalar, ...]],
-        inherited: dict[str, object], part: str,
+        inherited: dict[str, object], part: str, loops: frozenset[str],
     ) -> None:  # fmt: skip
+        """Plan an item within the `loops` of its own file."""
         where = f"{used.source}: {key}"
         check_form(item, where)
+        if item.over in loops:
+            raise BadInput(
+                f"{where}.for: {item.over!r} is the variable of a loop around this one; give it another name"
+            )
+        loops = loops | ({item.over} if item.over is not None else frozenset())
         if item.use is None and not item.items:
             self._step(item, where, key, variables, inherited, part)
             return
@@ -106,9 +112,9 @@ class Planner:
                 for name, value in item.overrides.items():
                     inner[name] = bound_value(value, inner, f"{where}.set.{name}")
                 for i, each in enumerate(other.items):
-                    self._item(each, other, f"$.step[{i}]", inner, down, part)
+                    self._item(each, other, f"$.step[{i}]", inner, down, part, frozenset())
             for i, each in enumerate(item.items):
-                self._item(each, used, f"{key}.step[{i}]", inner, down, part)
+                self._item(each, used, f"{key}.step[{i}]", inner, down, part, loops)
 
     def _step(
         self, item: Item, where: str, key: str, variables: Variables, inherited: dict[str, object], part: str

@@ -23,7 +23,11 @@ def own(folder: Path, text: str) -> Path:
         ("[[step]]\nname='a'\nrecrod_s=1", r"unknown field `recrod_s` - at `\$\.step\[0\]`, did you mean record_s\?"),
         ("sorce=['a']\n[[step]]\nname='a'", r"unknown field `sorce`, did you mean source\?"),
         ("[[step]]\nname='a'\nprompt={eng='A'}", r"`eng` - at `\$\.step\[0\]\.prompt`, did you mean en\?"),
-        ("[[step]]\nname='a'\nzzzz=1", r"unknown field `zzzz` - at `\$\.step\[0\]`$"),
+        (
+            "[[step]]\nname='a'\nzzzz=1",
+            r"unknown field `zzzz` - at `\$\.step\[0\]`; there are name, for, .*wait_settled$",
+        ),
+        ("[step]\nname='a'", r"write \[\[step\]\], with two brackets, also for one$"),
         (
             "[[step]]\nfor='r'\nseries={kind='R5',most=1}\n[[step.step]]\nname='a'\nseries={kind='R5',cuont=1}",
             r"unknown field `(most|cuont)` - at `\$\.step\[0\].*series`",
@@ -45,6 +49,10 @@ def own(folder: Path, text: str) -> Path:
         ("[[step]]\nname='a'\nrate_deg_per_s=1\nangle_deg=1", r"\$\.step\[0\]: a table turns or stands"),
         ("[[step]]\nfor='r'\nvalues=[1]", r"\$\.step\[0\]: a loop without steps"),
         ("[[step]]\nfor='r'\n[[step.step]]\nname='a'", r"\$\.step\[0\]: a loop needs `for`"),
+        (
+            "[[step]]\nfor='k'\nvalues=[1]\n[[step.step]]\nfor='k'\nvalues=[2]\n[[step.step.step]]\nname='a'",
+            r"\$\.step\[0\]\.step\[0\]\.for: 'k' is the variable of a loop around this one",
+        ),
         ("[[step]]\nvalues=[1]\n[[step.step]]\nname='a'", r"\$\.step\[0\]: a loop needs `for`"),
         ("[[step]]\nfor='r'\ntimes=2\nvalues=[1]\n[[step.step]]\nname='a'", r"`for` or `times`, not both"),
         ("[[step]]\nfor='r'\nvalues=[]\n[[step.step]]\nname='a'", r"\$\.step\[0\]\.values: an empty list"),
