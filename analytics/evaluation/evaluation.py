@@ -185,7 +185,9 @@ def _own_error(metric: Metric, what: str) -> QueryError:
 def _computed(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric's statement or function, before the columns that all metrics share are filled in."""
     if not metric.header.python:
-        return catalog.table(_WITH_TEXT.format(metric.sql))
+        found = catalog.table(_WITH_TEXT.format(metric.sql))
+        _check_columns(metric, found.column_names)
+        return found
     rows = resolve_name(metric.header.python)(catalog, metric.sql)
     if isinstance(rows, pa.Table):
         return rows
@@ -194,6 +196,17 @@ def _computed(catalog: Catalog, metric: Metric) -> pa.Table:
     named = words_of(" ".join(each.sensitivity for each in metric.header.influences))
     beside = sorted(named.intersection(*(row.keys() for row in found[:1])) - set(COLUMNS.names))
     return pa.Table.from_pylist(found, schema=pa.schema([*COLUMNS, *((name, pa.float64()) for name in beside)]))
+
+
+def _check_columns(metric: Metric, names: Collection[str]) -> None:
+    """QueryError where a statement gives a column that nothing reads, as by a slip of the pen, or lacks its bounds."""
+    beside = words_of(" ".join(each.sensitivity for each in metric.header.influences))
+    if unknown := sorted(set(names) - set(COLUMNS.names) - beside):
+        known = ", ".join(name for name in COLUMNS.names if name != "metric")
+        raise QueryError(f"nothing reads its column {unknown[0]!r}: there are {known}, and what `influence` names")
+    lacking = {"lo", "hi"} - set(names) if metric.header.limits is BoundsSource.GIVEN else set()
+    if lacking:
+        raise QueryError(f"it has `limits: given`, and no column {' and '.join(sorted(lacking))}")
 
 
 def _make_readable(columns: dict[str, pa.Array]) -> None:

@@ -46,6 +46,19 @@ def test_a_metric_that_fails_is_named_and_what_is_no_mistake_of_it_is_not(monkey
             evaluation._found(SimpleNamespace(), metrics()["bias"])  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("metric", "without", "more", "word"),
+    [("bias", set(), {"raeson"}, "'raeson'"), ("scale_factor_asymmetry", {"hi"}, set(), "no column hi")],
+)
+def test_a_column_that_nothing_reads_or_that_is_missing_is_named(
+    metric: str, without: set[str], more: set[str], word: str
+) -> None:
+    names = {*evaluation.COLUMNS.names, *more} - without
+    with pytest.raises(QueryError, match=word):
+        evaluation._check_columns(metrics()[metric], names)
+    evaluation._check_columns(metrics()[metric], evaluation.COLUMNS.names)
+
+
 def test_two_effects_of_one_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_effects_in", lambda _: [channel_linear("pressure")])
     with pytest.raises(BadInput, match="give one of them another name"):
