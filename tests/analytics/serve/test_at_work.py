@@ -1,6 +1,7 @@
 """What is at work and alerts, over the API and on the page."""
 
 import httpx
+import pytest
 
 from analytics.alerts.book import AlertBook
 from analytics.alerts.conditions.verdict import VerdictCondition
@@ -8,7 +9,9 @@ from analytics.alerts.finding import Finding
 from analytics.alerts.kept_alerts import raised_alerts
 from analytics.alerts.rules import Rule
 from analytics.loop.bilingual import Bilingual
+from analytics.serve.pages.frame.language import Texts
 from storage.store import Store
+from stream.status.role_status import Role
 from tests.analytics.serve.conftest import Served
 
 
@@ -64,3 +67,8 @@ def test_the_floor_links_to_the_open_alerts_of_a_severity(served: Served, api: h
         assert f'<a href="/work?severity=warning">警告 {len(warnings)}</a>' in viewer.get("/?lang=zh").text
         assert "unit FOG-0001 has FAIL" in viewer.get("/work?severity=warning&lang=en").text
         assert "unit FOG-0001 has FAIL" not in viewer.get("/work?severity=alarm&lang=en").text
+
+
+@pytest.mark.parametrize("role", Role)
+def test_every_role_has_a_name_on_the_page(role: Role) -> None:
+    assert Texts("zh").word(role.value, "program") != role.value
