@@ -27,7 +27,7 @@ with shown as (
 select unit, signal, run, half as difference, max(abs(raw)) over (tested
     order by axis rows between unbounded preceding and unbounded following) as raw_difference, u, freedom, true as is_signed,
   {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat,
-    temperature_command: temperature_command, shown: shown, earth_rate: earth_rate} as test,
+    warmth: warmth, shown: shown, earth_rate: earth_rate} as test,
   {axis_of_largest: axis} as of_largest,
   case when shown = 'largest' then (sum(n) over tested)::bigint else n end as n,
   case when shown = 'largest' then list_sort(flatten(list(steps) over (tested
@@ -40,5 +40,5 @@ select unit, signal, run, half as difference, max(abs(raw)) over (tested
     earth_rate_unknown: case when shown = 'largest' and earth_rate = 'removed' then level end
   } as parameters
 from counted
-window tested as (partition by unit, signal, run, "procedure", repeat, temperature_command, shown, earth_rate)
+window tested as (partition by unit, signal, run, "procedure", repeat, warmth, shown, earth_rate)
 order by test, axis

@@ -13,11 +13,11 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- of:        internal.misalignment_angles
 with counted as (
-  select *, count(*) over (partition by unit, signal, run, temperature_command) as in_run,
+  select *, count(*) over (partition by unit, signal, run, warmth) as in_run,
     bool_or(coalesce(starts_with("procedure", 'misalignment_repeat'), false)) over (partition by unit, signal, run)
       as is_test
   from internal.misalignments where positions = 4
-  qualify count(distinct temperature_command) over (partition by unit, signal, run) <= 1
+  qualify count(distinct warmth) over (partition by unit, signal, run) <= 1
 ), scoped as (
   select *, run as scope from counted where is_test or in_run > 1
   union all

@@ -14,23 +14,25 @@
 -- of:        internal.scale_fits
 -- The clause compares magnitudes: where the rate is counted about the table's axis, which the IRA points against when
 -- it is down, that scale factor has the other sign.
-with placed as (
-  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
-      as temperature_command), regexp_extract(position, '_(up|down)$', 1) as pointing,
-    {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
-      freedoms: freedoms, points: points, temperature: temperature} as line,
-    same_temperature(temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat), dense_rank() over (
-      partition by run, unit, signal, "procedure", repeat, position order by visit is not null, case when visit is not null
-        then temperature end)) as level
+with forced as (
+  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, steps[1]) as in_force
   from scale_results('internal.scale_fits')
   where standard = 'JJF2014' and phase is null
     and (regexp_matches(position, '^(IRA|vertical)_(up|down)$')
       or starts_with("procedure", 'scale_factor_acceleration'))
+), begun as (
+  select *, begins_class(in_force, run, unit, signal, "procedure", repeat) as begins from forced
+), placed as (
+  select *, regexp_extract(position, '_(up|down)$', 1) as pointing,
+    {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
+      freedoms: freedoms, points: points, temperature: temperature} as line,
+    class_of(begins, in_force, run, unit, signal, "procedure", repeat) as warmth
+  from begun
 ), paired as (
-  select run, unit, signal, "procedure", repeat, k_unit, level, min(temperature_command) as temperature_command,
-    count(*) filter (pointing = 'up') as ups, count(*) filter (pointing = 'down') as downs,
-    arg_min(line, steps) filter (pointing = 'up') as up,
-    arg_min(line, steps) filter (pointing = 'down') as down,
+  select run, unit, signal, "procedure", repeat, k_unit, warmth,
+    round(avg(temperature_command), 1) as temperature_command,
+    mean_line(list(line order by steps) filter (pointing = 'up')) as up,
+    mean_line(list(line order by steps) filter (pointing = 'down')) as down,
     list(coalesce(position || ': ', '') || lack order by steps) filter (lack is not null) as lacks,
     flatten(list(steps order by steps)) as steps, sum(n)::bigint as n,
     bool_or(starts_with("procedure", 'scale_factor_acceleration')) as is_asked
@@ -45,9 +47,6 @@ with placed as (
       when up is null then 'not measured with the IRA up: the clause asks for up and down (7.2.6.1 c)'
       when down is null then 'not measured with the IRA down: the clause asks for up and down (7.2.6.1 c)'
       when len(lacks) > 0 then array_to_string(lacks, '; ')
-      when greatest(ups, downs) > 1 then ups || ' scale factors with the IRA up and ' || downs
-        || ' with it down; say which belong together by the word repeat'
-      else lack_of_same_temperature(up, down, 'up', 'down')
     end as lack
   from paired where is_asked or (up is not null and down is not null)
 )

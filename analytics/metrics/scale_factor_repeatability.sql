@@ -21,7 +21,7 @@ with conditioned as (
     count(distinct coalesce(visit, 0)) over test as visits,
     case when date_known then strftime(timezone(time_zone, make_timestamptz(t_from_ns // 1000)), '%Y-%m-%d') end as day
   from scale_results('internal.scale_fits')
-  where standard <> 'JJF1536' and phase is null
+  where standard <> 'JJF1536' and phase is null and n_points > 0
     and (axis is null or axis_word_of(axis) = named_axis_of(signal))
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(temp|acc|shock|vib)|threshold|resolution)')
   window test as (partition by run, unit, signal, "procedure", standard)

@@ -21,12 +21,16 @@ with step as (
     try_cast(arg_max(details->>'$.latitude_deg', place) as double) as latitude_deg,
     try_cast(arg_max(details->>'$.gravity_m_per_s2', place) as double) as gravity
   from stated group by run
+), spread as (                          -- of temperatures: how far they moved, from what is no white noise, as of a ramp
+  select *, (deg_c(1, unit_of_measure) - deg_c(0, unit_of_measure)) * sqrt(12 * greatest(0,
+    sd ** 2 - if(isfinite(white), white, 0) * (n - 1) / nullif((t_to_ns - t_from_ns) / 1e9, 0))) as moved_deg_c
+  from internal.reduced
 ), beside as (                          -- signals of instruments, which have no steps of their own
-  select r.* from internal.reduced r anti join stepped using (run, unit)
+  select r.* from spread r anti join stepped using (run, unit)
 ), around as (
   select s.run, s.unit, s."index",
     min(deg_c(b.mean, b.unit_of_measure)) filter (b.signal = 'chamber_temperature') as chamber_temperature,
-    max((deg_c(b.sd, b.unit_of_measure) - deg_c(0, b.unit_of_measure)) * sqrt(12)) filter (b.signal = 'chamber_temperature') as chamber_moved,
+    max(b.moved_deg_c) filter (b.signal = 'chamber_temperature') as chamber_moved,
     any_value(if(b.unit_of_measure = 'deg/s', b.mean, deg_per_h(b.mean, b.unit_of_measure) / 3600) order by b.unit)
       filter (b.signal = 'table_rate' and deg_per_h(b.mean, b.unit_of_measure) is not null) as table_rate
   from step s join beside b on b.run = s.run and b.t_from_ns = s.t_from_ns and b.t_to_ns = s.t_to_ns
@@ -35,11 +39,11 @@ with step as (
   select run, unit, t_from_ns, t_to_ns,
     min(deg_c(mean, unit_of_measure)) filter (signal = 'temperature') as temperature,
     min(deg_c(mean, unit_of_measure)) filter (signal = 'chamber_temperature') as chamber_temperature,
-    max((deg_c(sd, unit_of_measure) - deg_c(0, unit_of_measure)) * sqrt(12)) filter (signal = 'temperature') as moved,
-    max((deg_c(sd, unit_of_measure) - deg_c(0, unit_of_measure)) * sqrt(12)) filter (signal = 'chamber_temperature') as chamber_moved,
+    max(moved_deg_c) filter (signal = 'temperature') as moved,
+    max(moved_deg_c) filter (signal = 'chamber_temperature') as chamber_moved,
     min(if(unit_of_measure = 'deg/s', mean, deg_per_h(mean, unit_of_measure) / 3600)) filter (signal = 'table_rate')
       as table_rate
-  from internal.reduced group by all
+  from spread group by all
 )
 select
   s.run, s.unit, r.signal, s."index",

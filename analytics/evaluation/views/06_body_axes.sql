@@ -26,8 +26,8 @@ create or replace macro body_axis_of(signal) as
 
 -- The axis that the word `axis` of a step names.
 create or replace macro axis_word_of(axis) as
-  replace(nullif(upper(regexp_extract(lower(axis),
-    '^[+-]?(axis[ _])?([xyz]|heading|yaw|pitch|roll)([ _]axis|轴)?[+-]?$', 2)), ''), 'YAW', 'HEADING');
+  replace(nullif(upper(regexp_extract(lower(trim(axis)),
+    '^[+-]?(axis[ _-]?|rate_|gyro_)?([xyz]|heading|yaw|pitch|roll)([ _-]?axis|轴|_up|_down)?[+-]?$', 2)), ''), 'YAW', 'HEADING');
 
 -- The axis of which a position says whether it is up or down.
 create or replace macro axis_in(position) as

@@ -12,8 +12,9 @@ create or replace macro rates_without(rates, others) as
   list_filter(rates, lambda r: not coalesce(list_bool_or([abs(o - r) <= r * 0.001 for o in others]), false));
 
 -- A temperature that was visited twice gives two scale factors: `visit` counts them, null where there is one. Without
--- commanded temperatures a step of more than 5 degC between two rates begins a visit. Temperatures that change from rate
--- to rate are no visits: each has three rates at least.
+-- commanded temperatures a step of more than 5 degC between two steps begins a stay. Stays are visits where each has 60 %
+-- of the rates at least, without commands where two have: what was shared among them, as forwards now and backwards
+-- later, is one scale factor. Rests belong to the stay with rates before them.
 create or replace view internal.visited_rate_points as
 with moved as (
   select *, coalesce(temperature_command <> lag(temperature_command) over steps
@@ -29,17 +30,33 @@ with moved as (
   select *,
     count(distinct rate_command) filter (not at_rest)
       over (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit, stay) as stay_rates,
-    count(distinct stay) over alike as stays,
-    dense_rank() over (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit,
-      temperature_command, room order by stay) as number
+    count(distinct rate_command) filter (not at_rest) over alike as all_rates
   from stayed
   window alike as (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit,
     temperature_command, room)
+), owned as (
+  select *,
+    coalesce(
+      last_value(case when stay_rates > 0 then stay end ignore nulls) over (partition by run, unit, signal, "procedure",
+        repeat, position, axis, phase, output_unit, temperature_command, room order by "index" rows unbounded preceding),
+      first_value(case when stay_rates > 0 then stay end ignore nulls) over (partition by run, unit, signal, "procedure",
+        repeat, position, axis, phase, output_unit, temperature_command, room order by "index"
+        rows between current row and unbounded following)) as own_stay,
+    stay_rates >= 0.6 * all_rates as is_whole
+  from rated
+), counted as (
+  select *,
+    count(distinct own_stay) over alike as stays,
+    count(distinct case when is_whole then own_stay end) over alike as whole_stays,
+    dense_rank() over (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit,
+      temperature_command, room order by own_stay) as number
+  from owned
+  window alike as (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit,
+    temperature_command, room)
 )
-select * exclude (moves, stay, stay_rates, stays, number),
-  case when stays > 1 and min(nullif(stay_rates, 0)) over test >= 3 then number end as visit
-from rated
-window test as (partition by run, unit, signal, "procedure", repeat, position, axis, phase, output_unit);
+select * exclude (moves, stay, stay_rates, all_rates, own_stay, is_whole, stays, whole_stays, number),
+  case when stays > 1 and (whole_stays = stays or temperature_command is null and whole_stays > 1) then number end as visit
+from counted;
 
 create or replace view internal.scale_sets as
 with measured as (
@@ -58,7 +75,6 @@ with measured as (
     sum(n)::bigint as n
   from internal.visited_rate_points
   group by all
-  having visit is null or count(*) filter (not at_rest) > 0
 ), counted as (
   select *,
     distinct_rates([p.command for p in points if p.command > 0]) as forwards,

@@ -3,14 +3,16 @@
 -- again (`again`) is a group of its own. Room temperature is the step that says so, else the one set nearest to 20
 -- degC (of two that are as near, the one measured first), at most 10 degC from it; points nearer to it than 1 degC are
 -- no points, their quotient would be noise.
--- Steps that wait for the chamber, by their name, are no points where others measure.
+-- Steps that wait for the chamber, by their name, are no points where another one measures at the same commanded
+-- temperature.
 create or replace macro is_waiting_step(step) as
-  coalesce(regexp_matches(lower(step), '^(soak|ramp|heat|cool|warm|settl|stabili|transition|wait|保温|升温|降温|稳定|等待)'), false);
+  coalesce(regexp_matches(lower(step), '^(soak|ramp|transition|wait|保温|等待)'), false);
 
 create or replace view internal.bias_temperature_points as
 with measuring as (
   select *, is_waiting_step(step)
-    and bool_or(not is_waiting_step(step)) over (partition by run, unit, signal, "procedure") as waits
+    and temperature_command is not null and bool_or(not is_waiting_step(step))
+      over (partition by run, unit, signal, "procedure", temperature_command) as waits
   from internal.still_steps where phase is null and not turns
 ), placed as (
   select *,

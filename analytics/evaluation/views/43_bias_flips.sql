@@ -6,25 +6,47 @@ create or replace macro temperatures_remark(coldest, warmest) as
   case when warmest - coldest > 2 then
     format('steps from {:.1f} to {:.1f} degC are compared: what that does to the bias is in the value', coldest, warmest) end;
 
--- What was commanded at some steps of a test counts for those that say nothing, where it is one temperature.
-create or replace macro temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat) as
-  coalesce(temperature_command, case when min(temperature_command) over (partition by run, unit, signal, "procedure", repeat)
-      = max(temperature_command) over (partition by run, unit, signal, "procedure", repeat)
-    then max(temperature_command) over (partition by run, unit, signal, "procedure", repeat) end);
+-- The temperature in force at a step of a test: what was commanded, at it or at the last step before that says so; where all
+-- commands are one, that one; else what was measured.
+create or replace macro temperature_in_force(command, temperature, run, unit, signal, "procedure", repeat, "index") as
+  coalesce(command,
+    last_value(command ignore nulls) over (partition by run, unit, signal, "procedure", repeat order by "index"
+      rows unbounded preceding),
+    case when min(command) over (partition by run, unit, signal, "procedure", repeat)
+        = max(command) over (partition by run, unit, signal, "procedure", repeat)
+      then max(command) over (partition by run, unit, signal, "procedure", repeat) end,
+    temperature);
+
+-- Temperatures that are compared as one: sorted, they are less than 5 degC apart from one to the next.
+create or replace macro begins_class(in_force, run, unit, signal, "procedure", repeat) as
+  coalesce(in_force - lag(in_force) over (partition by run, unit, signal, "procedure", repeat order by in_force) >= 5, false);
+
+create or replace macro class_of(begins, in_force, run, unit, signal, "procedure", repeat) as
+  sum(begins::int) over (partition by run, unit, signal, "procedure", repeat order by in_force);
+
+create or replace view internal.classed_still_steps as
+with forced as (
+  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, "index") as in_force
+  from internal.still_steps
+  where not turns and (lower(phase) in ('before', 'after') or phase is null
+    and (regexp_matches("procedure", '^bias_acceleration|零偏加速度') or "procedure" is null))
+), begun as (
+  select *, begins_class(in_force, run, unit, signal, "procedure", repeat) as begins from forced
+)
+select * exclude (begins), class_of(begins, in_force, run, unit, signal, "procedure", repeat) as warmth from begun;
 
 create or replace view internal.bias_flips as
 with flip as (
-  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
-      as temperature_command),
+  select *,
     coalesce(upper(axis), axis_in(position),
       case when regexp_matches(position, '^(IRA|vertical)_(up|down)$') then 'IRA' end, 'unnamed') as flipped,
     side_in(position) as g
-  from internal.still_steps
+  from internal.classed_still_steps
   where phase is null and not turns
     and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
       or "procedure" is null and regexp_matches(position, '^[XYZ]_(up|down)$'))
 ), side as (
-  select run, unit, signal, "procedure", repeat, temperature_command, flipped, g,
+  select run, unit, signal, "procedure", repeat, warmth, flipped, g, round(avg(temperature_command), 1) as temperature_command,
     count(*) filter (n = 0 or deg_per_h is null) as unknown,
     any_value(unit_of_measure) as unit_of_measure, any_value(scale_source) as scale_source,
     any_value(latitude_deg) as latitude_deg, bool_and(deg_per_h is not null) as is_scaled,
@@ -37,7 +59,7 @@ with flip as (
   from flip where g is not null
   group by all
 ), pair as (
-  select run, unit, signal, "procedure", repeat, temperature_command, flipped as axis,
+  select run, unit, signal, "procedure", repeat, warmth, round(avg(temperature_command), 1) as temperature_command, flipped as axis,
     (max(mean) filter (g = 1) - max(mean) filter (g = -1)) / 2 as half,
     sqrt(sum(u ** 2 order by g)) / 2 as u,
     sum(u ** 2 order by g) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by g), 0) as freedom,
@@ -53,19 +75,19 @@ with flip as (
         || case when max(g) = 1 then 'up' else 'down' end || ', the clause asks for up and down'
     end as lack
   from side
-  group by run, unit, signal, "procedure", repeat, temperature_command, flipped
+  group by run, unit, signal, "procedure", repeat, warmth, flipped
 ), whole as (
   select *,
     list(axis) over test as axes,
     list(axis) filter (earth is null) over test as level
   from pair
-  window test as (partition by run, unit, signal, "procedure", repeat, temperature_command
+  window test as (partition by run, unit, signal, "procedure", repeat, warmth
     order by axis rows between unbounded preceding and unbounded following)
 )
-select run, unit, signal, "procedure", repeat, temperature_command, remark, axis, axes, level, half, half as raw, u, freedom, n, steps, scale_source,
+select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level, half, half as raw, u, freedom, n, steps, scale_source,
   lack, 'none' as earth_rate
 from whole
 union all
-select run, unit, signal, "procedure", repeat, temperature_command, remark, axis, axes, level, half - coalesce(earth, 0), half, u, freedom, n,
+select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level, half - coalesce(earth, 0), half, u, freedom, n,
   steps, scale_source, lack, 'removed'
 from whole where len(level) < len(axes) or level is null;

@@ -3,16 +3,16 @@
 -- of the two it was (`cause`) is known by the name of the procedure, else of the step.
 create or replace view internal.bias_changes as
 with phased as (
-  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
-      as temperature_command),
+  select *,
     case when regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击') then 'shock' else 'vibration' end as cause,
     coalesce(upper(axis), nullif(regexp_extract(position, '^([XYZ])(_|$)', 1), ''), 'unnamed') as along
-  from internal.still_steps
+  from internal.classed_still_steps
   where lower(phase) in ('before', 'after') and not turns
     and not regexp_matches(coalesce("procedure", ''), '^scale_factor')
     and regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击|vibration|振动')
 ), side as (
-  select cause, run, unit, signal, "procedure", repeat, temperature_command, along, lower(phase) as phase,
+  select cause, run, unit, signal, "procedure", repeat, warmth, along, lower(phase) as phase,
+    round(avg(temperature_command), 1) as temperature_command,
     bool_and(deg_per_h is not null) as is_scaled, min(n) as least_n, any_value(unit_of_measure) as unit_of_measure,
     any_value(scale_source) as scale_source,
     avg(mean_deg_per_h order by "index") as mean,
@@ -24,7 +24,8 @@ with phased as (
   from phased
   group by all
 ), axis as (
-  select cause, run, unit, signal, "procedure", repeat, temperature_command, along as axis,
+  select cause, run, unit, signal, "procedure", repeat, warmth, along as axis,
+    round(avg(temperature_command), 1) as temperature_command,
     max(mean) filter (phase = 'after') - max(mean) filter (phase = 'before') as change,
     sqrt(sum(u ** 2 order by phase)) as u,
     sum(u ** 2 order by phase) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by phase), 0) as freedom,
@@ -38,10 +39,10 @@ with phased as (
         || ', the clause asks for before and after'
     end as lack
   from side
-  group by cause, run, unit, signal, "procedure", repeat, temperature_command, along
+  group by cause, run, unit, signal, "procedure", repeat, warmth, along
 )
 select *,
-  list(axis) over (partition by cause, run, unit, signal, "procedure", repeat, temperature_command
+  list(axis) over (partition by cause, run, unit, signal, "procedure", repeat, warmth
     order by axis rows between unbounded preceding and unbounded following) as axes
 from axis;
 
@@ -54,7 +55,7 @@ with changes as (
 )
 select unit, signal, run, axis, change as difference, u, freedom, false as is_signed,
   {run: run, unit: unit, signal: signal, "procedure": "procedure", repeat: repeat,
-    temperature_command: temperature_command, shown: shown} as test,
+    warmth: warmth, shown: shown} as test,
   {axis_of_largest: axis} as of_largest,
   case when shown = 'largest' then (sum(n) over tested)::bigint else n end as n,
   case when shown = 'largest' then list_sort(flatten(list(steps) over (tested
@@ -64,4 +65,4 @@ select unit, signal, run, axis, change as difference, u, freedom, false as is_si
     else lack end as reason,
   {axis: shown, repeat: repeat, temperature_command: temperature_command, scale_factor: scale_source, remark: remark} as parameters
 from changes
-window tested as (partition by unit, signal, run, "procedure", repeat, temperature_command, shown);
+window tested as (partition by unit, signal, run, "procedure", repeat, warmth, shown);

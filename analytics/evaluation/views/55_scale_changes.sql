@@ -1,36 +1,29 @@
 -- How the scale factor has changed from before a shock or vibration to after it, along each axis and as the largest of
 -- X, Y and Z. A change is a magnitude: its lower limit is not below 0. The limits of the largest hold for all axes
--- together (Bonferroni). Only scale factors at one temperature are compared: one commanded, else the visits of a phase by
--- their order from cold to warm.
-create or replace macro same_temperature(temperature_command, rank) as
-  coalesce(format('{:g} degC', temperature_command), rank::varchar);
-
-create or replace macro lack_of_same_temperature(a, b, name_a, name_b) as
-  case when abs(a.temperature - b.temperature) > 5 then
-    format('{} at {:.1f} degC, {} at {:.1f} degC: measure both at one temperature', name_a, a.temperature, name_b,
-      b.temperature) end;
-
+-- together (Bonferroni). Only scale factors at one temperature are compared (`class_of`); of several in a phase the mean.
 create or replace macro remark_on_temperatures(a, b, name_a, name_b) as
-  case when abs(a.temperature - b.temperature) between 2 and 5 then
+  case when abs(a.temperature - b.temperature) > 2 then
     format('{} at {:.1f} degC, {} at {:.1f} degC: what that does is in the value', name_a, a.temperature, name_b,
       b.temperature) end;
 
 create or replace macro scale_changes(source, cause) as table
-with phased as (
-  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
-      as temperature_command), upper(coalesce(axis, 'unnamed')) as along,
-    {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u, freedoms: freedoms,
-      points: points, temperature: temperature} as line,
-    same_temperature(temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat), dense_rank() over (
-      partition by run, unit, signal, "procedure", repeat, axis, phase order by visit is not null, case when visit is not null
-        then temperature end)) as level
+with forced as (
+  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, steps[1]) as in_force
   from scale_results(source)
   where standard = 'JJF2014' and lower(phase) in ('before', 'after') and regexp_matches("procedure", cause)
+), begun as (
+  select *, begins_class(in_force, run, unit, signal, "procedure", repeat) as begins from forced
+), phased as (
+  select *, upper(coalesce(axis, 'unnamed')) as along,
+    {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u, freedoms: freedoms,
+      points: points, temperature: temperature} as line,
+    class_of(begins, in_force, run, unit, signal, "procedure", repeat) as warmth
+  from begun
 ), paired as (
-  select run, unit, signal, "procedure", repeat, along, k_unit, level, min(temperature_command) as temperature_command,
-    arg_min(line, steps) filter (lower(phase) = 'before') as before,
-    arg_min(line, steps) filter (lower(phase) = 'after') as after,
-    count(*) filter (lower(phase) = 'before') as befores, count(*) filter (lower(phase) = 'after') as afters,
+  select run, unit, signal, "procedure", repeat, along, k_unit, warmth,
+    round(avg(temperature_command), 1) as temperature_command,
+    mean_line(list(line order by steps) filter (lower(phase) = 'before')) as before,
+    mean_line(list(line order by steps) filter (lower(phase) = 'after')) as after,
     list(lower(phase) || ': ' || lack order by steps) filter (lack is not null) as lacks,
     flatten(list(steps order by steps)) as steps, sum(n)::bigint as n
   from phased group by all
@@ -38,22 +31,19 @@ with phased as (
   select *, slope_difference(after, before, 1) as difference,
     remark_on_temperatures(before, after, 'before it', 'after it') as remark,
     case
-      when greatest(befores, afters) > 1 then 'axis ' || along || ': ' || befores || ' scale factors before it and ' || afters
-        || ' after it; say which belong together by the word repeat'
       when before is null then 'axis ' || along || ': not measured before it'
       when after is null then 'axis ' || along || ': not measured after it'
       when len(lacks) > 0 then 'axis ' || along || ' ' || array_to_string(lacks, '; ')
-      else 'axis ' || along || ': ' || lack_of_same_temperature(before, after, 'before it', 'after it')
     end as lack
   from paired
 ), each_axis as (
-  select run, unit, signal, "procedure", repeat, k_unit, along as axis, level, temperature_command, steps, n, lack, remark,
+  select run, unit, signal, "procedure", repeat, k_unit, along as axis, warmth, temperature_command, steps, n, lack, remark,
     [{size: abs(difference.change), u: difference.u, freedom: difference.freedom, axis: along,
       ppm: abs(difference.change / before.k) * 1e6}] as changes
   from compared
 ), largest as (
-  select run, unit, signal, "procedure", repeat, k_unit, 'largest' as axis, level,
-    min(temperature_command) as temperature_command, string_agg('axis ' || axis || ' ' || remark, '; ' order by axis) as remark,
+  select run, unit, signal, "procedure", repeat, k_unit, 'largest' as axis, warmth,
+    round(avg(temperature_command), 1) as temperature_command, string_agg('axis ' || axis || ' ' || remark, '; ' order by axis) as remark,
     flatten(list(steps order by axis)) as steps, sum(n)::bigint as n,
     case
       when count(lack) > 0 then string_agg(lack, '; ' order by axis)
@@ -62,7 +52,7 @@ with phased as (
         || ' not measured: the clause asks for X, Y and Z'
     end as lack,
     flatten(list(changes order by axis)) as changes
-  from each_axis group by run, unit, signal, "procedure", repeat, k_unit, level
+  from each_axis group by run, unit, signal, "procedure", repeat, k_unit, warmth
 ), valued as (
   select *, list_sort(changes, 'desc')[1] as worst,
     [student_quantile(0.05 / len(changes), c.freedom) * c.u for c in changes] as half

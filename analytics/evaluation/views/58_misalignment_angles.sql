@@ -16,15 +16,20 @@ create or replace macro mean_turn(turns) as
       freedom: case when q_.seen > q_.own then q_.n - 1 else coalesce(q_.own_freedom, 1e9) end})[1] end;
 
 create or replace view internal.misalignment_angles as
-with placed as (
-  select * replace (temperature_of_test(temperature_command, run, unit, signal, "procedure", repeat)
-      as temperature_command), lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
-    regexp_matches(position, '_down$|turned_180$') as turned
+with forced as (
+  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, "index") as in_force
   from rate_steps
   where n > 0 and rate_command <> 0 and frequency is null
     and regexp_matches(position, '^[Oo][XxYy]_(up|down|up_turned_180)$')
+), begun as (
+  select *, begins_class(in_force, run, unit, signal, "procedure", repeat) as begins from forced
+), placed as (
+  select *, class_of(begins, in_force, run, unit, signal, "procedure", repeat) as warmth, lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
+    regexp_matches(position, '_down$|turned_180$') as turned
+  from begun
 ), directed as (
-  select run, unit, signal, "procedure", repeat, temperature_command, mounting_axis, turned,
+  select run, unit, signal, "procedure", repeat, warmth, mounting_axis, turned,
+    round(avg(temperature_command), 1) as temperature_command,
     mean_turn(list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
       freedom: freedom} order by "index") filter (rate_command > 0)) as forwards,
     mean_turn(list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
@@ -52,7 +57,7 @@ from directed;
 -- GJB (50), the root of the sum of all four squares, cancels nothing; not offered.
 create or replace view internal.misalignments as
 with paired as (
-  select run, unit, signal, "procedure", repeat, temperature_command, min(scale_source) as scale_source, max(rate) as rate,
+  select run, unit, signal, "procedure", repeat, warmth, round(avg(temperature_command), 1) as temperature_command, min(scale_source) as scale_source, max(rate) as rate,
     max(delta) filter (mounting_axis = 'x' and not turned) as x,
     max(delta) filter (mounting_axis = 'y' and not turned) as y,
     max(delta) filter (mounting_axis = 'x' and turned) as x_turned,
@@ -69,7 +74,7 @@ with paired as (
     min(t_from_ns) as t_from_ns, min(station) as station, min(time_zone) as time_zone,
     bool_and(date_known) as date_known,
     sum(n)::bigint as n, list_sort(flatten(list(steps order by mounting_axis, turned))) as steps
-  from internal.misalignment_angles group by run, unit, signal, "procedure", repeat, temperature_command
+  from internal.misalignment_angles group by run, unit, signal, "procedure", repeat, warmth
 ), counted as (
   select *, unnest(list_filter([2, 4], lambda p: (p = 2 and is_two) or (p = 4 and is_four))) as positions from paired
 ), angled as (

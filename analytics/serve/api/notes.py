@@ -39,7 +39,7 @@ def add_note(call: Call, asked: NoteAsked) -> Noted:
     text = asked.text.strip()
     if not text:
         raise BadInput("the note is empty; write what happened")
-    if any(unicodedata.category(each) == "Cc" and each not in "\t\n" for each in text):
+    if any(unicodedata.category(each) == "Cc" and each not in "\t\r\n" for each in text):
         raise BadInput("the note has control characters; write it as plain text")
     if asked.run not in call.service.live.floor.runs:
         run_row(call.fresh, asked.run)  # NotFound names similar ones

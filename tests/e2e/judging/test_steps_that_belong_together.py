@@ -157,11 +157,41 @@ def falling() -> Steps:
     return steps
 
 
+def shared() -> Steps:
+    """Forwards at 23, 60, -40 degC, then backwards: one scale factor each; 5 ppm/degC."""
+    steps = Steps("rate[deg/s]")
+    for sign in (1, -1):
+        for temperature in (23.0, 60.0, -40.0):
+            for rate in (0.0, *RATES) if sign > 0 else (*(-each for each in RATES), 0.0):
+                steps.step(
+                    scaled(5.0 * (temperature - 23.0), rate), procedure="scale_factor_temperature_sensitivity",
+                    rate_command=rate, temperature_command=temperature,
+                )  # fmt: skip
+    return steps
+
+
+def about() -> Steps:
+    """Before at 22.98, after at 23.03 degC, as a column of measured set-points has it; a step named warm."""
+    steps = Steps("rate[deg/s]")
+    for axis, change in zip("XYZ", (0.4, 2.0, 0.3), strict=True):
+        for phase, temperature in (("before", 22.98), ("after", 23.03)):
+            steps.step(
+                [change * (phase == "after") / 3600], n=600, procedure="bias_vibration", axis=axis, phase=phase,
+                temperature_command=temperature,
+            )  # fmt: skip
+    for step, temperature in (("room", 23.0), ("warm", 60.0), ("cold", -40.0)):
+        bias = 0.12 * (temperature - 23.0) if step == "warm" else 0.05 * (temperature - 23.0)
+        steps.step(
+            [bias / 3600], n=600, procedure="bias_temperature_sensitivity", step=step, temperature_command=temperature
+        )
+    return steps
+
+
 UNITS: dict[str, Callable[[], Steps]] = {
     "axes": three_axes, "commanded": partial(visits, is_commanded=True),
     "recorded": partial(visits, is_commanded=False),
     "vibrated": vibrated, "flipped": flipped, "soaked": soaked, "ramped": ramped, "crossed": crossed,
-    "falling": falling,
+    "falling": falling, "shared": shared, "about": about,
 }  # fmt: skip
 
 
@@ -230,6 +260,20 @@ def test_a_soak_is_no_plateau_and_a_ramp_is_named(rows: dict[str, list[Row]]) ->
     assert row["lo"] <= 0.03 <= row["hi"]
     (row,) = of(rows["ramped"], "bias_temperature_sensitivity")
     assert "the temperature moved within 1 of the steps, by up to 37" in row["parameters"]["remark"]
+
+
+def test_a_scale_factor_of_which_the_rates_are_shared_among_visits_is_one(rows: dict[str, list[Row]]) -> None:
+    assert [row["parameters"]["visit"] for row in of(rows["shared"], "scale_factor")] == [None] * 3
+    (row,) = of(rows["shared"], "scale_factor_temperature_sensitivity")
+    assert row["lo"] <= 5.0 <= row["hi"]
+
+
+def test_set_points_that_differ_by_hundredths_are_one(rows: dict[str, list[Row]]) -> None:
+    found = {row["parameters"]["axis"]: row["value"] for row in of(rows["about"], "bias_vibration_change")}
+    assert found == pytest.approx({"X": 0.4, "Y": 2.0, "Z": 0.3, "largest": 2.0}, abs=0.15)
+    (row,) = of(rows["about"], "bias_temperature_sensitivity")
+    assert row["parameters"]["points"] == 2, "a step named warm is a point where none else measures at its temperature"
+    assert row["lo"] <= 0.12 <= row["hi"]
 
 
 def test_a_position_that_was_measured_twice_is_the_mean(rows: dict[str, list[Row]]) -> None:
