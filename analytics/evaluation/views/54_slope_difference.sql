@@ -29,7 +29,7 @@ create or replace macro welch_freedom(u_a, freedom_a, u_b, freedom_b) as
 -- The mean of several lines, point by point where they have the same rates; else without points, so that
 -- `slope_difference` takes their uncertainties.
 create or replace macro mean_line(lines) as
-  case when len(lines) <= 1 then lines[1] else
+  case when lines is null or len(lines) <= 1 then lines[1] else
     list_transform([{
         same: list_bool_and([[round(p.command, 9) for p in each.points] = [round(p.command, 9) for p in lines[1].points]
           for each in lines]),

@@ -87,11 +87,13 @@ def visits(*, is_commanded: bool) -> Steps:
     return steps
 
 
-def vibrated() -> Steps:
+def vibrated(*, without: tuple[str, float] = ("", 0.0)) -> Steps:
     """K has 5 ppm/degC and changes by 30, 80, 10 ppm; hot and cold before and after, in the order of a chamber."""
     steps = Steps("rate[deg/s]")
     for axis, change in zip("XYZ", (30.0, 80.0, 10.0), strict=True):
         for phase, temperature in (("before", 23.0), ("before", 60.0), ("after", 60.0), ("after", 23.0)):
+            if (phase, temperature) == without:
+                continue
             ppm = 5.0 * (temperature - 23.0) + (change if phase == "after" else 0.0)
             steps.turn(
                 partial(scaled, ppm), procedure="scale_factor_vibration", axis=axis,
@@ -191,7 +193,7 @@ UNITS: dict[str, Callable[[], Steps]] = {
     "axes": three_axes, "commanded": partial(visits, is_commanded=True),
     "recorded": partial(visits, is_commanded=False),
     "vibrated": vibrated, "flipped": flipped, "soaked": soaked, "ramped": ramped, "crossed": crossed,
-    "falling": falling, "shared": shared, "about": about,
+    "half": partial(vibrated, without=("after", 60.0)), "falling": falling, "shared": shared, "about": about,
 }  # fmt: skip
 
 
@@ -241,6 +243,13 @@ def test_scale_factors_at_one_temperature_are_compared(rows: dict[str, list[Row]
         for axis, change in zip("XYZ", (30e-6, 80e-6, 10e-6), strict=True):
             (row,) = of(rows["vibrated"], "scale_factor_vibration_change", axis=axis, temperature_command=temperature)
             assert abs(row["value"] - change) < max(5 * row["standard_uncertainty"], 1e-7)
+
+
+def test_a_temperature_that_was_measured_on_one_side_only_is_named(rows: dict[str, list[Row]]) -> None:
+    for row in of(rows["half"], "scale_factor_vibration_change", temperature_command=60.0):
+        assert (row["value"], "not measured after it" in row["reason"]) == (None, True)
+    for row in of(rows["half"], "scale_factor_vibration_change", temperature_command=23.0):
+        assert row["reason"] is None
 
 
 def test_biases_at_one_temperature_are_compared(rows: dict[str, list[Row]]) -> None:
