@@ -182,3 +182,18 @@ def test_an_interrupt_while_libraries_load_has_no_traceback(before: str, code: i
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (code, "")
+
+
+def test_what_asks_for_other_commands_loads_them() -> None:
+    """Hints in messages, and the roles of a file of settings."""
+    script = (
+        "import click, gyrofleet\n"
+        "from stream.terminal.hints import _command\n"
+        "from analytics.commands.services.config import roles\n"
+        "print(_command(gyrofleet.main, ['verify']).name, _command(gyrofleet.main, ['limits', 'add']).name)\n"
+        "with click.Context(gyrofleet.main): print(*roles())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == [
+        "verify", "add", "router", "record", "lake", "estimate", "compensate", "serve", "alert", "attest", "replicate",
+    ]  # fmt: skip

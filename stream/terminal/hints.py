@@ -76,7 +76,7 @@ def _command(command: click.Command, words: list[str]) -> click.Command | None:
     for word in words:
         if not isinstance(command, click.Group):
             break
-        found = command.commands.get(word)
+        found = command.get_command(click.Context(command), word)
         if found is None:
             return None
         command = found

@@ -24,7 +24,10 @@ def roles() -> dict[str, tuple[tuple[str, ...], click.Command]]:
     while waiting:
         words, command = waiting.pop()
         if isinstance(command, click.Group):
-            waiting += [((*words, name), each) for name, each in command.commands.items()]
+            context = click.Context(command)
+            names = command.list_commands(context)
+            found_here = ((name, command.get_command(context, name)) for name in names)
+            waiting += [((*words, name), each) for name, each in found_here if each is not None]
         elif table := getattr(command.callback, TABLE, ""):
             found[table] = words, command
     return {name: found[name] for name in sorted(found, key=_ORDER.index)}
