@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from uuid import UUID
 
 import msgspec
@@ -191,10 +191,10 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
 
 def _check_index(values: object, rate_hz: float) -> None:
     """BadInput where a series of pandas has times that are not `rate_hz` apart: its values alone would not show it."""
-    index = getattr(values, "index", None)
-    times = np.asarray(index) if index is not None and not callable(index) else np.empty(0)
-    if times.dtype.kind not in "mM" or times.size < 2:
+    index: Any = getattr(values, "index", None)
+    if getattr(getattr(index, "dtype", None), "kind", "") not in ("M", "m"):
         return
+    times = np.asarray(index if getattr(index, "tz", None) is None else index.tz_convert(None))
     steps_s = np.diff(times).astype("timedelta64[ns]").astype(np.int64) / 1e9
     is_apart = np.isclose(steps_s * rate_hz, 1.0, rtol=0.0, atol=_OFF_GRID)
     if not is_apart.all():

@@ -168,9 +168,9 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric as `_computed` has them; an error of its own statement or function names it."""
     try:
         return _computed(catalog, metric)
-    except (GyrofleetError, NotKept, MemoryError, OSError, *_OF_THE_COMPUTER) as error:
-        if isinstance(error, QueryError):
-            raise _own_error(metric, str(error).partition(" (views: ")[0]) from error
+    except QueryError as error:
+        raise _own_error(metric, str(error).partition(" (views: ")[0]) from error
+    except (GyrofleetError, NotKept, MemoryError, OSError, *_OF_THE_COMPUTER):
         raise
     except Exception as error:
         raise _own_error(metric, f"{type(error).__name__}: {error}") from error

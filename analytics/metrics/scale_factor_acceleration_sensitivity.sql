@@ -15,7 +15,8 @@
 -- The clause compares magnitudes: where the rate is counted about the table's axis, which the IRA points against when
 -- it is down, that scale factor has the other sign.
 with forced as (
-  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, steps[1]) as in_force
+  select *,
+    temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, steps[1]) as in_force
   from scale_results('internal.scale_fits')
   where standard = 'JJF2014' and phase is null
     and (regexp_matches(position, '^(IRA|vertical)_(up|down)$')

@@ -16,30 +16,27 @@
 -- visit is a point of its own; points nearer to the room's temperature than 1 degC are none. A
 -- maximum of noisy values is too large by nature: its limits are those that hold for all points together (Bonferroni),
 -- the largest of the lower and the largest of the upper ones.
-with begun as (
-  select *, coalesce(coalesce(temperature_command, temperature)
-      - lag(coalesce(temperature_command, temperature)) over warm_up >= 5, false) as begins
+with forced as (
+  select *, coalesce(temperature_command, temperature) as set_to
   from scale_results('internal.scale_fits') where standard <> 'JJF1536' and phase is null
-  window warm_up as (partition by run, unit, signal, "procedure", position, axis, repeat, standard
-    order by coalesce(temperature_command, temperature))
+), begun as (
+  select *, begins_class(set_to, run, unit, signal, "procedure", repeat) as begins from forced
 ), classed as (
-  select *, sum(begins::int) over (partition by run, unit, signal, "procedure", position, axis, repeat, standard
-    order by coalesce(temperature_command, temperature)) as warmth
-  from begun
+  select *, class_of(begins, set_to, run, unit, signal, "procedure", repeat) as warmth from begun
 ), judged_visits as (
   -- a visit without a scale factor counts for nothing where another one to the same temperature has one
   select *, visit is not null and lack is not null and count(*) filter (lack is null) over (
     partition by run, unit, signal, "procedure", position, axis, repeat, standard, warmth) > 0 as is_left_out
   from classed
 ), tested as (
-  select *, count(*) filter (is_left_out) over test as left_out, count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
+  select *,
+    count(*) filter (is_left_out) over test as left_out,
+    count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     max(temperature) over test - min(temperature) over test as spread,
     bool_or(room) over test as says_room,
-    coalesce(temperature_command, temperature) as set_to,
-    min(abs(coalesce(temperature_command, temperature) - 20)) over test as nearest,
+    min(abs(set_to - 20)) over test as nearest,
     -- of two that are as near, the one that was measured first
-    arg_min(coalesce(temperature_command, temperature), (abs(coalesce(temperature_command, temperature) - 20), steps))
-      over test as room_set_to
+    arg_min(set_to, (abs(set_to - 20), steps)) over test as room_set_to
   from judged_visits
   window test as (partition by run, unit, signal, "procedure", position, axis, repeat, standard)
 ), marked as (
@@ -57,11 +54,13 @@ with begun as (
     list({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
       freedoms: freedoms, points: points, temperature: temperature} order by steps) filter (is_room) as rooms,
     list(coalesce(format('{:.1f} degC: ', temperature), '') || lack order by steps) filter (lack is not null) as lacks,
-    case when min(left_out) > 0 then min(left_out) || ' visits to a temperature have no scale factor, and are left out' end as remark,
+    case when min(left_out) > 0 then
+      min(left_out) || ' visits to a temperature have no scale factor, and are left out' end as remark,
     min(nearest) as nearest, flatten(list(steps order by steps)) as steps, sum(n)::bigint as n
   from marked group by all
 ), compared as (
-  select * exclude (others), [struct_insert(slope_difference(p, room, 1), apart := p.temperature - room.temperature, at := p.temperature)
+  select * exclude (others),
+    [struct_insert(slope_difference(p, room, 1), apart := p.temperature - room.temperature, at := p.temperature)
       for p in others if abs(p.temperature - room.temperature) >= 1] as changes
   from (select *, mean_line(rooms) as room from gathered)
 ), quotients as (
@@ -94,7 +93,8 @@ select
   worst.freedom as freedom,
   n,
   {"procedure": "procedure", position: position, axis: axis, repeat: repeat, points: len(points),
-    temperature_of_maximum: round(worst.temperature, 2), room_temperature: round(room.temperature, 2), remark: remark} as parameters,
+    temperature_of_maximum: round(worst.temperature, 2), room_temperature: round(room.temperature, 2),
+    remark: remark} as parameters,
   [run] as runs, list_sort(steps) as steps, standard,
   case standard when 'GJB2426A' then '5.8.5 (13)' else '7.2.5 (11)' end as clause,
   lack as reason

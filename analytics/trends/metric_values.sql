@@ -1,6 +1,7 @@
 -- The values of a metric, with when, where and in which lot each was measured.
 with own_lots as (                      -- a unit is of one lot, where its runs agree
-  select unit, min(lot) as lot from step_means group by unit having min(lot) = max(lot)
+  select unit, min(lot) as lot from step_means where $unit = '' or unit = $unit
+  group by unit having min(lot) = max(lot)
 ), chosen as (
   select row_number() over () as number, *
   from unit_metrics where metric = $metric and ($unit = '' or unit = $unit)
@@ -13,7 +14,7 @@ with own_lots as (                      -- a unit is of one lot, where its runs 
     arg_max(s.product, s.t_to_ns) as product,
     bool_and(s.date_known) as date_known
   from (select *, unnest(case when len(runs) > 0 then runs else [run] end) as in_run from chosen) c
-  join step_means s on s.run = c.in_run and s.unit = c.unit
+  join step_means s on s.run = c.in_run and s.unit = c.unit and ($unit = '' or s.unit = $unit)
     and (len(c.runs) > 1 or coalesce(len(c.steps), 0) = 0 or list_contains(c.steps, s."index"))
   group by c.number
 )

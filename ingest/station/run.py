@@ -234,10 +234,9 @@ class StationRun:
         until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
         is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731
         self._until(step, "the last samples come", is_enough, None, is_recorded=True)
-        named = step.words.step or step.words.procedure
         lacking = coverage.lacking()
         for unit, what in lacking:
-            text = f"warning: step {step.number} ({named}), unit {unit}: {what}; check its wiring and power"
+            text = f"warning: {self._named(step)}, unit {unit}: {what}; check its wiring and power"
             self._log.note(text, unit)
             self._operator.report(text)
         if lacking:
@@ -287,13 +286,13 @@ class StationRun:
                         self.report(f"{doing}: {error}; trying again")
                     trouble = f": {error}"
                     time.sleep(_RETRY_S)
-            if timeout_s is not None and passed_s > timeout_s:
-                named = step.words.step or step.words.procedure
-                raise RunStopped(
-                    f"run {self._log.state.run}, step {step.number} ({named}): {doing} is not done after "
-                    f"{passed_s:,.0f} s{f' ({more})' if (more := about()) else ''}{trouble}; the station was made safe"
-                )
             more = about()
+            if timeout_s is not None and passed_s > timeout_s:
+                seen = f" ({more})" if more else ""
+                raise RunStopped(
+                    f"run {self._log.state.run}, {self._named(step)}: {doing} is not done after {passed_s:,.0f} s"
+                    f"{seen}{trouble}; the station was made safe"
+                )
             if more and passed_s > report_s:
                 self.report(f"{self._named(step)}: {doing} for {passed_s / 3600.0:.1f} h: {more}{trouble}")
                 report_s *= 2.0

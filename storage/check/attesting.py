@@ -41,8 +41,10 @@ class AttestService:
         """Attest once; StoreError if nothing was signed, or it cannot be written."""
         try:
             found = self._round()
-        except GyrofleetError as error:
+        except (GyrofleetError, OSError) as error:
             self._trouble = str(error)
+            if isinstance(error, OSError):
+                raise StoreError(f"{self._store.folder} cannot be attested: {error}") from error
             raise
         self._trouble = f"attested without a time stamp: {found.unstamped}" if found.unstamped else ""
         return found

@@ -217,9 +217,9 @@ def output_is_closed() -> bool:
 @contextmanager
 def progress_bar(*, hidden: bool) -> Iterator["Progress"]:
     """A progress bar on standard error; nothing where that is not a terminal or `hidden`."""
-    console = notes()
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+    console = notes()
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=hidden or not console.is_terminal, transient=True) as progress:
         yield progress

@@ -25,9 +25,8 @@ def roles() -> dict[str, tuple[tuple[str, ...], click.Command]]:
         words, command = waiting.pop()
         if isinstance(command, click.Group):
             context = click.Context(command)
-            names = command.list_commands(context)
-            found_here = ((name, command.get_command(context, name)) for name in names)
-            waiting += [((*words, name), each) for name, each in found_here if each is not None]
+            each_name = command.list_commands(context)
+            waiting += [((*words, name), each) for name in each_name if (each := command.get_command(context, name))]
         elif table := getattr(command.callback, TABLE, ""):
             found[table] = words, command
     return {name: found[name] for name in sorted(found, key=_ORDER.index)}

@@ -26,10 +26,12 @@ create or replace macro class_of(begins, in_force, run, unit, signal, "procedure
 
 create or replace view internal.classed_still_steps as
 with forced as (
-  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, "index") as in_force
+  select *,
+    temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, "index") as in_force
   from internal.still_steps
   where not turns and (lower(phase) in ('before', 'after') or phase is null
-    and (regexp_matches("procedure", '^bias_acceleration|零偏加速度') or "procedure" is null))
+    and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
+      or "procedure" is null and regexp_matches(position, '^[XYZ]_(up|down)$')))
 ), begun as (
   select *, begins_class(in_force, run, unit, signal, "procedure", repeat) as begins from forced
 )
@@ -41,12 +43,10 @@ with flip as (
     coalesce(upper(axis), axis_in(position),
       case when regexp_matches(position, '^(IRA|vertical)_(up|down)$') then 'IRA' end, 'unnamed') as flipped,
     side_in(position) as g
-  from internal.classed_still_steps
-  where phase is null and not turns
-    and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
-      or "procedure" is null and regexp_matches(position, '^[XYZ]_(up|down)$'))
+  from internal.classed_still_steps where phase is null
 ), side as (
-  select run, unit, signal, "procedure", repeat, warmth, flipped, g, round(avg(temperature_command), 1) as temperature_command,
+  select run, unit, signal, "procedure", repeat, warmth, flipped, g,
+    round(avg(temperature_command), 1) as temperature_command,
     count(*) filter (n = 0 or deg_per_h is null) as unknown,
     any_value(unit_of_measure) as unit_of_measure, any_value(scale_source) as scale_source,
     any_value(latitude_deg) as latitude_deg, bool_and(deg_per_h is not null) as is_scaled,
@@ -59,7 +59,8 @@ with flip as (
   from flip where g is not null
   group by all
 ), pair as (
-  select run, unit, signal, "procedure", repeat, warmth, round(avg(temperature_command), 1) as temperature_command, flipped as axis,
+  select run, unit, signal, "procedure", repeat, warmth, flipped as axis,
+    round(avg(temperature_command), 1) as temperature_command,
     (max(mean) filter (g = 1) - max(mean) filter (g = -1)) / 2 as half,
     sqrt(sum(u ** 2 order by g)) / 2 as u,
     sum(u ** 2 order by g) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by g), 0) as freedom,
@@ -84,10 +85,10 @@ with flip as (
   window test as (partition by run, unit, signal, "procedure", repeat, warmth
     order by axis rows between unbounded preceding and unbounded following)
 )
-select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level, half, half as raw, u, freedom, n, steps, scale_source,
-  lack, 'none' as earth_rate
+select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level, half,
+  half as raw, u, freedom, n, steps, scale_source, lack, 'none' as earth_rate
 from whole
 union all
-select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level, half - coalesce(earth, 0), half, u, freedom, n,
-  steps, scale_source, lack, 'removed'
+select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level,
+  half - coalesce(earth, 0), half, u, freedom, n, steps, scale_source, lack, 'removed'
 from whole where len(level) < len(axes) or level is null;

@@ -1,13 +1,12 @@
--- How the bias has changed from before a shock or vibration to after it: a row for each axis of a test and
--- commanded temperature, deg/h. Which
--- of the two it was (`cause`) is known by the name of the procedure, else of the step.
+-- How the bias has changed from before a shock or vibration to after it: a row for each axis of a test and temperature,
+-- deg/h. Which of the two it was (`cause`) is known by the name of the procedure, else of the step.
 create or replace view internal.bias_changes as
 with phased as (
   select *,
     case when regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击') then 'shock' else 'vibration' end as cause,
     coalesce(upper(axis), nullif(regexp_extract(position, '^([XYZ])(_|$)', 1), ''), 'unnamed') as along
   from internal.classed_still_steps
-  where lower(phase) in ('before', 'after') and not turns
+  where lower(phase) in ('before', 'after')
     and not regexp_matches(coalesce("procedure", ''), '^scale_factor')
     and regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击|vibration|振动')
 ), side as (
@@ -63,6 +62,7 @@ select unit, signal, run, axis, change as difference, u, freedom, false as is_si
   case when shown = 'largest' and len(absent) > 0 then
     'axis ' || array_to_string(absent, ', ') || ' was not tested: the clause asks for X, Y and Z'
     else lack end as reason,
-  {axis: shown, repeat: repeat, temperature_command: temperature_command, scale_factor: scale_source, remark: remark} as parameters
+  {axis: shown, repeat: repeat, temperature_command: temperature_command, scale_factor: scale_source, remark: remark}
+    as parameters
 from changes
 window tested as (partition by unit, signal, run, "procedure", repeat, warmth, shown);

@@ -8,7 +8,8 @@ create or replace macro remark_on_temperatures(a, b, name_a, name_b) as
 
 create or replace macro scale_changes(source, cause) as table
 with forced as (
-  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, steps[1]) as in_force
+  select *,
+    temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, steps[1]) as in_force
   from scale_results(source)
   where standard = 'JJF2014' and lower(phase) in ('before', 'after') and regexp_matches("procedure", cause)
 ), begun as (
@@ -37,13 +38,15 @@ with forced as (
     end as lack
   from paired
 ), each_axis as (
-  select run, unit, signal, "procedure", repeat, k_unit, along as axis, warmth, temperature_command, steps, n, lack, remark,
+  select run, unit, signal, "procedure", repeat, k_unit, along as axis, warmth, temperature_command, steps, n, lack,
+    remark,
     [{size: abs(difference.change), u: difference.u, freedom: difference.freedom, axis: along,
       ppm: abs(difference.change / before.k) * 1e6}] as changes
   from compared
 ), largest as (
   select run, unit, signal, "procedure", repeat, k_unit, 'largest' as axis, warmth,
-    round(avg(temperature_command), 1) as temperature_command, string_agg('axis ' || axis || ' ' || remark, '; ' order by axis) as remark,
+    round(avg(temperature_command), 1) as temperature_command,
+    string_agg('axis ' || axis || ' ' || remark, '; ' order by axis) as remark,
     flatten(list(steps order by axis)) as steps, sum(n)::bigint as n,
     case
       when count(lack) > 0 then string_agg(lack, '; ' order by axis)

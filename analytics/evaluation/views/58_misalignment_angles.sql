@@ -11,20 +11,22 @@ create or replace macro mean_turn(turns) as
     }],
     lambda q_: struct_insert(q_, seen := case when q_.n > 1
       then list_sum([(e.output - q_.output) ** 2 for e in turns]) / (q_.n * (q_.n - 1)) end)),
-    lambda q_: {output: q_.output, rate: q_.rate, n: q_.n,
+    lambda q_: {output: q_.output, rate: q_.rate,
       u: case when list_count([e.u for e in turns]) = q_.n then sqrt(greatest(q_.own, coalesce(q_.seen, 0))) end,
       freedom: case when q_.seen > q_.own then q_.n - 1 else coalesce(q_.own_freedom, 1e9) end})[1] end;
 
 create or replace view internal.misalignment_angles as
 with forced as (
-  select *, temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, "index") as in_force
+  select *,
+    temperature_in_force(temperature_command, temperature, run, unit, signal, "procedure", repeat, "index") as in_force
   from rate_steps
   where n > 0 and rate_command <> 0 and frequency is null
     and regexp_matches(position, '^[Oo][XxYy]_(up|down|up_turned_180)$')
 ), begun as (
   select *, begins_class(in_force, run, unit, signal, "procedure", repeat) as begins from forced
 ), placed as (
-  select *, class_of(begins, in_force, run, unit, signal, "procedure", repeat) as warmth, lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
+  select *, class_of(begins, in_force, run, unit, signal, "procedure", repeat) as warmth,
+    lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
     regexp_matches(position, '_down$|turned_180$') as turned
   from begun
 ), directed as (
@@ -38,7 +40,6 @@ with forced as (
     min(unit_of_measure) as unit_of_measure, max(abs(rate_command)) as rate,
     min(t_from_ns) as t_from_ns, min(station) as station, min(time_zone) as time_zone,
     bool_and(date_known) as date_known,
-    min(temperature) as coldest, max(temperature) as warmest,
     sum(n)::bigint as n, list("index" order by "index") as steps
   from placed group by all
 )
@@ -57,7 +58,8 @@ from directed;
 -- GJB (50), the root of the sum of all four squares, cancels nothing; not offered.
 create or replace view internal.misalignments as
 with paired as (
-  select run, unit, signal, "procedure", repeat, warmth, round(avg(temperature_command), 1) as temperature_command, min(scale_source) as scale_source, max(rate) as rate,
+  select run, unit, signal, "procedure", repeat, warmth, round(avg(temperature_command), 1) as temperature_command,
+    min(scale_source) as scale_source, max(rate) as rate,
     max(delta) filter (mounting_axis = 'x' and not turned) as x,
     max(delta) filter (mounting_axis = 'y' and not turned) as y,
     max(delta) filter (mounting_axis = 'x' and turned) as x_turned,

@@ -87,6 +87,6 @@ def _candidates(runs: Sequence[RunBlocks]) -> dict[str, Effect]:
     others = present - set(STANDARD_CHANNELS)
     if "temperature" not in present:
         others |= present & {"case_temperature"}  # else it is temperature and temperature_gradient together
-    # the same column twice could not be told apart by any test
+    # no test separates two effects that have the same column
     named = {next(iter(each.powers)) for each in effects().values() if isinstance(each, Monomial) and is_linear(each)}
     return {**effects(), **{each.name: each for each in map(channel_linear, sorted(others - named))}}

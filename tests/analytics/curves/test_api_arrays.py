@@ -152,7 +152,13 @@ def test_a_series_whose_times_are_not_the_rate_is_refused() -> None:
     values = np.random.default_rng(1).normal(size=1000)
     series = pd.Series(values, index=pd.date_range("2026-01-01", periods=1000, freq="10ms"))
     assert gf.allan_deviation(series, 100.0).deviation[0] == gf.allan_deviation(values, 100.0).deviation[0]
-    for wrong, rate_hz in ((series, 1.0), (series.drop(series.index[10:20]), 100.0), (series.iloc[::-1], 100.0)):
+    zoned = series.tz_localize("Asia/Shanghai")
+    for wrong, rate_hz in (
+        (series, 1.0),
+        (zoned, 1.0),
+        (series.drop(series.index[10:20]), 100.0),
+        (series.iloc[::-1], 100.0),
+    ):
         with pytest.raises(BadInput, match="the index has"):
             gf.allan_deviation(wrong, rate_hz)
     assert gf.allan_deviation(series.drop(series.index[10:20]).asfreq("10ms"), 100.0).n[0] < 999
