@@ -106,7 +106,10 @@ def parse_header(text: str, where: str) -> MetricHeader:
     sources = []
     for each in lines["source"].split(";"):
         if (match := _SOURCE.fullmatch(each)) is None:
-            raise MetricError(f"metric {where}: source {each!r} is not like 'GJB 2426A-2004 5.12.1 (19)'")
+            raise MetricError(
+                f"metric {where}: source {each!r} is not like 'GJB 2426A-2004 5.12.1 (19)', or for a document "
+                "of your own house 'ACME QP-07 4.2'"
+            )
         sources.append(Clause(match["standard"].replace(" ", ""), match["clause"]))
     found, none = _influences(influences, where)
     return MetricHeader(

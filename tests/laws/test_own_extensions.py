@@ -1,5 +1,6 @@
 """An extension with a mistake is named, and claims nothing."""
 
+from importlib.resources import files
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,9 +9,11 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation import evaluation
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects import registry
+from analytics.loop.effects.base import Effect, Shape
 from analytics.loop.effects.monomial import channel_linear
-from analytics.metric_registry.registry import BoundsSource, metrics
+from analytics.metric_registry.registry import BoundsSource, Clause, MetricError, metrics, parse_header
 from storage.sql.catalog import NotKept
 from stream.errors import BadInput, QueryError
 
@@ -59,6 +62,15 @@ def test_a_column_that_nothing_reads_or_that_is_missing_is_named(
     evaluation._check_columns(metrics()[metric], evaluation.COLUMNS.names)
 
 
+def test_a_metric_of_ones_own_house_names_its_document() -> None:
+    statement = files("analytics.metrics").joinpath("bias.sql").read_text(encoding="utf-8")
+    source = next(line for line in statement.splitlines() if line.startswith("-- source:"))
+    own = parse_header(statement.replace(source, "-- source:    ACME QP-07 4.2; GJB 2426A-2004 5.12.1 (19)"), "bias")
+    assert own.sources == (Clause("ACME", "QP-07 4.2"), Clause("GJB2426A", "5.12.1 (19)"))
+    with pytest.raises(MetricError, match="ACME QP-07"):
+        parse_header(statement.replace(source, "-- source:    our own"), "bias")
+
+
 def test_two_effects_of_one_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_effects_in", lambda _: [channel_linear("pressure")])
     with pytest.raises(BadInput, match="give one of them another name"):
@@ -76,3 +88,34 @@ def test_an_own_effect_takes_the_place_of_the_general_one_of_its_channel(monkeyp
     assert "ambient_pressure" in found
     assert "channel:compressor" in found
     assert "channel:pressure" not in found
+
+
+def _raises(self: Effect, run: RunBlocks, shape: Shape) -> Any:
+    return run.mean("presure")
+
+
+@pytest.mark.parametrize(
+    ("regressors", "word"),
+    [
+        (_raises, "fails with KeyError: 'presure'"),
+        (lambda self, run, shape: run.mean("pressure"), r"float64 of shape \(3,\); .* \(3, 1\)"),
+        (lambda self, run, shape: [[1.0]] * 3, "gives list"),
+        (lambda self, run, shape: np.full((3, 1), "1"), "<U1"),
+    ],
+)
+def test_an_effect_that_fails_or_gives_other_columns_is_named(regressors: Any, word: str) -> None:
+    class Own(Effect):
+        name = "ambient_pressure"
+        needs = ("pressure",)
+
+        def simulate(self, time_s: Any, channels: Any, coefficients: Any, shape: Shape) -> Any:
+            return channels["pressure"] * coefficients[0]
+
+    own = type("Faulty", (Own,), {"regressors": regressors, "__module__": __name__})()
+    ones = np.ones(3)
+    run = RunBlocks(
+        "FOG-1", "r1", "rate", np.arange(3), 30.0, 0, ones, np.ones(3, np.int64), ones, "deg/h",
+        {"pressure": Channel(ones, ones, "hPa")},
+    )  # fmt: skip
+    with pytest.raises(BadInput, match=rf"effect 'ambient_pressure' .*FOG-1, run r1: .*{word}"):
+        own.regressors(run, {})

@@ -1,9 +1,10 @@
 """Base class of effects, each predicts (columns of a regression) and simulates; units of their coefficients."""
 
+import functools
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
@@ -13,7 +14,7 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import FloatArray
-from stream.errors import BadInput
+from stream.errors import BadInput, GyrofleetError
 
 Shape = Mapping[str, object]  # values of an effect's shape parameters: numbers, or lists such as knots; JSON
 Inputs = Mapping[str, FloatArray]  # true channels in standard units at the instants of a simulation, shape (n,)
@@ -126,6 +127,13 @@ class Effect(ABC):
     separating_test: str  # the measurement that would distinguish this effect from its aliases
     separating_test_zh: str
 
+    def __init_subclass__(cls) -> None:
+        """Check the columns that a class computes, so that a mistake in an own effect names the effect."""
+        super().__init_subclass__()
+        own = cls.__dict__.get("regressors")
+        if own is not None:
+            cls.regressors = _checked(own)  # type: ignore[assignment]
+
     def shapes(self, runs: Sequence[RunBlocks]) -> Sequence[Shape]:
         """Shapes to try on these runs: by default every combination of the grids."""
         names = [parameter.name for parameter in self.parameters]
@@ -172,6 +180,33 @@ class Effect(ABC):
         `time_s` are evenly spaced seconds from the run's start, `channels` the true inputs of the gyro at these
         instants; there is one coefficient for each column, in the signal's unit.
         """
+
+
+_Regressors = Callable[[Effect, RunBlocks, Shape], FloatArray]
+
+
+def _checked(regressors: _Regressors) -> _Regressors:
+    """`regressors` that raises BadInput with the name of the effect where it fails or gives no such columns."""
+
+    @functools.wraps(regressors)
+    def checked(self: Effect, run: RunBlocks, shape: Shape) -> FloatArray:
+        where = f"effect {self.name!r} ({type(self).__module__}) on unit {run.unit}, run {run.run}"
+        try:
+            found = regressors(self, run, shape)
+            wanted = (len(run), len(self.columns(shape)))
+        except (GyrofleetError, MemoryError):
+            raise
+        except Exception as error:
+            raise BadInput(f"{where}: its `regressors` fails with {type(error).__name__}: {error}; mend it") from error
+        if not isinstance(found, np.ndarray) or found.shape != wanted or found.dtype.kind not in "fiub":
+            what = f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+            raise BadInput(
+                f"{where}: its `regressors` gives {what}; an array of numbers of shape {wanted} (blocks, "
+                "columns) is needed"
+            )
+        return found
+
+    return checked
 
 
 def coefficient_unit(effect: Effect, signal_unit: str, run: RunBlocks) -> str:
