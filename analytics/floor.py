@@ -98,6 +98,8 @@ class UnitNow:
     @property
     def early(self) -> str:
         """Verdict of the early decisions: FAIL by one of them, PASS by all; empty if none is decided."""
+        if not self.decisions:
+            return ""
         outcomes = [each.outcome for each in self.decisions.values()]
         if Verdict.FAIL in outcomes:
             return Verdict.FAIL.value

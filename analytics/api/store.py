@@ -113,14 +113,17 @@ class FleetStore:
         Raises
         ------
         NotFound: If the store does not hold it.
-        BadInput: If a moment has no time zone.
+        BadInput: If a moment has no time zone, or `start` is not before `stop`.
         """
         from storage.sql.reading import find_signal
 
         self._check_open()
         record = find_signal(self._sql, unit, signal, run)
         given = {"unit": unit, "signal": signal, "run": record.run}
-        bounds = {"start": _moment_ns(start, "start"), "stop": _moment_ns(stop, "stop")}
+        from_ns, to_ns = _moment_ns(start, "start"), _moment_ns(stop, "stop")
+        if from_ns is not None and to_ns is not None and from_ns >= to_ns:
+            raise BadInput(f"start ({start}) is not before stop ({stop}): there is no time between them")
+        bounds = {"start": from_ns, "stop": to_ns}
         import polars as pl
 
         return self.sql(_SAMPLES, given | bounds).polars().with_columns(pl.col("time").dt.replace_time_zone("UTC"))

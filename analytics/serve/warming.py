@@ -1,5 +1,6 @@
 """Catalogues opened before somebody asks: as the server starts, and when lake or log have changed."""
 
+import gc
 import importlib
 import threading
 import time
@@ -21,8 +22,9 @@ from stream.quantities import read_definitions
 
 _LOOK_S = 0.1
 _METRICS_LOOK_S = 1.0
-# a request is answered from what was the newest at most so long ago
-_STALE_S = 1.25
+# a request is answered from what was the newest at most so long ago; on a busy machine, where the next version takes
+# long to open, at most so many times that long
+_STALE_S, _STALE_TIMES, _MOST_STALE_S = 1.25, 5.0, 10.0
 # catalogues are opened for a third of the time at most, metrics for a tenth
 _PAUSES, _METRICS_PAUSES = 2.0, 9.0
 _NEXT_S = 0.7
@@ -53,6 +55,7 @@ class Warming(Closing):
         self._is_opening = False
         self._asked = threading.Event()  # for metrics
         self._changed_s = 0.0
+        self._took_s = 0.0  # to open the version before
         self.tasks: list[Callable[[], object]] = []  # what else pages need, such as their templates
         self._ends = threading.Event()
         self._threads = [
@@ -68,10 +71,14 @@ class Warming(Closing):
     def opened(self) -> LakeState | None:
         """The version that a request is answered from at once; None if it has to wait for the newest."""
         opened = self._open
-        if opened is None or opened[1] < max(time.monotonic() - _STALE_S, self._changed_s):
+        if opened is None or opened[1] < max(time.monotonic() - self._stale_s(), self._changed_s):
             return None
         state, metrics = opened[0], self._metrics_of(opened[0])
         return state if metrics is state.metrics else replace(state, metrics=metrics)
+
+    def _stale_s(self) -> float:
+        """How old what is shown may be: who waits for the next version on a busy machine holds up others as well."""
+        return min(max(_STALE_S, _STALE_TIMES * self._took_s), _MOST_STALE_S)
 
     def want_metrics(self) -> None:
         """Open the metrics of the newest version now: somebody waits for them."""
@@ -127,7 +134,7 @@ class Warming(Closing):
                         pass
                     uses += 1
                     self._open = newest, began_s
-                    took_s = time.monotonic() - began_s
+                    took_s = self._took_s = time.monotonic() - began_s
                 self._lake.views.sweep()
                 self._fresh.sweep()
             except (GyrofleetError, OSError):
@@ -161,6 +168,9 @@ class Warming(Closing):
             if not has_kernels:
                 has_kernels = True
                 _load_kernels()
+                # what is loaded stays: collections would look at all of it again and again
+                gc.collect()
+                gc.freeze()
             pause_s = _METRICS_PAUSES * (time.monotonic() - began_s)
             self._asked.wait(max(_METRICS_LOOK_S, pause_s, _METRICS_NEXT_S if has_opened else 0.0))
 

@@ -5,7 +5,7 @@ With a hundred views this takes most of the time of a short statement, which nee
 
 import re
 from collections.abc import Callable, Collection, Iterable
-from functools import cache
+from functools import cache, lru_cache
 from itertools import count
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ class _Waiting(NamedTuple):
     is_macro: bool
 
 
+@lru_cache(maxsize=256)
 def words_of(sql: str) -> frozenset[str]:
     """Words of a statement, among them all that it may name.
 

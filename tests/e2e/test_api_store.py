@@ -65,6 +65,8 @@ def test_samples_between_two_moments(store: gf.FleetStore) -> None:
     assert found["unit_of_measure"].unique().to_list() == ["deg/h"]
     with pytest.raises(BadInput, match="start"):
         store.samples("G-1", "rate", start="2026-11-01T00:00:10")
+    with pytest.raises(BadInput, match="not before stop"):
+        store.samples("G-1", "rate", start=20, stop=10)
     with pytest.raises(NotFound, match="G-9"):
         store.samples("G-9", "rate")
 

@@ -134,7 +134,7 @@ def body_of(content: bytes, kind: type[Any]) -> Any:
 
 def query_of(request: Request, kind: type[Any], others: Sequence[str]) -> tuple[Any, dict[str, str]]:
     """Parameters of a request, and those of the names `others`; BadInput names the one that is not right."""
-    fields = {each.encode_name: each for each in msgspec.structs.fields(kind)}
+    fields = _fields(kind)
     given: dict[str, Any] = {}
     for name, value in request.query_params.multi_items():
         if name in fields and getattr(fields[name].type, "__origin__", None) is tuple:
@@ -149,6 +149,12 @@ def query_of(request: Request, kind: type[Any], others: Sequence[str]) -> tuple[
     except msgspec.ValidationError as error:
         known = ", ".join([*fields, *others])
         raise BadInput(f"a parameter is not what is expected: {error}; there are {known}") from error
+
+
+@functools.cache
+def _fields(kind: type[Any]) -> dict[str, msgspec.structs.FieldInfo]:
+    """Parameters by their names; to resolve their types takes longer than to read a request."""
+    return {each.encode_name: each for each in msgspec.structs.fields(kind)}
 
 
 def url_of(request: Request) -> str:
