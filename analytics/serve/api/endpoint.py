@@ -134,7 +134,7 @@ def body_of(content: bytes, kind: type[Any]) -> Any:
 
 def query_of(request: Request, kind: type[Any], others: Sequence[str]) -> tuple[Any, dict[str, str]]:
     """Parameters of a request, and those of the names `others`; BadInput names the one that is not right."""
-    fields = _fields(kind)
+    fields = _fields(kind)  # type: ignore[arg-type]  # a type can be hashed
     given: dict[str, Any] = {}
     for name, value in request.query_params.multi_items():
         if name in fields and getattr(fields[name].type, "__origin__", None) is tuple:
