@@ -8,13 +8,16 @@ import numpy as np
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.tracing.search.evidence import PRICE, look_alike
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, as_if_replicated, fitted_candidates
+from analytics.loop.tracing.search.named_parts import named_parts
 from analytics.loop.tracing.search.pair_round import best_pair
 from analytics.loop.tracing.search.screening import Candidates, screen
-from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
+from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly, normal_equations, nothing_more
+from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
 
 MOST_EFFECTS = 4
+LEAST_SHARED = 0.5  # of what a candidate explains alone, to be a rival of an effect
 _MOST_SWEEPS = 3
 
 
@@ -115,7 +118,9 @@ def search(candidates: Candidates, rng: np.random.Generator) -> Search:
         selected, joint = _with_pair(candidates, selected, joint, rng)
     elif common >= 2:
         selected, joint = _refined(candidates, selected, joint, rng)
+    selected, joint = _with_named_parts(candidates, selected, joint, rng)
     joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises, restricted=True)
+    selected = _without_others_rivals(selected, joint)
     return Search(tuple(selected), null, joint, unreplicated, () if selected else first)
 
 
@@ -150,6 +155,23 @@ def _with_pair(
     refined, after = _refined(candidates, both, pair[0].joint, rng)
     is_kept = sum(each.is_common for each in refined) == len(pair)
     return (refined, after) if is_kept else (selected, joint)
+
+
+def _with_named_parts(
+    candidates: Candidates, selected: list[Selected], joint: JointFit, rng: np.random.Generator
+) -> tuple[list[Selected], JointFit]:
+    """Replace a general function by named effects of its channel, if their sum explains as much."""
+    for function in [each for each in selected if each.fitted.effect.kind is EffectKind.FUNCTION]:
+        others = [each for each in selected if each is not function]
+        base = fit_jointly(joint.records, _hypothesis_of(joint.records, others), joint.noises)
+        parts = named_parts(candidates, function.fitted, base)
+        if not parts or len(others) + len(parts) > MOST_EFFECTS:
+            continue
+        both = [*others, *(Selected(each, (), ()) for each in parts)]
+        refined, after = _refined(candidates, both, parts[0].joint, rng)
+        if not any(each.fitted.effect.kind is EffectKind.FUNCTION for each in refined):
+            return refined, after
+    return selected, joint
 
 
 def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
@@ -233,6 +255,50 @@ def _as_before(old: Selected, new: Selected) -> Selected:
     more = [each for each in before if each.name not in known]
     carried = (replace(each, evidence=min(each.evidence + shift, most), at_most=None) for each in more)
     return replace(new, confounded=(*new.confounded, *carried))
+
+
+def _without_others_rivals(selected: Sequence[Selected], joint: JointFit) -> list[Selected]:
+    """The selected effects without candidates that explain what another selected effect explains, or are that effect.
+
+    Two effects of about the same strength have about the same evidence, though they explain different parts. A rival of
+    an effect explains, beside the others, something that it explains no more beside this effect.
+    """
+    common = [each for each in selected if each.is_common]
+    if len(common) < 2:
+        return list(selected)
+    return [
+        replace(each, confounded=tuple(other for other in each.confounded if _is_of(each, other, common, joint)))
+        if each.is_common
+        else each
+        for each in selected
+    ]
+
+
+def _is_of(effect: Selected, other: FittedCandidate, common: Sequence[Selected], joint: JointFit) -> bool:
+    """Whether a candidate explains the same as an effect, and not what other effects explain."""
+    if not other.is_common or _by_design(effect.fitted, other):
+        return True
+    hypothesis = replace(joint.hypothesis, common=tuple(np.empty((len(each), 0)) for each in joint.records))
+    beside = [each.fitted for each in common if each is not effect and each.name != other.name]
+    positions, at = [], 0
+    for each in (*beside, effect.fitted, other):
+        hypothesis = hypothesis.with_common(each.columns)
+        at += each.columns[0].shape[1]
+        positions.append(at)
+    normal, right = normal_equations(joint, hypothesis)
+    others_end, effect_end, _ = [0, 0, *positions][-3:]
+    theirs, both, candidate = np.arange(others_end), np.arange(effect_end), np.arange(effect_end, at)
+
+    def explained(columns: IntArray) -> float:
+        """Chi-square of the candidate beside these columns."""
+
+        def whole(which: IntArray) -> float:
+            return float(right[which] @ solve(normal[np.ix_(which, which)], right[which]).coefficients)
+
+        return whole(np.concatenate([columns, candidate])) - whole(columns)
+
+    before = explained(theirs)
+    return before - explained(both) >= LEAST_SHARED * max(before, explained(np.arange(0)))
 
 
 def _hypothesis_of(records: Sequence[UnitRecord], selected: Sequence[Selected]) -> Hypothesis:

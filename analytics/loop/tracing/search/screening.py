@@ -277,6 +277,9 @@ def pooled(candidates: Candidates, designs: Sequence[FloatArray], noises: Sequen
     def of(number: int) -> Projected:
         record, design = candidates.records[number], designs[number]
         data = np.column_stack([record.value, design, candidates.columns(number)])
+        if np.any(np.ptp(design, axis=0) == 0):  # the model has the bias: what varies counts, not 0.3 V beside 28 V
+            of_candidates = data[:, 1 + design.shape[1] :]
+            of_candidates -= of_candidates.mean(axis=0)
         whitened = record.whitener(noises[number])(data)
         return project(whitened.T @ whitened, design.shape[1])
 

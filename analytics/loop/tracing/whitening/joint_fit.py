@@ -165,6 +165,11 @@ def _whitened(records: Sequence[UnitRecord], hypothesis: Hypothesis, noises: Seq
     return of_records(of, len(records))
 
 
+def normal_equations(joint: JointFit, hypothesis: Hypothesis) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and right side of the common columns of a hypothesis, with the noise of a fit."""
+    return _normal_equations(_whitened(joint.records, hypothesis, joint.noises), hypothesis)
+
+
 def _normal_equations(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> tuple[FloatArray, FloatArray]:
     """Normal matrix and right side of the common coefficients, beside those of each record."""
     parts = [project(each.T @ each, own.shape[1]) for each, own in zip(whitened, hypothesis.own, strict=True)]

@@ -1,0 +1,72 @@
+"""Several effects at once: of about the same strength, or of the same channel."""
+
+import numpy as np
+import pytest
+
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
+from stream.batch import FloatArray
+
+BLOCKS, BLOCK_S, WHITE = 240, 60.0, 0.1
+UNITS = {"temperature": "degC", "supply_voltage": "V", "magnetic_i": "gauss"}
+
+
+def wandering(rng: np.random.Generator, blocks: int) -> FloatArray:
+    """A slow signal of mean 0 and standard deviation 1."""
+    made = np.convolve(rng.standard_normal(blocks + 60), np.hanning(60), "valid")[:blocks]
+    return np.asarray((made - made.mean()) / made.std())
+
+
+def runs_of(seed: int, error: str) -> list[RunBlocks]:
+    """Nine runs over temperature, a supply and a field that wander by themselves, with an error and white noise."""
+    rng, ones, found = np.random.default_rng(seed), np.ones(BLOCKS), []
+    for number in range(9):
+        channels = {
+            "temperature": 22.0 + 38.0 * np.sin(np.linspace(0.0, 2 * np.pi, BLOCKS) + rng.uniform(0, 6.3)),
+            "supply_voltage": 28.0 + 0.3 * wandering(rng, BLOCKS),
+            "magnetic_i": 0.3 + 0.1 * wandering(rng, BLOCKS),
+        }
+        names = {"T": channels["temperature"] - 25.0, "V": channels["supply_voltage"], "B": channels["magnetic_i"]}
+        value = eval(error, {"sin": np.sin}, names) + rng.normal(0, 0.02) + WHITE * rng.standard_normal(BLOCKS)
+        made = {name: Channel(each, 1e-4 * ones, UNITS[name]) for name, each in channels.items()}
+        noise = WHITE**2 * ones
+        found.append(
+            RunBlocks("U1", f"r{number}", "rate", np.arange(BLOCKS), BLOCK_S, 0, value, 60 * ones.astype(int), noise,
+                      "deg/h", made)
+        )  # fmt: skip
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_independent_effects_of_the_same_strength_are_no_rivals(seed: int) -> None:
+    """Each has about the evidence of the other; none explains what the other does."""
+    found = diagnose(runs_of(seed, "0.1*(V - 28) + 0.3*(B - 0.3)"), ErrorModel.parse("rate = bias + temperature"))
+    assert (found.verdict, set(found.names)) == (ModelVerdict.EFFECT_FOUND, {"supply_voltage", "magnetic_i"})
+    truth = {"supply_voltage": 0.1, "magnetic_i": 0.3}
+    for each in found.effects:
+        (size,) = each.coefficients
+        assert abs(size.value - truth[each.name]) < 4 * (size.hi - size.lo) / (2 * 1.96)
+
+
+@pytest.mark.parametrize(
+    ("error", "truth"),
+    [
+        ("0.02*T + 3e-4*T**2", {"temperature": 0.02, "temperature_squared": 3e-4}),
+        ("0.02*T + 3e-4*T**2 + 6e-6*T**3",
+         {"temperature": 0.02, "temperature_squared": 3e-4, "temperature_cubed": 6e-6}),
+    ],
+)  # fmt: skip
+def test_a_polynomial_of_temperature_is_named_by_its_terms(error: str, truth: dict[str, float]) -> None:
+    found = diagnose(runs_of(7, error), ErrorModel.parse("rate = bias"))
+    assert (found.verdict, set(found.names)) == (ModelVerdict.EFFECT_FOUND, set(truth))
+    for each in found.effects:
+        (size,) = each.coefficients
+        assert abs(size.value - truth[each.name]) < 4 * (size.hi - size.lo) / (2 * 1.96)
+
+
+def test_another_form_stays_a_function() -> None:
+    """No sum of the library's effects has it."""
+    found = diagnose(runs_of(9, "0.5*sin(T / 12.0)"), ErrorModel.parse("rate = bias"))
+    assert found.verdict is ModelVerdict.UNKNOWN_FUNCTION
