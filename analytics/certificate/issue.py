@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
+from zoneinfo import ZoneInfo
 
 import msgspec
 
@@ -18,15 +19,17 @@ from analytics.certificate.record import (
     append_certificate,
     file_of,
     proposed_file,
+    proposed_numbers,
     read_certificates,
     sha256_of,
     waiting_certificates,
 )
+from analytics.certificate.reproduction import changed_results
 from analytics.certificate.statement.content import Content, Facts, content_of
 from analytics.certificate.statement.departures import departures
 from analytics.certificate.statement.evidence import read_evidence
 from analytics.certificate.statement.order import Order
-from analytics.certificate.statement.results import result_rows
+from analytics.certificate.statement.results import ordered_rows, result_rows
 from analytics.certificate.statement.standards import Standard
 from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Language, Words
@@ -83,11 +86,13 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
     the unit is not in the store; StoreError if a file or the log cannot be written.
     """
     store = catalog.store
-    rows = result_rows(inner_page(catalog, wanted.unit, wanted.standard.name))
+    rows = ordered_rows(result_rows(inner_page(catalog, wanted.unit, wanted.standard.name)), wanted.order.items)
     runs = sorted({run for row in rows for each in row.results for run in each.runs})
     evidence = read_evidence(catalog, wanted.unit, runs)
-    now = dt.datetime.now(dt.UTC).replace(microsecond=0)
-    facts = Facts(wanted.standard, wanted.order, evidence, rows, "", now.date())
+    now = dt.datetime.now(ZoneInfo(evidence.time_zone)).replace(microsecond=0)
+    facts = Facts(
+        wanted.standard, wanted.order, evidence, rows, "", now.date(), wanted.supersedes, wanted.reason
+    )  # fmt: skip
     content = content_of(facts)
     if content.missing or wanted.as_draft:
         pdf, digital = _files(catalog, content, wanted, now)
@@ -98,7 +103,8 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
         waiting = waiting_certificates(store) if is_proposed else []
         issued = read_certificates(store, catalog)
         numbered = Certificates([*issued.issued, *waiting])
-        number = wanted.number or numbered.next_number(wanted.order.number_prefix, now.year)
+        taken = proposed_numbers(store)
+        number = wanted.number or numbered.next_number(wanted.order.number_prefix, now.year, taken)
         _check(issued, wanted, number, set(runs))
         _check_waiting(waiting, wanted, number, set(runs))
         content = content_of(facts._replace(number=number))
@@ -108,7 +114,8 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
         document = _document(content, wanted, pdf, digital, read_chain(store, catalog).head)
         if is_proposed:
             uid = _propose(store, wanted, document, pdf, digital)
-            found = _written(wanted, pdf, digital, content, document)
+            shown, _ = _files(catalog, content, wanted, now, is_proposed=True)
+            found = _written(wanted, shown, digital, content, document)
             return msgspec.structs.replace(found, proposal=uid)
         _write(file_of(store, number), pdf)
         _write(file_of(store, number, ".xml"), digital)
@@ -143,6 +150,11 @@ def carry_out(catalog: Catalog, proposal: Proposal, by: Actor) -> CertificateIss
                 raise StoreError(f"{path} cannot be read: {error.strerror or error}; propose it again") from error
             if sha256_of(files[suffix]) != sha256:
                 raise StoreError(f"{path} is not the file that was proposed; reject the proposal, and propose it again")
+        if changed := changed_results(catalog, act):
+            raise BadInput(
+                f"the store gives other results by now than certificate {act.number} states ({'; '.join(changed)}): "
+                "reject the proposal, and propose it again"
+            )
         document = carried_out(proposal, act, by)
         for suffix, content in files.items():
             _write(file_of(store, act.number, suffix), content)
@@ -193,13 +205,16 @@ def _check(issued: Certificates, wanted: Wanted, number: str, runs: set[str]) ->
             )
 
 
-def _files(catalog: Catalog, content: Content, wanted: Wanted, now: dt.datetime) -> tuple[bytes, bytes]:
+def _files(
+    catalog: Catalog, content: Content, wanted: Wanted, now: dt.datetime, *, is_proposed: bool = False
+) -> tuple[bytes, bytes]:
+    """The PDF and the digital certificate; a PDF that is only proposed is marked as such."""
     release = version("gyrofleet")
     digital = digital_certificate(content, release=release, supersedes=wanted.supersedes)
     data = sha256_of(results_of(content).encode())
     pdf = certificate_pdf(
         content, figures_of(catalog, wanted.unit, content.facts.rows), wanted.language, attached=digital,
-        mark=f"gyrofleet {release}, data SHA-256 {data}", set_at=now,
+        mark=f"gyrofleet {release}, data SHA-256 {data}", set_at=now.astimezone(dt.UTC), is_proposed=is_proposed,
     )  # fmt: skip
     return pdf, digital
 

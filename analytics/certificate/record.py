@@ -1,7 +1,7 @@
 """Certificates in the log of a store: issued ones, each sealed, and which of them supersedes which."""
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -29,8 +29,8 @@ class Certificates:
         self.issued = tuple(issued)
 
     def by_hash(self, sha256: str) -> CertificateIssued | None:
-        """The certificate whose PDF has that SHA-256."""
-        return next((each for each in self.issued if each.sha256 == sha256), None)
+        """The certificate whose PDF or digital form has that SHA-256."""
+        return next((each for each in self.issued if sha256 in (each.sha256, each.digital_sha256)), None)
 
     def by_number(self, number: str) -> CertificateIssued | None:
         """The certificate of a number."""
@@ -45,14 +45,15 @@ class Certificates:
         of_unit = (each for each in self.issued if each.unit == unit and each.standard == standard)
         return [each for each in of_unit if self.successor(each.number) is None]
 
-    def next_number(self, prefix: str, year: int) -> str:
-        """The next free number of a year.
+    def next_number(self, prefix: str, year: int, taken: Collection[str] = ()) -> str:
+        """The next free number of a year; numbers that are `taken` are not free either.
 
         >>> Certificates([]).next_number("GYL", 2026)
         'GYL-2026-0001'
         """
         stem = f"{prefix}-{year}-" if prefix else f"{year}-"
-        used = [each.number.removeprefix(stem) for each in self.issued if each.number.startswith(stem)]
+        numbers = (*(each.number for each in self.issued), *taken)
+        used = [each.removeprefix(stem) for each in numbers if each.startswith(stem)]
         return f"{stem}{max((int(each) for each in used if each.isdecimal()), default=0) + 1:04d}"
 
 
@@ -91,13 +92,25 @@ def _sealed(store: Store, found: Iterable[tuple[int, CertificateIssued]]) -> Cer
 
 
 def file_of(store: Store, number: str, suffix: str = ".pdf") -> Path:
-    """Where a store keeps a file of a certificate; a number may have slashes.
+    """Where a store keeps a file of a certificate; a number may have slashes, and no two numbers have one file.
 
-    >>> file_of(Store(Path("lab"), "1f"), "GYL/2026 0001").as_posix()
-    'lab/certificates/GYL_2026_0001.pdf'
+    >>> store = Store(Path("lab"), "1f")
+    >>> file_of(store, "GYL-2026-0001").as_posix(), file_of(store, "GYL/2026 0001").as_posix()
+    ('lab/certificates/GYL-2026-0001.pdf', 'lab/certificates/GYL_2026_0001-63ce87d1.pdf')
     """
-    name = "".join(each if each.isalnum() or each in "-." else "_" for each in number)
-    return store.folder / FOLDER / f"{name}{suffix}"
+    name = _plain(number)
+    mark = "" if name == number else f"-{sha256_of(number.encode())[:8]}"
+    return store.folder / FOLDER / f"{name}{mark}{suffix}"
+
+
+def kept_file(store: Store, number: str, suffix: str = ".pdf") -> Path:
+    """The file of an issued certificate, also as earlier releases named it."""
+    path = file_of(store, number, suffix)
+    return path if path.is_file() else store.folder / FOLDER / f"{_plain(number)}{suffix}"
+
+
+def _plain(number: str) -> str:
+    return "".join(each if each.isalnum() or each in "-." else "_" for each in number)
 
 
 def proposed_file(store: Store, proposal: str, suffix: str = ".pdf") -> Path:
@@ -107,8 +120,17 @@ def proposed_file(store: Store, proposal: str, suffix: str = ".pdf") -> Path:
 
 def waiting_certificates(store: Store) -> list[CertificateIssued]:
     """Certificates that are proposed, and neither issued nor rejected."""
-    acts = [each.act for each in read_proposals(store).values() if each.state == "open"]
-    return [each for each in acts if isinstance(each, CertificateIssued)]
+    return [act for act, is_open in _proposed(store) if is_open]
+
+
+def proposed_numbers(store: Store) -> set[str]:
+    """Numbers of all certificates that were ever proposed: a rejected one is not given again."""
+    return {act.number for act, _ in _proposed(store)}
+
+
+def _proposed(store: Store) -> list[tuple[CertificateIssued, bool]]:
+    found = [(each.act, each.state == "open") for each in read_proposals(store).values()]
+    return [(act, is_open) for act, is_open in found if isinstance(act, CertificateIssued)]
 
 
 def append_certificate(store: Store, document: CertificateIssued) -> None:

@@ -149,10 +149,10 @@ def _environment(parent: Element, content: Content) -> None:
     facts = content.facts
     around, recorded = facts.order.environment, facts.evidence
     spans: list[tuple[str, Words, Span | None, str, float]] = [
-        ("temperature", Words("Temperature", "温度"), recorded.temperature_deg_c or around.temperature_deg_c,
+        ("temperature", Words("Temperature", "温度"), recorded.temperature.beside(around.temperature_deg_c),
          r"\degreecelsius", 1.0),
         ("humidityRelative", Words("Relative humidity", "相对湿度"),
-         recorded.relative_humidity_percent or around.relative_humidity_percent, r"\one", 0.01),
+         recorded.relative_humidity.beside(around.relative_humidity_percent), r"\one", 0.01),
     ]  # fmt: skip
     if not any(span for _, _, span, _, _ in spans):
         return

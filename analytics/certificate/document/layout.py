@@ -17,6 +17,7 @@ from stream.errors import BadInput
 
 _LATIN = "Libertinus Serif"  # comes with typst
 _ATTACHED = "certificate.xml"
+_PROPOSED = {"zh": "待批准", "en": "PROPOSED"}
 _KINDS = {"results": "results", "operators": "people", "issuer": "people"}
 # they stand elsewhere on the page
 _LEFT_OUT = {"title", "number"}
@@ -28,12 +29,13 @@ _COLUMNS = (
 
 def certificate_pdf(
     content: Content, figures: Sequence[Figure], language: Language, *, attached: bytes | None, mark: str,
-    set_at: dt.datetime,
+    set_at: dt.datetime, is_proposed: bool = False,
 ) -> bytes:  # fmt: skip
     """The PDF of a certificate, with its digital certificate `attached`.
 
     `mark` stands small on each page: what made it. The same content at the same moment `set_at` gives the same bytes
-    in one process. Raises BadInput if a text cannot be set: a font for Chinese is missing, or a character in all fonts.
+    in one process; one that `is_proposed` says so across each page. Raises BadInput if a text cannot be set: a font for
+    Chinese is missing, or a character in all fonts.
     """
     import typst
 
@@ -47,6 +49,8 @@ def certificate_pdf(
         if attached is not None:
             (folder / _ATTACHED).write_bytes(attached)
         data = _data(content, figures, language, fonts, mark) | {"attachment": None if attached is None else _ATTACHED}
+        if is_proposed:
+            data |= {"is_draft": True, "watermark": _PROPOSED["en" if language == "en" else "zh"]}
         (folder / "data.json").write_text(json.dumps(data, ensure_ascii=False), encoding="utf-8")
         known = typst.Fonts(include_system_fonts=False, include_embedded_fonts=True, font_paths=folders)
         try:
@@ -80,14 +84,17 @@ def _data(
     shown = ["zh", "en"] if language == "both" else [language]
     heading = {"zh": "校准证书", "en": "Calibration certificate"}
     number = facts.number or {"zh": "草稿", "en": "draft"}[shown[0]]
-    line = {"zh": f"证书编号 {number}", "en": f"Certificate number {number}"}[shown[0]]
+    line = Words(f"Certificate number {number}", f"证书编号 {number}")
+    if facts.supersedes:
+        old, why = facts.supersedes, facts.reason
+        line = Words(f"{line.en}; replaces {old}: {why}", f"{line.zh}；替代证书 {old}：{why}")
     return {
         "languages": shown,
         "fonts": fonts,
         "title": f"{heading[shown[0]]} {facts.number or facts.evidence.unit}",
         "author": Words.of(facts.order.laboratory.name).en or "-",
         "number": facts.number,
-        "number_line": line,
+        "number_line": line.zh if shown[0] == "zh" else line.en,
         "heading": [heading[each] for each in shown],
         "header": _words(Words.of(facts.order.laboratory.name)),
         "mark": mark,

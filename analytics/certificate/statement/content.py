@@ -9,12 +9,13 @@ import msgspec
 from analytics.certificate.statement.departures import compensation_of, departures, not_stated, states_any
 from analytics.certificate.statement.evidence import Evidence, Span
 from analytics.certificate.statement.order import Order, Text
-from analytics.certificate.statement.references import Reference
+from analytics.certificate.statement.references import Reference, contradictions
 from analytics.certificate.statement.results import ResultRow
 from analytics.certificate.statement.standards import Item, Standard
 from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Words
 from analytics.evaluation.reasons import in_chinese
+from analytics.evaluation.type_b import COVERAGE
 
 _SAME = "/"
 
@@ -27,7 +28,9 @@ class Facts(NamedTuple):
     evidence: Evidence
     rows: tuple[ResultRow, ...]
     number: str  # empty in a draft
-    issued: dt.date
+    issued: dt.date  # at the station of the last run
+    supersedes: str = ""  # number of the certificate that it replaces, and why
+    reason: str = ""
 
     @property
     def references(self) -> tuple[Reference, ...]:
@@ -150,6 +153,9 @@ def _dates(facts: Facts) -> _Filled:
     if received is not None and received > first:
         en = f"it was received on {received}, after the first run of {first}: correct the date"
         missing.append(Words(en, f"接收日期 {received} 晚于首次试验 {first}：请更正"))
+    if last > facts.issued:
+        en = f"the calibration ended on {last}, which is after today, {facts.issued}: correct --start or the clock"
+        missing.append(Words(en, f"校准结束日期 {last} 晚于今日 {facts.issued}：请更正--start或系统时钟"))
     text = first.isoformat() if first == last else f"{first} - {last}"
     lines.append(Line(Words("Calibrated", "校准日期"), Words(text, text)))
     lines.append(_dated("Issued", "签发日期", facts.issued))
@@ -177,6 +183,7 @@ def _specification(facts: Facts) -> _Filled:
 def _references(facts: Facts) -> _Filled:
     last_day = None if facts.evidence.days is None else facts.evidence.days[1]
     missing = [what for each in facts.references for what in each.missing(last_day)]
+    missing += contradictions(facts.references)
     if not facts.references:
         missing.append(Words("no measurement standard is named", "未给出所用测量标准"))
     return [Line(each.name, each.text) for each in facts.references], missing
@@ -186,29 +193,54 @@ def _environment(facts: Facts) -> _Filled:
     asked, given, one = facts.order.environment, facts.evidence, facts.standard
     lines: list[Line] = []
     missing: list[Words] = []
-    for en, zh, symbol, recorded, stated, wanted in (
-        ("Temperature", "温度", "°C", given.temperature_deg_c, asked.temperature_deg_c, one.temperature_deg_c),
-        ("Relative humidity", "相对湿度", "%", given.relative_humidity_percent, asked.relative_humidity_percent,
-         one.relative_humidity_percent),
+    for name, en, zh, symbol, recorded, stated, wanted in (
+        ("temperature_deg_c", "Temperature", "温度", "°C", given.temperature, asked.temperature_deg_c,
+         one.temperature_deg_c),
+        ("relative_humidity_percent", "Relative humidity", "相对湿度", "%", given.relative_humidity,
+         asked.relative_humidity_percent, one.relative_humidity_percent),
     ):  # fmt: skip
-        span = recorded or stated
+        span = recorded.beside(stated)
         if span is None:
             missing.append(Words(f"{en.lower()} is neither recorded nor given", f"{zh}未记录也未给出"))
             continue
-        lines.append(Line(Words(en, zh), _spanned(span, symbol, is_recorded=recorded is not None)))
+        if not recorded.is_whole(len(given.runs)) and stated is None:
+            part, whole = recorded.runs, len(given.runs)
+            missing.append(
+                Words(
+                    f"{en.lower()} is recorded in {part} of {whole} runs: give environment.{name} for the others",
+                    f"{whole}次试验中仅{part}次记录了{zh}：请给出其余试验的environment.{name}",
+                )
+            )
+        lines.append(Line(Words(en, zh), _spanned(span, symbol, is_recorded=span == recorded.span)))
         if not wanted[0] <= span[0] <= span[1] <= wanted[1] and not states_any(facts.order.deviations):
             between = f"{wanted[0]:g} - {wanted[1]:g} {symbol}"
             missing.append(
                 Words(f"{en.lower()} was outside {between}: state the deviation", f"{zh}超出 {between}：须说明偏离")
             )
-    if (largest := one.temperature_change_deg_c) is not None and asked.temperature_change_deg_c is not None:
-        change = asked.temperature_change_deg_c
-        lines.append(Line(Words("Change during a measurement", "校准过程中温度波动量"), Words.of(f"{change:g} °C")))
-        if change > largest:
-            missing.append(Words(f"temperature changed by more than {largest:g} °C", f"温度波动量超过 {largest:g} °C"))
+    if (largest := one.temperature_change_deg_c) is not None:
+        more, lacking = _change(facts, largest)
+        lines += more
+        missing += lacking
     if other := Words.of(asked.other):
         lines.append(Line(Words("Other", "其他"), other))
     return lines, missing
+
+
+def _change(facts: Facts, largest: float) -> _Filled:
+    """The change of temperature during a measurement, which a span within the largest change allowed states as well."""
+    change = facts.order.environment.temperature_change_deg_c
+    span = facts.evidence.temperature.beside(facts.order.environment.temperature_deg_c)
+    if change is None:
+        if span is None or span[1] - span[0] <= largest:
+            return [], []
+        en = f"the change of temperature during a measurement, at most {largest:g} °C, is not given: "
+        zh = f"未给出校准过程中的温度波动量（不得超过 {largest:g} °C）："
+        name = "environment.temperature_change_deg_c"
+        return [], [Words(en + name, zh + name)]
+    lines = [Line(Words("Change during a measurement", "校准过程中温度波动量"), Words.of(f"{change:g} °C"))]
+    if change <= largest:
+        return lines, []
+    return lines, [Words(f"temperature changed by more than {largest:g} °C", f"温度波动量超过 {largest:g} °C")]
 
 
 def _spanned(span: Span, symbol: str, *, is_recorded: bool) -> Words:
@@ -223,8 +255,6 @@ def _results(facts: Facts) -> _Filled:
     for row in facts.rows:
         if row.metric in ordered and not row.results:
             missing.append(Words(f"{row.name.en}: {row.reason}", f"{row.name.zh}：{in_chinese(row.reason or '')}"))
-        if ordered and row.metric not in ordered:
-            continue
         reasons = dict.fromkeys(each.why_no_u for each in row.results if each.expanded is None)
         en, zh = f"{row.name.en}: no expanded uncertainty", f"{row.name.zh}：无扩展不确定度"
         missing += [Words(f"{en}: {why}", f"{zh}：{in_chinese(why)}") for why in reasons]
@@ -233,15 +263,16 @@ def _results(facts: Facts) -> _Filled:
     simulated = [each.run for each in facts.evidence.runs if each.simulated]
     missing += [Words(f"run {run} is simulated", f"试验 {run} 为仿真数据") for run in simulated]
     text = Words(
-        "U is the expanded uncertainty with coverage factor k, evaluated by JJF 1059.1 (JCGM 100).",
-        "U 为扩展不确定度，k 为包含因子，按 JJF 1059.1 评定。",
+        f"U is the expanded uncertainty with coverage factor k for a coverage probability of {COVERAGE:.2%}, evaluated "
+        "by JJF 1059.1 (JCGM 100); k is above 2 where the effective degrees of freedom are few.",
+        f"U 为扩展不确定度，k 为包含因子，包含概率 p = {COVERAGE:.2%}，按 JJF 1059.1 评定；有效自由度较小时 k 大于 2。",
     )
     return [Line(Words("", ""), text), Line(Words("", ""), compensation_of(facts.rows))], missing
 
 
 def _deviations(facts: Facts) -> _Filled:
     lines, missing = _required(("Deviations", "偏离", facts.order.deviations))
-    more, not_given = _departures(facts)
+    more, not_given = _departures(facts)  # begins with the same line
     return [*lines, *more[len(lines) :]], [*missing, *(not_given if lines else [])]
 
 
@@ -250,6 +281,8 @@ def _departures(facts: Facts) -> _Filled:
     found, stated = departures(facts.rows), Words.of(facts.order.deviations)
     lines = [Line(Words("Deviations", "偏离"), stated or Words("none", "无"))]
     lines += [Line(Words("Found in the records", "记录中的偏离"), each) for each in found]
+    if remarks := Words.of(facts.order.remarks):
+        lines.append(Line(Words("Remarks", "备注"), remarks))
     return lines, not_stated(facts.order.deviations, found)
 
 

@@ -8,6 +8,7 @@ import msgspec
 
 from analytics.certificate.statement.references import Reference, stated_references
 from storage.sql.catalog import Catalog
+from stream.events import CertificateIssued
 
 _RUNS = """
 select run, site, station, coalesce(operator, ''), coalesce(time_zone, 'UTC'), simulated,
@@ -20,12 +21,12 @@ select arg_max(product, t_ns) as product, arg_max(firmware, t_ns) as firmware, a
 from units where unit = $unit and list_contains($runs, run)
 """
 _AIR = """
-select min(lo), max(hi) from rollup_10s
+select min(lo), max(hi), count(distinct run) from rollup_10s
 where list_contains($runs, run) and list_contains($signals, signal) and unit_of_measure = $unit_of_measure
 """
 # a chamber is the environment where no temperature was commanded, and in steps at room temperature
 _CHAMBER = """
-select min(temperature), max(temperature) from step_means
+select min(temperature), max(temperature), count(distinct run) from step_means
 where unit = $unit and list_contains($runs, run) and temperature_source = 'chamber'
   and (temperature_command is null or room)
 """
@@ -59,6 +60,23 @@ class CalibrationRun(msgspec.Struct, frozen=True, kw_only=True):
         return first, last
 
 
+class Recorded(msgspec.Struct, frozen=True, kw_only=True):
+    """Least and greatest value that are recorded, and in how many runs."""
+
+    span: Span | None = None
+    runs: int = 0
+
+    def is_whole(self, runs: int) -> bool:
+        """Whether it is recorded in all of so many runs."""
+        return self.runs >= runs
+
+    def beside(self, stated: Span | None) -> Span | None:
+        """The span of what is recorded and of what somebody states."""
+        if self.span is None or stated is None:
+            return self.span or stated
+        return min(self.span[0], stated[0]), max(self.span[1], stated[1])
+
+
 class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     """What is recorded of the runs of a certificate."""
 
@@ -67,9 +85,15 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     product: str | None
     firmware: str | None
     lot: str | None
-    temperature_deg_c: Span | None
-    relative_humidity_percent: Span | None
+    temperature: Recorded  # degC
+    relative_humidity: Recorded  # %
     references: tuple[Reference, ...]
+
+    @property
+    def time_zone(self) -> str:
+        """Of the station of the last run."""
+        known = [run for run in self.runs if run.end_ns is not None]
+        return max(known, key=lambda run: run.end_ns or 0).time_zone if known else "UTC"
 
     @property
     def days(self) -> tuple[dt.date, dt.date] | None:
@@ -83,23 +107,35 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
 def read_evidence(catalog: Catalog, unit: str, runs: Collection[str]) -> Evidence:
     """What the store knows of a unit's runs."""
-    names = sorted(runs)
-    given = {"runs": names}
-    found = catalog.rows(_RUNS, given)
+    given: dict[str, object] = {"runs": sorted(runs)}
+    runs_found = tuple(
+        CalibrationRun(**dict(zip(CalibrationRun.__struct_fields__, row, strict=True)))
+        for row in catalog.rows(_RUNS, given)
+    )
     ((product, firmware, lot),) = catalog.rows(_DEVICE, given | {"unit": unit})
+    air = _recorded(catalog, _AIR, {**given, "signals": _AIR_TEMPERATURES, "unit_of_measure": "degC"})
+    last_days = {run.run: None if run.days is None else run.days[1] for run in runs_found}
     return Evidence(
         unit=unit,
-        runs=tuple(CalibrationRun(**dict(zip(CalibrationRun.__struct_fields__, row, strict=True))) for row in found),
+        runs=runs_found,
         product=product,
         firmware=firmware,
         lot=lot,
-        temperature_deg_c=_span(catalog, _AIR, {**given, "signals": _AIR_TEMPERATURES, "unit_of_measure": "degC"})
-        or _span(catalog, _CHAMBER, given | {"unit": unit}),
-        relative_humidity_percent=_span(catalog, _AIR, {**given, "signals": _HUMIDITIES, "unit_of_measure": "%"}),
-        references=tuple(stated_references(catalog, names)),
+        temperature=air if air.span is not None else _recorded(catalog, _CHAMBER, given | {"unit": unit}),
+        relative_humidity=_recorded(catalog, _AIR, {**given, "signals": _HUMIDITIES, "unit_of_measure": "%"}),
+        references=tuple(stated_references(catalog, last_days)),
     )
 
 
-def _span(catalog: Catalog, sql: str, given: dict[str, object]) -> Span | None:
-    ((least, most),) = catalog.rows(sql, given)
-    return None if least is None else (float(least), float(most))
+def _recorded(catalog: Catalog, sql: str, given: dict[str, object]) -> Recorded:
+    ((least, most, runs),) = catalog.rows(sql, given)
+    return Recorded() if least is None else Recorded(span=(float(least), float(most)), runs=runs)
+
+
+def zone_of(catalog: Catalog, document: CertificateIssued) -> dt.tzinfo:
+    """Time zone of the station of the last run of a certificate."""
+    rows = catalog.rows(
+        "select coalesce(arg_max(time_zone, ended), 'UTC') from runs where list_contains($runs, run)",
+        {"runs": list(document.runs)},
+    )
+    return ZoneInfo(rows[0][0])

@@ -2,7 +2,7 @@
 
 import datetime as dt
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -15,7 +15,7 @@ from storage.sql.catalog import Catalog
 
 # of each run the last statement counts
 _STATED = f"""
-select arg_max(document->>'$.details.{DETAIL}', arrival_ns) from internal.lake_documents
+select run, arg_max(document->>'$.details.{DETAIL}', arrival_ns) from internal.lake_documents
 where kind in ('RunStarted', 'StationStated') and list_contains($runs, run)
   and document->>'$.details.{DETAIL}' is not null
 group by run order by run
@@ -34,6 +34,7 @@ class Reference(msgspec.Struct, frozen=True, kw_only=True):
     due: dt.date | None
     uncertainty: Words
     traceable_to: Words = Words("", "")
+    used_until: dt.date | None = None  # last day of the runs that state it; None of those that the order names
 
     @classmethod
     def of_table(cls, table: ReferenceTable) -> "Reference":
@@ -66,23 +67,48 @@ class Reference(msgspec.Struct, frozen=True, kw_only=True):
             )
             if not given
         ]  # fmt: skip
+        last_day = self.used_until or last_day
         if self.due is not None and last_day is not None and last_day > self.due:
             found.append(
                 Words(
-                    f"{self.name.en} {self.serial} was valid until {self.due}; the calibration ended on {last_day}",
-                    f"{self.name.zh} {self.serial} 有效期至 {self.due}，早于校准结束日期 {last_day}",
+                    f"{self.name.en} {self.serial} was valid until {self.due}; it was used until {last_day}",
+                    f"{self.name.zh} {self.serial} 有效期至 {self.due}，早于其使用日期 {last_day}",
                 )
             )
         return found
 
 
-def stated_references(catalog: Catalog, runs: Collection[str]) -> list[Reference]:
-    """Standards that the runs state, each once; instruments of which nothing is stated are none."""
-    found: dict[tuple[str, str, str], Reference] = {}
-    for (text,) in catalog.rows(_STATED, {"runs": sorted(runs)}):
+def contradictions(references: Iterable[Reference]) -> list[Words]:
+    """What is stated in two ways of one certificate of a standard, such as two dates of its validity."""
+    stated: dict[tuple[str, str, str], set[tuple[dt.date | None, str]]] = {}
+    for each in references:
+        key = each.name.en, each.serial, each.certificate
+        stated.setdefault(key, set()).add((each.due, each.uncertainty.en))
+    return [
+        Words(
+            f"{name} {serial}: its certificate {number} is stated with different validity or uncertainty: restate the "
+            "runs that are wrong with --station FILE --restate",
+            f"{name} {serial}：其证书 {number} 的有效期或不确定度有不同的说明：请用--station FILE --restate更正",
+        )
+        for (name, serial, number), found in stated.items()
+        if number and len(found) > 1
+    ]
+
+
+def stated_references(catalog: Catalog, last_days: Mapping[str, dt.date | None]) -> list[Reference]:
+    """Standards that runs state, each once, or twice where it is stated in two ways; `last_days` has that of each run.
+
+    An instrument of which nothing is stated is none.
+    """
+    found: dict[str, Reference] = {}
+    for run, text in catalog.rows(_STATED, {"runs": sorted(last_days)}):
         for entry in json.loads(text):
             if entry["certificate"] or entry["quantities"]:
-                found.setdefault((entry["name"], entry["serial"], entry["certificate"]), _reference(entry))
+                key = json.dumps(entry, sort_keys=True)
+                one, last = found.get(key) or _reference(entry), last_days[run]
+                if last is not None and (one.used_until is None or last > one.used_until):
+                    one = msgspec.structs.replace(one, used_until=last)
+                found[key] = one
     return list(found.values())
 
 

@@ -1,5 +1,6 @@
 """The inner page of a certificate: each characteristic with its results, U and k."""
 
+import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ from analytics.evaluation.selection import Row
 from analytics.evaluation.type_b import COVERAGE
 from analytics.uncertainty.rounding import round_up
 from storage.specifications.specification import format_parameter
+from stream.errors import BadInput
 
 _CONDITIONS = tomllib.loads(
     files("analytics.certificate.statement").joinpath("conditions.toml").read_text(encoding="utf-8")
@@ -83,6 +85,22 @@ def result_rows(page: Sequence[InnerRow]) -> tuple[ResultRow, ...]:
     )  # fmt: skip
 
 
+def ordered_rows(rows: Sequence[ResultRow], items: Sequence[str]) -> tuple[ResultRow, ...]:
+    """The rows of an order: what was not ordered has no results. Raises BadInput for an item that no row has.
+
+    All results are meant where the order has no items.
+    """
+    known = [row.metric for row in rows]
+    if unknown := [each for each in items if each not in known]:
+        near = ", ".join(difflib.get_close_matches(unknown[0], known, n=3)) or ", ".join(known)
+        raise BadInput(f"the order: items has {unknown[0]!r}, which this certificate has not; there is {near}")
+    if not items:
+        return tuple(rows)
+    return tuple(
+        row if row.metric in items else msgspec.structs.replace(row, results=(), reason="not ordered") for row in rows
+    )
+
+
 def rounded_to(value: float, resolution: float | None) -> str:
     """A value rounded to the second significant digit of its uncertainty, half to even.
 
@@ -93,7 +111,7 @@ def rounded_to(value: float, resolution: float | None) -> str:
         return f"{value:.6g}"
     last = math.floor(math.log10(resolution)) - 1
     rounded = Decimal(repr(value)).quantize(Decimal(1).scaleb(last), rounding=ROUND_HALF_EVEN)
-    return f"{rounded:f}"
+    return f"{rounded:f}" if rounded else f"{abs(rounded):f}"  # no -0.00
 
 
 def result_of(row: Row) -> Result:

@@ -109,7 +109,7 @@ def _print_issued(issued: "Issued", out: Path) -> None:
             notes().print(f"  {each}", soft_wrap=True)
         return
     if issued.proposal is not None:
-        wait = "it is issued once another person approves"
+        wait = "it is issued once another person approves, and is then in the store's folder certificates"
         results().print(f"{out}: certificate {issued.number} is proposed as {issued.proposal[:12]}; {wait}")
         return
     results().print(f"{out}: certificate {issued.number}, valid until {issued.valid_until}; SHA-256 {issued.sha256}")
@@ -130,11 +130,14 @@ def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> No
     """
     from analytics.certificate.record import read_certificates
     from analytics.certificate.reproduction import changed_results
+    from analytics.certificate.statement.evidence import zone_of
     from analytics.certificate.verification import verify_certificate
 
     with opened_catalog(folder, quiet=as_json) as catalog:
         known = read_certificates(catalog.store, catalog)
-        found = verify_certificate(file, known, trust=trust, today=dt.datetime.now(dt.UTC).date())
+        found = verify_certificate(
+            file, known, trust=trust, now=dt.datetime.now(dt.UTC), zone_of=partial(zone_of, catalog)
+        )
         document = known.by_number(found.number) if found.number else None
         if document is not None:
             found = msgspec.structs.replace(found, changed=changed_results(catalog, document))

@@ -84,7 +84,7 @@ def openapi_document(operations: Sequence[Operation[Any, Any]]) -> dict[str, Any
     asked, answers = schemas[: len(operations)], schemas[len(operations) :]
     paths: dict[str, dict[str, Any]] = {}
     for operation, of_asked, of_answer in zip(operations, asked, answers, strict=True):
-        paths.setdefault(operation.path, {})[operation.method.lower()] = _operation(
+        paths.setdefault(operation.path.replace(":path}", "}"), {})[operation.method.lower()] = _operation(
             operation, of_asked, of_answer, components
         )
     error = {"application/json": {"schema": {"$ref": _REF.format(name="Error")}}}
@@ -122,7 +122,7 @@ def _operation(
 ) -> dict[str, Any]:
     parameters: list[dict[str, Any]] = [
         {"name": name, "in": "path", "required": True, "schema": {"type": "string"}}
-        for name in _PARAMETER.findall(operation.path)
+        for name in _PARAMETER.findall(operation.path.replace(":path}", "}"))
     ]
     found: dict[str, Any] = {
         "operationId": operation.name,

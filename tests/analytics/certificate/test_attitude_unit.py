@@ -115,7 +115,7 @@ def test_a_missing_item_gives_a_watermark_on_every_page(
 def test_a_table_out_of_date_refuses(lab: Path, run_command: Callable[..., Any]) -> None:
     answer = written(run_command, lab, "order.toml", "old.pdf", unit="AHRS-4")
     assert answer["is_draft"]
-    assert any("was valid until 2026-01-31; the calibration ended on 2026-03-02" in each for each in answer["missing"])
+    assert any("was valid until 2026-01-31; it was used until 2026-03-02" in each for each in answer["missing"])
     assert any("no expanded uncertainty" in each for each in answer["missing"])
 
 

@@ -1,15 +1,21 @@
 """A draft: every clause of the standard is in the PDF, and what is missing is listed first."""
 
+import datetime as dt
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from pypdf import PdfReader
 
 from analytics.certificate.statement.content import FILLED_BY
+from analytics.certificate.statement.evidence import Recorded
+from analytics.certificate.statement.references import Reference, contradictions
+from analytics.certificate.statement.results import rounded_to
 from analytics.certificate.statement.standards import standards
+from analytics.certificate.statement.words import Words
 from tests.analytics.certificate.conftest import ORDER, UNIT
 from tests.analytics.certificate.pdf_checks import fonts_that_are_not_embedded, is_archivable
 
@@ -124,3 +130,31 @@ def test_a_unit_that_is_not_there_and_a_standard_without_certificates_are_refuse
         assert done.code == 1
         assert expected in done.err
         assert not (tmp_path / "x.pdf").exists()
+
+
+def test_standards_and_surroundings_are_those_of_each_run() -> None:
+    """A table renewed between two runs has not expired; one stated in two ways, or air of one run, is not whole."""
+    table = Reference(
+        name=Words("rate table", "转台"), serial="RT-17", certificate="A", due=dt.date(2026, 11, 25),
+        uncertainty=Words("U", "U"), used_until=dt.date(2026, 11, 24),
+    )  # fmt: skip
+    renewed = msgspec.structs.replace(
+        table, certificate="B", due=dt.date(2027, 11, 25), used_until=dt.date(2026, 11, 26)
+    )
+    ended = dt.date(2026, 11, 26)
+    assert table.missing(ended) == renewed.missing(ended) == []
+    assert contradictions([table, renewed]) == []
+    late = msgspec.structs.replace(table, used_until=ended)
+    assert "valid until 2026-11-25" in late.missing(ended)[0].en
+    other = msgspec.structs.replace(table, due=dt.date(2027, 3, 31))
+    assert len(contradictions([table, other])) == 1
+    air = Recorded(span=(22.8, 23.1), runs=1)
+    assert (air.is_whole(1), air.is_whole(3)) == (True, False)
+    assert air.beside((8.0, 33.0)) == (8.0, 33.0)
+    assert air.beside(None) == air.span
+    assert Recorded().beside(None) is None
+
+
+def test_a_small_negative_value_has_no_sign() -> None:
+    assert rounded_to(-0.00004, 0.01) == "0.000"
+    assert rounded_to(-0.04, 0.01) == "-0.040"

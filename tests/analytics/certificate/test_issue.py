@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import pkcs12
 from cryptography.x509.oid import NameOID
 
 from analytics.certificate.document.signature import check_signature, sign
-from analytics.certificate.record import read_certificates
+from analytics.certificate.record import file_of, read_certificates
 from storage.attestation.attestation import kept_attestations, read_attestation
 from storage.attestation.signing_key import create_key, default_key
 from storage.log.store_documents import forgery, sealed
@@ -25,6 +25,7 @@ from storage.store import Store
 from stream.errors import BadInput
 from stream.events import CertificateIssued
 from tests.analytics.certificate.conftest import UNIT
+from tests.analytics.certificate.pdf_checks import pages_of
 
 DCC = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
@@ -172,3 +173,59 @@ def test_a_signature_holds_until_a_byte_is_changed(issued: tuple[Path, dict[str,
     changed[len(pdf) // 2] ^= 1
     found = check_signature(bytes(changed), root)
     assert found is None or not found.intact
+
+
+def test_what_was_not_ordered_is_not_stated(laboratory: Path, run_command: Callable[..., Any], tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(laboratory, folder)
+    order = (folder / "order.toml").read_text(encoding="utf-8")
+    words = tuple(each if each != "order.toml" else "ordered.toml" for each in ORDERED)
+    (folder / "ordered.toml").write_text('items = ["scalefactor"]\n' + order, encoding="utf-8")
+    refused = run_command(*words, "--out", "a.pdf", "--lang", "en", cwd=folder)
+    assert refused.code != 0
+    assert "items has 'scalefactor'" in refused.out
+    assert "scale_factor" in refused.out
+    (folder / "ordered.toml").write_text('items = ["scale_factor"]\nremarks = "by rack 7"\n' + order, encoding="utf-8")
+    done = run_command(*words, "--out", "a.pdf", "--lang", "en", cwd=folder)
+    assert (done.code, done.json["is_draft"]) == (0, False), done.out
+    text = "".join(pages_of(folder / "a.pdf"))
+    assert "95.45%" in text
+    assert "byrack7" in text
+    results = ET.parse(folder / "a.xml").getroot().findall(".//dcc:result", DCC)
+    assert results
+    with Catalog(Store.open(folder / "lab")) as catalog:
+        (document,) = read_certificates(catalog.store, catalog).issued
+    stated = {row["metric"] for row in msgspec.json.decode(document.results) if row["results"]}
+    assert stated == {"scale_factor"}
+    # it names the one that it replaces, and why
+    more = ("--out", "b.pdf", "--lang", "en", "--supersedes", done.json["number"], "--reason", "model corrected")
+    assert run_command(*ORDERED, *more, cwd=folder).code == 0
+    assert f"replaces{done.json['number']}:modelcorrected" in "".join(pages_of(folder / "b.pdf"))
+
+
+def test_an_unsigned_one_is_trusted_by_nobody_and_the_digital_one_is_known(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    folder, answer = issued
+    key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "root")])
+    now = dt.datetime.now(dt.UTC)
+    built = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    dated = built.serial_number(1).not_valid_before(now).not_valid_after(now + dt.timedelta(days=1))
+    (folder / "root.pem").write_bytes(dated.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    words = ("certificate", "verify", "--store", "lab", "--json")
+    done = run_command(*words, "first.pdf", "--trust", "root.pem", cwd=folder)
+    assert (done.code, done.json["genuine"], done.json["valid"]) == (1, True, False)
+    assert "not signed" in done.json["why"][0]
+    digital = run_command(*words, "first.xml", cwd=folder)
+    assert (digital.code, digital.json["number"], digital.json["signature"]) == (0, answer["number"], None)
+    (folder / "forged.xml").write_bytes((folder / "first.xml").read_bytes().replace(b"G-0042", b"G-0043"))
+    assert run_command(*words, "forged.xml", cwd=folder).json["genuine"] is False
+
+
+def test_no_two_numbers_have_one_file() -> None:
+    store = Store(Path("lab"), "1f")
+    numbers = ["GYL-1", "GYL/1", "GYL 1", "GYL_1", "../GYL-1"]
+    paths = {file_of(store, each) for each in numbers}
+    assert len(paths) == len(numbers)
+    assert {path.parent for path in paths} == {Path("lab/certificates")}

@@ -9,6 +9,7 @@ import pytest
 
 from stream.security.rights import Role
 from tests.analytics.certificate.conftest import UNIT
+from tests.analytics.certificate.pdf_checks import pages_of
 from tests.secured_sites import make_site
 
 ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
@@ -54,12 +55,49 @@ def test_a_certificate_is_issued_by_another_person(
     kept.write_bytes(content)
     done = run("proposal", "approve", uid, "--store", "lab", *chief)
     assert done.code == 0, done.err
-    assert is_genuine("a.pdf")
+    assert not is_genuine("a.pdf")  # it says across each page that it is proposed
+    (folder / "issued.pdf").write_bytes(content)
+    assert is_genuine("issued.pdf")
     assert (folder / "lab/certificates" / f"{number}.pdf").read_bytes() == content
     shown = run("audit", "--unit", UNIT, "--store", "lab", "--json").json
     kinds = ("ActProposed", "CertificateIssued")
     of_certificate = [(each["kind"], each["identity"]) for each in shown if each["kind"] in kinds]
     assert of_certificate == [("ActProposed", "approver:lead"), ("CertificateIssued", "approver:chief")]
     assert run("verify", "--store", "lab").code == 0
-    station = run("certificate", "--security", "site/station/c1", "verify", "a.pdf", "--store", "lab", "--json")
+    station = run("certificate", "--security", "site/station/c1", "verify", "issued.pdf", "--store", "lab", "--json")
     assert station.json["genuine"]  # who only looks needs no certificate of a role
+
+
+def test_what_is_approved_is_what_the_store_gives_by_then(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(laboratory, folder)
+    make_site(folder / "site").add(Role.APPROVER, "chief", days=1.0)
+    (folder / "lab/site.toml").write_text('two_persons = ["certificates"]\n')
+    lead, chief = ("--security", "site/approver/lead"), ("--security", "site/approver/chief")
+
+    def run(*words: object) -> Any:
+        return run_command(*words, cwd=folder)
+
+    asked = run(*ORDERED, "--out", "a.pdf", "--lang", "en", *lead)
+    assert asked.code == 0, asked.err
+    assert "PROPOSED" in "".join(pages_of(folder / "a.pdf"))
+    station = (folder / "station.toml").read_text(encoding="utf-8")
+    (folder / "other.toml").write_text(station.replace("U = 1e-4", "U = 9e-4"), encoding="utf-8")
+    again = ("--unit", UNIT, "--station", "other.toml", "--store", "lab", "--restate")
+    restated = run("import", "scale.csv", *again, "--start", "2026-03-02T09:00:00+08:00")
+    assert restated.code == 0, restated.err
+    refused = run("proposal", "approve", asked.json["proposal"], "--store", "lab", *chief)
+    assert refused.code == 1
+    assert "gives other results by now" in refused.err
+    assert run("proposal", "reject", asked.json["proposal"], "--reason", "restated", "--store", "lab", *chief).code == 0
+    # one certificate of a table with two uncertainties, of two runs, is a contradiction
+    draft = run(*ORDERED, "--out", "b.pdf", "--lang", "en", *lead).json
+    assert draft["is_draft"]
+    assert any("stated with different validity or uncertainty" in each for each in draft["missing"])
+    bias = ("--start", "2026-03-02T13:00:00+08:00", "--procedure", "static_bias", "--position", "IRA_up")
+    assert run("import", "bias.csv", *again, *bias).code == 0
+    # the number of a rejected one is not given again
+    number = run(*ORDERED, "--out", "b.pdf", "--lang", "en", *lead).json["number"]
+    assert int(number[-4:]) == int(asked.json["number"][-4:]) + 1

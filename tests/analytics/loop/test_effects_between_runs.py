@@ -1,5 +1,7 @@
 """Effects that only the biases of runs show, where nobody declared how much these scatter from power-on to power-on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
@@ -125,3 +127,37 @@ def test_a_jump_where_a_channel_steps_says_so() -> None:
     found = diagnose(runs, MODEL)
     assert "jump" in found.names
     assert "jump in run r2 at 1,800 s: input_rate steps there" in " ".join(map(str, found.limits))
+
+
+def undated(runs: list[RunBlocks], names: list[str]) -> list[RunBlocks]:
+    """The runs with these names, without their dates."""
+    return [
+        replace(run, run=name, t0_ns=0, is_date_known=False,
+                channels={key: each for key, each in run.channels.items() if key != "day"})
+        for run, name in zip(runs, names, strict=True)
+    ]  # fmt: skip
+
+
+def test_without_dates_a_temperature_that_rises_from_run_to_run_is_not_told_from_ageing() -> None:
+    rng = np.random.default_rng(77)
+    levels = np.linspace(-20.0, 60.0, 12)
+    runs = runs_at(levels, SCATTER * rng.standard_normal(12) + SLOPE * levels, rng)
+    found = diagnose(undated(runs, [f"run{number}" for number in range(1, 13)]), MODEL)
+    assert (found.verdict, found.names) == (ModelVerdict.CONFOUNDED, ("temperature",))
+    assert [(each.name, each.recorded) for each in found.confounded] == [("ageing", False)]
+    assert any("run1 to run12" in str(each) for each in found.limits)
+    # in another order the temperature is the only name
+    mixed = rng.permutation(12)
+    found = diagnose(undated([runs[at] for at in mixed], [f"run{number}" for number in range(1, 13)]), MODEL)
+    assert found.names == ("temperature",)
+    assert "ageing" not in [each.name for each in found.confounded]
+
+
+def test_runs_without_dates_are_in_the_order_of_the_numbers_in_their_names() -> None:
+    rng = np.random.default_rng(78)
+    runs = runs_at(rng.permutation(np.linspace(-20.0, 60.0, 12)), np.zeros(12), rng)
+    names = [f"run{number}" for number in range(1, 13)]
+    found = diagnose(undated(runs, names)[::-1], MODEL)
+    assert found.runs == tuple(names)
+    assert found.holdout is None or found.holdout.runs == tuple(names[8:])
+    assert found.training_runs == tuple(names[:8])

@@ -215,7 +215,7 @@ def test_the_document_describes_every_route(api: httpx.Client) -> None:
     document = got(api, "/api/openapi.json")
     described = {(path, method.upper()) for path, each in document["paths"].items() for method in each}
     others = {("/api/live", "GET"), ("/api/me", "GET")}
-    assert described == {(each.path, each.method) for each in OPERATIONS} | others
+    assert described == {(each.path.replace(":path}", "}"), each.method) for each in OPERATIONS} | others
     for path, methods in document["paths"].items():
         for operation in methods.values():
             in_path = {each["name"] for each in operation["parameters"] if each["in"] == "path"}

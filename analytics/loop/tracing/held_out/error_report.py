@@ -6,7 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.loop.model.error_model import ModelNoise
-from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, fit_with_training, fitted_error, information
+from analytics.loop.tracing.held_out.held_out_set import (
+    SAME_SIZE,
+    HeldOutSet,
+    fit_with_training,
+    fitted_error,
+    information,
+)
 from analytics.loop.tracing.result.holdout import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable, ExpectedGain
 from analytics.loop.tracing.search.effect_search import Search
 from analytics.loop.tracing.whitening.noise_variance import (
@@ -21,6 +27,7 @@ from stream.batch import FloatArray, IntArray
 
 AVERAGING_S = (300.0, 1800.0, 3600.0)
 MOST_BY_CHANCE = 0.999
+FAR_ABOVE_FLOOR = 1.5  # ratio to the floor, which is limited to the noise expected once in 1000 sets of runs
 LEAST_TO_GAIN = 0.02  # excess of the squared error over the floor, relative to it, below which nothing can be gained
 LEAST_SPANNED = 0.9  # share of an averaging time that the longest run must span: a run may begin within a block
 EXCITED = 0.25  # an average excites the effect if the prediction exceeds this part of its maximum
@@ -68,6 +75,7 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
             after=rms[1],
             floor=rms[2],
             averages=run.size,
+            allowed=float(np.hypot(FAR_ABOVE_FLOOR * rms[2], SAME_SIZE * _size_error(averages, box, found))),
             excited_before=on[0],
             excited_after=on[1],
             excited_floor=on[2],
@@ -169,6 +177,12 @@ def _noise_alone(box: HeldOutSet, found: Search) -> tuple[FloatArray, FloatArray
     known = np.array([information(found, each) for each in found.common])
     solution = fit_with_training(box, box.whitened_after, known)
     return box.after - box.predictions @ solution.coefficients[:width], solution.covariance[:width, :width]
+
+
+def _size_error(averages: Averages, box: HeldOutSet, found: Search) -> float:
+    """RMS of the averages by the standard errors of the sizes of the effects in the training."""
+    sizes = np.array([1.0 / max(information(found, each), 1e-12) for each in found.common])
+    return float(np.sqrt(np.mean(averages.of(box.predictions) ** 2 @ sizes)))
 
 
 def _floor(

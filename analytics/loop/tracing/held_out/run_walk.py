@@ -12,6 +12,7 @@ from analytics.loop.tracing.search.effect_search import Search
 from stream.batch import FloatArray
 
 SEEN_WITHIN_RUNS = 5.0  # standard errors, with a free bias in each run, from which the runs themselves show an effect
+ALONG = 0.9  # correlation of an effect's means with the order of the runs from which ageing looks like it
 _WALK_SHARES = np.linspace(0.0, 1.0, 41)
 _FEWEST_RUNS = 3
 
@@ -36,6 +37,24 @@ def against_walk(holdout: Holdout | None, boxes: Sequence[HeldOutSet], found: Se
         if known:
             holdout = holdout.beside_walk(each.name, float(sum(known)))
     return holdout
+
+
+def follow_order(box: HeldOutSet, found: Search) -> set[str]:
+    """Names of effects that shift whole runs, and change along with the order of runs whose dates are not known.
+
+    What ages from run to run looks like them; with dates, ageing is a candidate itself.
+    """
+    runs = box.record.stack.runs
+    if len(runs) < _FEWEST_RUNS + 1 or all(run.is_date_known for run in runs):
+        return set()
+    names = set()
+    for number, each in enumerate(found.common):
+        _, mean, _ = _of_runs(box, number)
+        if np.ptp(mean) > 0 and not _seen_within_runs([box], found, number):
+            along = float(np.corrcoef(mean, np.arange(mean.size))[0, 1])
+            if abs(along) > ALONG:
+                names.add(each.name)
+    return names
 
 
 def log_odds(bias: FloatArray, effect: FloatArray, day: FloatArray, coefficients: int = 1) -> float | None:

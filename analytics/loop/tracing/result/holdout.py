@@ -156,6 +156,7 @@ class ErrorAt(msgspec.Struct, frozen=True):
     after: float  # with the model found
     floor: float  # left by the fitted noise alone, including the error of the declared coefficients
     averages: int  # their number
+    allowed: float = 0.0  # at most, by that noise and the errors of the sizes of the effects in the training
     excited_before: float | None = None  # the same over averages that excite the effect
     excited_after: float | None = None
     excited_floor: float | None = None

@@ -15,7 +15,6 @@ from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
-FAR_ABOVE_FLOOR = 1.5  # ratio to the floor, which is limited to the noise expected once in 1000 sets of runs
 FAR_ABOVE_NOISE = 3.0  # ratio to the noise within runs, which has no such limit
 LIKELY_DIFFERENT, SURELY_DIFFERENT = 1.96, 3.29  # standard errors: by chance in 1 of 20, 1 of 1000 true effects
 COPY = 1 - 1e-9  # correlation above which channels are copies, perhaps in other units
@@ -121,6 +120,14 @@ def _replication_caveats(case: Case) -> Iterator[Bilingual]:
             "run confirms them",
             "模型只由一次试验拟合：与该次试验相关的变化包含在各项中，没有其他试验予以证实",
         )
+    if not is_single and count >= FEWEST_REPLICATES and not all(run.is_date_known for run in case.stack.runs):
+        names = case.stack.runs[0].run, case.stack.runs[-1].run
+        yield Bilingual(
+            f"no dates are known: the runs are taken in the order of their names, {names[0]} to {names[1]}, for what "
+            "is held out and what changes from run to run; import them with --start, or name others with --holdout",
+            f"日期未知：留出试验及各次试验间的变化均按试验名称的顺序（{names[0]}至{names[1]}）处理；"
+            "请用--start导入日期，或用--holdout指定留出试验",
+        )
     if case.held_out:
         return
     if is_single:
@@ -194,17 +201,17 @@ def unexplained_error(table: ErrorTable) -> Bilingual | None:
     where = Bilingual("the held-out runs", "留出试验") if table.is_held_out else Bilingual("the runs", "试验")
     within = Bilingual(" about the mean of each run", "去除各次试验均值后")
     for row in sorted(table.rows, key=lambda row: -row.averaging_s):
-        for error, noise, most, about in (
-            (row.after, row.floor, FAR_ABOVE_FLOOR, Bilingual("", "")),
-            (row.after_within, row.floor_within, FAR_ABOVE_NOISE, within),
+        for error, most, about in (
+            (row.after, row.allowed, Bilingual("", "")),
+            (row.after_within, FAR_ABOVE_NOISE * row.floor_within, within),
         ):
-            if noise > 0 and error > most * noise:
-                size, allowed = f"{error:.4g} {table.unit_of_measure}", f"{noise:.4g}"
+            if 0 < most < error:
+                size, allowed = f"{error:.4g} {table.unit_of_measure}", f"{most:.4g}"
                 seconds = f"{row.averaging_s:g} s"
                 return Bilingual(
-                    f"the RMS error of {where} over {seconds}{about} is {size}, but noise allows {allowed}: the model "
-                    "does not hold there",
-                    f"{where.zh}在{seconds}平均时间上{about.zh}均方根误差为{size}，而噪声仅允许{allowed}：模型在该处不成立",
+                    f"the RMS error of {where} over {seconds}{about} is {size}, but noise and the errors of the "
+                    f"coefficients allow {allowed} at most: the model does not hold there",
+                    f"{where.zh}在{seconds}平均时间上{about.zh}均方根误差为{size}，而噪声与系数误差最多允许{allowed}：模型在该处不成立",
                 )
     return None
 

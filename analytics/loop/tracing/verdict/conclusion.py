@@ -14,7 +14,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open_held_out_set
-from analytics.loop.tracing.held_out.run_walk import against_walk
+from analytics.loop.tracing.held_out.run_walk import against_walk, follow_order
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.effect_search import Search, provisional
@@ -23,9 +23,11 @@ from analytics.loop.tracing.verdict import noise_agreement as agreement
 from analytics.loop.tracing.verdict.adequacy import detection_limits
 from analytics.loop.tracing.verdict.caveats import caveats, undetermined_terms, unexplained_error
 from analytics.loop.tracing.verdict.effect_findings import (
+    AGEING,
     findings,
     fitted_model,
     unreplicated,
+    with_ageing,
     with_causes,
     with_clock_bounds,
 )
@@ -66,6 +68,9 @@ def conclude(
         for each in every
         if each.confirmed is not False
     )
+    if AGEING not in model.effects:
+        along = follow_order(box, kept)
+        effects = tuple(with_ageing(each) if each.name in along else each for each in effects)
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     undetermined = undetermined_terms(case, model.labels())
     scatter = agreement.run_scatter(box.record, noises[0])

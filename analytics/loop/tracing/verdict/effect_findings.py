@@ -20,6 +20,7 @@ from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
 _CONFIDENCE = 1.96
+AGEING = "ageing"
 _CLOCK_BOUNDS = {
     "temperature_time_offset": ("temperature", 120.0, "s"),
     "rate_time_offset": ("scale_factor", 120.0, "s"),
@@ -57,6 +58,13 @@ def with_causes(found: FoundEffect, runs: Sequence[RunBlocks], declared: Collect
         for each in causes
     )
     return msgspec.structs.replace(found, confounded=(*found.confounded, *added))
+
+
+def with_ageing(found: FoundEffect) -> FoundEffect:
+    """A finding with ageing as an alternative, whose dates are not recorded."""
+    if AGEING in (found.name, *(each.name for each in found.confounded)):
+        return found
+    return msgspec.structs.replace(found, confounded=(*found.confounded, unfitted(effect(AGEING), recorded=False)))
 
 
 def with_clock_bounds(found: FoundEffect, declared: ErrorModel) -> FoundEffect:

@@ -1,5 +1,6 @@
 """All blocks of one unit, its runs concatenated, as rows of a regression; the prior of their noise."""
 
+import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -111,7 +112,7 @@ def stacked(runs: Sequence[RunBlocks], model: ErrorModel, insisted: Collection[s
 
     Channels with gaps are kept if at most 20 % of the blocks have to be dropped for them, or if they are `insisted` on.
     """
-    ordered = sorted(runs, key=lambda run: (run.t0_ns, run.run))
+    ordered = sorted(runs, key=_order)
     designs = [model.columns(run) for run in ordered]
     modelled = [
         np.isfinite(design).all(axis=1) & np.isfinite(run.value) for run, design in zip(ordered, designs, strict=True)
@@ -142,6 +143,13 @@ def stacked(runs: Sequence[RunBlocks], model: ErrorModel, insisted: Collection[s
     )
     used = stack.part(np.concatenate(kept)) if ordered else stack
     return used, StackReport(tuple(limits), lost, left_out(ordered, losses))
+
+
+def _order(run: RunBlocks) -> tuple[int, tuple[tuple[int, str], ...]]:
+    """Sorts runs by date; those without one by name, with numbers by their value: ``run2`` is before ``run10``."""
+    parts = re.split(r"(\d+)", run.run)
+    name = tuple((int(part) if number % 2 else 0, "" if number % 2 else part) for number, part in enumerate(parts))
+    return run.t0_ns if run.is_date_known else 0, name
 
 
 def in_segments(stack: Stack) -> Stack:

@@ -51,7 +51,7 @@ class CertificatePdf(msgspec.Struct, frozen=True, kw_only=True):
 
 def certificates_of(call: Call, unit: str) -> list[CertificateRow]:
     """The certificates of a unit, the latest first; documents without the seal of the store are none."""
-    from analytics.certificate.record import file_of
+    from analytics.certificate.record import kept_file
 
     known = _logged(call)
     rows = []
@@ -59,7 +59,7 @@ def certificates_of(call: Call, unit: str) -> list[CertificateRow]:
         if each.unit != unit:
             continue
         successor = known.successor(each.number)
-        is_kept = file_of(call.store, each.number).is_file()
+        is_kept = kept_file(call.store, each.number).is_file()
         rows.append(
             CertificateRow(
                 number=each.number, unit=each.unit, standard=each.standard, language=each.language,
@@ -82,17 +82,17 @@ def _logged(call: Call) -> "Certificates":
     return found
 
 
-@get("/api/certificates/{number}/pdf", is_kept=False, media_type="application/pdf")
+@get("/api/certificates/{number:path}/pdf", is_kept=False, media_type="application/pdf")
 def certificate_pdf(call: Call, asked: Nothing) -> CertificatePdf:
     """The PDF of an issued certificate, byte for byte."""
-    from analytics.certificate.record import file_of, sha256_of
+    from analytics.certificate.record import kept_file, sha256_of
 
     del asked
     number = call.path["number"]
     known = _logged(call).by_number(number)
     if known is None:
         raise NotFound(f"no certificate {number!r} is issued by this store")
-    path = file_of(call.store, number)
+    path = kept_file(call.store, number)
     try:
         content = path.read_bytes()
     except OSError as error:
