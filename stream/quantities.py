@@ -17,6 +17,12 @@ ANGULAR_RATE_UNIT = "deg/h"
 _ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
 _ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second", "dps"})
 _ROOT = re.compile(r"sqrt\(([^()]+)\)")
+_ROOT_SIGN = re.compile(r"√(?:\(([^()]+)\)|([A-Za-z]+))")
+_PLAIN = {0xFF01 + at: chr(0x21 + at) for at in range(94)} | {
+    ord("℃"): "degC", ord("℉"): "degF", ord("∕"): "/", ord("⁄"): "/", ord("˚"): "°", ord("−"): "-", ord("″"): "arcsec",
+    ord("′"): "arcmin", 0x3000: " ",
+}  # fmt: skip
+_STRANGE = re.compile(r"[^A-Za-z0-9\s._*/^()+\-%°ºµμΩΩÅ²³¹⁰⁴⁵⁶⁷⁸⁹⁻·⋅×]")
 _COMMON = (
     *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
     *("T", "nT", "Hz", "s", "ms", "count", "LSB", "Pa", "hPa", "percent", "1"),
@@ -74,6 +80,15 @@ def read_definitions() -> None:
     _powers("deg/h/degC")
 
 
+def plain_unit(text: str) -> str:
+    """A unit in the letters that units have here: full-width ones and roots are written otherwise.
+
+    >>> plain_unit("°／h"), plain_unit("℃"), plain_unit("°/√h"), plain_unit("°/√(h)")
+    ('°/h', 'degC', '°/sqrt(h)', '°/sqrt(h)')
+    """
+    return _ROOT_SIGN.sub(lambda match: f"sqrt({match[1] or match[2]})", text.translate(_PLAIN))
+
+
 @cache
 def check_unit(text: str) -> str:
     """Return `text` if it is a unit of measure that pint can parse; an empty text means dimensionless, ``1``.
@@ -85,9 +100,12 @@ def check_unit(text: str) -> str:
     """
     if text.strip() in {"", "1"}:
         return "1"
+    text = plain_unit(text)
     if text in _KNOWN:
         return text
     try:
+        if strange := _STRANGE.search(_ROOT.sub(r"(\1)**0.5", text)):  # pint would leave it out in silence
+            raise ValueError(strange[0])
         _registry().parse_units(text)
     except Exception as error:
         near = difflib.get_close_matches(text, _COMMON, n=3, cutoff=0.5)
@@ -166,7 +184,7 @@ def result_factor(source: str, target: str) -> float:
     """
     if source == target:
         return 1.0
-    plain = [_ROOT.sub(r"(\1)**0.5", check_result_unit(text)) for text in (source, target)]
+    plain = [_ROOT.sub(r"(\1)**0.5", plain_unit(check_result_unit(text))) for text in (source, target)]
     if (known := _known_conversion(*plain)) is not None and known[1] == 0.0:
         return known[0]
     factor, offset = conversion(plain[0], plain[1])
@@ -194,7 +212,7 @@ def check_result_unit(text: str) -> str:
     >>> check_result_unit("deg/sqrt(h)")
     'deg/sqrt(h)'
     """
-    check_unit(_ROOT.sub(r"(\1)**0.5", text))
+    check_unit(_ROOT.sub(r"(\1)**0.5", plain_unit(text)))
     return text
 
 

@@ -96,7 +96,7 @@ def file_of(store: Store, number: str, suffix: str = ".pdf") -> Path:
 
     >>> store = Store(Path("lab"), "1f")
     >>> file_of(store, "GYL-2026-0001").as_posix(), file_of(store, "GYL/2026 0001").as_posix()
-    ('lab/certificates/GYL-2026-0001.pdf', 'lab/certificates/GYL_2026_0001-63ce87d1.pdf')
+    ('lab/certificates/GYL-2026-0001.pdf', 'lab/certificates/GYL_2026_0001-bbac2b75.pdf')
     """
     name = _plain(number)
     mark = "" if name == number else f"-{sha256_of(number.encode())[:8]}"

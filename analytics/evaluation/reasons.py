@@ -6,6 +6,7 @@ from functools import cache, lru_cache
 from importlib.resources import files
 
 _PLACE = re.compile(r"\{(\d)\}")
+_OF_STANDARD = re.compile(r"((?:GJB|JJF) ?\d+[A-Z]?): (.+)")
 _VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
 
 
@@ -20,11 +21,14 @@ def in_chinese(reason: str) -> str:
     >>> in_chinese("something else")
     'something else'
     """
-    found = _translated(reason)
-    if found is not None:
+    if len(texts := reason.split("; ")) > 1:  # first, since a place of one text would reach into the next
+        parts = [_translated(part) for part in texts]
+        if all(parts):
+            return "；".join(part for part in parts if part)
+    if (found := _translated(reason)) is not None:
         return found
-    parts = [_translated(part) for part in reason.split("; ")]
-    return "；".join(part for part in parts if part) if len(parts) > 1 and all(parts) else reason
+    of_standard = _OF_STANDARD.fullmatch(reason)
+    return f"{of_standard[1]}：{in_chinese(of_standard[2])}" if of_standard else reason
 
 
 def _translated(text: str) -> str | None:

@@ -14,6 +14,7 @@ from analytics.methods.confidence_bounds import CONFIDENCE
 from stream.batch import BoolArray, FloatArray, IntArray
 
 KINDS = ("all", "run_to_run", "day_to_day", "within_day_component", "between_day_component")
+_MANY = 1e9  # degrees of freedom of what is known
 _TAIL = (1 - CONFIDENCE) / 2
 Reasons = npt.NDArray[np.object_]  # texts, None where there is a value
 
@@ -183,8 +184,11 @@ def beyond(observed: Variance, known: Variance, least: Variance | None = None) -
         value = np.sqrt(variance)
         # near 0 the root has no slope: a quarter of the interval stands for its uncertainty
         quarter = (bounds[1] - bounds[0]) / 4
-        u = np.where(value > 0, np.minimum(np.sqrt(spread) / (2 * value), quarter), quarter)
+        by_slope = np.where(value > 0, np.sqrt(spread) / (2 * value), np.inf)
+        u = np.minimum(by_slope, quarter)
         left_freedom = np.where(spread > 0, np.maximum(2 * variance**2 / spread, 1.0), freedom)
+        # the interval has its degrees of freedom in it already: a quarter of it goes with a factor of 2
+        left_freedom = np.where(quarter < by_slope, _MANY, left_freedom)
     return DeviationEstimate(value, bounds[0], bounds[1], u, left_freedom)
 
 
@@ -221,7 +225,7 @@ def deviations_of(
     In groups of days; in groups of runs where the days are not known. `what`: what was measured, in the plural, as
     ``power-ons``. What the values' own `noise` adds is subtracted.
     """
-    no_noise = Variance(np.zeros_like(found.square), np.full_like(found.square, 1e9))
+    no_noise = Variance(np.zeros_like(found.square), np.full_like(found.square, _MANY))
     likely, least = noise or ValuesNoise(*(MeansNoise(no_noise, no_noise, no_noise),) * 2)
     unrepeated = found.within_freedom == 0
     reasons = np.full(len(found.values), None, dtype=object)
@@ -252,7 +256,8 @@ def deviations_of(
 
 
 def scatters(found: Scatter, noise: ValuesNoise, kind: str) -> dict[str, FloatArray]:
-    """The parts of a deviation: the scatter by the equation of the clauses, and the noise of the values in it."""
+    """Of a deviation the noise of the values in it, and the deviation without that noise."""
     part = {"all": "square", "run_to_run": "within", "within_day_component": "within"}.get(kind, "of_means")
-    parts = {"scatter": getattr(found, part), "uncertainty_of_means": getattr(noise.likely, part).value}
+    whole, known = getattr(found, part), getattr(noise.likely, part).value
+    parts = {"uncertainty_of_means": known, "beyond_uncertainty": np.maximum(whole - known, 0.0)}
     return {name: np.sqrt(each) for name, each in parts.items()}

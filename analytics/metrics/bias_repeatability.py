@@ -34,14 +34,14 @@ _OF_TEST = ("unit", "signal", "run", "runs", "steps")
 def compute(catalog: Catalog, sql: str) -> pa.Table:
     """Rows of the metric.
 
-    The uncertainty of the biases, a component of the variance of their scatter, is subtracted; in the parameters
-    ``scatter`` is that of the clause's equation, ``uncertainty_of_means`` the part subtracted. In records of a minute
-    noise is most of the scatter, in those of an hour hardly any of it.
+    The deviations are those of the clauses' equations, in which the uncertainty of the biases scatters as well: in
+    records of a minute noise is most of it, in those of an hour hardly any. In the parameters ``uncertainty_of_means``
+    is that part, and ``beyond_uncertainty`` what is left with it subtracted in squares.
 
     ``run_to_run`` is the deviation within a day, pooled over days; ``day_to_day`` that of the means of days, in which
     the scatter within the days is also. ``between_day_component`` is what is left of it without that, and
-    ``within_day_component`` is the run-to-run deviation again, as the other part of the analysis of variance. ``all``,
-    the deviation of all power-ons, has a value where these are of one day, or each of another: power-ons of one day
+    ``within_day_component``, the other part of the analysis of variance, the run-to-run deviation less that uncertainty.
+    ``all``, the deviation of all power-ons, has a value where these are of one day, or each of another: power-ons of one day
     share its effect, and among several days they are not independent. A day is one of the station's time zone. GJB
     2426A asks for 6 power-ons (days), JJF 2014 names no number.
     """
@@ -60,7 +60,8 @@ def compute(catalog: Catalog, sql: str) -> pa.Table:
     shared = _shared_parameters(tests, layout, found)
     rows = []
     for kind in KINDS:
-        estimate, reasons = deviations_of(found, kind, "power-ons", is_dated, noise)
+        is_component = kind.endswith("component")
+        estimate, reasons = deviations_of(found, kind, "power-ons", is_dated, noise if is_component else None)
         for earlier in (few, lacks):
             reasons = np.where(are_none(earlier), reasons, earlier)
         n = np.where(are_none(lacks), compared.get(kind, found.groups), found.values).astype(np.int64)
@@ -133,12 +134,12 @@ def _remark(durations: Sequence[float], counted_by: Sequence[str], stations: str
 
 def _texts(kind: str, shared: Sequence[str], parts: Sequence[FloatArray]) -> list[str]:
     """The parameters of each test as JSON."""
-    scatter_of, noise_of = (
+    noise_of, beyond_it = (
         json.dumps([None if math.isnan(each) else each for each in part.tolist()])[1:-1].split(", ") for part in parts
     )
     return [
-        f'{{"kind":"{kind}",{own},"scatter":{of_clause},"uncertainty_of_means":{of_means}}}'
-        for own, of_clause, of_means in zip(shared, scatter_of, noise_of, strict=bool(shared))
+        f'{{"kind":"{kind}",{own},"uncertainty_of_means":{of_means},"beyond_uncertainty":{beyond}}}'
+        for own, of_means, beyond in zip(shared, noise_of, beyond_it, strict=bool(shared))
     ]
 
 

@@ -4,11 +4,11 @@
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
--- parameters: kind, position, earth_rate, power_ons, power_ons_recorded, days, scatter, uncertainty_of_means, remark
+-- parameters: kind, position, earth_rate, power_ons, power_ons_recorded, days, uncertainty_of_means, beyond_uncertainty, remark
 -- source:    GJB 2426A-2004 5.12.3 (21); JJF 2014-2022 7.2.15 (30)
 -- needs:     static steps of an hour in several power-ons (procedure bias_repeatability, or runs of static_bias)
 -- limits:    given
--- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons, less the uncertainty of the B0_i
+-- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.metrics.bias_repeatability:compute

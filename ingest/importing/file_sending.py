@@ -124,6 +124,7 @@ class FileSending:
         self._common = self._stored.check(self._file)
         self._held = _held(knowledge, self.runs)
         self._known_uids = frozenset(self._stored.known.uids)
+        self._check_moved()
         self._stated = {run: dict(details) for run, details in self._stored.known.stated.items()}
         check_steps(self._stored.known.steps, self.path, self._summary)
         if not self._restates:
@@ -145,14 +146,30 @@ class FileSending:
                         f"all values that rest on it, give --restate"
                     )
 
+    def _check_moved(self) -> None:
+        """Refuse a file whose rows a run has at other times: each would be there twice."""
+        for run, signals in self._of.items():
+            names = [(each.unit, run, each.signal) for each in signals]
+            if any(self._common[name] for name in names) or not all(self._held[name] for name in names):
+                continue
+            if self._started(run, self._content()).uid in self._known_uids:
+                raise BadInput(
+                    f"{self.path}: run {run} has this very file at other times; what is stored stays, and its rows "
+                    "would be there twice. With another --start or --time-zone, import it as another run: --run NAME"
+                )
+
+    def _content(self) -> str:
+        """SHA-256 of the file."""
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
     def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of their runs."""
         open_runs = self._stored.open_runs & self._of.keys()
         is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
         if is_all_there and not self._summary.steps and not open_runs and not self._entries and not self._about:
             return
-        with self.path.open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
+        content = self._content()
         epochs = {owner: self._epoch(content, *owner) for owner in self.owners}
         send = partial(sender.send_event, event_key(self._place))
         for run in self._of:

@@ -18,7 +18,7 @@ import msgspec
 
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
-from ingest.tables.units import column_unit, is_temperature
+from ingest.tables.units import column_unit, is_temperature, time_unit
 from stream.errors import BadInput
 from stream.events import StepWords
 from stream.identity import check_name
@@ -26,8 +26,11 @@ from stream.identity import check_name
 _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\])?\s*")
 _ROUND_TITLE = re.compile(r"\s*([^\[\]]*?)\s*\(((?:[^()\[\]]|\([^()\[\]]*\))*)\)\s*")
 _LOOKS_LIKE_TIME = frozenset({"t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime"})
+_CHINESE_TIMES = frozenset({"时间", "时刻", "时间戳", "采样时间", "记录时间", "日期时间", "日期", "相对时间"})
+_SLASH_TITLE = re.compile(r"\s*([^\[\]()/]*[\u4e00-\u9fff][^\[\]()/]*?)\s*/\s*([^\[\]]+?)\s*")  # 量/单位, GB/T 3101
+_FULL_WIDTH = str.maketrans("（）［］【】／", "()[][]/")
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
-_TEMPERATURE = re.compile(r"(?i)t|temp|temperature|gyro_?temp(erature)?")
+_TEMPERATURE = re.compile(r"(?i)t|temp|temperature|gyro_?temp(erature)?|(陀螺|产品)?温度")
 _MOST_PROBLEMS = 8  # in one error
 _SQUARE = "name it like 'rate[deg/s]'"
 
@@ -183,7 +186,7 @@ class _HeaderReader:
         if _plain_letters(unit) in _STAMP_UNITS:
             raise BadInput(f"column {title!r} begins with no ISO 8601 time stamp, like 2026-11-21T18:00:00.5Z")
         try:
-            self.columns.time = TimeColumn(title, ns_per_unit(unit.strip()))
+            self.columns.time = TimeColumn(title, ns_per_unit(time_unit(unit)))
         except BadInput as error:
             raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
 
@@ -219,7 +222,8 @@ class _HeaderReader:
 
 def _parts(title: str) -> tuple[str, str | None, bool]:
     """Name and unit of a title, and whether its unit is in round brackets, as other programs write it."""
-    if match := _ROUND_TITLE.fullmatch(title):
+    title = title.translate(_FULL_WIDTH)
+    if match := _ROUND_TITLE.fullmatch(title) or _SLASH_TITLE.fullmatch(title):
         return match[1], match[2], True
     match = _TITLE.fullmatch(title)
     return (match[1], match[2], False) if match else ("", None, False)
@@ -230,12 +234,12 @@ def _plain_letters(text: str) -> str:
 
 
 def _is_time_name(name: str) -> bool:
-    return _plain_letters(name) in _LOOKS_LIKE_TIME
+    return _plain_letters(name) in _LOOKS_LIKE_TIME or name.strip() in _CHINESE_TIMES
 
 
 def _is_of_time(unit: str | None) -> bool:
     try:
-        return unit is not None and (_plain_letters(unit) in _STAMP_UNITS or ns_per_unit(unit.strip()) > 0)
+        return unit is not None and (_plain_letters(unit) in _STAMP_UNITS or ns_per_unit(time_unit(unit)) > 0)
     except BadInput:
         return False
 
@@ -246,6 +250,11 @@ def _is_usable(name: str) -> bool:
     except BadInput:
         return False
     return True
+
+
+def _usable(name: str) -> str:
+    """A name that a signal may have."""
+    return re.sub(r"[^\w]+", "_", name).strip("_") or "signal"
 
 
 def _how_to_name(title: str, name: str, *, is_stamp: bool = False) -> str:
@@ -264,7 +273,7 @@ def _how_to_name(title: str, name: str, *, is_stamp: bool = False) -> str:
     hint = f" (or did you mean {near[0]!r}?)" if near else ""
     return (
         f"column {title!r} has no unit; name it like '{name}[deg/s]', or '{name}[1]' if it has none{hint}; "
-        f"without changing the file: --rename '{title.strip()}={_plain_letters(name)}[1]'; "
+        f"without changing the file: --rename '{title.strip()}={_plain_letters(name) or _usable(name)}[1]'; "
         f"to leave it out: --rename '{title.strip()}='"
     )
 
@@ -281,7 +290,7 @@ def _check_complete(columns: Columns, titles: Sequence[str], options: TableOptio
     if not columns.signals:
         raise BadInput("no column holds a signal; name at least one like 'rate[deg/s]'")
     if columns.time is None and options.sample_rate_hz is None:
-        near = [title for title in titles if title.partition("[")[0].strip().lower() in _LOOKS_LIKE_TIME]
+        near = [title for title in titles if _is_time_name(_parts(title)[0])]
         hint = f" ({near[0]!r} is not it: rename it, as with --rename '{near[0]}=time')" if near else ""
         raise BadInput(f"no column 'time[s]' or 'time[ns]'{hint}; add one, or give --sample-rate")
     if columns.time is not None and options.sample_rate_hz is not None:

@@ -10,7 +10,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
-from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, without_blanks
+from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, without_blanks
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
 from stream.batch import IntArray
@@ -33,6 +33,7 @@ class CsvTable:
     def __init__(self, path: Path, block_bytes: int = BLOCK_BYTES) -> None:
         self._path, self._block_bytes = path, block_bytes
         self._size = max(path.stat().st_size, 1)
+        self._is_gb18030 = False
         self._dialect = self._find_dialect()
         self.titles, self.stamp_titles = self._dialect.titles, self._dialect.stamp_titles
         self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
@@ -64,6 +65,8 @@ class CsvTable:
                 f"warning: column {title!r}: {cell} is read as {float(cell.replace(',', '.')):g}, and whole numbers "
                 "stand beside it; if the mark separates thousands, write the file without it"
             )
+        if self._is_gb18030:
+            found.append("its text is read as GB18030 (GBK)")
         if self._has_stamps_without_zone:
             found.append(f"time stamps without a zone are taken as {self._time_zone}")
         return found
@@ -86,7 +89,7 @@ class CsvTable:
         with self._path.open("rb") as file:
             file.seek(self._dialect.first_byte)
             for block in self._whole_lines(file, line):
-                self._check_text(block, line)
+                block = self._as_utf8(block, line)
                 if b"#" in block:  # a comment becomes a blank line, so that lines keep their numbers
                     block, comments = COMMENT.subn(b"", block)
                     self._comments += comments
@@ -108,11 +111,11 @@ class CsvTable:
                 if rows and len(raw) == LONGEST_LINE_BYTES:
                     break  # found with its line when the rows are read
                 try:
-                    text = raw.decode().rstrip("\r\n")
-                except UnicodeDecodeError as error:
+                    text = self._as_utf8(raw, len(lines) + 1).decode().rstrip("\r\n")
+                except BadInput:
                     if rows:
                         break  # likewise
-                    raise self._not_text(len(lines) + 1) from error
+                    raise
                 rows += not text.startswith("#") and bool(text.strip())
                 if rows == 1 and "\r" in text:
                     raise BadInput(f"{self._path}: lines end with a carriage return alone; save it with line feeds")
@@ -129,16 +132,26 @@ class CsvTable:
             raise BadInput(f"{self._path}: a header and no rows; nothing to import")
         return dialect
 
-    def _check_text(self, block: bytes, line: int) -> None:
+    def _as_utf8(self, block: bytes, line: int) -> bytes:
+        """Lines as UTF-8: those of a file in the encoding of Chinese programs are written anew."""
         if block.isascii():
-            return
+            return block
+        if not self._is_gb18030:
+            try:
+                block.decode()
+            except UnicodeDecodeError as error:
+                if not is_gb18030(block):
+                    raise self._not_text(line + block.count(b"\n", 0, error.start)) from error
+                self._is_gb18030 = True
+            else:
+                return block
         try:
-            block.decode()
+            return block.decode("gb18030").encode()
         except UnicodeDecodeError as error:
             raise self._not_text(line + block.count(b"\n", 0, error.start)) from error
 
     def _not_text(self, line: int) -> BadInput:
-        return BadInput(f"{self._path}, line {line}: not UTF-8 text; save the file as UTF-8")
+        return BadInput(f"{self._path}, line {line}: not UTF-8 (nor GB18030) text; save the file as UTF-8")
 
     def _whole_lines(self, file: BinaryIO, line: int) -> Iterator[bytes]:
         rest = b""

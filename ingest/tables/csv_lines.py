@@ -125,6 +125,20 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     )  # fmt: skip
 
 
+def is_gb18030(text: bytes) -> bool:
+    """Whether text is likely Chinese in GB18030 or GBK: most of its characters are common ones, those of GB 2312.
+
+    >>> is_gb18030("角速率(°/h)".encode("gbk")), is_gb18030("Temp (°C), µT".encode("latin-1"))
+    (True, False)
+    """
+    try:
+        characters = [each.encode("gb18030") for each in text.decode("gb18030") if not each.isascii()]
+    except UnicodeDecodeError:
+        return False
+    common = sum(len(each) == 2 and min(each) >= 0xA1 for each in characters)
+    return 2 * common > len(characters)
+
+
 def without_blanks(block: bytes) -> bytes:
     """Lines whose cells are separated by one blank each, and have none at their ends."""
     return _MARGINS.sub(b"", _BLANKS.sub(b" ", block))

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 from stream.errors import BadInput, UnknownUnit
-from stream.quantities import check_unit, conversion, is_angular_rate, result_factor
+from stream.quantities import check_unit, conversion, is_angular_rate, plain_unit, result_factor
 
 # What files and databases write, in lower case and without blanks, "°" written as "deg".
 _SPELLINGS = {
@@ -30,6 +30,13 @@ _SPELLINGS = {
     "gauss": "gauss",
 }
 _UNITS = {"": "1"} | {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
+_UNITS |= {
+    "度": "deg", "度/秒": "deg/s", "度/s": "deg/s", "deg/秒": "deg/s", "度/小时": "deg/h", "度/时": "deg/h",
+    "度/h": "deg/h", "deg/小时": "deg/h", "deg/时": "deg/h", "摄氏度": "degC", "秒": "s", "毫秒": "ms", "微秒": "us",
+    "分": "min", "分钟": "min", "小时": "h", "伏": "V", "毫伏": "mV", "安": "A", "毫安": "mA", "脉冲": "count",
+    "脉冲数": "count", "个": "count", "pulse": "count", "pulses": "count", "脉冲/秒": "count/s", "脉冲/s": "count/s",
+    "pulse/s": "count/s", "pulses/s": "count/s", "转/分": "rpm", "r/min": "rpm", "角秒": "arcsec", "角分": "arcmin",
+}  # fmt: skip
 _GRAVITY = {"g": "g_0", "gn": "g_0", "g0": "g_0", "mg": "mg_0", "ug": "ug_0", "µg": "ug_0", "μg": "ug_0"}
 _MASSES = {"g", "mg", "ug", "µg", "μg"}  # pint reads them as gram
 _GERMAN_DEGREE = re.compile("[Gg]rad(?![a-z])")  # pint reads Grad as gigaradian, grad as gradian
@@ -37,11 +44,11 @@ _MOST_RATE_DEG_PER_S = 1e5  # of a unit of measure: more is a prefix in the wron
 _RAW = ("1", "count", "V", "A", "Hz")
 _AXIS = r"(?:[_.]?(?:[xyz]|\d+))?"
 _EXPECTED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    (r"(?:angular_)?rate|gyro|omega", "an angular rate", ("deg/s", "deg/h", "rad/s")),
+    (r"(?:angular_)?rate|gyro|omega|.*角速[率度].*|陀螺(?:输出)?", "an angular rate", ("deg/s", "deg/h", "rad/s")),
     (r"acc|accel|acceleration", "an acceleration", ("g_0", "m/s^2")),
-    (r"temp|temperature", "a temperature", ("degC", "K")),
-    (r"(?:supply_)?voltage", "a voltage", ("V",)),
-    (r"(?:supply_)?current", "a current", ("A",)),
+    (r"temp|temperature|.*温度", "a temperature", ("degC", "K")),
+    (r"(?:supply_)?voltage|.*电压", "a voltage", ("V",)),
+    (r"(?:supply_)?current|.*电流", "a current", ("A",)),
     (r"pressure", "a pressure", ("Pa", "hPa")),
 )
 
@@ -91,6 +98,8 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
     if plain in {"c", "f"} and re.match("temp", signal.lower()):
         unit = "degC" if plain == "c" else "degF"
         return unit, f"{written} is taken as {unit}, since {signal!r} is a temperature"
+    if plain in {"deg/s", "deg/h"} and written[-1].isupper():  # to pint siemens and henry
+        written = written.lower()
     try:
         unit = check_unit(_GERMAN_DEGREE.sub("deg", written))
     except UnknownUnit:
@@ -108,6 +117,11 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
     return unit, _unexpected(unit, signal)
 
 
+def time_unit(text: str) -> str:
+    """A unit of time as files write it, such as ``秒``, as units are written here."""
+    return _UNITS.get(_plain(text), text.strip())
+
+
 def is_temperature(unit: str) -> bool:
     """Whether a unit of measure is one of temperature.
 
@@ -118,7 +132,7 @@ def is_temperature(unit: str) -> bool:
 
 
 def _plain(written: str) -> str:
-    plain = re.sub(r"\s+", "", written).replace("°", "deg").replace("º", "deg")
+    plain = re.sub(r"\s+", "", plain_unit(written)).replace("°", "deg").replace("º", "deg")
     return _GERMAN_DEGREE.sub("deg", plain).lower()
 
 

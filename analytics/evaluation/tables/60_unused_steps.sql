@@ -8,9 +8,9 @@ with rested as (
   where not is_instrument_name(s.signal)
     and (is_output_name(signal) or r.deg_per_h is not null or (
       -- might be a gyro's output under another name
-      s.unit_of_measure in ('V', 'mV', 'uV', 'A', 'mA', 'uA', 'count', 'LSB', 'Hz', 'kHz', 'MHz')
+      s.unit_of_measure in ('V', 'mV', 'uV', 'A', 'mA', 'uA', 'count', 'LSB', 'count/s', 'LSB/s', 'Hz', 'kHz', 'MHz')
       and not regexp_matches(lower(s.signal),
-        'suppl|power|volt|curr|temp|acc|mag|baro|press|humid|count|status|flag|seq|time|crc|clock|angle|reference')
+        'suppl|power|volt|curr|temp|acc|mag|baro|press|humid|count|status|flag|seq|time|crc|clock|angle|reference|温度|电压|电流|功率|计数|状态')
     ) or (
       s.unit_of_measure in ('deg', 'arcmin', 'arcsec', 'rad', 'mrad', 'urad')
       and regexp_matches(lower(s.signal), '^(d|delta)?_?(angle|theta|phi)|increment') and not is_integrated_output(s.signal)

@@ -2,7 +2,8 @@
 -- measured by another instrument is no gyro's output.
 create or replace macro is_instrument_name(signal) as
   regexp_matches(lower(signal), '^(table|input|chamber|command|set_?point|vibration|stage|platform|encoder|earth)'
-    '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$');
+    '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$'
+    '|^(转台|台面|基准|参考|标准|指令|设定|给定|输入|温箱|地球)');
 
 create or replace macro is_output_name(signal) as
   (regexp_matches(signal, '^rate(_|$)') or is_integrated_output(signal)) and not is_instrument_name(signal);

@@ -216,9 +216,10 @@ def test_an_unsigned_one_is_trusted_by_nobody_and_the_digital_one_is_known(
     words = ("certificate", "verify", "--store", "lab", "--json")
     done = run_command(*words, "first.pdf", "--trust", "root.pem", cwd=folder)
     assert (done.code, done.json["genuine"], done.json["valid"]) == (1, True, False)
-    assert "not signed" in done.json["why"][0]
+    assert any("not signed" in each for each in done.json["why"])
     digital = run_command(*words, "first.xml", cwd=folder)
-    assert (digital.code, digital.json["number"], digital.json["signature"]) == (0, answer["number"], None)
+    found = digital.json
+    assert (found["genuine"], found["number"], found["signature"]) == (True, answer["number"], None)
     (folder / "forged.xml").write_bytes((folder / "first.xml").read_bytes().replace(b"G-0042", b"G-0043"))
     assert run_command(*words, "forged.xml", cwd=folder).json["genuine"] is False
 

@@ -35,7 +35,7 @@ def test_repeatability_and_its_components(recorded: Recorded) -> None:
     }  # fmt: skip
     within = biases.var(axis=1, ddof=1).mean()
     mean_square = 4 * biases.mean(axis=1).var(ddof=1)
-    # each mean has an uncertainty of 0.01 with 30 degrees of freedom, which is taken off
+    # each mean has an uncertainty of 0.01 with 30 degrees of freedom, which is taken off a component
     expected = {
         "run_to_run": (within, 21, 1e-4, 28 * 30),
         "day_to_day": (biases.mean(axis=1).var(ddof=1), 6, 1e-4 / 4, 28 * 30),
@@ -43,10 +43,12 @@ def test_repeatability_and_its_components(recorded: Recorded) -> None:
     }
     for kind, (variance, freedom, noise, noise_freedom) in expected.items():
         row = one(whole, kind=kind)
-        assert row["value"] == exact(math.sqrt(variance - noise))
-        assert (row["scatter"], row["uncertainty_of_means"]) == (exact(math.sqrt(variance)), exact(math.sqrt(noise)))
+        beyond = exact(math.sqrt(variance - noise))
+        assert (row["beyond_uncertainty"], row["uncertainty_of_means"]) == (beyond, exact(math.sqrt(noise)))
+        is_component = kind == "within_day_component"
+        assert row["value"] == (beyond if is_component else exact(math.sqrt(variance)))
         for side, tail in (("lo", 0.025), ("hi", 0.975)):
-            left = variance - noise * stats.f.isf(tail, freedom, noise_freedom)
+            left = variance - (noise * stats.f.isf(tail, freedom, noise_freedom) if is_component else 0.0)
             assert row[side] == exact(math.sqrt(freedom * left / stats.chi2.isf(tail, freedom)))
         assert row["standard_uncertainty"] == pytest.approx(row["value"] / math.sqrt(2 * freedom), rel=0.02)
     # power-ons of one day share its effect: a deviation of all would be neither
@@ -59,7 +61,7 @@ def test_repeatability_and_its_components(recorded: Recorded) -> None:
     assert row["runs"] == [f"r{day}" for day in range(7)]
     # a run of its own has four power-ons: GJB 2426A asks for six
     own = [row for row in found if row["run"] == "r2" and row["kind"] == "all"]
-    assert one(own, standard="JJF2014")["value"] == exact(math.sqrt(biases[2].var(ddof=1) - 1e-4))
+    assert one(own, standard="JJF2014")["value"] == exact(math.sqrt(biases[2].var(ddof=1)))
     assert one(own, standard="GJB2426A")["reason"] == "4 power-ons measured, the clause asks for 6 or more"
 
 
@@ -70,11 +72,11 @@ def test_the_same_day_is_that_of_the_station(recorded: Recorded) -> None:
     for at, row in enumerate(late):
         row["t_start_ns"] = START_NS + (20 + 3 * at) * 3600 * SECOND_NS  # 20:00, 23:00, 02:00, 05:00 UTC
     in_london = recorded(late, "bias_repeatability")
-    assert one(in_london, kind="day_to_day", standard="JJF2014")["scatter"] == exact(np.std([1.5, 6.0], ddof=1))
+    assert one(in_london, kind="day_to_day", standard="JJF2014")["value"] == exact(np.std([1.5, 6.0], ddof=1))
     in_shanghai = recorded([row | {"time_zone": "Asia/Shanghai"} for row in late], "bias_repeatability")
     assert one(in_shanghai, kind="day_to_day")["reason"] == "all 4 power-ons are of one day, 2 days are needed"
     undated = recorded([row | {"date_known": False} for row in late], "bias_repeatability")
-    assert one(undated, kind="run_to_run", standard="JJF2014")["scatter"] == exact(np.std(biases, ddof=1))
+    assert one(undated, kind="run_to_run", standard="JJF2014")["value"] == exact(np.std(biases, ddof=1))
     assert "the date is unknown" in one(undated, kind="day_to_day")["reason"]
 
 
@@ -91,7 +93,7 @@ def test_repeatability_of_too_few_power_ons(recorded: Recorded) -> None:
         for day in range(6)
     ]
     found = recorded(daily, "bias_repeatability")
-    assert one(found, kind="day_to_day")["value"] == exact(math.sqrt(np.var(np.arange(6.0), ddof=1) - 1e-4))
+    assert one(found, kind="day_to_day")["value"] == exact(np.std(np.arange(6.0), ddof=1))
     assert one(found, kind="all")["value"] == one(found, kind="day_to_day")["value"]
     assert one(found, kind="all")["remark"] == "6 power-ons are not recorded: each run is taken for one"
     assert (one(found, kind="all")["power_ons"], one(found, kind="all")["power_ons_recorded"]) == (6, 0)
@@ -104,7 +106,7 @@ def test_raw_and_corrected_biases_are_never_in_one_repeatability(recorded: Recor
     east = [{**row, "unit": "U3", "latitude_deg": None, "position": "IRA_east"} for row in rows]
     found = recorded([*rows, *unknown, *east], "bias_repeatability")
     found = [row for row in found if row["kind"] == "all" and row["run"] is None]
-    whole = math.sqrt(np.var(np.arange(6.0), ddof=1) - 1e-4)
+    whole = float(np.std(np.arange(6.0), ddof=1))
     assert one(found, unit="U1")["value"] == pytest.approx(whole)
     assert one(found, unit="U1")["earth_rate"] == "removed"
     assert one(found, unit="U2", earth_rate="none")["value"] == pytest.approx(whole)
@@ -120,15 +122,19 @@ def test_the_scatter_of_short_records_is_their_noise(recorded: Recorded) -> None
     biases *= 2.9 / biases.std(ddof=1)
     rows = power_ons(biases, standard_uncertainty=3.01, freedom=12.0, duration_s=52.0)
     found = recorded(rows, "bias_repeatability")
-    row = one(found, kind="all")
-    assert (row["value"], row["lo"]) == (0.0, 0.0)
-    assert row["hi"] < 6.0
-    assert (row["scatter"], row["uncertainty_of_means"]) == (exact(2.9), exact(3.01))
+    row = one(found, kind="all")  # as the clauses' equation has it
+    assert (row["value"], row["uncertainty_of_means"], row["beyond_uncertainty"]) == (exact(2.9), exact(3.01), 0.0)
+    part = one(found, kind="within_day_component")
+    assert (part["value"], part["lo"]) == (0.0, 0.0)
+    assert part["hi"] < 6.0
+    # a quarter of its interval, with a factor of 2: U is no more than half the interval
+    assert part["standard_uncertainty"] == exact(part["hi"] / 4)
+    assert part["freedom"] > 1e6
     assert row["remark"] == "7 of 7 records are of 52 s: the clauses ask for an hour as a rule"
     assert row["power_ons_recorded"] == 7
     # longer records of the same unit would show it
     rows = power_ons(biases, standard_uncertainty=0.3, freedom=12.0)
-    assert one(recorded(rows, "bias_repeatability"), kind="all")["lo"] > 1.8
+    assert one(recorded(rows, "bias_repeatability"), kind="within_day_component")["lo"] > 1.8
     # one whose uncertainty is unknown lets nothing be taken off
     rows[0]["standard_uncertainty"] = None
     unknown = one(recorded(rows, "bias_repeatability"), kind="all")

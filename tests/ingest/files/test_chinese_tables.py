@@ -1,0 +1,100 @@
+"""Tables as Chinese programs write them: titles, units, encodings; and units of measure with strange characters."""
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ingest.tables.units import column_unit
+from stream.errors import BadInput, UnknownUnit
+from stream.quantities import check_unit, conversion, result_factor
+
+ROWS = [[f"{at / 10:.1f}", f"{10 + at % 7}", f"{25 + at / 1000:.3f}", "28.0"] for at in range(300)]
+
+
+def write(path: Path, titles: list[str], rows: list[list[str]] = ROWS, encoding: str = "utf-8") -> None:
+    text = io.StringIO()
+    csv.writer(text).writerows([titles, *(row[: len(titles)] for row in rows)])
+    path.write_bytes(text.getvalue().encode(encoding))
+
+
+@pytest.mark.parametrize(
+    ("titles", "encoding", "named"),
+    [
+        ("时间(s),角速率(°/h),温度(℃),电压/V", "gbk", "角速率"),
+        ("时间（s）,陀螺输出（°／h）,温度（℃）,电压／V", "utf-8-sig", "陀螺输出"),
+        ("采样时间（秒）,角速率（度/小时）,温度（摄氏度）,电压（伏）", "gb18030", "角速率"),
+        ("time[s],角速率[°/h],温度[degC],电压[V]", "gbk", "角速率"),
+    ],
+)
+def test_titles_and_encodings(
+    titles: str, encoding: str, named: str, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    write(tmp_path / "甲.csv", titles.split(","), encoding=encoding)
+    done = gyrofleet("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
+    assert done.code == 0, done.err
+    signals = {each["signal"]: each for each in done.json["files"][0]["signals"]}
+    assert signals.keys() == {named, "温度", "电压"}
+    assert {each["in_lake"] for each in signals.values()} == {300}
+    assert {each["sample_interval_s"] for each in signals.values()} == {0.1}
+    assert conversion(signals[named]["unit_of_measure"], "deg/h") == (1.0, 0.0)
+    assert (signals["温度"]["unit_of_measure"], signals["电压"]["unit_of_measure"]) == ("degC", "V")
+    remarks = " ".join(done.json["files"][0]["remarks"])
+    assert ("read as GB18030" in remarks) == (encoding.startswith("gb"))
+    assert "temperature under the name temperature" in remarks  # it is not left out of the metrics in silence
+
+
+def test_time_stamps_under_a_chinese_title(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    rows = [[f"2026-11-28 08:00:{at // 10:02d}.{at % 10}", str(at % 5)] for at in range(300)]
+    write(tmp_path / "甲.csv", ["时间", "角速率(°/h)"], rows)
+    words = ("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
+    assert gyrofleet(*words, "--time-zone", "Asia/Shanghai").json["files"][0]["date_known"]
+    # the same rows at another time are not there twice
+    moved = gyrofleet(*words, "--time-zone", "UTC")
+    assert moved.code != 0
+    assert "has this very file at other times" in moved.err + moved.out
+    again = gyrofleet(*words, "--time-zone", "Asia/Shanghai")
+    assert (again.code, again.json["files"][0]["signals"][0]["added"]) == (0, 0)
+
+
+def test_a_title_without_unit_gets_advice_that_works(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    write(tmp_path / "甲.csv", ["时间(s)", "角速率(°/h)", "序号"])
+    words = ("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
+    refused = gyrofleet(*words)
+    assert refused.code != 0
+    advice = "序号=序号[1]"
+    assert f"--rename '{advice}'" in refused.err + refused.out
+    assert gyrofleet(*words, "--rename", advice).code == 0
+
+
+@pytest.mark.parametrize("text", ["°/h?", "°/h，", "deg/h!", "°/√h/", "°/h§", "m/s²☃"])
+def test_a_unit_with_characters_that_no_unit_has_is_none(text: str) -> None:
+    with pytest.raises(UnknownUnit):
+        check_unit(text)
+
+
+@pytest.mark.parametrize("text", ["°/√h", "角度随机游走"])
+def test_a_root_is_not_dropped(text: str) -> None:
+    with pytest.raises(BadInput):
+        column_unit(text, "rate")
+
+
+def test_units_in_other_letters() -> None:
+    assert check_unit("°／ｈ") == "°/h"
+    assert check_unit("℃") == "degC"
+    assert conversion("m/s²", "m/s^2") == (1.0, 0.0)
+    assert result_factor("°/√h", "deg/sqrt(h)") == 1.0
+    assert result_factor("°/√s", "deg/sqrt(h)") == pytest.approx(60.0)
+    assert column_unit("°/S", "角速率")[0] == "deg/s" or conversion(column_unit("°/S", "角速率")[0], "deg/s")[0] == 1.0
+    assert column_unit("V", "角速率") == ("V", "")
+    assert "expected to be an angular rate" in column_unit("m/s", "陀螺角速率")[1]
+
+
+def test_latin_text_is_not_taken_for_chinese(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    (tmp_path / "a.csv").write_bytes("time[s],rate[deg/s],Temp (°C)\n0,1,2\n1,2,3\n".encode("latin-1"))
+    done = gyrofleet("import", "a.csv", "--unit", "G-1", "--store", "S")
+    assert done.code != 0
+    assert "not UTF-8" in done.err + done.out
