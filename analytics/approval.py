@@ -1,5 +1,8 @@
 """Approving what somebody else has proposed: the act is checked again, and carried out."""
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 from storage.recording.proposing import check_approver, open_proposal
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one
@@ -24,7 +27,7 @@ def approve(store: Store, uid: str, by: Actor) -> ApprovedAct:
         if isinstance(act, CertificateIssued):
             from analytics.certificate import issue
 
-            with Catalog(store) as catalog:
+            with TemporaryDirectory(prefix="gyrofleet-") as scratch, Catalog(store, kept=Path(scratch)) as catalog:
                 return issue.carry_out(catalog, proposal, by)
         from analytics.specifications import entering
 

@@ -24,7 +24,7 @@ from analytics.certificate.record import (
     sha256_of,
     waiting_certificates,
 )
-from analytics.certificate.reproduction import changed_results
+from analytics.certificate.reproduction import changed_results, check_records
 from analytics.certificate.statement.content import Content, Facts, content_of
 from analytics.certificate.statement.departures import departures
 from analytics.certificate.statement.evidence import read_evidence
@@ -97,6 +97,7 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
     if content.missing or wanted.as_draft:
         pdf, digital = _files(catalog, content, wanted, now)
         return _written(wanted, pdf, digital, content, None)
+    check_records(catalog, runs)
     with only_one(store.folder / FOLDER / ".lock", _WHO):
         check_may_propose(store, CertificateIssued, wanted.by)
         is_proposed = has_to_be_proposed(store, CertificateIssued)

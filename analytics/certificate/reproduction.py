@@ -2,22 +2,44 @@
 
 import json
 from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
 
 from analytics.certificate.statement.results import result_of, rounded_to
 from analytics.evaluation.selection import Selection, selected
+from storage.segments.disk import sha256_of
 from storage.sql.catalog import Catalog
-from stream.errors import NotFound
+from stream.errors import NotFound, StoreError
 from stream.events import CertificateIssued
 
+_FILES = "select distinct filename from internal.lake_channel_parts where list_contains($runs, run)"
 _Key = tuple[str, str, tuple[str, ...]]  # metric, signal, runs
+
+
+def check_records(catalog: Catalog, runs: Sequence[str]) -> None:
+    """Raise a StoreError unless the files of the lake that have some runs are those that were built from the log."""
+    rows = catalog.rows(_FILES, {"runs": sorted(runs)})
+    folders = {Path(name).parent.name for (name,) in rows}
+    for part in catalog.parts:
+        for name, file in part.files.items() if part.name in folders else ():
+            path = catalog.store.lake / part.name / name
+            if sha256_of(path) != file.sha256:
+                raise StoreError(
+                    f"{path} is not the file that was built from the log: results of it certify nothing; "
+                    "`gyrofleet verify` names what is damaged, `gyrofleet recover` builds it again"
+                )
 
 
 def changed_results(catalog: Catalog, document: CertificateIssued) -> list[str]:
     """What the store gives differently today, to the digits that the certificate states; empty where nothing is.
 
-    Computed anew from the records of the same runs: it differs where records, statements of the station, products or
-    the program have changed.
+    Of a catalogue that uses nothing kept, computed anew from the records of the same runs: it differs where records,
+    statements of the station, products or the program have changed.
     """
+    try:
+        check_records(catalog, document.runs)
+    except StoreError as error:
+        return [str(error)]
     try:
         rows = selected(catalog, Selection(units=(document.unit,), standards=(document.standard,)))
     except NotFound:

@@ -39,11 +39,11 @@ def compute(catalog: Catalog, sql: str) -> pa.Table:
     is that part, and ``beyond_uncertainty`` what is left with it subtracted in squares.
 
     ``run_to_run`` is the deviation within a day, pooled over days; ``day_to_day`` that of the means of days, in which
-    the scatter within the days is also. ``between_day_component`` is what is left of it without that, and
-    ``within_day_component``, the other part of the analysis of variance, the run-to-run deviation less that uncertainty.
-    ``all``, the deviation of all power-ons, has a value where these are of one day, or each of another: power-ons of one day
-    share its effect, and among several days they are not independent. A day is one of the station's time zone. GJB
-    2426A asks for 6 power-ons (days), JJF 2014 names no number.
+    the scatter within the days is also. ``between_day_component`` is what is left of it without that;
+    ``within_day_component`` is the run-to-run deviation without the uncertainty of the biases. ``all``, the deviation
+    of all power-ons, has a value where these are of one day, or each of another: power-ons of one day share its effect,
+    and among several days they are not independent. A day is one of the station's time zone. GJB 2426A asks for 6
+    power-ons (days), JJF 2014 names no number.
     """
     tests = catalog.table(sql).combine_chunks()
     layout = Layout.of_names(

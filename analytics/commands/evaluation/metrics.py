@@ -117,8 +117,13 @@ def metrics(
 
 
 @contextmanager
-def opened_catalog(at: "Path | Store", *, quiet: bool) -> "Iterator[Catalog]":
-    """A store's catalogue that shows the progress of the reduction of changed runs on standard error."""
+def opened_catalog(at: "Path | Store", *, quiet: bool, is_anew: bool = False) -> "Iterator[Catalog]":
+    """A store's catalogue that shows the progress of the reduction of changed runs on standard error.
+
+    If `is_anew`, nothing that the store has kept of earlier computations is used.
+    """
+    from tempfile import TemporaryDirectory
+
     from storage.specifications.chain import read_chain
     from storage.sql.catalog import Catalog
     from storage.sql.opened import opened_at
@@ -130,7 +135,10 @@ def opened_catalog(at: "Path | Store", *, quiet: bool) -> "Iterator[Catalog]":
             progress.update(task, completed=done, total=total, visible=done < total)
 
         store = opened_at(at)
-        with Catalog(store, progress=update) as catalog:
+        with (
+            TemporaryDirectory(prefix="gyrofleet-") as scratch,
+            Catalog(store, progress=update, kept=Path(scratch) if is_anew else None) as catalog,
+        ):
             if store.is_local:
                 warn_of_copies(store, read_chain(store, catalog))
             yield catalog

@@ -82,7 +82,7 @@ def certificate(
         sign=None if key is None else partial(sign, key=key, passphrase=key_passphrase or "", reason="issue"),
         by=acting(by),
     )  # fmt: skip
-    with opened_catalog(folder, quiet=as_json) as catalog:
+    with opened_catalog(folder, quiet=as_json, is_anew=True) as catalog:
         issued = issue_certificate(catalog, wanted)
         if not issued.is_draft and issued.proposal is None:
             _attest(catalog.store)
@@ -133,7 +133,7 @@ def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> No
     from analytics.certificate.statement.evidence import zone_of
     from analytics.certificate.verification import verify_certificate
 
-    with opened_catalog(folder, quiet=as_json) as catalog:
+    with opened_catalog(folder, quiet=as_json, is_anew=True) as catalog:
         known = read_certificates(catalog.store, catalog)
         found = verify_certificate(
             file, known, trust=trust, now=dt.datetime.now(dt.UTC), zone_of=partial(zone_of, catalog)

@@ -1,6 +1,7 @@
 """Issued certificates: numbers, what supersedes what, files that were changed, forged documents, signatures."""
 
 import datetime as dt
+import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import msgspec
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -230,3 +233,34 @@ def test_no_two_numbers_have_one_file() -> None:
     paths = {file_of(store, each) for each in numbers}
     assert len(paths) == len(numbers)
     assert {path.parent for path in paths} == {Path("lab/certificates")}
+
+
+def test_results_are_of_the_records_and_not_of_what_was_kept_or_changed(
+    laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(laboratory, folder)
+    assert run_command("metrics", "--store", "lab", "--json", cwd=folder).code == 0
+    kept = folder / "lab/metrics/unit_metrics.parquet"
+    table = pq.read_table(kept)
+    at = table.column_names.index("value")
+    larger = pc.multiply(table["value"], 1.003)
+    pq.write_table(table.set_column(at, table.schema.field(at), larger), kept)
+    kept.with_name(kept.name + ".sha256").write_text(hashlib.sha256(kept.read_bytes()).hexdigest())
+    done = run_command(*ORDERED, "--out", "a.pdf", "--lang", "en", cwd=folder)
+    assert done.code == 0, done.out
+    with Catalog(Store.open(folder / "lab")) as catalog:
+        (document,) = read_certificates(catalog.store, catalog).issued
+    values = {row["metric"]: row["results"] for row in msgspec.json.decode(document.results)}
+    (scale_factor,) = values["scale_factor"]
+    assert scale_factor["value"] == pytest.approx(1 + 50e-6, abs=5e-6)
+    # a file of the lake that is another certifies nothing
+    for part in (folder / "lab/lake").glob("*/samples.parquet"):
+        pq.write_table(pq.read_table(part), part, compression="zstd", compression_level=9)
+    code, found = verified(run_command, folder, "a.pdf")
+    assert (code, found["genuine"]) == (1, True)
+    assert "is not the file that was built from the log" in found["changed"][0]
+    more = ("--out", "b.pdf", "--supersedes", done.json["number"], "--reason", "again")
+    refused = run_command(*ORDERED, *more, "--lang", "en", cwd=folder)
+    assert refused.code != 0
+    assert "is not the file that was built from the log" in refused.out
