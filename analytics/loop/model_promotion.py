@@ -7,7 +7,7 @@ import msgspec
 
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion, run_hashes
-from analytics.loop.model.model_use import InUse, Stage, activate, read_uses
+from analytics.loop.model.model_use import InUse, Stage, activate, logged_documents, read_uses
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
@@ -16,7 +16,7 @@ from storage.recording.proposing import check_may_propose
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
-from stream.events import ActProposed, ModelActivated
+from stream.events import ActProposed, ModelActivated, ResidualWatched
 from stream.security.actor import Actor
 
 EVENTS = (LINE, JUMP, TURN_ON)  # no model predicts them: a line has another phase in each run, a jump occurs once
@@ -75,6 +75,26 @@ def confounded_warning(version: ModelVersion) -> str | None:
         f"{version.verdict}); the model holds {added}, and is wrong wherever the two differ: "
         "separate them by the test that `gyrofleet diagnose` names, or use --shadow"
     )
+
+
+def promotion_warnings(store: Store, version: ModelVersion) -> list[str]:
+    """What speaks against a version that goes live: it is one of several, leaves structure, or was refused before."""
+    name = f"unit {version.unit}, version {version.version}"
+    found = [confounded_warning(version)]
+    if version.verdict == ModelVerdict.UNEXPLAINED:
+        found.append(f"{name}: its trace left structure that no effect explains (verdict unexplained): it remains")
+    watched = [
+        each
+        for each in logged_documents(store, (ResidualWatched,))
+        if isinstance(each, ResidualWatched) and each.model == version.hash and each.is_refused
+    ]
+    if watched:
+        last = watched[-1]
+        found.append(
+            f"{name}: the watch of its residual took it off in run {last.run or '?'} (cusum {last.cusum:.2f}, limit "
+            f"{last.threshold:.2f}): diagnose the unit again, or use --shadow"
+        )
+    return [each for each in found if each is not None]
 
 
 def promote_trace(

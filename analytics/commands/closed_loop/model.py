@@ -115,7 +115,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     for label, value, error, per in zip(
         version.model.labels(), version.model.coefficients, version.model.errors, version.model.units, strict=False
     ):
-        console.print(f"  {label}: {measured(value, error)} +- {error:.2g} {per}")
+        console.print(f"  {label}: {measured(value, error)} {per} (standard error {error:.2g})")
     confirmed = "confirmed by the held-out runs" if version.is_confirmed else "not confirmed by held-out runs"
     added = f"added {', '.join(version.added)}; {confirmed}" if version.added else "added nothing to the declared model"
     console.print(f"verdict {version.verdict}; {added}")
@@ -164,7 +164,7 @@ def promote(
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
-    from analytics.loop.model_promotion import check_usable, confounded_warning, promote_trace
+    from analytics.loop.model_promotion import check_usable, promote_trace, promotion_warnings
     from analytics.loop.unit_reduction import Question
     from storage.store import Store
     from stream.events import ActProposed
@@ -186,17 +186,17 @@ def promote(
         )  # fmt: skip
         with status_line() as report:
             version, done = promote_trace(store, unit, question, stage, by=actor, note=reason, on_progress=report)
-    warning = confounded_warning(version) if stage is Stage.LIVE else None
+    warnings = [] if stage is not Stage.LIVE else promotion_warnings(store, version)
     if as_json:
         document = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
         proposed = {"proposal": done.uid} if isinstance(done, ActProposed) else {}
-        print_json({**document, "text": version.text, "warnings": [warning] if warning else [], **proposed})
+        print_json({**document, "text": version.text, "warnings": warnings, **proposed})
         return
     if isinstance(done, ActProposed):
         print_proposed(done)
     else:
         results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}")
-    if warning:
+    for warning in warnings:
         notes().print(f"warning: {warning}", soft_wrap=True)
 
 

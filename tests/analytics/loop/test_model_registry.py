@@ -217,7 +217,7 @@ def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
     assert "give either" in run("promote", "--unit", "U1", code=1)["error"]["message"]
     plain = CliRunner().invoke(model, ["show", "--store", str(store.folder), "--unit", "U1"])
     assert plain.exit_code == 0
-    assert "temperature: 0.5 +- 0.01 deg/h/degC" in plain.stdout
+    assert "temperature: 0.5 deg/h/degC (standard error 0.01)" in plain.stdout
     assert CliRunner().invoke(model, ["list", "--store", str(store.folder)]).exit_code == 0
 
 

@@ -70,3 +70,29 @@ def test_another_form_stays_a_function() -> None:
     """No sum of the library's effects has it."""
     found = diagnose(runs_of(9, "0.5*sin(T / 12.0)"), ErrorModel.parse("rate = bias"))
     assert found.verdict is ModelVerdict.UNKNOWN_FUNCTION
+
+
+@pytest.mark.parametrize("ppm", [0.0, 5.0])
+def test_a_scale_factor_that_does_not_repeat_is_no_line(ppm: float) -> None:
+    """Ladders of rates in the same order: 5 ppm of scatter would be lines of the ladder's harmonics."""
+    rng, ones = np.random.default_rng(5), np.ones(BLOCKS)
+    ladder = np.repeat([0, 10, 30, 100, 30, 10, 0, -10, -30, -100, -30, -10], BLOCKS // 12).astype(float)
+    runs = []
+    for number in range(9):
+        factor = 3600.0 * (1.0 + 1e-6 * ppm * rng.standard_normal())
+        value = factor * ladder + rng.normal(0, 0.05) + WHITE * rng.standard_normal(BLOCKS)
+        temperature = Channel(25.0 + 2.0 * wandering(rng, BLOCKS), 1e-3 * ones, "degC")
+        channels = {"input_rate": Channel(ladder, 0.0 * ones, "deg/s"), "temperature": temperature}
+        runs.append(
+            RunBlocks("U1", f"r{number}", "rate", np.arange(BLOCKS), BLOCK_S, 0, value, 60 * ones.astype(int),
+                      WHITE**2 * ones, "deg/h", channels)
+        )  # fmt: skip
+    found = diagnose(runs, ErrorModel.parse("rate = bias + scale_factor*input_rate"))
+    about = [str(each) for each in found.limits if "differs from run to run" in str(each)]
+    if ppm == 0.0:
+        assert (found.verdict, about) == (ModelVerdict.NOTHING_MISSING, [])
+        return
+    assert found.verdict not in (ModelVerdict.NOTHING_MISSING, ModelVerdict.EFFECT_FOUND)
+    assert not {"periodic_line", "jump"}.intersection(found.names)
+    assert len(about) == 1
+    assert "scale_factor" in about[0]

@@ -20,6 +20,7 @@ from analytics.loop.live.residual_watch import watch_store
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import Stage, activate, read_uses
+from analytics.loop.model_promotion import promotion_warnings
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.simulator import demo_fleet
 from ingest.simulator.physics.bias import Bias
@@ -145,6 +146,8 @@ def test_found_promoted_compensated_and_rolled_back(tmp_path: Path, monkeypatch:
     assert (off.stage, off.version) == ("off", 1)
     assert "residual watch refuses it" in off.reason
     assert read_uses(store)[UNIT, "rate"].activations == ()
+    (warning,) = promotion_warnings(store, ModelRegistry(store).version(UNIT, 1))
+    assert "the watch of its residual took it off" in warning
     (run,) = measure(folder, 6, 1)
     with Catalog(store) as catalog:
         assert (

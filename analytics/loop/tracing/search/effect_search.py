@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analytics.loop.effects.base import EffectKind, Role
+from analytics.loop.tracing.search.differing_terms import differing_terms
 from analytics.loop.tracing.search.evidence import PRICE, look_alike
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, as_if_replicated, fitted_candidates
 from analytics.loop.tracing.search.named_parts import named_parts
@@ -104,7 +105,9 @@ def search(candidates: Candidates, rng: np.random.Generator) -> Search:
     unreplicated: tuple[FittedCandidate, ...] = ()
     first: tuple[FittedCandidate, ...] = ()
     for _ in range(MOST_EFFECTS):
-        found = fitted_candidates(candidates, joint, rng, [each.name for each in selected])
+        # lines and jumps would pass for a coefficient that differs from run to run
+        repeats = not differing_terms(joint)
+        found = fitted_candidates(candidates, joint, rng, [each.name for each in selected], with_events=repeats)
         if not selected:
             first = tuple(found)
             unreplicated = tuple(each for each in found if not (each.replicates or each.is_rival) and each.evidence > 0)

@@ -154,14 +154,17 @@ def _score(gram: FloatArray) -> float:
     return -0.5 * (float(gram[0, 0] - np.sum(along**2 / eigenvalues[kept])) + log_determinant)
 
 
-def by_replicate(joint: JointFit, replicates: Sequence[IntArray], column: int) -> list[tuple[FloatArray, FloatArray]]:
-    """Information on one common column in each replicate of each record, and information times coefficient.
+def by_replicate(
+    joint: JointFit, replicates: Sequence[IntArray], column: int, *, is_own: bool = False
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Information on one column in each replicate of each record, and information times coefficient.
 
-    The column is orthogonalised to all other columns over all replicates.
+    The column is a common one, or one of each record's own. It is orthogonalised to all other columns over all
+    replicates.
     """
     found = []
     for whitened, number, own in zip(joint.whitened, replicates, joint.hypothesis.own, strict=True):
-        at = 1 + own.shape[1] + column
+        at = 1 + column + (0 if is_own else own.shape[1])
         others = np.delete(whitened[:, 1:], at - 1, axis=1)
         basis = orthonormal(others)
         driver = whitened[:, at] - basis @ (basis.T @ whitened[:, at])

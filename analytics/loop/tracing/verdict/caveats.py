@@ -8,10 +8,13 @@ from operator import methodcaller
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
+from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES, Case
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.result.holdout import ErrorTable, HeldOutAnswer, Holdout, HoldoutSlope
+from analytics.loop.tracing.search.differing_terms import differing_terms
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
+from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
@@ -194,6 +197,22 @@ def undetermined_terms(case: Case, labels: Sequence[str]) -> tuple[Bilingual, ..
         )
         for label in blind
     )
+
+
+def differing_caveats(joint: JointFit, model: ErrorModel) -> list[Bilingual]:
+    """Declared terms whose coefficients differ from run to run: what follows of it for them."""
+    return [
+        Bilingual(
+            f"the coefficient of {label}, which the model declares, differs from run to run by {size} (one standard "
+            f"deviation over {each.runs} runs, p = {each.p_value:.2g}): it does not repeat, or another effect changes "
+            "it; its interval, which is that of the noise, is too narrow",
+            f"声明项{label}的系数在各次试验间相差{size}（{each.runs}次试验的标准差，p = {each.p_value:.2g}）："
+            "该系数不重复，或受其他效应影响；其区间仅由噪声得出，偏窄",
+        )
+        for each in differing_terms(joint)
+        for label, unit in [(model.labels()[each.column], model.units[each.column] if model.units else "")]
+        for size in [f"{each.spread:.3g} {unit}".strip()]
+    ]
 
 
 def unexplained_error(table: ErrorTable) -> Bilingual | None:

@@ -21,7 +21,7 @@ from analytics.loop.tracing.search.effect_search import Search, provisional
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
 from analytics.loop.tracing.verdict.adequacy import detection_limits
-from analytics.loop.tracing.verdict.caveats import caveats, undetermined_terms, unexplained_error
+from analytics.loop.tracing.verdict.caveats import caveats, differing_caveats, undetermined_terms, unexplained_error
 from analytics.loop.tracing.verdict.effect_findings import (
     AGEING,
     findings,
@@ -97,7 +97,9 @@ def conclude(
         is_excess=is_excess and (excess.repeats or not (effects or seen_once)),
         within_run=case.replication == "within_run",
     )
-    unexplained = unexplained_error(error) if case.held_out else None
+    unsteady = differing_caveats(kept.joint, declared_model)
+    remarks += unsteady
+    unexplained = (unexplained_error(error) if case.held_out else None) or (unsteady[0] if unsteady else None)
     # turn-on scatter explains neither an error within runs nor an undetermined term
     is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)
     if (is_scatter or verdict is ModelVerdict.NOTHING_MISSING) and (undetermined or unexplained):

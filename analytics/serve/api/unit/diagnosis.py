@@ -151,14 +151,14 @@ def promote_model(call: Call, asked: PromotionAsked) -> Activation:
     """
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
-    from analytics.loop.model_promotion import check_usable, confounded_warning
+    from analytics.loop.model_promotion import check_usable, promotion_warnings
 
     version = ModelRegistry(call.store).version(call.path["unit"], asked.version)
     stage = Stage(asked.stage)
     check_usable(version, stage)
-    warning = confounded_warning(version) if stage is Stage.LIVE else None
+    warning = "; ".join(promotion_warnings(call.store, version)) or None if stage is Stage.LIVE else None
     if warning is not None and not asked.accept_confounded:
-        raise Conflict(f"{warning}; to use it all the same, accept that it is confounded (accept_confounded)")
+        raise Conflict(f"{warning}; to use it all the same, accept it with this warning (accept_confounded)")
     document = activate(call.store, version, stage, reason=asked.reason, by=call.person.actor)
     return Activation(documents=[msgspec.to_builtins(document)], warning=warning)
 
