@@ -171,16 +171,18 @@ class CsvTable:
         parsed = self._parse_fast(block, line, done)
         if parsed is not None:
             yield parsed
-        elif len(block) <= _LINEWISE_BYTES:
+            return
+        part = len(block) // _PARTS
+        # one line may be longer than all others together, and is in no part
+        if len(block) <= _LINEWISE_BYTES or block.find(b"\n", part) + 1 in (0, len(block)):
             yield self._lines.read(block, line, done)
-        else:
-            part = len(block) // _PARTS
-            begin = 0
-            while begin < len(block):
-                end = block.find(b"\n", begin + part) + 1 or len(block)
-                yield from self._parse(block[begin:end], line, done)
-                line += block.count(b"\n", begin, end)
-                begin = end
+            return
+        begin = 0
+        while begin < len(block):
+            end = block.find(b"\n", begin + part) + 1 or len(block)
+            yield from self._parse(block[begin:end], line, done)
+            line += block.count(b"\n", begin, end)
+            begin = end
 
     def _parse_fast(self, block: bytes, line: int, done: float) -> CellBlock | None:
         """Parse a block in which nothing is wrong; None if something may be."""

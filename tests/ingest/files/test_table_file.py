@@ -178,3 +178,14 @@ def test_a_block_without_rows_has_no_units() -> None:
     rows = RowFilter(Path("a.csv"), columns, TableOptions())
     assert rows.good(block) == []
     assert rows.rows == 0
+
+
+@pytest.mark.parametrize("before", [0, 3, 2000])
+def test_a_line_longer_than_all_others_is_one_bad_row(write: Callable[..., Path], before: int) -> None:
+    """It cannot be cut into parts: read on, cut by cut, it went round for ever."""
+    rows = "".join(f"{at},1\n" for at in range(before))
+    content = f"time[s],rate[deg/s]\n{rows}{before},{'[' * 120_000}\n{before + 1},2\n"
+    with pytest.raises(BadInput) as caught:
+        TableFile(write(content, "long.csv"), G1).check()
+    assert f"line {before + 2}, " in str(caught.value)
+    assert "1 row" in str(caught.value)
