@@ -13,6 +13,11 @@ from analytics.alerts.patience import Patience
 from analytics.alerts.targets import Message, NotSent, Target, clean, one_line, reason, secret, short
 
 _ANSWER_S = 15.0
+_ZH = {
+    "warning": "警告", "alarm": "报警", "raised": "出现", "cleared": "消除", "test": "测试", "rule": "规则",
+    "store": "数据库", "alerts": "条报警",
+}  # fmt: skip
+_LONGEST = 900  # characters of a line that every server takes
 _MOST_TEXT = 4_000
 
 
@@ -79,30 +84,47 @@ class EmailTarget(Target, frozen=True, kw_only=True):
         mail = EmailMessage()
         mail["From"], mail["To"] = self.sender, ", ".join(self.to)
         if len(messages) == 1:
-            mail["Subject"] = f"[gyrofleet {first.severity}] {one_line(first.event)}: {one_line(first.subject)}"
+            mail["Subject"] = self._subject(first.severity, f"{self._word(first.event)}: {one_line(first.subject)}")
             mail["Message-ID"] = f"<{first.id}.{first.event}@gyrofleet>"
             mail["X-Gyrofleet-Alert"] = first.id
-            parts = [*self._texts(first), f"rule {first.rule}, store {first.store}", _how(first.id)]
-            mail.set_content(clean("\n\n".join(parts) + "\n"))
+            rule, store = self._word("rule"), self._word("store")
+            parts = [*self._texts(first), f"{rule} {first.rule}, {store} {first.store}", self._how(first.id)]
+            _fill(mail, "\n\n".join(parts))
             return mail
         severity = max((each.severity for each in messages), key=lambda each: each == "alarm")
         counts = {event: sum(each.event == event for each in messages) for event in ("raised", "cleared")}
-        counted = ", ".join(f"{count:,} {event}" for event, count in counts.items() if count)
-        mail["Subject"] = f"[gyrofleet {severity}] {len(messages):,} alerts: {counted}"
+        counted = ", ".join(f"{count:,} {self._word(event)}" for event, count in counts.items() if count)
+        mail["Subject"] = self._subject(severity, f"{len(messages):,} {self._word('alerts')}: {counted}")
         mail["Message-ID"] = f"<{identity}.together@gyrofleet>"
         mail["X-Gyrofleet-Alert"] = identity
         lines = [
-            f"{each.id} {each.severity}, {each.event}: {' / '.join(one_line(text, 500) for text in self._texts(each))}"
+            f"{each.id} {self._word(each.severity)}, {self._word(each.event)}: "
+            + " / ".join(one_line(text, 500) for text in self._texts(each))
             for each in messages
         ]
-        about = f"{counted}; store {first.store}"
-        mail.set_content(clean("\n\n".join([about, "\n".join(lines), _how("ID")]) + "\n"))
+        about = f"{counted}; {self._word('store')} {first.store}"
+        _fill(mail, "\n\n".join([about, "\n".join(lines), self._how("ID")]))
         return mail
+
+    def _subject(self, severity: str, text: str) -> str:
+        return f"[gyrofleet {self._word(severity)}] {text}"
+
+    def _word(self, word: str) -> str:
+        """A word of a mail in its language; that of both is English."""
+        return _ZH.get(word, one_line(word)) if self.lang == "zh" else one_line(word)
+
+    def _how(self, alert: str) -> str:
+        name = "姓名" if self.lang == "zh" else "NAME"
+        return f"gyrofleet alert acknowledge {alert} --by {name}"
 
     def _texts(self, message: Message) -> list[str]:
         texts = {"en": [message.text], "zh": [message.text_zh], "both": [message.text, message.text_zh]}[self.lang]
         return [short(each, _MOST_TEXT) for each in texts]
 
 
-def _how(alert: str) -> str:
-    return f"gyrofleet alert acknowledge {alert} --by NAME"
+def _fill(mail: EmailMessage, text: str) -> None:
+    """Set the text; in base64 where it is not ASCII, since not every server takes eight bits."""
+    plain = clean(f"{text}\n")
+    mail.set_content(
+        plain, cte="7bit" if plain.isascii() and max(map(len, plain.splitlines())) < _LONGEST else "base64"
+    )

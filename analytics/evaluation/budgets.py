@@ -9,13 +9,13 @@ import pyarrow as pa
 
 from analytics.evaluation.evaluation import COLUMNS, choose_steps, columns_of, define_scripts, keep_scale_factors
 from analytics.evaluation.kept_metrics import unit_metrics
-from analytics.evaluation.type_b import COVERAGE, NO_SENSITIVITY, NO_TYPE_A, TypeB
+from analytics.evaluation.type_b import COVERAGE, NO_SENSITIVITY, NO_TYPE_A, TypeB, scale_run_of
 from analytics.metric_registry.registry import MetricHeader, alike, metrics
 from analytics.uncertainty.budget import Budget, Expanded, Unknown
 from analytics.uncertainty.component import Component
 from analytics.uncertainty.monte_carlo import Propagated
 from analytics.uncertainty.rounding import round_with
-from analytics.uncertainty.station_standards import component, worst
+from analytics.uncertainty.station_standards import component
 from ingest.measurement_standards import QUANTITIES
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound
@@ -90,9 +90,10 @@ def _budget(header: MetricHeader, row: dict[str, Any], parts: dict[str, float], 
     if header.no_influence:
         unknown.append(Unknown("type B", "B类", header.no_influence))
     runs = tuple(row["runs"] or [])
-    standards = type_b.standards([row["run"]] if row["run"] is not None else list(runs))
+    parameters: dict[str, Any] = json.loads(row["parameters"] or "{}")
+    own, scale_run = [row["run"]] if row["run"] is not None else list(runs), scale_run_of(parameters)
     for name, sensitivity in parts.items():
-        stated, quantity = worst(standards, name), QUANTITIES[name]
+        stated, quantity = type_b.stated(own, scale_run, name), QUANTITIES[name]
         if np.isnan(sensitivity):
             unknown.append(Unknown(quantity.en, quantity.zh, f"type B unknown: {NO_SENSITIVITY}"))
         elif stated.reason and sensitivity:
@@ -104,9 +105,7 @@ def _budget(header: MetricHeader, row: dict[str, Any], parts: dict[str, float], 
         en=header.en, zh=header.zh, value=row["value"], unit=unit, components=tuple(components),
         unknown=tuple(unknown), sources=tuple(filter(None, sources)),
     )  # fmt: skip
-    return ValueBudget(
-        budget, row["signal"], row["run"], runs, row["standard"], row["clause"], json.loads(row["parameters"] or "{}")
-    )
+    return ValueBudget(budget, row["signal"], row["run"], runs, row["standard"], row["clause"], parameters)
 
 
 def budget_document(found: ValueBudget, expanded: Expanded | None, checked: Propagated | None = None) -> dict[str, Any]:

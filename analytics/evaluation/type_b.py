@@ -7,6 +7,7 @@ p = 95.45 %, by the effective degrees of freedom of Welch and Satterthwaite: 2 w
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,9 @@ from stream.batch import FloatArray
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 UNCERTAINTIES = ("u_type_a", "u_type_b", "U", "k", "nu")
+OF_SCALE_FACTOR = frozenset({"rate", "rate_nonuniformity"})  # enter a value by its scale factor
+SCALE_FROM = "measured in run "
+_SCALE_RUN = f'"scale_factor": ?"{SCALE_FROM}(?P<run>[^"\\\\]+)"'
 COVERAGE = math.erf(math.sqrt(2.0))  # p of k = 2
 NO_SENSITIVITY = "the record does not say how it enters"
 NO_INFLUENCE = "type B unknown: the metric does not state how the station's standards enter"
@@ -104,10 +108,14 @@ class TypeB:
         k, effective = (np.where(is_open, np.nan, each) for each in (k, effective))
         return _arrays((u_a, u_b, k * combined, k, effective), reasons, has_value)
 
-    def _stated(self, header: MetricHeader, runs: list[list[str]]) -> list[list[StatedQuantity]]:
+    def stated(self, runs: list[str], scale_run: str, quantity: str) -> StatedQuantity:
+        """What the standards state of a quantity: those of the runs, of the rate that of the scale factor's own run."""
+        is_of_scale = bool(scale_run) and quantity in OF_SCALE_FACTOR
+        return worst(self.standards([scale_run] if is_of_scale else runs), quantity)
+
+    def _stated(self, header: MetricHeader, runs: list[tuple[list[str], str]]) -> list[list[StatedQuantity]]:
         """Of each influence, what the standards of each set of runs state."""
-        standards = [self.standards(names) for names in runs]
-        return [[worst(each, influence.quantity) for each in standards] for influence in header.influences]
+        return [[self.stated(*each, influence.quantity) for each in runs] for influence in header.influences]
 
     def _reasons(
         self, header: MetricHeader, known: list[list[StatedQuantity]], of_row: IntArray, missing: IntArray,
@@ -134,13 +142,28 @@ class TypeB:
         return pa.array(texts, pa.string()).take(encoded.indices)
 
 
-def _run_sets(columns: Mapping[str, pa.Array]) -> tuple[list[list[str]], IntArray]:
-    """The distinct sets of runs that rows rest on, and which of them each row has."""
+def _run_sets(columns: Mapping[str, pa.Array]) -> tuple[list[tuple[list[str], str]], IntArray]:
+    """The distinct sets of runs that rows rest on, each with the run of the scale factor, and which each row has."""
     runs = columns["run"]
     if runs.null_count:
         runs = pc.coalesce(runs, pc.binary_join(columns["runs"], "\n"), pa.scalar(""))
+    parameters = columns["parameters"]
+    if pc.any(pc.match_substring(parameters, SCALE_FROM)).as_py():
+        scale_runs = pc.struct_field(pc.extract_regex(parameters, _SCALE_RUN), "run")
+        runs = pc.binary_join_element_wise(runs, pc.fill_null(scale_runs, ""), "\t")
     encoded = runs.dictionary_encode()
-    return [text.split("\n") for text in encoded.dictionary.to_pylist()], encoded.indices.to_numpy().astype(np.int64)
+    parts = [text.partition("\t") for text in encoded.dictionary.to_pylist()]
+    return [(names.split("\n"), scale) for names, _, scale in parts], encoded.indices.to_numpy().astype(np.int64)
+
+
+def scale_run_of(parameters: Mapping[str, Any]) -> str:
+    """The run in which the scale factor of a value was measured; empty where it is none that was measured.
+
+    >>> scale_run_of({"scale_factor": "measured in run K-1"}), scale_run_of({"scale_factor": "output is a rate"})
+    ('K-1', '')
+    """
+    source = parameters.get("scale_factor")
+    return source.removeprefix(SCALE_FROM) if isinstance(source, str) and source.startswith(SCALE_FROM) else ""
 
 
 def _arrays(numbers: tuple[FloatArray, ...], reasons: pa.Array, has_value: BoolArray) -> dict[str, pa.Array]:

@@ -18,6 +18,7 @@ from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.type_b import COVERAGE
 
 _SAME = "/"
+_STATED_WITHOUT_U = frozenset({"range"})  # the largest of the rates that were tested, and no estimate
 
 
 class Facts(NamedTuple):
@@ -255,6 +256,8 @@ def _results(facts: Facts) -> _Filled:
     for row in facts.rows:
         if row.metric in ordered and not row.results:
             missing.append(Words(f"{row.name.en}: {row.reason}", f"{row.name.zh}：{in_chinese(row.reason or '')}"))
+        if row.metric in _STATED_WITHOUT_U:
+            continue
         reasons = dict.fromkeys(each.why_no_u for each in row.results if each.expanded is None)
         en, zh = f"{row.name.en}: no expanded uncertainty", f"{row.name.zh}：无扩展不确定度"
         missing += [Words(f"{en}: {why}", f"{zh}：{in_chinese(why)}") for why in reasons]

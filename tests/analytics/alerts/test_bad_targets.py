@@ -16,6 +16,7 @@ from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import SMTP
 
 from analytics.alerts.email_target import EmailTarget
+from analytics.alerts.targets import Message
 from analytics.alerts.webhook_target import WebhookTarget
 from tests.analytics.alerts.targets import LineServer, book_with, finding, read_post, sender, until
 from tests.free_ports import free_endpoint
@@ -233,3 +234,19 @@ def test_a_kill_between_two_tries_keeps_the_mail_as_it_was(tmp_path: Path, box: 
     subjects = sorted(str(mail["Subject"]) for _, mail in box.mails)
     assert len(subjects) == 3
     assert "5 alerts: 5 raised" in subjects[0]
+
+
+def test_a_mail_in_chinese_is_chinese_and_in_seven_bits() -> None:
+    target = EmailTarget(host="mail.invalid", to=("a@b.invalid",), sender="g@b.invalid", lang="zh")
+    message = Message(
+        id="a1", event="raised", rule="不合格", severity="alarm", subject="光纤-07", text="unit 光纤-07 has FAIL",
+        text_zh="产品 光纤-07 不合格", raised_ns=0, store="库一",
+    )  # fmt: skip
+    one, many = target._mail([message], "m1"), target._mail([message, message], "m2")
+    assert (one["Subject"], many["Subject"]) == ("[gyrofleet 报警] 出现: 光纤-07", "[gyrofleet 报警] 2 条报警: 2 出现")
+    for mail in (one, many):
+        assert mail.as_bytes().isascii()
+        body = mail.get_content()
+        assert "产品 光纤-07 不合格" in body
+        assert "数据库 库一" in body
+        assert not {"raised", "rule", "store", "FAIL"}.intersection(body.replace(":", " ").split())

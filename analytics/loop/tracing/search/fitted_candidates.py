@@ -236,6 +236,16 @@ def _inflated(each: FittedCandidate) -> FittedCandidate:
     return replace(each, likelihood_ratio=ratio, evidence=evidence, at_most=each.evidence)
 
 
+def replicated_ratio(base: JointFit, joint: JointFit, ratio: float, degrees: int) -> float | None:
+    """The likelihood ratio of the last columns of a fit over the noise inflation; None if they do not replicate."""
+    stacks = [record.stack for record in base.records]
+    replicates = [stack.replicate for stack in stacks]
+    if not leave_one_out(joint, replicates, degrees).replicates:
+        return None
+    inflation = noise_inflation(joint, replicates, [stack.run_number for stack in stacks], degrees)
+    return calibrated_ratio(joint, ratio, degrees) / inflation
+
+
 def _line(base: JointFit) -> FittedCandidate | None:
     records = base.records
     line = scan_lines(records, base.residuals)

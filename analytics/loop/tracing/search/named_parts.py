@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.effects.base import EffectKind, Role
-from analytics.loop.tracing.search.between_runs import calibrated_ratio
-from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, needed_lead, noise_inflation, one_degree
-from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, beside
+from analytics.loop.tracing.search.evidence import PRICE, needed_lead, one_degree
+from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, beside, replicated_ratio
 from analytics.loop.tracing.search.screening import Candidate, Candidates
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal
@@ -73,16 +72,11 @@ def _evident(
 ) -> list[FittedCandidate]:  # fmt: skip
     """The fitted parts, if they replicate and the function does not lead them."""
     degrees = sum(each.width for each in parts)
-    ratio = calibrated_ratio(joint, ratio, degrees)
-    stacks = [record.stack for record in base.records]
-    replicates = [stack.replicate for stack in stacks]
-    if not leave_one_out(joint, replicates, degrees).replicates:
-        return []
-    ratio /= noise_inflation(joint, replicates, [stack.run_number for stack in stacks], degrees)
-    gain = float(one_degree(ratio, degrees)) - PRICE * len(parts)
-    if gain <= 0 or function.evidence - gain >= needed_lead(function.evidence):
+    left = replicated_ratio(base, joint, ratio, degrees)
+    gain = -1.0 if left is None else float(one_degree(left, degrees)) - PRICE * len(parts)
+    if left is None or gain <= 0 or function.evidence - gain >= needed_lead(function.evidence):
         return []
     return [
-        FittedCandidate(each.effect, dict(each.shape), candidates.of_all(each), joint, ratio, degrees, gain)
+        FittedCandidate(each.effect, dict(each.shape), candidates.of_all(each), joint, left, degrees, gain)
         for each in parts
     ]

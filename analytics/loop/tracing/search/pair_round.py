@@ -12,9 +12,8 @@ from scipy import special
 
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.model.error_model import ModelNoise
-from analytics.loop.tracing.search.between_runs import calibrated_ratio
-from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, noise_inflation, one_degree
-from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, beside, least_noises
+from analytics.loop.tracing.search.evidence import PRICE, one_degree
+from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, beside, least_noises, replicated_ratio
 from analytics.loop.tracing.search.screening import (
     LEAST_LEFT,
     Candidate,
@@ -106,17 +105,14 @@ def _fitted(
     hypothesis = base.hypothesis.with_common(columns[0]).with_common(columns[1])
     joint, ratio = beside(base, hypothesis)
     degrees = sum(each.width for each in pair)
-    ratio = calibrated_ratio(joint, ratio, degrees)
-    stacks = [record.stack for record in base.records]
-    replicates = [stack.replicate for stack in stacks]
-    if not leave_one_out(joint, replicates, degrees).replicates:
+    left = replicated_ratio(base, joint, ratio, degrees)
+    if left is None:
         return []
-    ratio /= noise_inflation(joint, replicates, [stack.run_number for stack in stacks], degrees)
-    p_value = float(chi_square_sf(max(ratio, 0.0), degrees))
-    gain = float(one_degree(ratio, degrees)) - PAIR_PRICE
+    p_value = float(chi_square_sf(max(left, 0.0), degrees))
+    gain = float(one_degree(left, degrees)) - PAIR_PRICE
     if gain <= 0 or family_p_value(p_value, max(tests, tests**2 / 2)) >= PAIR_ALPHA:
         return []
     return [
-        FittedCandidate(each.effect, dict(each.shape), own, joint, ratio, degrees, gain)
+        FittedCandidate(each.effect, dict(each.shape), own, joint, left, degrees, gain)
         for each, own in zip(pair, columns, strict=True)
     ]
