@@ -1,10 +1,7 @@
 """Approving what somebody else has proposed: the act is checked again, and carried out."""
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 from storage.recording.proposing import check_approver, open_proposal
-from storage.sql.catalog import Catalog
+from storage.sql.catalog import catalog_anew
 from storage.store import Store, only_one
 from stream.events import ApprovedAct, CertificateIssued, ModelActivated
 from stream.security.actor import Actor
@@ -27,7 +24,7 @@ def approve(store: Store, uid: str, by: Actor) -> ApprovedAct:
         if isinstance(act, CertificateIssued):
             from analytics.certificate import issue
 
-            with TemporaryDirectory(prefix="gyrofleet-") as scratch, Catalog(store, kept=Path(scratch)) as catalog:
+            with catalog_anew(store) as catalog:
                 return issue.carry_out(catalog, proposal, by)
         from analytics.specifications import entering
 

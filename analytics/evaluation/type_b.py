@@ -85,7 +85,7 @@ class TypeB:
             unknown = np.full(n, np.nan)
             why = header.no_influence or NO_INFLUENCE
             return _arrays((u_a, unknown, unknown, unknown, unknown), pa.repeat(why, n), has_value)
-        runs, of_row = _run_sets(columns)
+        runs, of_row = _run_sets(columns, has_scale_factor="scale_factor" in header.parameters)
         known = self._stated(header, runs)
         sensitivities = self.sensitivities(header, found, columns)
         u_b, missing = np.zeros(n), np.zeros(n, np.int64)
@@ -142,14 +142,15 @@ class TypeB:
         return pa.array(texts, pa.string()).take(encoded.indices)
 
 
-def _run_sets(columns: Mapping[str, pa.Array]) -> tuple[list[tuple[list[str], str]], IntArray]:
+def _run_sets(
+    columns: Mapping[str, pa.Array], *, has_scale_factor: bool
+) -> tuple[list[tuple[list[str], str]], IntArray]:
     """The distinct sets of runs that rows rest on, each with the run of the scale factor, and which each row has."""
     runs = columns["run"]
     if runs.null_count:
         runs = pc.coalesce(runs, pc.binary_join(columns["runs"], "\n"), pa.scalar(""))
-    parameters = columns["parameters"]
-    if pc.any(pc.match_substring(parameters, SCALE_FROM)).as_py():
-        scale_runs = pc.struct_field(pc.extract_regex(parameters, _SCALE_RUN), "run")
+    if has_scale_factor:
+        scale_runs = pc.struct_field(pc.extract_regex(columns["parameters"], _SCALE_RUN), "run")
         runs = pc.binary_join_element_wise(runs, pc.fill_null(scale_runs, ""), "\t")
     encoded = runs.dictionary_encode()
     parts = [text.partition("\t") for text in encoded.dictionary.to_pylist()]

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 import duckdb
@@ -360,6 +361,16 @@ class Catalog(Closing):
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
+
+
+@contextmanager
+def catalog_anew(store: Store, *, progress: Progress | None = None) -> Iterator[Catalog]:
+    """A catalogue that computes everything: nothing that the store has kept of earlier computations is used."""
+    with (
+        TemporaryDirectory(prefix="gyrofleet-") as scratch,
+        Catalog(store, progress=progress, kept=Path(scratch)) as one,
+    ):
+        yield one
 
 
 def _quoted(texts: Iterable[str]) -> str:

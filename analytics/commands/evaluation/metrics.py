@@ -122,10 +122,8 @@ def opened_catalog(at: "Path | Store", *, quiet: bool, is_anew: bool = False) ->
 
     If `is_anew`, nothing that the store has kept of earlier computations is used.
     """
-    from tempfile import TemporaryDirectory
-
     from storage.specifications.chain import read_chain
-    from storage.sql.catalog import Catalog
+    from storage.sql.catalog import Catalog, catalog_anew
     from storage.sql.opened import opened_at
 
     with progress_bar(hidden=quiet) as progress:
@@ -135,10 +133,8 @@ def opened_catalog(at: "Path | Store", *, quiet: bool, is_anew: bool = False) ->
             progress.update(task, completed=done, total=total, visible=done < total)
 
         store = opened_at(at)
-        with (
-            TemporaryDirectory(prefix="gyrofleet-") as scratch,
-            Catalog(store, progress=update, kept=Path(scratch) if is_anew else None) as catalog,
-        ):
+        opened = catalog_anew if is_anew else Catalog
+        with opened(store, progress=update) as catalog:
             if store.is_local:
                 warn_of_copies(store, read_chain(store, catalog))
             yield catalog

@@ -190,23 +190,27 @@ def _checked(regressors: _Regressors) -> _Regressors:
 
     @functools.wraps(regressors)
     def checked(self: Effect, run: RunBlocks, shape: Shape) -> FloatArray:
-        where = f"effect {self.name!r} ({type(self).__module__}) on unit {run.unit}, run {run.run}"
         try:
             found = regressors(self, run, shape)
             wanted = (len(run), len(self.columns(shape)))
         except (GyrofleetError, MemoryError):
             raise
         except Exception as error:
-            raise BadInput(f"{where}: its `regressors` fails with {type(error).__name__}: {error}; mend it") from error
+            what = f"fails with {type(error).__name__}: {error}; mend it"
+            raise BadInput(f"{_place_of(self, run)}: its `regressors` {what}") from error
         if not isinstance(found, np.ndarray) or found.shape != wanted or found.dtype.kind not in "fiub":
             what = f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
             raise BadInput(
-                f"{where}: its `regressors` gives {what}; an array of numbers of shape {wanted} (blocks, "
-                "columns) is needed"
+                f"{_place_of(self, run)}: its `regressors` gives {what}; an array of numbers of shape {wanted} "
+                "(blocks, columns) is needed"
             )
         return found
 
     return checked
+
+
+def _place_of(effect: Effect, run: RunBlocks) -> str:
+    return f"effect {effect.name!r} ({type(effect).__module__}) on unit {run.unit}, run {run.run}"
 
 
 def coefficient_unit(effect: Effect, signal_unit: str, run: RunBlocks) -> str:
