@@ -1,5 +1,7 @@
 """Several effects at once: of about the same strength, or of the same channel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -96,3 +98,15 @@ def test_a_scale_factor_that_does_not_repeat_is_no_line(ppm: float) -> None:
     assert not {"periodic_line", "jump"}.intersection(found.names)
     assert len(about) == 1
     assert "scale_factor" in about[0]
+
+
+def test_what_follows_the_same_stays_a_rival_beside_a_larger_effect() -> None:
+    """A sensor that is read late and the rate of temperature have one form; a strong supply does not decide."""
+    found = []
+    for run in runs_of(21, "2.0*(V - 28) + 0.02*T"):
+        temperature, voltage = run.channels["temperature"], run.channels["supply_voltage"]
+        value = run.value + 20.0 * np.gradient(temperature.mean, BLOCK_S)
+        found.append(replace(run, value=value, channels={"temperature": temperature, "supply_voltage": voltage}))
+    diagnosis = diagnose(found, ErrorModel.parse("rate = bias + temperature"))
+    (of_rate,) = (each for each in diagnosis.effects if each.name == "temperature_rate")
+    assert "temperature_time_offset" in [each.name for each in of_rate.confounded]

@@ -18,7 +18,7 @@ from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray, IntArray
 
 MOST_EFFECTS = 4
-LEAST_SHARED = 0.5  # of what a candidate explains alone, to be a rival of an effect
+LEAST_SHARED = 0.5  # of what an effect explains beside the others, which a rival of it has to explain as well
 _MOST_SWEEPS = 3
 
 
@@ -264,7 +264,7 @@ def _without_others_rivals(selected: Sequence[Selected], joint: JointFit) -> lis
     """The selected effects without candidates that explain what another selected effect explains, or are that effect.
 
     Two effects of about the same strength have about the same evidence, though they explain different parts. A rival of
-    an effect explains, beside the others, something that it explains no more beside this effect.
+    an effect explains about as much as this beside the others, and hardly any of it beside this effect as well.
     """
     common = [each for each in selected if each.is_common]
     if len(common) < 2:
@@ -283,25 +283,22 @@ def _is_of(effect: Selected, other: FittedCandidate, common: Sequence[Selected],
         return True
     hypothesis = replace(joint.hypothesis, common=tuple(np.empty((len(each), 0)) for each in joint.records))
     beside = [each.fitted for each in common if each is not effect and each.name != other.name]
-    positions, at = [], 0
+    ends = [0]
     for each in (*beside, effect.fitted, other):
         hypothesis = hypothesis.with_common(each.columns)
-        at += each.columns[0].shape[1]
-        positions.append(at)
+        ends.append(ends[-1] + each.columns[0].shape[1])
     normal, right = normal_equations(joint, hypothesis)
-    others_end, effect_end, _ = [0, 0, *positions][-3:]
-    theirs, both, candidate = np.arange(others_end), np.arange(effect_end), np.arange(effect_end, at)
+    theirs, own, candidate = (np.arange(first, end) for first, end in ((0, ends[-3]), ends[-3:-1], ends[-2:]))
 
-    def explained(columns: IntArray) -> float:
-        """Chi-square of the candidate beside these columns."""
+    def whole(*parts: IntArray) -> float:
+        """Chi-square that these columns explain."""
+        which = np.concatenate(parts)
+        return float(right[which] @ solve(normal[np.ix_(which, which)], right[which]).coefficients)
 
-        def whole(which: IntArray) -> float:
-            return float(right[which] @ solve(normal[np.ix_(which, which)], right[which]).coefficients)
-
-        return whole(np.concatenate([columns, candidate])) - whole(columns)
-
-    before = explained(theirs)
-    return before - explained(both) >= LEAST_SHARED * max(before, explained(np.arange(0)))
+    alone = whole(theirs)
+    by_effect, by_other = whole(theirs, own) - alone, whole(theirs, candidate) - alone
+    still = whole(theirs, own, candidate) - whole(theirs, own)
+    return by_other >= LEAST_SHARED * by_effect and by_other - still >= LEAST_SHARED * by_other
 
 
 def _hypothesis_of(records: Sequence[UnitRecord], selected: Sequence[Selected]) -> Hypothesis:
