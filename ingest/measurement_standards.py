@@ -92,6 +92,8 @@ class Standard(msgspec.Struct, frozen=True, kw_only=True):
         Its serial number, and the number of its calibration certificate.
     calibration_due
         Last day on which its calibration holds, as 2027-03-31.
+    traceable_to
+        To what its certificate is traceable, such as the national standard of rate at NIM.
     uncertainty
         Uncertainty of its quantities, by the names of `QUANTITIES`.
     """
@@ -99,6 +101,7 @@ class Standard(msgspec.Struct, frozen=True, kw_only=True):
     serial: str = ""
     certificate: str = ""
     calibration_due: str | None = None
+    traceable_to: str = ""
     uncertainty: dict[str, StatedUncertainty] = {}
 
     def check(self) -> None:
@@ -112,7 +115,7 @@ class Standard(msgspec.Struct, frozen=True, kw_only=True):
         """As it stands in the log."""
         return {
             "name": name, "kind": kind, "serial": self.serial, "certificate": self.certificate,
-            "calibration_due": self.calibration_due,
+            "calibration_due": self.calibration_due, "traceable_to": self.traceable_to,
             "quantities": [stated.entry(quantity) for quantity, stated in self.uncertainty.items()],
         }  # fmt: skip
 

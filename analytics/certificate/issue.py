@@ -25,6 +25,7 @@ from analytics.certificate.record import (
     waiting_certificates,
 )
 from analytics.certificate.reproduction import changed_results, check_records
+from analytics.certificate.statement.conformity import read_conformity
 from analytics.certificate.statement.content import Content, Facts, content_of
 from analytics.certificate.statement.departures import departures
 from analytics.certificate.statement.evidence import read_evidence
@@ -90,8 +91,10 @@ def issue_certificate(catalog: Catalog, wanted: Wanted) -> Issued:
     runs = sorted({run for row in rows for each in row.results for run in each.runs})
     evidence = read_evidence(catalog, wanted.unit, runs)
     now = dt.datetime.now(ZoneInfo(evidence.time_zone)).replace(microsecond=0)
+    asked = wanted.order.conformity
     facts = Facts(
-        wanted.standard, wanted.order, evidence, rows, "", now.date(), wanted.supersedes, wanted.reason
+        wanted.standard, wanted.order, evidence, rows, "", now.date(), wanted.supersedes, wanted.reason,
+        None if asked is None else read_conformity(catalog, wanted.unit, asked.specification, rows),
     )  # fmt: skip
     content = content_of(facts)
     if content.missing or wanted.as_draft:
@@ -231,7 +234,7 @@ def _document(
         language=wanted.language, sha256=sha256_of(pdf), digital_sha256=sha256_of(digital),
         data_sha256=sha256_of(results.encode()), results=results,
         runs=tuple(run.run for run in facts.evidence.runs),
-        valid_until=later(days[1], wanted.order.valid_months).isoformat(),
+        valid_until="" if wanted.order.valid_months is None else later(days[1], wanted.order.valid_months).isoformat(),
         by=Words.of(wanted.order.people.issued_by).en, software=f"gyrofleet {version('gyrofleet')}",
         identity=wanted.by.identity, specification=specification, supersedes=wanted.supersedes, reason=wanted.reason,
     )  # fmt: skip
@@ -254,7 +257,7 @@ def _written(
         sha256=sha256_of(pdf),
         deviations=[each.en for each in departures(content.facts.rows)],
         compensated=sorted({each.signal for row in content.facts.rows for each in row.results if each.is_compensated}),
-        digital=str(beside), valid_until=None if document is None else document.valid_until,
+        digital=str(beside), valid_until=document.valid_until or None if document is not None else None,
     )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ def verify_certificate(
     if successor is not None:
         why.append(f"superseded by {successor.number}: {successor.reason}")
     zone = zone_of(document)
-    if now.astimezone(zone).date() > dt.date.fromisoformat(document.valid_until):
+    if document.valid_until and now.astimezone(zone).date() > dt.date.fromisoformat(document.valid_until):
         why.append(f"its validity ended on {document.valid_until}")
     is_xml = document.digital_sha256 == sha256_of(pdf)
     if trust is not None and signature is None:
@@ -73,6 +73,6 @@ def verify_certificate(
     return Verified(
         genuine=True, valid=not why, number=document.number, unit=document.unit, standard=document.standard,
         issued=dt.datetime.fromtimestamp(document.t_ns / 1e9, zone).date().isoformat(),
-        valid_until=document.valid_until, superseded_by=None if successor is None else successor.number,
+        valid_until=document.valid_until or None, superseded_by=None if successor is None else successor.number,
         signature=signature, why=why,
     )  # fmt: skip

@@ -47,8 +47,8 @@ class CertificateIssued(ApprovedAct, frozen=True, kw_only=True, tag=True):
 
     `sha256` is that of the PDF, `digital_sha256` that of the XML in it, `data_sha256` that of the results, which are in
     `results` as JSON; `specification` that of the last specification of the store then. `valid_until` is the last day
-    of its validity (ISO). A new certificate names the one that it `supersedes`, and the `reason`. `store` is the
-    identity of its store, `seal` the seal.
+    of its validity (ISO), empty where no interval was agreed. A new certificate names the one that it `supersedes`,
+    and the `reason`. `store` is the identity of its store, `seal` the seal.
     """
 
     number: str

@@ -6,6 +6,7 @@ from importlib.resources import files
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element, QName, SubElement
 
+from analytics.certificate.statement.conformity import Conformity
 from analytics.certificate.statement.content import Content
 from analytics.certificate.statement.evidence import Span
 from analytics.certificate.statement.order import Order
@@ -64,6 +65,8 @@ def _administrative(parent: Element, content: Content, release: str, supersedes:
         if (section := content.section(name)) is not None:
             for line in section.lines:
                 _statement(statements, line.text, section.item.clause or "-", facts.standard.code)
+    if facts.conformity is not None:
+        _conformity(statements, facts.conformity)
 
 
 def _software(parent: Element, release: str) -> None:
@@ -77,6 +80,14 @@ def _statement(parent: Element, text: Words, clause: str, code: str) -> None:
     _add(statement, "norm", code)
     _add(statement, "reference", clause)
     _text(_add(statement, "declaration"), text)
+
+
+def _conformity(parent: Element, found: Conformity) -> None:
+    for each in found.judged:
+        statement = _add(parent, "statement")
+        _add(statement, "norm", f"{found.specification}, revision {each.revision}")
+        _text(_add(statement, "declaration"), each.whole)
+        _add(statement, "conformity", each.status)
 
 
 def _item(item: Element, content: Content) -> None:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from analytics.certificate.statement.conformity import Conformity
 from analytics.certificate.statement.departures import compensation_of, departures, not_stated, states_any
 from analytics.certificate.statement.evidence import Evidence, Span
 from analytics.certificate.statement.order import Order, Text
@@ -32,6 +33,7 @@ class Facts(NamedTuple):
     issued: dt.date  # at the station of the last run
     supersedes: str = ""  # number of the certificate that it replaces, and why
     reason: str = ""
+    conformity: Conformity | None = None  # where a statement was ordered
 
     @property
     def references(self) -> tuple[Reference, ...]:
@@ -74,6 +76,8 @@ def content_of(facts: Facts) -> Content:
     """The content of a certificate: one section for each item of its standard."""
     sections = []
     for item in facts.standard.items:
+        if item.filled_by == "conformity" and facts.conformity is None:
+            continue
         lines, missing = FILLED_BY[item.filled_by](facts)
         sections.append(Section(item=item, lines=tuple(lines), missing=tuple(missing)))
     return Content(facts=facts, sections=tuple(sections))
@@ -160,7 +164,8 @@ def _dates(facts: Facts) -> _Filled:
     text = first.isoformat() if first == last else f"{first} - {last}"
     lines.append(Line(Words("Calibrated", "校准日期"), Words(text, text)))
     lines.append(_dated("Issued", "签发日期", facts.issued))
-    lines.append(_dated("Recommended next calibration", "建议复校日期", later(last, facts.order.valid_months)))
+    if facts.order.valid_months is not None:
+        lines.append(_dated("Recommended next calibration", "建议复校日期", later(last, facts.order.valid_months)))
     return lines, missing
 
 
@@ -187,7 +192,18 @@ def _references(facts: Facts) -> _Filled:
     missing += contradictions(facts.references)
     if not facts.references:
         missing.append(Words("no measurement standard is named", "未给出所用测量标准"))
-    return [Line(each.name, each.text) for each in facts.references], missing
+    lines = [Line(each.name, each.text) for each in facts.references]
+    if traceability := Words.of(facts.order.traceability):
+        lines.append(Line(Words("Traceability", "溯源性"), traceability))
+    elif untraced := [each for each in facts.references if not each.traceable_to]:
+        en, zh = ", ".join(each.name.en for each in untraced), "、".join(each.name.zh for each in untraced)
+        missing.append(
+            Words(
+                f"traceability is not stated of {en}: traceable_to of the standard, or traceability of the order",
+                f"未说明溯源性：{zh}（station文件的traceable_to，或委托信息的traceability）",
+            )
+        )
+    return lines, missing
 
 
 def _environment(facts: Facts) -> _Filled:
@@ -273,6 +289,24 @@ def _results(facts: Facts) -> _Filled:
     return [Line(Words("", ""), text), Line(Words("", ""), compensation_of(facts.rows))], missing
 
 
+def _conformity(facts: Facts) -> _Filled:
+    found = facts.conformity
+    assert found is not None
+    name = found.specification
+    if not found.judged:
+        en = f"no result is judged by the specification {name}: `gyrofleet verdicts --unit {facts.evidence.unit}`"
+        return [], [Words(en, f"没有按规范 {name} 判定的结果")]
+    lines = [
+        Line(Words("Specification", "规范"), Words.of(f"{name}, {found.revisions}")),
+        *(Line(Words("Decision rule", "判定规则"), each) for each in found.rules),
+        *(Line(each.label, each.text) for each in found.judged),
+    ]
+    if found.left:
+        listed = "; ".join(found.left)
+        lines.append(Line(Words("Not judged here", "未在此判定"), Words(listed, listed)))
+    return lines, []
+
+
 def _deviations(facts: Facts) -> _Filled:
     lines, missing = _required(("Deviations", "偏离", facts.order.deviations))
     more, not_given = _departures(facts)  # begins with the same line
@@ -328,7 +362,7 @@ FILLED_BY: dict[str, Callable[[Facts], _Filled]] = {
     "title": _title, "laboratory": _laboratory, "place": _place, "number": _number, "seal": _seal,
     "customer": _customer, "device": _device, "maker_and_model": _maker_and_model, "dates": _dates,
     "received_and_dates": _received_and_dates, "sampling": _sampling, "specification": _specification,
-    "references": _references, "environment": _environment, "results": _results, "deviations": _deviations,
-    "departures": _departures, "issuer": _issuer, "operators": _operators, "only_this_item": _only_this_item,
-    "no_partial_copy": _no_partial_copy,
+    "references": _references, "environment": _environment, "results": _results, "conformity": _conformity,
+    "deviations": _deviations, "departures": _departures, "issuer": _issuer, "operators": _operators,
+    "only_this_item": _only_this_item, "no_partial_copy": _no_partial_copy,
 }  # fmt: skip

@@ -74,6 +74,12 @@ class PeopleTable(_Table, frozen=True, kw_only=True):
     issued_as: Text = ""
 
 
+class ConformityTable(_Table, frozen=True, kw_only=True):
+    """`[conformity]`: the specification by which results are judged; its limits state the decision rule."""
+
+    specification: str
+
+
 class Order(_Table, frozen=True, kw_only=True):
     """The file as a whole."""
 
@@ -83,10 +89,12 @@ class Order(_Table, frozen=True, kw_only=True):
     environment: EnvironmentTable = EnvironmentTable()
     reference: tuple[ReferenceTable, ...] = ()
     people: PeopleTable = PeopleTable()
+    conformity: ConformityTable | None = None  # a statement of conformity is made only where it was ordered
+    traceability: Text = ""  # of the measurement standards together, beside what is stated of each
     deviations: Text = ""  # from the standard; "none" where there are none
     remarks: Text = ""
     items: tuple[str, ...] = ()  # metrics that were ordered; without them, those that have results
-    valid_months: int = 12
+    valid_months: int | None = None  # recommended interval, where it is agreed (ISO/IEC 17025 7.8.4.3)
     number_prefix: str = ""
 
 
@@ -121,5 +129,5 @@ def _check(order: Order, path: Path) -> None:
             )
     if re.fullmatch("[A-Z]{2}", order.laboratory.country) is None:
         raise BadInput(f"the order {path}: laboratory.country is {order.laboratory.country!r}; write it as CN or DE")
-    if not 1 <= order.valid_months <= 120:
+    if order.valid_months is not None and not 1 <= order.valid_months <= 120:
         raise BadInput(f"the order {path}: valid_months is {order.valid_months}; it lies between 1 and 120")

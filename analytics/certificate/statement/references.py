@@ -119,7 +119,7 @@ def _reference(entry: dict[str, Any]) -> Reference:
     return Reference(
         name=Words(names.get("en", entry["name"]), names.get("zh", entry["name"])), serial=entry["serial"],
         certificate=entry["certificate"], due=None if due is None else dt.date.fromisoformat(due),
-        uncertainty=_uncertainty(entry["quantities"]),
+        uncertainty=_uncertainty(entry["quantities"]), traceable_to=Words.of(entry.get("traceable_to", "")),
     )  # fmt: skip
 
 

@@ -50,7 +50,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def unit(self) -> str:
         """Symbol of the unit of measure."""
-        return _UNITS.get(self.unit_of_measure, self.unit_of_measure)
+        return symbol_of(self.unit_of_measure)
 
     @property
     def value_text(self) -> str:
@@ -72,6 +72,15 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     clause: str
     results: tuple[Result, ...]
     reason: str | None = None
+
+
+def symbol_of(unit_of_measure: str) -> str:
+    """The symbol of a unit of measure; empty for the number 1.
+
+    >>> symbol_of("deg/h"), symbol_of("1"), symbol_of("V")
+    ('°/h', '', 'V')
+    """
+    return _UNITS.get(unit_of_measure, unit_of_measure)
 
 
 def result_rows(page: Sequence[InnerRow]) -> tuple[ResultRow, ...]:

@@ -112,7 +112,8 @@ def _print_issued(issued: "Issued", out: Path) -> None:
         wait = "it is issued once another person approves, and is then in the store's folder certificates"
         results().print(f"{out}: certificate {issued.number} is proposed as {issued.proposal[:12]}; {wait}")
         return
-    results().print(f"{out}: certificate {issued.number}, valid until {issued.valid_until}; SHA-256 {issued.sha256}")
+    until = "" if issued.valid_until is None else f", valid until {issued.valid_until}"
+    results().print(f"{out}: certificate {issued.number}{until}; SHA-256 {issued.sha256}")
 
 
 @certificate.command("verify")

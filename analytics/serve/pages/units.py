@@ -80,7 +80,8 @@ def _state(row: CertificateRow) -> str:
     """Whether a certificate is ``valid``, ``superseded`` or ``expired`` today."""
     if row.superseded_by is not None:
         return "superseded"
-    return "valid" if dt.datetime.now(dt.UTC).date().isoformat() <= row.valid_until else "expired"
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    return "valid" if row.valid_until is None or today <= row.valid_until else "expired"
 
 
 def _by_need(row: dict[str, Any]) -> tuple[int, int]:

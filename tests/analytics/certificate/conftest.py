@@ -15,6 +15,7 @@ BIAS_DEG_PER_S = (2.0 + EARTH_DEG_PER_H) / 3600
 ORDER = """
 deviations = { en = "none", zh = "无" }
 number_prefix = "GYL"
+valid_months = 12
 [laboratory]
 name = { en = "Gyro Calibration Laboratory", zh = "陀螺校准实验室" }
 address = { en = "1 Test Road, Xi'an", zh = "西安市试验路1号" }
@@ -48,6 +49,7 @@ max_rate_deg_per_s = 400.0
 serial = "T-881"
 certificate = "2025-RT-0113"
 calibration_due = 2026-09-30
+traceable_to = "NIM, rate"
 [instruments.table.uncertainty]
 rate = { U = 1e-4, k = 2.0, unit = "1" }
 rate_nonuniformity = { U = 2e-5, k = 2.0, unit = "1" }
@@ -55,6 +57,7 @@ rate_nonuniformity = { U = 2e-5, k = 2.0, unit = "1" }
 serial = "N-3"
 certificate = "2024-GEO-7"
 calibration_due = 2027-05-31
+traceable_to = "NIM, length and angle"
 [standards.site.uncertainty]
 levelling = { half_width = 10.0, unit = "arcsec" }
 heading = { U = 30.0, k = 2.0, unit = "arcsec" }

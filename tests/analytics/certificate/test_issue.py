@@ -264,3 +264,23 @@ def test_results_are_of_the_records_and_not_of_what_was_kept_or_changed(
     refused = run_command(*ORDERED, *more, "--lang", "en", cwd=folder)
     assert refused.code != 0
     assert "is not the file that was built from the log" in refused.out
+
+
+def test_verify_finds_kept_files_that_are_changed_missing_or_never_issued(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder, answer = issued
+    shutil.copytree(folder / "lab", tmp_path / "lab")
+    kept = tmp_path / "lab" / "certificates"
+    assert run_command("verify", "--store", "lab", "--json", cwd=tmp_path).json["findings"] == []
+    pdf, xml = kept / f"{answer['number']}.pdf", kept / f"{answer['number']}.xml"
+    pdf.write_bytes(pdf.read_bytes() + b"\n")
+    xml.unlink()
+    (kept / "GYL-2026-0999.pdf").write_bytes(b"%PDF-1.7")
+    done = run_command("verify", "--store", "lab", "--json", cwd=tmp_path)
+    assert done.code != 0
+    found = {(each["kind"], Path(each["where"]).name) for each in done.json["findings"]}
+    assert found == {
+        ("certificate_changed", pdf.name), ("certificate_missing", xml.name),
+        ("certificate_not_issued", "GYL-2026-0999.pdf"),
+    }  # fmt: skip

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 class CertificateRow(msgspec.Struct, frozen=True, kw_only=True):
     """An issued certificate: valid until `valid_until` (its last day) unless another supersedes it.
 
-    `pdf` is the address of the file as it was issued, None where the store no longer has it.
+    `valid_until` is None where no interval was agreed. `pdf` is the address of the file as it was issued, None where
+    the store no longer has it.
     """
 
     number: str
@@ -26,7 +27,7 @@ class CertificateRow(msgspec.Struct, frozen=True, kw_only=True):
     language: str
     issued_ns: int
     issued: str | None
-    valid_until: str
+    valid_until: str | None
     by: str
     superseded_by: str | None
     superseded_for: str | None  # the reason
@@ -63,7 +64,7 @@ def certificates_of(call: Call, unit: str) -> list[CertificateRow]:
         rows.append(
             CertificateRow(
                 number=each.number, unit=each.unit, standard=each.standard, language=each.language,
-                issued_ns=each.t_ns, issued=iso(each.t_ns), valid_until=each.valid_until, by=each.by,
+                issued_ns=each.t_ns, issued=iso(each.t_ns), valid_until=each.valid_until or None, by=each.by,
                 superseded_by=None if successor is None else successor.number,
                 superseded_for=None if successor is None else successor.reason, supersedes=each.supersedes or None,
                 sha256=each.sha256, runs=list(each.runs), software=each.software,
