@@ -25,7 +25,7 @@ select *,
   end as lack,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
   nullif(concat_ws('; ',
-    remark_on_still(n, still, sd, stood_still),
+    remark_on_still(n, still, sd, stood_still), scale_remark,
     case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
     case when abs(chamber_temperature - temperature_command) > 3 then
