@@ -70,7 +70,7 @@ class SignalColumn:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of times: numbers of `ns_per_unit` nanoseconds, or ISO 8601 time stamps."""
+    """The column of times: numbers of `ns_per_unit` nanoseconds, or time stamps."""
 
     title: str
     ns_per_unit: int
@@ -101,7 +101,7 @@ class Columns:
 
 
 def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps: Collection[str] = ()) -> Columns:
-    """Find the meaning of columns, `stamps` those of ISO 8601; raises BadInput if titles break the contract."""
+    """Find the meaning of columns, `stamps` those of time stamps; raises BadInput if titles break the contract."""
     try:
         _refuse_repeated("column", titles)
         reader = _HeaderReader(titles, options, stamps)
@@ -177,14 +177,12 @@ class _HeaderReader:
         if is_stamp:
             self.columns.time = TimeColumn(title, 1, is_stamp=True)
             if unit is not None and _plain_letters(unit) not in _STAMP_UNITS and not is_foreign:
-                self.columns.remarks.append(
-                    f"column {title!r} holds ISO 8601 time stamps; its unit [{unit}] is ignored"
-                )
+                self.columns.remarks.append(f"column {title!r} holds time stamps; its unit [{unit}] is ignored")
             return
         if unit is None:
             raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")
         if _plain_letters(unit) in _STAMP_UNITS:
-            raise BadInput(f"column {title!r} begins with no ISO 8601 time stamp, like 2026-11-21T18:00:00.5Z")
+            raise BadInput(f"column {title!r} begins with no time stamp, like 2026-11-21T18:00:00.5Z")
         try:
             self.columns.time = TimeColumn(title, ns_per_unit(time_unit(unit)))
         except BadInput as error:

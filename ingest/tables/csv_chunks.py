@@ -55,6 +55,13 @@ class CsvTable:
         found = []
         if self._comments:
             found.append(f"{self._comments:,} comment line{'s' * (self._comments > 1)} (beginning with #) skipped")
+        if preamble := self._dialect.preamble:
+            shown = ", ".join(repr(each[:40]) for each in preamble[:3])
+            more = f" and {len(preamble) - 3} more" if len(preamble) > 3 else ""
+            lines = "1 line" if len(preamble) == 1 else f"{len(preamble)} lines"
+            found.append(f"{lines} before the header left out: {shown}{more}")
+        if self._dialect.has_unit_line:
+            found.append("units of measure are taken from the line below the titles")
         if self._dialect.is_header_comment:
             found.append("the header is the last comment before the rows")
         if self._decimal_mark == ",":

@@ -13,7 +13,8 @@ import numpy as np
 
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
-from ingest.tables.times import NUMBER, STAMP, ns_from_stamp, ns_from_text
+from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
+from ingest.tables.units import is_unit
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -40,6 +41,8 @@ class Dialect:
     comments: int  # comment lines before that place, a header among them excepted
     is_header_comment: bool
     sample: tuple[str, ...]  # the first rows
+    preamble: tuple[str, ...] = ()  # lines before the header that belong to no table
+    has_unit_line: bool = False  # below the titles
 
     @property
     def has_rows(self) -> bool:
@@ -48,14 +51,14 @@ class Dialect:
 
     @property
     def stamp_titles(self) -> frozenset[str]:
-        """Titles of the columns whose first cell is an ISO 8601 time stamp."""
+        """Titles of the columns whose first cell is a time stamp."""
         first = next(self._sample_cells(), ())
-        return frozenset(title for title, cell in zip(self.titles, first, strict=False) if STAMP.fullmatch(cell))
+        return frozenset(title for title, cell in zip(self.titles, first, strict=False) if match_stamp(cell))
 
     def lacks_zone(self, title: str) -> bool:
         """Whether a time stamp of the column names no zone."""
         column = self.titles.index(title)
-        matches = [STAMP.fullmatch(cells[column]) for cells in self._sample_cells() if len(cells) > column]
+        matches = [match_stamp(cells[column]) for cells in self._sample_cells() if len(cells) > column]
         return any(match is not None and match["zone"] is None for match in matches)
 
     def decimal_mark(self, titles: Sequence[str]) -> str:
@@ -103,10 +106,12 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     >>> found.titles, found.delimiter, found.comments, found.first_line, found.decimal_mark(["Time (s)"])
     (('Time (s)', 'Rate (deg/s)'), ';', 1, 3, ',')
     """
-    header_at = next(i for i, (text, _) in enumerate(lines) if text.strip() and not text.startswith("#"))
+    written = [i for i, (text, _) in enumerate(lines) if text.strip() and not text.startswith("#")]
+    header_at, units_at = _header_place(lines, written)
     header = lines[header_at][0]
+    preamble = tuple(lines[i][0].strip() for i in written if i < header_at)
     comments = [i for i in range(header_at) if lines[i][0].startswith("#")]
-    rows_at, is_header_comment = header_at + 1, False
+    rows_at, is_header_comment = (header_at if units_at is None else units_at) + 1, False
     if comments and _is_row(header):
         title_line = lines[comments[-1]][0].lstrip("# \t")
         if title_line and not _is_row(title_line):
@@ -119,10 +124,57 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
         by_blanks = tuple(title.strip() for title in _BLANK_TITLE.findall(header))
         if len(by_blanks) == len(rows[0].split()) and not any(mark in rows[0] for mark in "\t;"):
             delimiter, titles = " ", by_blanks
+    if units_at is not None:
+        titles = _with_units(titles, split_line(lines[units_at][0], delimiter))
     return Dialect(
         titles, delimiter, first_line=rows_at + 1, first_byte=lines[rows_at - 1][1] if rows_at else 0,
         comments=len(comments), is_header_comment=is_header_comment, sample=rows,
+        preamble=preamble, has_unit_line=units_at is not None,
     )  # fmt: skip
+
+
+def _header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tuple[int, int | None]:
+    """Place of the header, and of a line with the units below it, among the lines that are no comments.
+
+    It is the first of them, but where the first row of numbers has other cells than that: then the last before the
+    row that has as many.
+
+    >>> _header_place([("Logger 7", 9), ("", 10), ("t,rate", 17), ("s,deg/s", 25), ("0,1.5", 31)], [0, 2, 3, 4])
+    (2, 3)
+    """
+    first = next((at for at, i in enumerate(written) if _is_row(lines[i][0])), 0)
+    if first < 2:
+        return written[0], None
+    row = lines[written[first]][0]
+    delimiter = max(_DELIMITERS, key=row.count)
+    if delimiter not in row:
+        return written[0], None
+    width = len(_cells(row, delimiter))
+    alike = [at for at in range(first) if len(_cells(lines[written[at]][0], delimiter)) == width]
+    if not alike or alike[-1] != first - 1:
+        return written[0], None
+    above = _cells(lines[written[first - 1]][0], delimiter)
+    has_units = len(alike) > 1 and alike[-2] == first - 2 and any(above) and all(map(_is_unit_cell, above))
+    header = first - 1 - has_units
+    if alike[0] < header:  # the first lines are rows that are not right
+        return written[0], None
+    return written[header], written[first - 1] if has_units else None
+
+
+def _is_unit_cell(cell: str) -> bool:
+    return not cell or is_unit(_bare_unit(cell))
+
+
+def _bare_unit(cell: str) -> str:
+    return cell.strip(_BLANK).strip("[]()（）").strip()
+
+
+def _with_units(titles: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
+    """Titles with the unit below them, where they have none themselves."""
+    return tuple(
+        title if not _bare_unit(unit) or title.endswith((")", "]", "）")) else f"{title} ({_bare_unit(unit)})"
+        for title, unit in zip(titles, units, strict=True)
+    )
 
 
 def is_gb18030(text: bytes) -> bool:
@@ -146,8 +198,8 @@ def without_blanks(block: bytes) -> bytes:
 
 def _is_row(line: str) -> bool:
     cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
-    cells = [part for cell in cells for part in ([cell] if STAMP.fullmatch(cell) else re.split("[, ]+", cell))]
-    return bool(cells) and all(STAMP.fullmatch(cell) or NUMBER.fullmatch(cell) for cell in cells)
+    cells = [part for cell in cells for part in ([cell] if match_stamp(cell) else re.split("[, ]+", cell))]
+    return bool(cells) and all(match_stamp(cell) or NUMBER.fullmatch(cell) for cell in cells)
 
 
 def _cells(line: str, delimiter: str) -> tuple[str, ...]:
@@ -222,8 +274,8 @@ class LineReader:
         time = self._columns.time
         assert time is not None
         if time.is_stamp:
-            if STAMP.fullmatch(text) is None:
-                raise _BadCell(title, text, "an ISO 8601 time stamp, like 2026-11-21T18:00:00.5Z")
+            if match_stamp(text) is None:
+                raise _BadCell(title, text, "a time stamp, like 2026-11-21T18:00:00.5Z")
             found, expected = ns_from_stamp(text, self._time_zone), "a moment that exists, within 146 years of 1970"
         else:
             found, expected = ns_from_text(self._number(title, text, "a time"), time.ns_per_unit), _RANGE

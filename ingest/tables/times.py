@@ -22,6 +22,14 @@ STAMP = re.compile(
     re.ASCII,
 )
 
+# year first, as programs in China and Japan write it, or with single digits
+_YEAR_FIRST = re.compile(
+    r"(\d{4})(?:[-/.](\d{1,2})[-/.](\d{1,2})|年\s?(\d{1,2})月\s?(\d{1,2})日)(?:[T\s]?\s*(上午|下午)?\s*"
+    r"(\d{1,2})[:时](\d{1,2})(?:[:分](?:(\d{1,2})([.,]\d+)?)?秒?)?\s?(Z|[+-]\d\d(?::?\d\d)?)?)?",
+    re.ASCII,
+)
+_LOOSE_DATE = re.compile(r"\d{4}(?:/|-\d-|-\d\d-\d(?!\d)|-\d\d-\d\d[T ]\d:)", re.ASCII)
+
 _NS_PER_S = 10**9
 _MOST_DIGITS = 40
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -102,13 +110,37 @@ def ns_from_text(text: str, ns: int) -> int | None:
     return nearest if abs(nearest) <= MAX_NS else None
 
 
+def match_stamp(text: str) -> re.Match[str] | None:
+    """The parts of a time stamp in ISO 8601, or with another year-first date; None if it is none.
+
+    >>> [match_stamp(each)[0] for each in ("2026/1/8 9:05:03.5", "2026年11月8日 下午1时05分", "2026-11-21T10:00Z")]
+    ['2026-01-08T09:05:03.5', '2026-11-08T13:05', '2026-11-21T10:00Z']
+    """
+    if (found := STAMP.fullmatch(text)) is not None:
+        return found
+    written = _YEAR_FIRST.fullmatch(text)
+    if written is None:
+        return None
+    year, month, day, month_zh, day_zh, half, hour, minute, second, fraction, zone = written.groups()
+    date = f"{year}-{month or month_zh:0>2}-{day or day_zh:0>2}"
+    if hour is None:
+        return STAMP.fullmatch(date)
+    of_day = int(hour)
+    if half is not None:
+        if not 1 <= of_day <= 12:
+            return None
+        of_day = of_day % 12 + 12 * (half == "下午")
+    seconds = "" if second is None else f":{second:0>2}{fraction or ''}"
+    return STAMP.fullmatch(f"{date}T{of_day:02d}:{minute:0>2}{seconds}{zone or ''}")
+
+
 def ns_from_stamp(text: str, zone: str) -> int | None:
-    """Nanoseconds UTC of a time stamp in ISO 8601, in `zone` if it names none; None if it is no moment.
+    """Nanoseconds UTC of a time stamp, in `zone` if it names none; None if it is no moment.
 
     >>> ns_from_stamp("2026-11-21 18:00:00.5", "Asia/Shanghai"), ns_from_stamp("2026-11-21T10:00:00,5Z", "UTC")
     (1795255200500000000, 1795255200500000000)
     """
-    match = STAMP.fullmatch(text)
+    match = match_stamp(text)
     if match is None:
         return None
     try:
@@ -136,6 +168,9 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
 
     cells = pc.replace_substring_regex(pc.utf8_trim(cells, " \t"), r"\s([Z+-])", r"\1")
     cells = pc.replace_substring(cells, ",", ".")
+    ends = (cells[0], cells[-1]) if len(cells) else ()
+    if any(_LOOSE_DATE.match(each.as_py() or "") for each in ends):
+        cells = _with_dashes(cells)
     try:
         if pc.all(pc.match_substring_regex(cells, _PLAIN_STAMP + _ZONE)).as_py():
             found = cells.cast(pa.timestamp("ns", "UTC"))
@@ -150,6 +185,18 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
         return None
     times_ns = numpy_of(found.cast(pa.int64()))
     return None if (np.abs(times_ns) > MAX_NS).any() else times_ns
+
+
+def _with_dashes(cells: pa.Array) -> pa.Array:
+    """Stamps like 2026/1/8 9:05:03 as 2026-01-08 09:05:03."""
+    import pyarrow.compute as pc
+
+    for pattern, by in (
+        (r"^(\d{4})/(\d{1,2})/(\d{1,2})", r"\1-\2-\3"), (r"^(\d{4})-(\d)-", r"\1-0\2-"),
+        (r"^(\d{4}-\d\d)-(\d)([T ]|$)", r"\1-0\2\3"), (r"([T ])(\d):", r"\10\2:"),
+    ):  # fmt: skip
+        cells = pc.replace_substring_regex(cells, pattern, by)
+    return cells
 
 
 def ns_from_timestamps(times: pa.Array, zone: str) -> tuple[IntArray, BoolArray]:

@@ -73,6 +73,21 @@ def database_unit(text: str | None, signal: str) -> tuple[str, bool]:
         return written, False
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of measure, as files write it.
+
+    >>> is_unit("°/s"), is_unit("ms"), is_unit("脉冲"), is_unit("rate_x")
+    (True, True, True, False)
+    """
+    if _plain(text) in _UNITS or _plain(text) in _GRAVITY:
+        return True
+    try:
+        check_unit(text)
+    except UnknownUnit:
+        return False
+    return True
+
+
 def column_unit(text: str, signal: str) -> tuple[str, str]:
     """Unit of a column of a table, and a remark if it was interpreted or does not suit the signal; else ''.
 

@@ -66,7 +66,7 @@ def test_time_stamps_named_in_seconds_are_read_as_stamps_and_reported() -> None:
     columns = read_header(Path("a.csv"), ["time[s]", "rate[deg/s]"], G1, stamps=["time[s]"])
     assert columns.time is not None
     assert columns.time.is_stamp
-    assert columns.remarks == ["column 'time[s]' holds ISO 8601 time stamps; its unit [s] is ignored"]
+    assert columns.remarks == ["column 'time[s]' holds time stamps; its unit [s] is ignored"]
 
 
 def test_an_unknown_unit_of_measure_names_column_and_likely_unit() -> None:

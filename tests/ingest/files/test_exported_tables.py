@@ -1,0 +1,94 @@
+"""Tables as other programs export them: year-first dates, lines before the header, units below the titles."""
+
+import datetime as dt
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ZONE = dt.timezone(dt.timedelta(hours=8))
+FIRST = dt.datetime(2026, 11, 8, 9, 5, 3, tzinfo=ZONE)
+
+
+def excel(at: dt.datetime) -> str:
+    return f"{at.year}/{at.month}/{at.day} {at.hour}:{at.minute:02d}:{at.second:02d}"
+
+
+def chinese(at: dt.datetime) -> str:
+    half, hour = ("上午", at.hour) if at.hour < 12 else ("下午", at.hour - 12)
+    return f"{at.year}年{at.month}月{at.day}日 {half}{hour or 12}:{at.minute:02d}:{at.second:02d}"
+
+
+@pytest.mark.parametrize("written", [excel, chinese, lambda at: excel(at).replace("/", "-")])
+@pytest.mark.parametrize(
+    "first", [FIRST, FIRST.replace(hour=23, minute=59), FIRST.replace(month=1, hour=11, minute=59)]
+)
+def test_dates_with_the_year_first_are_read(
+    run_command: Callable[..., Any], tmp_path: Path, written: Callable[[dt.datetime], str], first: dt.datetime
+) -> None:
+    times = [first + dt.timedelta(seconds=second) for second in range(90)]
+    rows = "\n".join(f"{written(at)},{0.5 + second}" for second, at in enumerate(times))
+    (tmp_path / "log.csv").write_text(f"时间,角速率(°/h)\n{rows}\n", encoding="utf-8")
+    done = run_command(
+        "import", "log.csv", "--unit", "U", "--time-zone", "Asia/Shanghai", "--store", "s", "--json", cwd=tmp_path
+    )
+    assert done.code == 0, done.err
+    asked = (
+        "select count(*) as n, min(epoch_ns(time)) as first, max(epoch_ns(time)) as last, sum(value) as s from samples"
+    )
+    (found,) = run_command("sql", asked, "--store", "s", "--json", cwd=tmp_path).json
+    expected = (90, round(times[0].timestamp() * 1e9), round(times[-1].timestamp() * 1e9), sum(range(90)) + 45.0)
+    assert tuple(found.values()) == expected
+
+
+LOGGER = """Logger 34972A, channel list 7
+Operator:, Wang Li
+
+Scan rate (Hz), 10
+Time,Gyro X,Temp
+(s),(deg/s),(°C)
+{rows}
+"""
+
+
+def rows(count: int = 20) -> str:
+    return "\n".join(f"{second / 10:.1f},{0.01 * second:.2f},25.5" for second in range(count))
+
+
+def test_lines_before_the_header_are_left_out_and_said(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(LOGGER.format(rows=rows()), encoding="utf-8")
+    done = run_command("import", "log.csv", "--unit", "U", "--store", "s", cwd=tmp_path)
+    assert done.code == 0, done.err
+    said = " ".join((done.out + done.err).split())
+    assert "3 lines before the header left out: 'Logger 34972A, channel list 7', 'Operator:, Wang Li'" in said
+    assert "units of measure are taken from the line below the titles" in said
+    asked = "select signal, unit_of_measure as u, samples from signals order by signal"
+    found = run_command("sql", asked, "--store", "s", "--json", cwd=tmp_path).json
+    assert [tuple(row.values()) for row in found] == [("Temp", "°C", 20), ("gyro_x", "deg/s", 20)]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        # a first row that is not right is no preamble
+        ("time[s],rate[deg/s]\nbad,row\n0,1\n1,2\n", "line 2"),
+        # nor are titles without units replaced by a row of text
+        ("Zeit,Drehrate\nfoo,bar\n0,1\n1,2\n", "Zeit"),
+        ("just text\nmore text\n", "'just' has no unit"),
+    ],
+)
+def test_what_is_no_preamble_is_refused_as_before(
+    run_command: Callable[..., Any], tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    done = run_command("import", "log.csv", "--unit", "U", "--store", "s", cwd=tmp_path)
+    assert done.code != 0
+    assert said in done.err
+
+
+def test_a_bad_row_has_the_line_of_the_file(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(LOGGER.format(rows=rows() + "\n2.0,x,25\n2.1,1,25"), encoding="utf-8")
+    done = run_command("import", "log.csv", "--unit", "U", "--store", "s", cwd=tmp_path)
+    assert done.code != 0
+    assert "line 27" in done.err
