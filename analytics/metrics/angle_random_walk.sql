@@ -25,7 +25,7 @@ select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
     remark: nullif(concat_ws('; ', c.misfit_remark, s.remark), '')
   })::varchar as parameters,
   case when s.lack is not null then s.lack when c.run is not null then c.reason when coalesce(s.white, 0) = 0 then
-    'the record shows no angle random walk: other noise covers it at every averaging time' end as reason
+    'the record shows no white noise, from which an angle random walk follows: correlated or other noise covers it' end as reason
 from internal.bias_steps s
 left join internal.noise_coefficients c
   on c.run = s.run and c.unit = s.unit and c.signal = s.signal and c."index" = s."index"

@@ -3,7 +3,8 @@
 import numpy as np
 import pyarrow as pa
 
-from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE, scatter_of_averages
+from analytics.step_records.scatter import scatter_of_averages
+from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE
 from storage.sql.catalog import Catalog
 
 _ASKED = """

@@ -5,30 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stream.batch import BoolArray, FloatArray, IntArray
-from stream.compiled import compiled
+from analytics.step_records.record_noise import TERMS, fit_noise, octave_variances, variance_freedoms, variance_of_mean
+from analytics.step_records.scatter import Average, scatter_freedom, scatter_of_averages
+from stream.batch import FloatArray, IntArray
 
 AVERAGES_S = (1.0, 10.0, 100.0)
 _ROUNDING = 1e-14  # relative; a hundred times that of a number
 LEAST_SHARE = 0.9
 _LEAST_BLOCKS = 8
-_TERMS = 3  # white, flicker, random walk
-_SUBSETS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], np.bool_)
-# Three octaves cannot separate three parts: the uncertainty of 20 samples was larger than that of 10.
-_FEW_OCTAVES = {3: _SUBSETS[[0, 3]], 4: _SUBSETS[[0, 3, 4]]}
-# Penalty of a further part, in chi-square. In 95 % of records the uncertainty of white noise is at most 4.6 times the
-# true one at 0.5, 3.3 at 4, 2.5 at 6; means of an hour of clear flicker lie within their bounds in 94, 91 and 89 %, and
-# in 85 % where the best subset alone counts.
-_PENALTY = 4.0
-_LEAST_FREEDOM = 3.0  # of a random walk fitted to a record
-
-
-class Average(NamedTuple):
-    """Standard deviation of consecutive averages: how many, their deviation, and its degrees of freedom."""
-
-    n: int
-    sd: float
-    freedom: float
 
 
 class SeriesStatistics(NamedTuple):
@@ -41,8 +25,8 @@ class SeriesStatistics(NamedTuple):
     standard_uncertainty: float  # of the mean, with its degrees of freedom; NaN where unknown
     freedom: float
     n_effective: float  # independent samples that would give the same uncertainty: sd**2 over its square
-    # white, flicker, walk: parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds; NaN
-    # where unknown
+    # white, flicker, walk: parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds,
+    # besides Markov noise; white is 0 where the record does not show it clearly; NaN where unknown
     white: float
     flicker: float
     walk: float
@@ -73,9 +57,11 @@ def series_statistics(
     overlapping Allan variance of the record (IEEE 952 annex C) with weights by degrees of freedom; of white noise alone
     it is sd/sqrt(n). Every subset of the three parts without a negative one is weighted by its likelihood,
     exp(-chi-square/2), with a penalty for each part; below 48 blocks only white noise with at most one other part,
-    below 24 with flicker. It is the standard deviation of the means of further such records, flicker and random walk
-    included. Its degrees of freedom are those of its parts by Welch and Satterthwaite (JCGM 100:2008 G.4.1), less where
-    the subsets differ. With fewer than 8 blocks it is sd/sqrt(n).
+    below 24 with flicker. Markov noise with at least 30 correlation times in the record is a fourth part, beside white
+    noise and one other: taken as a walk, it made the uncertainty of a filtered output 5 to 150 times too large. The
+    uncertainty is the standard deviation of the means of further such records, flicker and random walk included. Its
+    degrees of freedom are those of its parts by Welch and Satterthwaite (JCGM 100:2008 G.4.1), less where the subsets
+    differ. With fewer than 8 blocks it is sd/sqrt(n).
 
     For a signal constant at one count the quantisation, step/sqrt(12), is added where sd < step.
 
@@ -103,15 +89,17 @@ def series_statistics(
     grid = (samples_per_block, base_ns, window_ns)
     averages = tuple(_average(start_ns, counts, means, round(each * 1e9), *grid) for each in AVERAGES_S)
     dense = _dense((start_ns - start_ns[0] + base_ns // 2) // base_ns, counts, means - mean, samples_per_block)
-    variances, factors = _allan(dense)
-    if dense.size < _LEAST_BLOCKS or variances.size < _TERMS:
+    variances, factors = octave_variances(dense)
+    if dense.size < _LEAST_BLOCKS or variances.size < TERMS:
         u_squared = (within + between) / (n - 1) / n if n > 1 else math.nan
-        parts, freedom = np.full(_TERMS, np.nan), float(n - 1)
+        parts, freedom = np.full(TERMS, np.nan), float(n - 1)
     else:
         base_s = base_ns / 1e9
-        fit = _fit(np.asarray(factors * base_s, np.float64), variances, _freedoms(factors, dense.size))
         valid_s = float(np.count_nonzero(~np.isnan(dense))) * base_s
-        u_squared, freedom = _of_mean(fit, valid_s, dense.size)
+        freedoms = variance_freedoms(factors, dense.size)
+        taus_s = np.asarray(factors * base_s, np.float64)
+        fit = fit_noise(taus_s, variances, freedoms, duration_s=valid_s, sample_s=base_s / samples_per_block)
+        u_squared, freedom = variance_of_mean(fit, valid_s, dense.size)
         parts = fit.mean
     if sd < step:
         u_squared += step * step / 12
@@ -152,16 +140,6 @@ def _scaled(value: float, exponent: int) -> float:
         return float(np.ldexp(value, exponent))
 
 
-def bartlett_freedom(n: int, correlation: float) -> float:
-    """Degrees of freedom of the variance of `n` values whose neighbours correlate (Bartlett 1946), within 1 and n - 1.
-
-    >>> bartlett_freedom(101, 0.5)
-    60.0
-    """
-    square = min(correlation * correlation, 1.0)
-    return min(n - 1.0, max(1.0, (n - 1) * (1 - square) / (1 + square)))
-
-
 def _average(
     start_ns: IntArray, counts: IntArray, means: FloatArray, average_ns: int, samples_per_block: float, base_ns: int,
     window_ns: tuple[int, int],
@@ -180,32 +158,12 @@ def _average(
     return scatter_of_averages(of_block[full], sums[full] / n[full])
 
 
-def scatter_of_averages(number: IntArray, values: FloatArray) -> Average:
-    """Standard deviation of consecutive averages; its degrees of freedom allow for correlated neighbours.
-
-    `number`: shape (n,); place of each average on its grid, increasing.
-
-    >>> scatter_of_averages(np.array([0, 1, 3]), np.array([1.0, 2.0, 3.0]))
-    Average(n=3, sd=1.0, freedom=2.0)
-    """
-    if values.size < 2:
-        return Average(int(values.size), math.nan, math.nan)
-    centred = values - values.mean()
-    neighbours = np.diff(number) == 1
-    total = float(centred @ centred)
-    correlation = float(centred[:-1][neighbours] @ centred[1:][neighbours]) / total if total > 0 else 0.0
-    return Average(values.size, math.sqrt(total / (values.size - 1)), bartlett_freedom(values.size, correlation))
-
-
 def _sd_freedom(n: int, blocks: int, within: float, between: float, dense: FloatArray) -> float:
     """Degrees of freedom of the deviation of all samples; those within blocks count as white."""
     if n < 2 or within + between == 0:
         return float(max(n - 1, 0))
     known = dense[~np.isnan(dense)]
-    pairs = ~np.isnan(dense[1:]) & ~np.isnan(dense[:-1])
-    power = float(known @ known)
-    correlation = float(dense[1:][pairs] @ dense[:-1][pairs]) / power if power > 0 else 0.0
-    freedom = bartlett_freedom(blocks, correlation) if blocks > 1 else 1.0
+    freedom = scatter_freedom(dense, float(known.var(ddof=1))) if known.size > 1 else 1.0
     spread = (within * within / (n - blocks) if n > blocks else 0.0) + between * between / freedom
     return min(n - 1.0, max(1.0, (within + between) ** 2 / spread))
 
@@ -216,103 +174,3 @@ def _dense(places: IntArray, counts: IntArray, values: FloatArray, expected: flo
     full = counts >= LEAST_SHARE * expected
     dense[places[full]] = values[full]
     return dense
-
-
-@compiled
-def _allan_kernel(dense: FloatArray, factors: IntArray) -> tuple[FloatArray, IntArray]:
-    size = dense.size
-    sums = np.zeros(size + 1)
-    valid = np.zeros(size + 1, np.int64)
-    for i in range(size):
-        known = not np.isnan(dense[i])
-        sums[i + 1] = sums[i] + (dense[i] if known else 0.0)
-        valid[i + 1] = valid[i] + (1 if known else 0)
-    variances = np.zeros(factors.size)
-    windows = np.zeros(factors.size, np.int64)
-    for j in range(factors.size):
-        m = factors[j]
-        least = 0.9 * m
-        stride = max(1, m // 16)
-        total = 0.0
-        for i in range(0, size - 2 * m + 1, stride):
-            first = valid[i + m] - valid[i]
-            second = valid[i + 2 * m] - valid[i + m]
-            if first >= least and second >= least:
-                d = (sums[i + 2 * m] - sums[i + m]) / second - (sums[i + m] - sums[i]) / first
-                total += d * d
-                windows[j] += 1
-        variances[j] = total / (2.0 * windows[j]) if windows[j] else np.nan
-    return variances, windows
-
-
-def _allan(dense: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Overlapping Allan variance by octaves up to a third of the stretch."""
-    most = max(dense.size // 3, 1)
-    factors = 2 ** np.arange(int(math.log2(most)) + 1, dtype=np.int64)
-    variances, windows = _allan_kernel(dense, factors)
-    known = (windows > 0) & (variances > 0)
-    return variances[known], factors[known]
-
-
-def _freedoms(factors: IntArray, size: int) -> FloatArray:
-    """Degrees of freedom of an overlapping Allan variance of random walk, the least (NIST SP 1065 table 5)."""
-    m = factors.astype(np.float64)
-    return np.maximum(1.0, (size - 2) / m * ((size - 1) ** 2 - 3 * m * (size - 1) + 4 * m * m) / (size - 3) ** 2)
-
-
-class _Fit(NamedTuple):
-    """Parts of the Allan variance in every subset that fits without a negative one, and how likely each subset is."""
-
-    parts: FloatArray  # (subsets, _TERMS)
-    weights: FloatArray  # (subsets,), their sum is 1
-
-    @property
-    def mean(self) -> FloatArray:
-        return np.asarray(self.weights @ self.parts, dtype=np.float64)
-
-
-def _fit(taus_s: FloatArray, variances: FloatArray, freedoms: FloatArray) -> _Fit:
-    """White, flicker and random walk parts, none negative; weighted by what was fitted, twice over."""
-    columns = np.stack([1 / taus_s, np.ones_like(taus_s), taus_s], axis=1)
-    model = variances
-    for _ in range(3):
-        root = np.sqrt(freedoms / 2) / model
-        subsets = _FEW_OCTAVES.get(len(taus_s), _SUBSETS)
-        fit = _least_squares(columns * root[:, None], variances * root, subsets)
-        model = np.maximum(columns @ fit.mean, 1e-3 * variances)
-    return fit
-
-
-def _least_squares(design: FloatArray, target: FloatArray, subsets: BoolArray) -> _Fit:
-    """`subsets`: shape (subsets, _TERMS); the terms of each."""
-    scale = np.sqrt((design * design).sum(axis=0))
-    gram = (design / scale).T @ (design / scale)
-    moment = (design / scale).T @ target
-    # terms that a subset lacks have equations of their own, with the solution 0
-    systems = np.where(subsets[:, :, None] & subsets[:, None, :], gram, np.eye(_TERMS))
-    moments = np.where(subsets, moment, 0.0)
-    try:
-        parts = np.linalg.solve(systems, moments[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        is_regular = np.linalg.matrix_rank(systems) == _TERMS
-        return _least_squares(design, target, subsets[is_regular])
-    is_possible = (parts >= 0).all(axis=1)
-    parts = parts[is_possible]
-    costs = _PENALTY * subsets[is_possible].sum(axis=1) - (parts * moments[is_possible]).sum(axis=1)
-    weights = np.exp((costs.min() - costs) / 2)
-    return _Fit(parts / scale, weights / weights.sum())
-
-
-def _of_mean(fit: _Fit, duration_s: float, blocks: int) -> tuple[float, float]:
-    """Variance of the mean over `duration_s`, and its degrees of freedom."""
-    shares = fit.parts * np.array([1 / duration_s, 1.0, duration_s])
-    totals = shares.sum(axis=1)
-    mean = float(fit.weights @ totals)
-    if mean <= 0:
-        return 0.0, float(blocks - 1)
-    # the shortest averaging times determine white noise, the longest flicker and random walk
-    freedoms = np.array([max(1.0, blocks / 1.5), max(1.0, blocks / 20.0), _LEAST_FREEDOM])
-    freedoms[1:] = np.minimum(freedoms[1:], [12.0, _LEAST_FREEDOM])
-    # the uncertainty within each subset, and the scatter between them
-    spread = 2 * (shares * shares / freedoms).sum(axis=1) + (totals - mean) ** 2
-    return mean, max(_LEAST_FREEDOM, 2 * mean * mean / float(fit.weights @ spread))
