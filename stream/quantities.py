@@ -17,7 +17,7 @@ ANGULAR_RATE_UNIT = "deg/h"
 _ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
 _ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second", "dps"})
 _ROOT = re.compile(r"sqrt\(([^()]+)\)")
-_ROOT_SIGN = re.compile(r"√(?:\(([^()]+)\)|([A-Za-z]+))")
+_ROOT_SIGN = re.compile(r"(?:√|(?<![A-Za-z])rt)(?:\(([^()]+)\)|(?<=√)([A-Za-z]+))|(?<![A-Za-z])rt(Hz|h|hr)\b")
 _PLAIN = {0xFF01 + at: chr(0x21 + at) for at in range(94)} | {
     ord("℃"): "degC", ord("℉"): "degF", ord("∕"): "/", ord("⁄"): "/", ord("˚"): "°", ord("−"): "-", ord("″"): "arcsec",
     ord("′"): "arcmin", 0x3000: " ",
@@ -83,10 +83,10 @@ def read_definitions() -> None:
 def plain_unit(text: str) -> str:
     """A unit in the letters that units have here: full-width ones and roots are written otherwise.
 
-    >>> plain_unit("°／h"), plain_unit("℃"), plain_unit("°/√h"), plain_unit("°/√(h)")
-    ('°/h', 'degC', '°/sqrt(h)', '°/sqrt(h)')
+    >>> plain_unit("°／h"), plain_unit("℃"), plain_unit("°/√h"), plain_unit("°/√(h)"), plain_unit("mdps/rtHz")
+    ('°/h', 'degC', '°/sqrt(h)', '°/sqrt(h)', 'mdps/sqrt(Hz)')
     """
-    return _ROOT_SIGN.sub(lambda match: f"sqrt({match[1] or match[2]})", text.translate(_PLAIN))
+    return _ROOT_SIGN.sub(lambda match: f"sqrt({match[1] or match[2] or match[3]})", text.translate(_PLAIN))
 
 
 @cache
@@ -118,8 +118,13 @@ def check_unit(text: str) -> str:
 def conversion(source: str, target: str) -> tuple[float, float]:
     """Factor and offset that convert a value from `source` to `target` units; an UnknownUnit if it is not possible.
 
+    A noise density, as deg/s/sqrt(Hz) on data sheets, is one-sided: it is sqrt(2) times the coefficient of the walk in
+    deg/sqrt(h) or deg/sqrt(s), whose spectrum N**2 is two-sided (IEEE 952-1997 annex C.1.1).
+
     >>> conversion("deg/s", "deg/h")
     (3600.0, 0.0)
+    >>> conversion("deg/s/Hz**0.5", "deg/s**0.5")[0] == 0.5**0.5
+    True
     """
     if source == target:
         return 1.0, 0.0
@@ -133,9 +138,26 @@ def conversion(source: str, target: str) -> tuple[float, float]:
         one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
     except DimensionalityError as error:
         raise _no_conversion(source, target) from error
-    factor = float(one - zero)
+    factor = float(one - zero) * _density_factor(source, target)
     # a factor of exactly 3600 comes out of pint as 3599.9999999999995
     return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(zero)
+
+
+def _density_factor(source: str, target: str) -> float:
+    of_source, of_target = is_noise_density(source), is_noise_density(target)
+    return 1.0 if of_source == of_target else math.sqrt(2.0) if of_target else math.sqrt(0.5)
+
+
+@cache
+def is_noise_density(text: str) -> bool:
+    """Whether `text` is per root of a frequency.
+
+    >>> is_noise_density("mdps/sqrt(Hz)"), is_noise_density("deg/sqrt(h)"), is_noise_density("deg/h")
+    (True, False, False)
+    """
+    if "hz" not in text.lower() and "hertz" not in text.lower():
+        return False
+    return _powers(_ROOT.sub(r"(\1)**0.5", plain_unit(text))).get("hertz") == -0.5
 
 
 @cache

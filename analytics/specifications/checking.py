@@ -13,6 +13,8 @@ from stream.quantities import check_result_unit, result_factor
 
 # parameters that have one of a few words
 _WORDS = {"earth_rate": ("none", "removed"), "kind": KINDS}
+_OF_OUTPUT = frozenset({"scale_factor"})  # in the unit of the output over deg/s, where that is no rate
+_OUTPUTS = ("count", "V", "A", "Hz")
 
 
 def checked_specification(content: bytes, source: str) -> Specification:
@@ -69,6 +71,15 @@ def _check_limit(limit: SpecificationLimit, found: Specification, place: str) ->
         )
 
 
+def _is_per_rate(unit: str) -> bool:
+    """Whether a unit is that of an output that is no rate, over a rate: count/(deg/s), V/(deg/s)."""
+    for output in _OUTPUTS:
+        with suppress(UnknownUnit):
+            result_factor(f"({unit})*(deg/s)", output)
+            return True
+    return False
+
+
 def _check_unit(limit: SpecificationLimit, unit: str, place: str) -> None:
     try:
         check_result_unit(limit.unit_of_measure)
@@ -80,4 +91,6 @@ def _check_unit(limit: SpecificationLimit, unit: str, place: str) -> None:
         try:
             result_factor(unit, limit.unit_of_measure)
         except UnknownUnit as error:
+            if limit.metric in _OF_OUTPUT and _is_per_rate(limit.unit_of_measure):
+                return
             raise BadInput(f"{place}: unit_of_measure: {error}; {limit.metric} is in {unit}") from error

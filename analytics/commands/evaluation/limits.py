@@ -219,9 +219,11 @@ def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
 def _enter(
     file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
 ) -> None:
+    from analytics.metric_registry.registry import metrics
     from analytics.specifications.entering import add_specification
     from storage.specifications.validity import stored_specifications
     from storage.store import Store
+    from stream.quantities import is_noise_density, result_factor
 
     store = Store.create(folder)
     found, is_new, proposal = add_specification(
@@ -239,6 +241,14 @@ def _enter(
         return
     what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
     results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}")
+    for limit in found.limits:
+        if is_noise_density(limit.unit_of_measure) and limit.upper is not None:
+            unit = metrics()[limit.metric].header.unit
+            notes().print(
+                f"{limit.subject}: {limit.upper:g} {limit.unit_of_measure} is taken as a one-sided noise density, "
+                f"{limit.upper * result_factor(limit.unit_of_measure, unit):.4g} {unit}",
+                soft_wrap=True,
+            )
     if rejudges or (is_new and len(stored_specifications(store)) > 1):
         _print_rejudged(rejudges=rejudges)
 

@@ -67,10 +67,7 @@ def test_the_bounds_of_a_deviation_hold_that_of_such_records(white: float, devia
     found = records(2, white, deviation, time_s, 1.0)
     for sd, freedom in (
         (np.array([each.sd for each in found]), np.array([each.sd_freedom for each in found])),
-        (
-            np.array([each.averages[1].sd for each in found]),
-            np.array([each.averages[1].freedom for each in found]),
-        ),
+        (np.array([each.averages[1].sd for each in found]), np.array([each.averages[1].freedom for each in found])),
     ):
         truth = math.sqrt(float(np.mean(sd**2)))
         low = sd * np.sqrt(freedom / stats.chi2.ppf(0.975, freedom))

@@ -21,9 +21,9 @@ LIMITS = """
 revision = "A"
 [[limit]]
 metric = "bias"
-lower = -1.0
-upper = 1.0
-unit_of_measure = "deg/h"
+lower = -60.0
+upper = 60.0
+unit_of_measure = "arcmin/h"
 """
 
 

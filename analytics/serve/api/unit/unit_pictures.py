@@ -13,17 +13,18 @@ from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.api.unit.units import unit_row
 from analytics.trends.values_sql import METRIC_VALUES
-from stream.errors import NotFound
-from stream.quantities import is_angular_rate, report_unit
+from stream.errors import NotFound, UnknownUnit
+from stream.quantities import is_angular_rate, report_unit, result_factor
 
 _MOST_CURVES = 12
 _VALUES = f"""
 with judged as (
-  select unit, metric, signal, run, standard, parameters, lower, upper, verdict, specification, revision
+  select unit, metric, signal, run, standard, parameters, lower, upper, verdict, specification, revision,
+    unit_of_measure as limit_unit
   from verdicts where unit = $unit and metric = $metric
 )
 select m.signal, m.run, m.value, m.lo, m.hi, m.unit_of_measure, m.standard, m.parameters, m.t_ns, m.date_known,
-  j.lower, j.upper, j.verdict, j.specification || '-' || j.revision as specification
+  j.lower, j.upper, j.limit_unit, j.verdict, j.specification || '-' || j.revision as specification
 from ({METRIC_VALUES}) m
 left join judged j on j.signal is not distinct from m.signal and j.run is not distinct from m.own_run
   and j.standard is not distinct from m.standard and j.parameters is not distinct from m.parameters
@@ -107,7 +108,8 @@ def unit_history(call: Call, asked: HistoryAsked) -> Picture:
     check_metrics((asked.metric,))
     unit, header = call.path["unit"], metrics()[asked.metric].header
     unit_row(call, unit)
-    rows = dictionaries(call.metrics, _VALUES, {"unit": unit, "metric": asked.metric, "signal": asked.signal})
+    given = {"unit": unit, "metric": asked.metric, "signal": asked.signal}
+    rows = [_in_one_unit(row) for row in dictionaries(call.metrics, _VALUES, given)]
     if asked.signal and not rows and asked.signal not in (known := _signals(call)):
         raise NotFound(
             f"unit {unit!r} has no signal {asked.signal!r}; {alike(asked.signal, list(known), 'signals are')}"
@@ -265,6 +267,17 @@ def _kind(row: dict[str, Any]) -> str:
     parameters = json.loads(row["parameters"] or "{}")
     settings = [f"{name}={value}" for name, value in parameters.items() if name not in _RESULTS and value is not None]
     return ", ".join(each for each in (row["signal"], row["standard"], *settings) if each)
+
+
+def _in_one_unit(row: dict[str, Any]) -> dict[str, Any]:
+    """A value with its limits in its own unit of measure; without them where they are of another quantity."""
+    if not _has_limit(row) or row["limit_unit"] == row["unit_of_measure"]:
+        return row
+    try:
+        factor = result_factor(row["limit_unit"], row["unit_of_measure"])
+    except UnknownUnit:
+        return row | {"lower": None, "upper": None}
+    return row | {side: None if row[side] is None else row[side] * factor for side in ("lower", "upper")}
 
 
 def _has_limit(row: dict[str, Any]) -> bool:

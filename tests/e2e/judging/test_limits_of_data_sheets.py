@@ -1,0 +1,83 @@
+"""Limits in the units of data sheets: one-sided noise densities, and scale factors of counts."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+COUNTS = 131.072  # LSB per deg/s
+
+
+@pytest.fixture(scope="module")
+def sheet(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
+    """Gyros of 10 and 14 mdps/sqrt(Hz), one-sided, at 10 Hz; the first one gives counts as well."""
+    folder = tmp_path_factory.mktemp("sheet")
+    rng = np.random.default_rng(12)
+    for unit, density in (("N10", 10.0), ("N14", 14.0)):
+        # the one-sided density S of white samples is 2 sd**2 over the rate
+        sd = density * 1e-3 * np.sqrt(10.0 / 2)
+        rows = "\n".join(f"{at / 10:.1f},{rate:.8f}" for at, rate in enumerate(rng.normal(0.1, sd, 36_000)))
+        (folder / f"{unit}.csv").write_text(f"time[s],rate[dps]\n{rows}\n")
+    with (folder / "scale.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time[s]", "rate[LSB]", "procedure", "step", "rate_command[deg/s]"])
+        at = 0
+        for rate in (sign * size for sign in (1, -1) for size in (1, 2, 5, 10, 20, 50, 75, 100, 150, 200, 240)):
+            for _ in range(30):
+                writer.writerow(
+                    [at, round(COUNTS * 1.02 * rate + rng.normal(0, 2)), "scale_factor_jjf2014", "rate", rate]
+                )
+                at += 1
+    (folder / "limits.toml").write_text("""
+name = "MG"
+revision = "A"
+valid_from = 2020-01-01
+[[limit]]
+metric = "angle_random_walk"
+upper = 12.0
+unit_of_measure = "mdps/rtHz"
+[[limit]]
+metric = "scale_factor"
+lower = 129.8
+upper = 132.4
+unit_of_measure = "LSB/dps"
+""")
+    at_rest = ("--start", "2026-03-02T13:00:00Z", "--procedure", "static_bias", "--position", "IRA_up")
+    for words in (
+        ("import", "N10.csv", "--unit", "N10", *at_rest), ("import", "N14.csv", "--unit", "N14", *at_rest),
+        ("import", "scale.csv", "--unit", "C", "--start", "2026-03-02T09:00:00Z"),
+    ):  # fmt: skip
+        done = run_command(*words, "--store", "s", cwd=folder)
+        assert done.code == 0, done.err
+    done = run_command("limits", "add", "limits.toml", "--store", "s", cwd=folder)
+    assert done.code == 0, done.err
+    said = " ".join((done.out + done.err).split())
+    assert "12 mdps/rtHz is taken as a one-sided noise density, 0.5091 deg/sqrt(h)" in said
+    return folder
+
+
+def verdict_of(folder: Path, run_command: Callable[..., Any], unit: str, metric: str) -> dict[str, Any]:
+    rows = run_command("verdicts", "--unit", unit, "--store", "s", "--json", cwd=folder).json["verdicts"]
+    (row,) = (row for row in rows if row["metric"] == metric)
+    found: dict[str, Any] = row
+    return found
+
+
+@pytest.mark.parametrize(("unit", "density", "verdict"), [("N10", 10.0, "PASS"), ("N14", 14.0, "FAIL")])
+def test_a_noise_density_is_one_sided(
+    sheet: Path, run_command: Callable[..., Any], unit: str, density: float, verdict: str
+) -> None:
+    """A gyro of 14 mdps/sqrt(Hz) had 9.9 and passed 12: the root of two was missing."""
+    row = verdict_of(sheet, run_command, unit, "angle_random_walk")
+    assert row["verdict"] == verdict, row
+    assert row["unit_of_measure"] == "mdps/rtHz"
+    assert row["lo"] < density < row["hi"]
+
+
+def test_a_scale_factor_of_counts_is_judged_in_counts(sheet: Path, run_command: Callable[..., Any]) -> None:
+    row = verdict_of(sheet, run_command, "C", "scale_factor")
+    assert row["verdict"] == "FAIL", row
+    assert abs(row["value"] / (1.02 * COUNTS) - 1) < 1e-3
