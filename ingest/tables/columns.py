@@ -156,6 +156,11 @@ class _HeaderReader:
         name, unit, is_foreign = _parts(title)
         if title in self._renames:
             name, new_unit, _ = _parts(self._renames[title])
+            if None not in (unit, new_unit) and unit != new_unit:
+                self.columns.remarks.append(
+                    f"warning: column {title!r}: its numbers are taken as {new_unit}, as --rename says, and are not "
+                    f"converted from {unit}"
+                )
             unit, is_foreign = unit if new_unit is None else new_unit, False
             unit = None if name in {"unit", "run"} | WORD_NAMES and new_unit is None else unit
         is_time = _is_time_name(name)

@@ -92,3 +92,13 @@ def test_a_bad_row_has_the_line_of_the_file(run_command: Callable[..., Any], tmp
     done = run_command("import", "log.csv", "--unit", "U", "--store", "s", cwd=tmp_path)
     assert done.code != 0
     assert "line 27" in done.err
+
+
+def test_a_unit_that_rename_replaces_is_warned_of(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time[s],rate_x[count]\n0,131\n1,131\n", encoding="utf-8")
+    words = ("--rename", "rate_x[count]=rate_x[deg/s]", "--unit", "U", "--store", "s")
+    done = run_command("import", "log.csv", *words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "taken as deg/s, as --rename says, and are not converted from count" in " ".join(
+        (done.out + done.err).split()
+    )
