@@ -17,6 +17,7 @@ from stream.batch import FloatArray
 LONGEST_PERIOD_BLOCKS = 80
 SHORTEST_PERIOD_BLOCKS = 2.2
 _PADDING = 4
+_REFINEMENTS = 4
 _WINDOW = 401  # grid points, about 100 independent ones, over which the spectrum is assumed smooth
 EDGE_BLOCKS = 10  # a jump nearer to an end of its run is part of the turn-on scatter
 SHORTEST_RUN_BLOCKS = 60  # in a shorter run a jump cannot be separated from a slow change
@@ -57,15 +58,33 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
     best = int(np.argmax(level))
     p_value = float(chi_square_sf(level[best], degrees))
     block_s = records[0].noise_model.block_s
-    frequency_hz = float(per_block[band][best] / block_s)
-    return StrongestLine(frequency_hz, p_value, min(1.0, p_value * level.size), spectra[:, best])
+    found, powers = _between_grid_points(pieces, float(per_block[band][best]), 1 / size)
+    return StrongestLine(found / block_s, p_value, min(1.0, p_value * level.size), powers)
+
+
+def _between_grid_points(
+    pieces: Sequence[tuple[FloatArray, int]], per_block: float, step: float
+) -> tuple[float, FloatArray]:
+    """Frequency near a grid point at which the power is largest, and the periodogram of each run there.
+
+    A strong line off the grid leaves enough of itself for a second line beside it.
+    """
+    for _ in range(_REFINEMENTS):
+        near = per_block + step * np.linspace(-1, 1, 2 * _PADDING + 1)
+        powers = np.array([
+            np.abs(piece @ np.exp(-2j * np.pi * np.outer(np.arange(piece.size), near))) ** 2 * 2 / blocks
+            for piece, blocks in pieces
+        ])  # fmt: skip
+        best = int(powers.sum(axis=0).argmax())
+        per_block, step = float(near[best]), step / _PADDING
+    return per_block, np.asarray(powers[:, best], np.float64)
 
 
 def line_columns(record: UnitRecord, frequency_hz: float) -> FloatArray:
-    """Cosine and sine of each run of a record, shape (n, 2 * runs)."""
-    number = record.stack.run_number
-    phase = 2 * np.pi * frequency_hz * record.noise_model.block_s * record.stack.slot
-    runs = number[:, None] == np.arange(len(record.stack.runs))
+    """Cosine and sine of each run of a record as means of blocks, which attenuate them; shape (n, 2 * runs)."""
+    number, block_s = record.stack.run_number, record.noise_model.block_s
+    phase = 2 * np.pi * frequency_hz * block_s * record.stack.slot
+    runs = np.sinc(frequency_hz * block_s) * (number[:, None] == np.arange(len(record.stack.runs)))
     return np.column_stack([runs * np.cos(phase)[:, None], runs * np.sin(phase)[:, None]])
 
 
