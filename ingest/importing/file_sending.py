@@ -22,7 +22,16 @@ from stream.batch import SampleBatch
 from stream.decoding import decode_json
 from stream.delivery.publisher import Sender
 from stream.errors import BadInput, StoreError
-from stream.events import NoteAdded, RunEnded, RunStarted, StationStated, StreamTotal, UnitMounted
+from stream.events import (
+    NoteAdded,
+    RunEnded,
+    RunStarted,
+    StationStated,
+    StepEnded,
+    StepStarted,
+    StreamTotal,
+    UnitMounted,
+)
 from stream.identity import Place, event_key, sample_key
 
 _Name = tuple[str, str, str]
@@ -193,7 +202,12 @@ class FileSending:
     def _send_file(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
         """Send samples and steps that the store does not have; returns how many messages that were."""
         news = 0
+        began: dict[str, int] = {}
         for item in self._file.batches(lambda unit, run: epochs[unit, run], self._stored.new, progress):
+            if isinstance(item, StepStarted):
+                began[item.uid] = item.t_ns
+            elif isinstance(item, StepEnded):
+                item = self._end_of(item, began.get(item.step_uid))
             if isinstance(item, SampleBatch):
                 sender.send_batch(sample_key(self._place, item.unit, item.signal), item)
                 self._sent[item.unit, item.run, item.signal] += len(item)
@@ -203,6 +217,14 @@ class FileSending:
                 sender.send_event(event_key(self._place), item)
                 news += 1
         return news
+
+    def _end_of(self, ended: StepEnded, began_ns: int | None) -> StepEnded:
+        """The end of a step; another document where the file has grown beyond the end that is stored."""
+        for step in self._stored.known.steps:
+            is_same = (step.unit, step.run, step.t_start_ns) == (ended.unit, ended.run, began_ns)
+            if is_same and step.t_start_ns <= step.t_end_ns < ended.t_ns and ended.uid in self._known_uids:
+                return msgspec.structs.replace(ended, uid=_uid("later end", ended.uid, str(ended.t_ns)))
+        return ended
 
     def missing(self, in_lake: Counter[_Name], where: str) -> str | None:
         """A sentence on samples that were sent and are not in the lake; None if all are there."""

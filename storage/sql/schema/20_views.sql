@@ -122,7 +122,10 @@ select
   b.t_ns as t_start_ns,
   e.t_ns as t_end_ns
 from (select * from internal.lake_documents where kind = 'StepStarted') b
-left join (select * from internal.lake_documents where kind = 'StepEnded') e
+left join (                             -- a file that has grown ends its last step again
+  select * from internal.lake_documents where kind = 'StepEnded'
+  qualify row_number() over (partition by run, unit, document->>'$.step_uid' order by t_ns desc, uid) = 1
+) e
   on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid;
 
 create or replace view estimates as

@@ -34,7 +34,10 @@ select b.document->'$.words' as words, b.t_ns as t_start_ns, e.t_ns as t_end_ns,
   case when e.uid is null then 'open' else coalesce(e.document->>'$.outcome', 'completed') end as outcome,
   count(*) as units, coalesce(list(b.uid) filter (e.uid is null), []) as open
 from (select * from internal.lake_documents where kind = 'StepStarted' and run = $run) b
-left join (select * from internal.lake_documents where kind = 'StepEnded' and run = $run) e
+left join (
+  select * from internal.lake_documents where kind = 'StepEnded' and run = $run
+  qualify row_number() over (partition by unit, document->>'$.step_uid' order by t_ns desc, uid) = 1
+) e
   on e.unit = b.unit and e.document->>'$.step_uid' = b.uid
 group by all order by t_start_ns limit 20000
 """
