@@ -23,7 +23,7 @@ _LEAST_FREEDOM = 3.0  # of a random walk fitted to a record
 
 
 @compiled
-def _allan_kernel(dense: FloatArray, factors: IntArray) -> tuple[FloatArray, IntArray]:
+def _allan_kernel(dense: FloatArray, factors: IntArray, share: float) -> tuple[FloatArray, IntArray]:
     size = dense.size
     sums = np.zeros(size + 1)
     valid = np.zeros(size + 1, np.int64)
@@ -35,7 +35,7 @@ def _allan_kernel(dense: FloatArray, factors: IntArray) -> tuple[FloatArray, Int
     windows = np.zeros(factors.size, np.int64)
     for j in range(factors.size):
         m = factors[j]
-        least = 0.9 * m
+        least = max(0.9 * m * share, 1.0)
         stride = max(1, m // 16)
         total = 0.0
         for i in range(0, size - 2 * m + 1, stride):
@@ -49,11 +49,23 @@ def _allan_kernel(dense: FloatArray, factors: IntArray) -> tuple[FloatArray, Int
     return variances, windows
 
 
+def local_share(dense: FloatArray) -> float:
+    """Share of the blocks after a known one that are known: 1 beside few gaps, less where single blocks are lost.
+
+    >>> local_share(np.array([1.0, 1.0, np.nan, np.nan, 1.0, 1.0])), local_share(np.array([1.0, np.nan, 1.0, 2.0]))
+    (0.6666666666666666, 0.5)
+    """
+    known = ~np.isnan(dense)
+    before = int(np.count_nonzero(known[:-1]))
+    both = np.count_nonzero(known[:-1] & known[1:])
+    return float((both or 1) / before) if before else 1.0
+
+
 def octave_variances(dense: FloatArray) -> tuple[FloatArray, IntArray]:
     """Overlapping Allan variance by octaves up to a third of the stretch."""
     most = max(dense.size // 3, 1)
     factors = 2 ** np.arange(int(math.log2(most)) + 1, dtype=np.int64)
-    variances, windows = _allan_kernel(dense, factors)
+    variances, windows = _allan_kernel(dense, factors, local_share(dense))
     known = (windows > 0) & (variances > 0)
     return variances[known], factors[known]
 

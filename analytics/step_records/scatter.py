@@ -48,6 +48,8 @@ def scatter_freedom(dense: FloatArray, variance: float) -> float:
     if n < _LEAST_OCTAVES or variance <= 0:
         return by_neighbours
     variances, factors = octave_variances(dense)
+    if not factors.size:  # no two values are neighbours
+        return by_neighbours
     parts = np.minimum(variances / 2, variance)
     counts = np.maximum(n / (2.0 * factors), 1.0)
     slowest = max(0.0, variance - float(parts.sum()))

@@ -5,7 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.step_records.record_noise import TERMS, fit_noise, octave_variances, variance_freedoms, variance_of_mean
+from analytics.step_records.record_noise import (
+    TERMS,
+    fit_noise,
+    local_share,
+    octave_variances,
+    variance_freedoms,
+    variance_of_mean,
+)
 from analytics.step_records.scatter import Average, scatter_freedom, scatter_of_averages
 from stream.batch import FloatArray, IntArray
 
@@ -95,7 +102,8 @@ def series_statistics(
         parts, freedom = np.full(TERMS, np.nan), float(n - 1)
     else:
         base_s = base_ns / 1e9
-        valid_s = float(np.count_nonzero(~np.isnan(dense))) * base_s
+        # means of octaves have as many losses as the record where these are single, and none beside a gap
+        valid_s = float(np.count_nonzero(~np.isnan(dense))) * base_s / local_share(dense)
         freedoms = variance_freedoms(factors, dense.size)
         taus_s = np.asarray(factors * base_s, np.float64)
         fit = fit_noise(taus_s, variances, freedoms, duration_s=valid_s, sample_s=base_s / samples_per_block)

@@ -156,7 +156,10 @@ def _header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> t
     above = _cells(lines[written[first - 1]][0], delimiter)
     has_units = len(alike) > 1 and alike[-2] == first - 2 and any(above) and all(map(_is_unit_cell, above))
     header = first - 1 - has_units
-    if alike[0] < header:  # the first lines are rows that are not right
+    titles = _cells(lines[written[header]][0], delimiter)
+    if header and ("[" in lines[written[0]][0] or any(_is_row(cell) or not cell for cell in titles)):
+        return written[0], None  # the first line has titles, and rows below it are not right
+    if alike[0] < header:
         return written[0], None
     return written[header], written[first - 1] if has_units else None
 

@@ -15,6 +15,7 @@ _MULTIPLE = 0.01  # of an interval: within it, a grid of rounded times is that o
 _MOST_ROUNDING = 0.25  # of an interval: coarser times do not show that the samples are on a grid
 _LEAST_ROUNDED = 30  # intervals of the rarer length that show rounding
 _MOST_RANGE = 0.4  # of the times about an even grid, by what losses at random would make of it
+_GEOMETRIC = 5.0  # standard deviations that the shortest intervals may be away from their number by chance
 _LONE_SAMPLE_DT_NS = 10**9
 _GAP = 1.5
 # After a gap longer than this many intervals the source may have restarted with another grid.
@@ -97,6 +98,8 @@ class SamplingGrid:
         dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
         if (rounded := _coarsely_rounded(intervals_ns[:MEDIAN_INTERVALS])) is not None:
             dt_ns, self._step_ns = rounded
+        elif (finer := _grid_with_losses(intervals_ns[:MEDIAN_INTERVALS])) is not None:
+            dt_ns = finer
         if self._from_measured is not None:
             dt_ns = self._from_measured(intervals_ns, dt_ns)
         self._dt_ns = dt_ns = min(dt_ns, MAX_INTERVAL_NS)  # two samples decades apart have a gap between them
@@ -192,6 +195,32 @@ def _coarsely_rounded(intervals_ns: IntArray) -> tuple[int, int] | None:
     if step_ns <= _MOST_ROUNDING * mean_ns or np.ptp(away_ns) > _MOST_RANGE * spread_ns:
         return None
     return round(mean_ns), step_ns
+
+
+def _grid_with_losses(intervals_ns: IntArray) -> int | None:
+    """Interval of samples of which more than half are lost at random; None where the times show none.
+
+    Their intervals are multiples of it, and the shorter a multiple, the more often it occurs: as the number of trials
+    until a success does. The median interval would be several of them, and nothing would seem lost.
+
+    >>> kept = np.flatnonzero(np.random.default_rng(1).random(4000) < 0.3) * 500_000_000
+    >>> _grid_with_losses(np.diff(kept)), _grid_with_losses(np.full(100, 10))
+    (500000000, None)
+    """
+    if len(intervals_ns) < _LEAST_ROUNDED:
+        return None
+    shortest_ns = int(intervals_ns.min())
+    if 2 * shortest_ns > 1.5 * _median(intervals_ns):
+        return None
+    near = intervals_ns[intervals_ns < (1 + 2 * _GRID_TOLERANCE) * shortest_ns]
+    grid_ns = round(float(near.mean()))
+    multiples = np.maximum(np.rint(intervals_ns / grid_ns).astype(np.int64), 1)
+    off = np.abs(intervals_ns - multiples * grid_ns) > _GRID_TOLERANCE * grid_ns
+    counts = np.bincount(np.minimum(multiples, 4), minlength=5)
+    is_falling = counts[1] >= counts[2] >= counts[3] > 0
+    expected = len(intervals_ns) / float(multiples.mean())  # of the shortest, by the geometric distribution
+    is_geometric = abs(counts[1] - expected) < _GEOMETRIC * math.sqrt(expected)
+    return grid_ns if not off.any() and is_falling and is_geometric else None
 
 
 def _median(intervals_ns: IntArray) -> int:
