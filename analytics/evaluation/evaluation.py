@@ -230,9 +230,8 @@ def _add_bounds(columns: dict[str, pa.Array], source: BoundsSource) -> None:
     if source is BoundsSource.T:
         lo, hi = t_bounds(value, u, np.nan_to_num(freedom, nan=1e9))
     elif source is BoundsSource.CHI_SQUARE:
-        degrees = np.nan_to_num(freedom, nan=1.0)
-        lo, hi = chi_square_bounds(value, degrees)
-        u = np.where(np.isnan(u), deviation_uncertainty(value, degrees), u)
+        lo, hi = chi_square_bounds(value, freedom)  # nothing where nobody knows the degrees of freedom
+        u = np.where(np.isnan(u), deviation_uncertainty(value, freedom), u)
     # a statement that gives its own bounds can be wrong; what is judged by them would be too
     margin = 1e-9 * np.abs(value)
     wrong = ~missing & ((lo > value + margin) | (hi < value - margin))

@@ -42,7 +42,7 @@ _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
 _PACKAGES = (
     "analytics.metrics", "analytics.methods", "analytics.system_level", "analytics.metric_registry",
-    "analytics.evaluation.views", "analytics.uncertainty",
+    "analytics.evaluation", "analytics.evaluation.views", "analytics.uncertainty",
 )  # fmt: skip
 
 

@@ -1,15 +1,33 @@
 -- One verdict for each unit: the worst of its limits. A limit's own verdict is the worst of its values; an attempt that
 -- gave no value counts only where no other did. A unit passes only where limits of a specification were judged: checks
 -- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each
--- limit instead: after a repair and a second test the two differ.
+-- limit instead: after a repair and a second test the two differ. A value of a run whose date is not known, so that
+-- nobody can say which revision judges it, keeps its unit from passing.
 create or replace table internal.limit_verdicts as
-select unit, signal, metric, subject, of_standard, specification,
-  verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict,
-  coalesce(arg_max(verdict, (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 'NO_DATA') as latest_verdict,
+with undated as (
+  select distinct m.unit, m.run, m.metric from unit_metrics m join unit_runs r on r.unit = m.unit and r.run = m.run
+  where not r.date_known and m.value is not null
+), attempt as (
+  select v.*, case when subject = 'entered' then '' else coalesce(standard, '') end as of_standard,
+    u.run is not null and v.revision is null and v.specification is not null as is_unjudged
+  from verdicts v left join undated u on u.unit = v.unit and u.run = v.run and u.metric = v.metric
+), unjudged as (
+  select unit, metric, specification, any_value(signal) as signal from attempt where is_unjudged
+  group by unit, metric, specification, signal
+)
+select a.unit, a.signal, a.metric, a.subject, a.of_standard, a.specification,
+  verdict_of_rank(least(
+    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3), if(bool_or(u.unit is not null), 3, 4)))
+    as verdict,
+  case when bool_or(u.unit is not null) then 'NO_DATA' else
+    coalesce(arg_max(verdict, (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 'NO_DATA') end
+    as latest_verdict,
   count(*) as attempts,
   any_value(reason) filter (subject = 'product') as of_product  -- why no limit of its product is applied
-from (select *, case when subject = 'entered' then '' else coalesce(standard, '') end as of_standard from verdicts)
-group by unit, signal, metric, subject, of_standard, specification;
+from attempt a left join unjudged u
+  on u.unit = a.unit and u.metric = a.metric and u.specification = a.specification
+  and u.signal is not distinct from a.signal
+group by a.unit, a.signal, a.metric, a.subject, a.of_standard, a.specification;
 
 create or replace macro unit_verdict(worst_rank, limits) as
   case when worst_rank = 4 and limits = 0 then 'NO_DATA' else verdict_of_rank(worst_rank) end;
