@@ -12,7 +12,7 @@ from pyarrow import csv as arrow_csv
 from ingest.tables.columns import Columns
 from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, without_blanks
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
-from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
+from ingest.tables.times import decimal_places, match_stamp, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
 from stream.batch import IntArray
 from stream.errors import BadInput
 
@@ -87,7 +87,8 @@ class CsvTable:
         self._lines = LineReader(self.titles, columns, self._dialect.delimiter, self._decimal_mark, time_zone)
         self._places = None if columns.time is None else decimal_places(columns.time.ns_per_unit)
         if columns.time is not None and columns.time.is_stamp:
-            self._has_stamps_without_zone = self._dialect.lacks_zone(columns.time.title)
+            self._lines.has_zone = self._dialect.has_zone(columns.time.title)
+            self._has_stamps_without_zone = self._lines.has_zone is False
 
     def blocks(self) -> Iterator[CellBlock]:
         """Read the rows from the beginning."""
@@ -244,6 +245,9 @@ class CsvTable:
         if array.null_count:
             return None
         if time.is_stamp:
+            first = match_stamp(array[0].as_py() or "") if len(array) else None
+            if first is not None and self._lines.has_zone not in (None, first["zone"] is not None):
+                return None  # some cells name a zone, and others do not
             return ns_from_stamps(array, self._time_zone)
         if self._places is not None:
             times_ns, wrong = ns_from_decimals(array, self._places)

@@ -55,11 +55,12 @@ class Dialect:
         first = next(self._sample_cells(), ())
         return frozenset(title for title, cell in zip(self.titles, first, strict=False) if match_stamp(cell))
 
-    def lacks_zone(self, title: str) -> bool:
-        """Whether a time stamp of the column names no zone."""
+    def has_zone(self, title: str) -> bool | None:
+        """Whether the first time stamp of the column names a zone; None if there is none."""
         column = self.titles.index(title)
-        matches = [match_stamp(cells[column]) for cells in self._sample_cells() if len(cells) > column]
-        return any(match is not None and match["zone"] is None for match in matches)
+        cells = (cells[column] for cells in self._sample_cells() if len(cells) > column)
+        first = next((found for each in cells if (found := match_stamp(each)) is not None), None)
+        return None if first is None else first["zone"] is not None
 
     def decimal_mark(self, titles: Sequence[str]) -> str:
         """Decimal mark of the columns: that of the first number among them that has one."""
@@ -221,6 +222,7 @@ class LineReader:
     ) -> None:
         self._titles, self._columns, self._delimiter = titles, columns, delimiter
         self._decimal_mark, self._time_zone = decimal_mark, time_zone
+        self.has_zone: bool | None = None  # whether the time stamps name one; of the first row
         self._signals = {column.title: column.name for column in columns.signals}
         self._texts = frozenset(columns.text_titles)
 
@@ -277,7 +279,11 @@ class LineReader:
         time = self._columns.time
         assert time is not None
         if time.is_stamp:
-            if match_stamp(text) is None:
+            stamp = match_stamp(text)
+            if stamp is not None and self.has_zone not in (None, stamp["zone"] is not None):
+                which = "with a zone" if self.has_zone else "without a zone"
+                raise _BadCell(title, text, f"a time stamp {which}, as in the first row")
+            if stamp is None:
                 raise _BadCell(title, text, "a time stamp, like 2026-11-21T18:00:00.5Z")
             found, expected = ns_from_stamp(text, self._time_zone), "a moment that exists, within 146 years of 1970"
         else:

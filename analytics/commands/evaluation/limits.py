@@ -220,11 +220,14 @@ def _enter(
     file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
 ) -> None:
     from analytics.metric_registry.registry import metrics
+    from analytics.specifications.checking import checked_specification
     from analytics.specifications.entering import add_specification
+    from storage.specifications.specification import read_specification
     from storage.specifications.validity import stored_specifications
     from storage.store import Store
     from stream.quantities import is_noise_density, result_factor
 
+    checked_specification(read_specification(file), str(file))  # before a store is made for it
     store = Store.create(folder)
     found, is_new, proposal = add_specification(
         store, file, by=acting(by), reason=reason, is_revision=is_revision, rejudges=rejudges

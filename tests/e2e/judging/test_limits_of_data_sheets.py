@@ -81,3 +81,9 @@ def test_a_scale_factor_of_counts_is_judged_in_counts(sheet: Path, run_command: 
     row = verdict_of(sheet, run_command, "C", "scale_factor")
     assert row["verdict"] == "FAIL", row
     assert abs(row["value"] / (1.02 * COUNTS) - 1) < 1e-3
+
+
+def test_a_refused_specification_leaves_no_store(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text('name = "X"\nrevision = "A"\n[[limit]]\nmetric = "bais"\nupper = 1.0\n')
+    assert run_command("limits", "add", "bad.toml", "--store", "s", cwd=tmp_path).code != 0
+    assert not (tmp_path / "s").exists()

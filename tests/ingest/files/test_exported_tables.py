@@ -102,3 +102,20 @@ def test_a_unit_that_rename_replaces_is_warned_of(run_command: Callable[..., Any
     assert "taken as deg/s, as --rename says, and are not converted from count" in " ".join(
         (done.out + done.err).split()
     )
+
+
+@pytest.mark.parametrize("zones", [("+08:00", ""), ("", "+08:00"), ("Z", "")])
+def test_stamps_with_and_without_a_zone_are_not_mixed(
+    run_command: Callable[..., Any], tmp_path: Path, zones: tuple[str, str]
+) -> None:
+    """Eight hours would lie between two rows."""
+    stamps = [f"2026-03-01T12:00:{second:02d}{zones[second >= 20]}" for second in range(40)]
+    text = "Timestamp,rate[deg/h]\n" + "".join(f"{each},1.5\n" for each in stamps)
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    words = ("import", "log.csv", "--unit", "U", "--store", "s")
+    done = run_command(*words, cwd=tmp_path)
+    assert done.code != 0
+    assert "line 22" in done.err
+    assert "a zone, as in the first row" in " ".join(done.err.split())
+    done = run_command(*words, "--skip-bad", "--json", cwd=tmp_path)
+    assert done.json["files"][0]["bad_row_count"] == 20
