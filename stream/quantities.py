@@ -16,6 +16,7 @@ ANGULAR_RATE_UNIT = "deg/h"
 
 _ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
 _ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second", "dps"})
+_SIDE = re.compile(r"(.*?)\s*,\s*(one|two)-sided\s*")
 _ROOT = re.compile(r"sqrt\(([^()]+)\)")
 _ROOT_SIGN = re.compile(r"(?:√|(?<![A-Za-z])rt)(?:\(([^()]+)\)|(?<=√)([A-Za-z]+))|(?<![A-Za-z])rt(Hz|h|hr)\b")
 _PLAIN = {0xFF01 + at: chr(0x21 + at) for at in range(94)} | {
@@ -118,13 +119,8 @@ def check_unit(text: str) -> str:
 def conversion(source: str, target: str) -> tuple[float, float]:
     """Factor and offset that convert a value from `source` to `target` units; an UnknownUnit if it is not possible.
 
-    A noise density, as deg/s/sqrt(Hz) on data sheets, is one-sided: it is sqrt(2) times the coefficient of the walk in
-    deg/sqrt(h) or deg/sqrt(s), whose spectrum N**2 is two-sided (IEEE 952-1997 annex C.1.1).
-
     >>> conversion("deg/s", "deg/h")
     (3600.0, 0.0)
-    >>> conversion("deg/s/Hz**0.5", "deg/s**0.5")[0] == 0.5**0.5
-    True
     """
     if source == target:
         return 1.0, 0.0
@@ -138,14 +134,19 @@ def conversion(source: str, target: str) -> tuple[float, float]:
         one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
     except DimensionalityError as error:
         raise _no_conversion(source, target) from error
-    factor = float(one - zero) * _density_factor(source, target)
+    factor = float(one - zero)
     # a factor of exactly 3600 comes out of pint as 3599.9999999999995
     return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(zero)
 
 
-def _density_factor(source: str, target: str) -> float:
-    of_source, of_target = is_noise_density(source), is_noise_density(target)
-    return 1.0 if of_source == of_target else math.sqrt(2.0) if of_target else math.sqrt(0.5)
+def side_of(text: str) -> tuple[str, str | None]:
+    """A unit of a noise density without its side, and the side: ``one``, ``two``, or None where none is named.
+
+    >>> side_of("mdps/sqrt(Hz), one-sided"), side_of("deg/h")
+    (('mdps/sqrt(Hz)', 'one'), ('deg/h', None))
+    """
+    match = _SIDE.fullmatch(text)
+    return (match[1], match[2]) if match else (text, None)
 
 
 @cache
@@ -155,6 +156,7 @@ def is_noise_density(text: str) -> bool:
     >>> is_noise_density("mdps/sqrt(Hz)"), is_noise_density("deg/sqrt(h)"), is_noise_density("deg/h")
     (True, False, False)
     """
+    text, _ = side_of(text)
     if "hz" not in text.lower() and "hertz" not in text.lower():
         return False
     return _powers(_ROOT.sub(r"(\1)**0.5", plain_unit(text))).get("hertz") == -0.5
@@ -196,14 +198,25 @@ def report_unit(text: str) -> tuple[str, float]:
 def result_factor(source: str, target: str) -> float:
     """Factor between two units of results, such as ``deg/sqrt(h)`` and ``ppm/degC``; an UnknownUnit if there is none.
 
-    Here an angle has a dimension: Hz is not deg/h, and ppm not arcsec.
+    Here an angle has a dimension: Hz is not deg/h, and ppm not arcsec. A noise density that is one-sided is sqrt(2)
+    times the coefficient of the walk, whose spectrum N**2 is two-sided (IEEE 952-1997 annex C.1.1).
 
     >>> result_factor("deg/sqrt(h)", "deg/sqrt(s)") * 60
     1.0
+    >>> round(result_factor("mdps/sqrt(Hz), one-sided", "deg/sqrt(h)") * 12, 4)
+    0.5091
     >>> result_factor("deg/h", "Hz")
     Traceback (most recent call last):
     stream.errors.UnknownUnit: 'deg/h' cannot be converted to 'Hz': they measure different quantities
     """
+    if source == target:
+        return 1.0
+    sides = {"one": math.sqrt(2.0)}
+    (source, of_source), (target, of_target) = side_of(source), side_of(target)
+    return _plain_factor(source, target) * sides.get(of_target or "", 1.0) / sides.get(of_source or "", 1.0)
+
+
+def _plain_factor(source: str, target: str) -> float:
     if source == target:
         return 1.0
     plain = [_ROOT.sub(r"(\1)**0.5", plain_unit(check_result_unit(text))) for text in (source, target)]
@@ -234,7 +247,10 @@ def check_result_unit(text: str) -> str:
     >>> check_result_unit("deg/sqrt(h)")
     'deg/sqrt(h)'
     """
-    check_unit(_ROOT.sub(r"(\1)**0.5", plain_unit(text)))
+    plain, side = side_of(text)
+    check_unit(_ROOT.sub(r"(\1)**0.5", plain_unit(plain)))
+    if side is not None and not is_noise_density(plain):
+        raise UnknownUnit(f"{text!r}: only a noise density, as deg/s/sqrt(Hz), is one- or two-sided")
     return text
 
 

@@ -49,4 +49,4 @@ def _unknown(store: Store, known: Certificates) -> Iterator[Finding]:
     for path in sorted((store.folder / FOLDER).glob("*")):
         if path.suffix in {".pdf", ".xml"} and path.is_file() and path not in issued:
             what = "this store never issued it, or was interrupted as it did: it is no certificate"
-            yield Finding("certificate_not_issued", Severity.UNFINISHED, str(path), what, "delete it")
+            yield Finding("certificate_not_issued", Severity.NOTE, str(path), what, "delete it")

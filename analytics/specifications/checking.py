@@ -9,7 +9,7 @@ from analytics.metric_registry.registry import alike, check_metrics, metrics
 from storage.specifications import specification
 from storage.specifications.specification import Specification, SpecificationLimit
 from stream.errors import BadInput, UnknownUnit
-from stream.quantities import check_result_unit, result_factor
+from stream.quantities import check_result_unit, is_noise_density, result_factor, side_of
 
 # parameters that have one of a few words
 _WORDS = {"earth_rate": ("none", "removed"), "kind": KINDS}
@@ -71,6 +71,21 @@ def _check_limit(limit: SpecificationLimit, found: Specification, place: str) ->
         )
 
 
+def _check_side(limit: SpecificationLimit, unit: str, place: str) -> None:
+    """Refuse a noise density that does not say its side: data sheets mean either, which differ by sqrt(2)."""
+    measure, side = side_of(limit.unit_of_measure)
+    if side is not None or is_noise_density(unit) or not is_noise_density(measure):
+        return
+    value = limit.upper if limit.upper is not None else limit.lower
+    assert value is not None  # a limit has one side or both
+    one, two = (value * result_factor(f"{measure}, {each}-sided", unit) for each in ("one", "two"))
+    raise BadInput(
+        f"{place}: unit_of_measure: say which noise density: '{measure}, one-sided' as on data sheets of vibratory "
+        f"gyros ({value:g} is {one:.4g} {unit}), or '{measure}, two-sided' as in IEEE 952 and on data sheets of "
+        f"fibre-optic gyros ({two:.4g} {unit})"
+    )
+
+
 def _is_per_rate(unit: str) -> bool:
     """Whether a unit is that of an output that is no rate, over a rate: count/(deg/s), V/(deg/s)."""
     for output in _OUTPUTS:
@@ -85,6 +100,7 @@ def _check_unit(limit: SpecificationLimit, unit: str, place: str) -> None:
         check_result_unit(limit.unit_of_measure)
     except UnknownUnit as error:
         raise BadInput(f"{place}: unit_of_measure: {error}") from error
+    _check_side(limit, unit, place)
     # what a metric's header names may depend on the output, as "output/(deg/s)": then it is known with the value
     with suppress(UnknownUnit):
         check_result_unit(unit)

@@ -248,7 +248,7 @@ def _enter(
         if is_noise_density(limit.unit_of_measure) and limit.upper is not None:
             unit = metrics()[limit.metric].header.unit
             notes().print(
-                f"{limit.subject}: {limit.upper:g} {limit.unit_of_measure} is taken as a one-sided noise density, "
+                f"{limit.subject}: {limit.upper:g} {limit.unit_of_measure}, is "
                 f"{limit.upper * result_factor(limit.unit_of_measure, unit):.4g} {unit}",
                 soft_wrap=True,
             )

@@ -103,7 +103,7 @@ def test_a_wrong_time_stamp_is_a_bad_row(gyrofleet: Run, tmp_path: Path) -> None
     refused = gyrofleet("import", path, "--unit", "U1")
     assert refused.code == 1
     assert "line 3, column time: found '2026-11-21T25:00:01Z', expected a moment that exists" in refused.err
-    assert "line 4, column time: found 'noon', expected an ISO 8601 time stamp" in refused.err
+    assert "line 4, column time: found 'noon', expected a time stamp, like 2026-11-21T18:00:00.5Z" in refused.err
     assert imported(gyrofleet, path, "--skip-bad")["bad_row_count"] == 2
 
 

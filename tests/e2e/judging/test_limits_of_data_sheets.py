@@ -38,7 +38,7 @@ valid_from = 2020-01-01
 [[limit]]
 metric = "angle_random_walk"
 upper = 12.0
-unit_of_measure = "mdps/rtHz"
+unit_of_measure = "mdps/rtHz, one-sided"
 [[limit]]
 metric = "scale_factor"
 lower = 129.8
@@ -55,7 +55,7 @@ unit_of_measure = "LSB/dps"
     done = run_command("limits", "add", "limits.toml", "--store", "s", cwd=folder)
     assert done.code == 0, done.err
     said = " ".join((done.out + done.err).split())
-    assert "12 mdps/rtHz is taken as a one-sided noise density, 0.5091 deg/sqrt(h)" in said
+    assert "12 mdps/rtHz, one-sided, is 0.5091 deg/sqrt(h)" in said
     return folder
 
 
@@ -73,7 +73,7 @@ def test_a_noise_density_is_one_sided(
     """A gyro of 14 mdps/sqrt(Hz) had 9.9 and passed 12: the root of two was missing."""
     row = verdict_of(sheet, run_command, unit, "angle_random_walk")
     assert row["verdict"] == verdict, row
-    assert row["unit_of_measure"] == "mdps/rtHz"
+    assert row["unit_of_measure"] == "mdps/rtHz, one-sided"
     assert row["lo"] < density < row["hi"]
 
 
@@ -81,6 +81,19 @@ def test_a_scale_factor_of_counts_is_judged_in_counts(sheet: Path, run_command: 
     row = verdict_of(sheet, run_command, "C", "scale_factor")
     assert row["verdict"] == "FAIL", row
     assert abs(row["value"] / (1.02 * COUNTS) - 1) < 1e-3
+
+
+def test_a_noise_density_has_to_say_its_side(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    text = 'name = "X"\nrevision = "A"\n[[limit]]\nmetric = "angle_random_walk"\nupper = 12.0\nunit_of_measure = "{}"\n'
+    (tmp_path / "x.toml").write_text(text.format("mdps/sqrt(Hz)"))
+    refused = run_command("limits", "add", "x.toml", "--store", "s", cwd=tmp_path)
+    assert refused.code != 0
+    assert "(12 is 0.5091 deg/sqrt(h))" in refused.err
+    assert "(0.72 deg/sqrt(h))" in refused.err
+    (tmp_path / "x.toml").write_text(text.format("mdps/sqrt(Hz), two-sided"))
+    assert run_command("limits", "add", "x.toml", "--store", "s", cwd=tmp_path).code == 0
+    (tmp_path / "x.toml").write_text(text.format("deg/sqrt(h), two-sided"))
+    assert "only a noise density" in run_command("limits", "add", "x.toml", "--store", "s", cwd=tmp_path).err
 
 
 def test_a_refused_specification_leaves_no_store(run_command: Callable[..., Any], tmp_path: Path) -> None:

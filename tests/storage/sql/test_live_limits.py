@@ -37,7 +37,9 @@ def test_averages_that_are_not_named_are_all_of_the_metric() -> None:
 
 def test_the_angle_random_walk_is_in_the_unit_of_the_estimator() -> None:
     walk = limit("angle_random_walk", upper=0.6, unit_of_measure="deg/h/sqrt(Hz)", signal="rate_x")
-    assert live(walk) == [("angle_random_walk", "rate_x", None, 0.01, "deg/sqrt(h)")]
+    assert live(walk) == [("angle_random_walk", "rate_x", None, 0.01, "deg/sqrt(h)")]  # two-sided, as it was entered
+    walk = limit("angle_random_walk", upper=0.6, unit_of_measure="deg/h/sqrt(Hz), one-sided", signal="rate_x")
+    assert live(walk) == [("angle_random_walk", "rate_x", None, 0.007071068, "deg/sqrt(h)")]
     assert live(limit("angle_random_walk", unit_of_measure="deg/sqrt(h)", parameters={"method": "normalised"})) == []
 
 
