@@ -211,9 +211,9 @@ def result_factor(source: str, target: str) -> float:
     """
     if source == target:
         return 1.0
-    sides = {"one": math.sqrt(2.0)}
     (source, of_source), (target, of_target) = side_of(source), side_of(target)
-    return _plain_factor(source, target) * sides.get(of_target or "", 1.0) / sides.get(of_source or "", 1.0)
+    roots = (of_target == "one") - (of_source == "one")
+    return _plain_factor(source, target) * float(2.0 ** (roots / 2))
 
 
 def _plain_factor(source: str, target: str) -> float:

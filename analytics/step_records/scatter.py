@@ -30,13 +30,14 @@ def bartlett_freedom(n: int, correlation: float) -> float:
     return min(n - 1.0, max(1.0, (n - 1) * (1 - square) / (1 + square)))
 
 
-def scatter_freedom(dense: FloatArray, variance: float) -> float:
+def scatter_freedom(dense: FloatArray, variance: float, octaves: tuple[FloatArray, IntArray] | None = None) -> float:
     """Degrees of freedom of the variance of values on a grid, NaN where one is missing, however far they correlate.
 
     The octaves of the Haar wavelet split the variance: n/2m coefficients, of half the Allan variance at m, are at the
     octave m, uncorrelated enough for all power laws (Percival 1995, DOI 10.1093/biomet/82.3.619). What is slower than
     the record's octaves is one coefficient or more. At most those of neighbours that correlate as theirs (Bartlett
-    1946), which is exact for Markov noise alone, and all that few values tell.
+    1946), which is exact for Markov noise alone, and all that few values tell. `octaves` are the Allan variances and
+    factors of `dense` where they are known.
 
     >>> values = np.random.default_rng(1).standard_normal(4096)
     >>> bool(3500 < scatter_freedom(values, float(values.var(ddof=1))) < 4200)
@@ -47,7 +48,7 @@ def scatter_freedom(dense: FloatArray, variance: float) -> float:
     by_neighbours = bartlett_freedom(n, _neighbours(dense - float(known.mean()))) if n else 1.0
     if n < _LEAST_OCTAVES or variance <= 0:
         return by_neighbours
-    variances, factors = octave_variances(dense)
+    variances, factors = octave_variances(dense) if octaves is None else octaves
     if not factors.size:  # no two values are neighbours
         return by_neighbours
     parts = np.minimum(variances / 2, variance)

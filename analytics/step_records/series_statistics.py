@@ -96,7 +96,7 @@ def series_statistics(
     grid = (samples_per_block, base_ns, window_ns)
     averages = tuple(_average(start_ns, counts, means, round(each * 1e9), *grid) for each in AVERAGES_S)
     dense = _dense((start_ns - start_ns[0] + base_ns // 2) // base_ns, counts, means - mean, samples_per_block)
-    variances, factors = octave_variances(dense)
+    variances, factors = octaves = octave_variances(dense)
     if dense.size < _LEAST_BLOCKS or variances.size < TERMS:
         u_squared = (within + between) / (n - 1) / n if n > 1 else math.nan
         parts, freedom = np.full(TERMS, np.nan), float(n - 1)
@@ -114,7 +114,7 @@ def series_statistics(
     effective = min(float(n), sd * sd / u_squared) if u_squared > 0 else (float(n) if n > 1 else math.nan)
     return SeriesStatistics(
         n=n, mean=_scaled(mean, exponent), sd=_scaled(sd, exponent),
-        sd_freedom=_sd_freedom(n, means.size, within, between, dense),
+        sd_freedom=_sd_freedom(n, means.size, within, between, dense, octaves),
         standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
         walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step else still,
@@ -166,12 +166,14 @@ def _average(
     return scatter_of_averages(of_block[full], sums[full] / n[full])
 
 
-def _sd_freedom(n: int, blocks: int, within: float, between: float, dense: FloatArray) -> float:
+def _sd_freedom(
+    n: int, blocks: int, within: float, between: float, dense: FloatArray, octaves: tuple[FloatArray, IntArray]
+) -> float:
     """Degrees of freedom of the deviation of all samples; those within blocks count as white."""
     if n < 2 or within + between == 0:
         return float(max(n - 1, 0))
     known = dense[~np.isnan(dense)]
-    freedom = scatter_freedom(dense, float(known.var(ddof=1))) if known.size > 1 else 1.0
+    freedom = scatter_freedom(dense, float(known.var(ddof=1)), octaves) if known.size > 1 else 1.0
     spread = (within * within / (n - blocks) if n > blocks else 0.0) + between * between / freedom
     return min(n - 1.0, max(1.0, (within + between) ** 2 / spread))
 

@@ -133,6 +133,9 @@ class FileSending:
         self._common = self._stored.check(self._file)
         self._held = _held(knowledge, self.runs)
         self._known_uids = frozenset(self._stored.known.uids)
+        self._ends: dict[tuple[str | None, str, int | None], int] = {
+            (step.unit, step.run, step.t_start_ns): step.t_end_ns for step in self._stored.known.steps
+        }
         self._check_moved()
         self._stated = {run: dict(details) for run, details in self._stored.known.stated.items()}
         check_steps(self._stored.known.steps, self.path, self._summary)
@@ -220,11 +223,10 @@ class FileSending:
 
     def _end_of(self, ended: StepEnded, began_ns: int | None) -> StepEnded:
         """The end of a step; another document where the file has grown beyond the end that is stored."""
-        for step in self._stored.known.steps:
-            is_same = (step.unit, step.run, step.t_start_ns) == (ended.unit, ended.run, began_ns)
-            if is_same and step.t_start_ns <= step.t_end_ns < ended.t_ns and ended.uid in self._known_uids:
-                return msgspec.structs.replace(ended, uid=_uid("later end", ended.uid, str(ended.t_ns)))
-        return ended
+        end_ns = self._ends.get((ended.unit, ended.run, began_ns))
+        if end_ns is None or end_ns >= ended.t_ns or ended.uid not in self._known_uids:
+            return ended
+        return msgspec.structs.replace(ended, uid=_uid("later end", ended.uid, str(ended.t_ns)))
 
     def missing(self, in_lake: Counter[_Name], where: str) -> str | None:
         """A sentence on samples that were sent and are not in the lake; None if all are there."""

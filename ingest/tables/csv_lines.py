@@ -26,6 +26,7 @@ _MARGINS = re.compile(rb"(?m)^ | (?=\r?$)")
 _BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 _BLANK = " \t"
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
+_MOST_BEFORE_ROWS = 100  # lines that may stand before the first row of numbers
 _HUNDREDS = re.compile(r"[+-]?[1-9][0-9]{2}")
 _RANGE = "a time within 146 years of 1970 (or of the run's start)"
 
@@ -143,7 +144,7 @@ def _header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> t
     >>> _header_place([("Logger 7", 9), ("", 10), ("t,rate", 17), ("s,deg/s", 25), ("0,1.5", 31)], [0, 2, 3, 4])
     (2, 3)
     """
-    first = next((at for at, i in enumerate(written) if _is_row(lines[i][0])), 0)
+    first = next((at for at, i in enumerate(written[:_MOST_BEFORE_ROWS]) if _is_row(lines[i][0])), 0)
     if first < 2:
         return written[0], None
     row = lines[written[first]][0]

@@ -12,8 +12,7 @@ with undated as (
     u.run is not null and v.revision is null and v.specification is not null as is_unjudged
   from verdicts v left join undated u on u.unit = v.unit and u.run = v.run and u.metric = v.metric
 ), unjudged as (
-  select unit, metric, specification, any_value(signal) as signal from attempt where is_unjudged
-  group by unit, metric, specification, signal
+  select distinct unit, metric, specification, signal from attempt where is_unjudged
 )
 select a.unit, a.signal, a.metric, a.subject, a.of_standard, a.specification,
   verdict_of_rank(least(

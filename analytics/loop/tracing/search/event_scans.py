@@ -1,7 +1,7 @@
 """Scans for a spectral line at an unknown frequency, and for a step at an unknown time in one run."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft, ndimage
@@ -58,26 +58,27 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
     best = int(np.argmax(level))
     p_value = float(chi_square_sf(level[best], degrees))
     block_s = records[0].noise_model.block_s
-    found, powers = _between_grid_points(pieces, float(per_block[band][best]), 1 / size)
-    return StrongestLine(found / block_s, p_value, min(1.0, p_value * level.size), powers)
+    frequency_hz = float(per_block[band][best] / block_s)
+    return StrongestLine(frequency_hz, p_value, min(1.0, p_value * level.size), spectra[:, best])
 
 
-def _between_grid_points(
-    pieces: Sequence[tuple[FloatArray, int]], per_block: float, step: float
-) -> tuple[float, FloatArray]:
-    """Frequency near a grid point at which the power is largest, and the periodogram of each run there.
+def between_grid_points(
+    records: Sequence[UnitRecord], residuals: Sequence[FloatArray], line: StrongestLine
+) -> StrongestLine:
+    """The line at the frequency, near its grid point, at which its power is largest.
 
-    A strong line off the grid leaves enough of itself for a second line beside it.
+    A strong line off the grid would leave enough of itself for a second line beside it.
     """
+    longest = max(piece.size for record, residual in zip(records, residuals, strict=True)
+                  for piece, _ in _by_run(record, residual))  # fmt: skip
+    step_hz = 1 / (_PADDING * longest * records[0].noise_model.block_s)
+    found, powers = line.frequency_hz, line.powers
     for _ in range(_REFINEMENTS):
-        near = per_block + step * np.linspace(-1, 1, 2 * _PADDING + 1)
-        powers = np.array([
-            np.abs(piece @ np.exp(-2j * np.pi * np.outer(np.arange(piece.size), near))) ** 2 * 2 / blocks
-            for piece, blocks in pieces
-        ])  # fmt: skip
-        best = int(powers.sum(axis=0).argmax())
-        per_block, step = float(near[best]), step / _PADDING
-    return per_block, np.asarray(powers[:, best], np.float64)
+        near = found + step_hz * np.linspace(-1, 1, 2 * _PADDING + 1)
+        every = [powers_at(records, residuals, float(each)) for each in near]
+        best = int(np.argmax([each.sum() for each in every]))
+        found, powers, step_hz = float(near[best]), every[best], step_hz / _PADDING
+    return replace(line, frequency_hz=found, powers=powers)
 
 
 def line_columns(record: UnitRecord, frequency_hz: float) -> FloatArray:

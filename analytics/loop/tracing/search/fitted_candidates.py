@@ -10,7 +10,13 @@ from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.search.between_runs import BetweenRuns, calibrated_ratio
-from analytics.loop.tracing.search.event_scans import jump_column, line_columns, scan_jumps, scan_lines
+from analytics.loop.tracing.search.event_scans import (
+    between_grid_points,
+    jump_column,
+    line_columns,
+    scan_jumps,
+    scan_lines,
+)
 from analytics.loop.tracing.search.evidence import (
     PRICE,
     Replication,
@@ -251,6 +257,7 @@ def _line(base: JointFit) -> FittedCandidate | None:
     line = scan_lines(records, base.residuals)
     if line is None or line.family_p_value >= LINE_ALPHA:
         return None
+    line = between_grid_points(records, base.residuals, line)
     columns = tuple(line_columns(record, line.frequency_hz) for record in records)
     joint, ratio = beside(base, base.hypothesis.with_own(columns))
     fitted_p_value = float(chi_square_sf(max(ratio, 0.0), 2 * line.powers.size))
