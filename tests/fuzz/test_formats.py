@@ -72,6 +72,7 @@ def test_mutations_change_what_they_are_given() -> None:
 
 READINGS = {
     "while True: pass": "Hang",
+    "threading.Event().wait()": "Hang",
     "raise KeyError('x')": "KeyError",
     "open('/etc/passwd').close()": "outside open",
     "open(path.parents[2] / 'bait', 'a').close()": "outside open",
@@ -86,6 +87,7 @@ def test_the_watch_sees_what_it_is_for(tmp_path: Path) -> None:
     """In a process of its own, which keeps its audit hook."""
     script = f"""
 import sys
+import threading
 from pathlib import Path
 from stream.errors import BadInput
 from tests.fuzz.format import Format
@@ -95,7 +97,7 @@ watch = Watch()
 for number, reading in enumerate({list(READINGS)!r}):
     def read(path):
         exec(reading)
-    hang_s = 2.0 if reading.startswith("while") else 40.0  # on a busy machine, memory takes its time too
+    hang_s = {{"while": 2.0, "threa": 0.1}}.get(reading[:5], 40.0)  # on a busy machine, memory takes its time too
     form = Format("x", lambda _: [b"x"], read, mutated_bytes, "x.bin", hang_s=hang_s)
     found = Trial(form, Path(sys.argv[1]) / str(number), watch).judge(b"x")
     print(found.mark if found else None)
