@@ -56,7 +56,8 @@ class _RouteState:
         self.anchor_ns: int | None = None
 
     def count(self) -> MessageCount:
-        numbers: dict[str, Any] = {name: getattr(self.counter, name, 0) for name in ("lost", "repeated", "restarts")}
+        of_counter = ("lost", "repeated", "restarts", "strays")
+        numbers: dict[str, Any] = {name: getattr(self.counter, name, 0) for name in of_counter}
         return replace(self.tally, **numbers, late=self.times.late, retimed=self.times.retimed)
 
     def take(self, frames: _Frames) -> list[SignalPiece]:

@@ -13,6 +13,7 @@ _COUNTED = {
     "lost": "lost",
     "repeated": "repeated",
     "restarts": "restarts of its counter",
+    "strays": "whose counter fits neither those before nor those after left out",
     "checksum_failures": "with a wrong checksum left out",
     "short": "too short for all of its signals",
     "not_finite": "values that are no finite number left out",
@@ -44,7 +45,7 @@ class LogFrameCounts:
 
 @dataclass
 class MessageCount:
-    """Account of the frames of one message of one unit; `lost`, `repeated`, `restarts` are by its counter."""
+    """Account of the frames of one message of one unit; `lost`, `repeated`, `restarts`, `strays` are by its counter."""
 
     message: str
     unit: str
@@ -53,7 +54,8 @@ class MessageCount:
     decoded: int = 0  # those whose signals were used
     lost: int = 0
     repeated: int = 0  # came again
-    restarts: int = 0  # silences after which the counter had restarted
+    restarts: int = 0  # places where the counter began anew
+    strays: int = 0  # left out, as their counter fits neither those before nor those after
     checksum_failures: int = 0  # frames left out for a wrong checksum
     short: int = 0  # frames that lack bytes of a signal; that signal was left out
     not_finite: int = 0  # values left out as they are not finite

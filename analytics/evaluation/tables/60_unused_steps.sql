@@ -25,7 +25,8 @@ select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.
       || 'rate_x, rate_y, rate_z'
     else 'no characteristic is made of a step of procedure ' || coalesce(o."procedure", '(not given)')
       || coalesce(', position ' || o.position, '')
-      || coalesce(', phase ' || o.phase, '')
+      || coalesce(', phase ' || o.phase || case when lower(o.phase) in ('before', 'during', 'after') then ''
+        else ' (a phase is before, during or after a shock or a vibration: give the column another name)' end, '')
       || case when o.rate_command <> 0 then ', at a rate' else '' end
   end as reason
 from output o

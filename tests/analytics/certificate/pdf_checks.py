@@ -21,8 +21,11 @@ def plain(text: str) -> str:
 
 
 def lacking_items(text: str, standard: Standard, language: str) -> list[str]:
-    """Items of the standard, with their clauses, that a text does not have; title and number stand elsewhere."""
-    items = [item for item in standard.items if item.filled_by not in {"title", "number"}]
+    """Items of the standard, with their clauses, that a text does not have.
+
+    Title and number stand elsewhere; there is a statement of conformity only where the order asks for one.
+    """
+    items = [item for item in standard.items if item.filled_by not in {"title", "number", "conformity"}]
     return [each.en for each in items if plain(getattr(each, language)) not in text or plain(each.clause) not in text]
 
 

@@ -21,6 +21,7 @@ LEANS = {"x": (400.0, -200.0), "y": (-410.0, 620.0), "z": (310.0, -515.0)}
 INSTRUMENTS = """
 serial = "T-881"
 certificate = "2026-RT-0113"
+traceable_to = "NIM, rate"
 calibration_due = 2099-09-30
 [instruments.table.uncertainty]
 rate = { U = 5e-5, k = 2.0, unit = "1" }
@@ -30,6 +31,7 @@ STANDARDS = """
 [standards.site]
 serial = "N-3"
 certificate = "2026-GEO-7"
+traceable_to = "NIM, length and angle"
 calibration_due = 2099-05-31
 [standards.site.uncertainty]
 levelling = { half_width = 5.0, unit = "arcsec" }

@@ -66,3 +66,85 @@ def test_times_go_forward_however_they_are_cut(size: int) -> None:
     parts = [forward.follow(t_ns[i : i + size])[0] for i in range(0, len(t_ns), size)]
     assert np.concatenate(parts).tolist() == [10, 11, 12, 13, 20, 2_000_000, 2_000_001, 3_000_000]
     assert (forward.retimed, forward.late) == (4, 1)
+
+
+def placed(counter: FrameCounter, t_ns: np.ndarray, counts: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the frames, and which are kept, taken in blocks of `size`."""
+    parts = [counter.follow(t_ns[i : i + size], counts[i : i + size]) for i in range(0, len(t_ns), size)]
+    return np.concatenate([numbers for numbers, _ in parts]), np.concatenate([keep for _, keep in parts])
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    modulus=st.sampled_from([4096, 65536, 2**32]),
+    lengths=st.lists(st.integers(150, 1500), min_size=2, max_size=5),
+    silences=st.lists(st.integers(1, 4000), min_size=5, max_size=5),
+    size=st.sampled_from([7, 256, 100_000]),
+    stale=st.integers(0, 3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_counter_that_begins_anew_is_placed_by_time(
+    modulus: int, lengths: list[int], silences: list[int], size: int, stale: int, seed: int
+) -> None:
+    """Power cycles of any length; the last frames before one may come within the next."""
+    rng = np.random.default_rng(seed)
+    begins = np.cumsum([0, *(length + silence for length, silence in zip(lengths, silences, strict=False))])[:-1]
+    counts = np.concatenate([np.arange(length) for length in lengths]) % modulus
+    slots = np.concatenate([begin + np.arange(length) for begin, length in zip(begins, lengths, strict=True)])
+    t_ns = slots * INTERVAL_NS + rng.integers(0, 5 * INTERVAL_NS, len(slots))
+    for end in np.cumsum(lengths)[:-1]:
+        t_ns[end - stale : end] = (slots[end] - 1) * INTERVAL_NS  # they waited for as long
+    order = np.maximum.accumulate(t_ns)
+    numbers, keep = placed(FrameCounter(modulus, INTERVAL_NS), order, counts, size)
+    is_stale = np.zeros(len(slots), np.bool_)
+    for end in np.cumsum(lengths)[:-1]:
+        is_stale[end - stale : end] = True
+    # a time is wrong by no more than the delays of the frames that set it, and by the stale frames that are before it
+    judged = keep & ~is_stale
+    assert np.abs(numbers - slots)[judged].max() <= 5 + stale + 1
+    # at most the first frame of each block that is cut off after a restart is missing
+    assert (~keep).sum() <= len(lengths) * (1 + stale)
+    assert np.all(np.diff(numbers[keep]) > 0)
+
+
+@pytest.mark.parametrize("size", [1, 5, 1000])
+@pytest.mark.parametrize("wrong", [0, 20_000, 40_000])
+def test_a_corrupted_counter_costs_its_frame_alone(wrong: int, size: int) -> None:
+    counts = np.arange(7000, 7300)
+    counts[150] = wrong
+    counter = FrameCounter(65536, INTERVAL_NS)
+    numbers, keep = placed(counter, np.arange(300) * INTERVAL_NS, counts, size)
+    assert np.flatnonzero(~keep).tolist() == [150]
+    assert numbers[keep].tolist() == [*range(150), *range(151, 300)]
+    assert (counter.strays, counter.restarts, counter.lost) == (1, 0, 1)
+
+
+@pytest.mark.parametrize("size", [1, 1000])
+def test_late_frames_are_no_restart_and_frames_lost_while_the_receiver_stalls_are_no_new_time(size: int) -> None:
+    counts = np.r_[0:2000, 1700:1990, 2000:3000, 4000:5000]
+    t_ns = np.r_[0:2000, np.full(290, 2000), 2000:3000, 4000:5000] * INTERVAL_NS
+    t_ns[2800:3290] = t_ns[3290] - INTERVAL_NS  # frames waited, those after them were lost
+    counter = FrameCounter(65536, INTERVAL_NS)
+    numbers, keep = placed(counter, t_ns, counts, size)
+    assert counter.restarts == 0
+    assert np.array_equal(numbers[keep], counts[keep])
+    assert counter.strays + counter.repeated == 290
+    assert counter.lost == 1000 + (counts.size - 290 - keep.sum())
+
+
+def test_a_restart_whose_first_frames_were_lost_is_found_by_the_pace() -> None:
+    counts = np.r_[0:5000, 300:3000]
+    t_ns = np.r_[0:5000, 5010:7710] * INTERVAL_NS
+    counter = FrameCounter(65536, INTERVAL_NS)
+    numbers, keep = placed(counter, t_ns, counts, 64)
+    assert (counter.restarts, int((~keep).sum()) <= 64) == (1, True)
+    assert np.array_equal(numbers[keep], (t_ns // INTERVAL_NS)[keep])
+
+
+def test_a_restart_is_no_loss_where_the_interval_is_not_given() -> None:
+    counts = np.r_[0:5000, 0:500]
+    t_ns = np.r_[0:5000, 5300:5800] * INTERVAL_NS  # 300 intervals without a frame
+    counter = FrameCounter(65536)
+    _, keep = placed(counter, t_ns, counts, 100)
+    assert keep.all()
+    assert (counter.restarts, counter.lost) == (1, 300)

@@ -10,6 +10,7 @@ from analytics.loop.effects.base import Effect
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.search.between_runs import BetweenRuns, calibrated_ratio
+from analytics.loop.tracing.search.between_shapes import better_shape
 from analytics.loop.tracing.search.event_scans import (
     between_grid_points,
     jump_column,
@@ -45,6 +46,7 @@ RIVAL = 0.05  # p-value from which an effect that looks like a chosen one is fit
 SWALLOWED = 0.25  # excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect
 EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0  # ratio to the declared variance at which the noise model is not trusted
 _SAME_EVIDENCE = 6  # decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine
+RESHAPED = 0.5  # share of the largest evidence from which a candidate's shape is sought between the tried ones
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
 
@@ -111,9 +113,9 @@ def fitted_candidates(
         may_be_rival = any(look_alike(each, group[0].candidate.effect) for each in effects)
         fitted = _fitted(candidates, base, group, first, may_be_rival=may_be_rival)
         if fitted is not None and fitted.evidence > -PRICE:
-            discounted = _discounted(fitted)
-            # the cached columns of a fleet would fill the memory
-            found.append(replace(discounted, joint=replace(fitted.joint)) if len(base.records) > 1 else discounted)
+            found.append(_discounted(fitted))
+    most = max((each.evidence for each in found), default=0.0)
+    found = [_reshaped(candidates, base, each) if each.evidence > RESHAPED * most else each for each in found]
     if with_events:
         found += [each for each in (_line(base), _jump(base)) if each is not None]
     return sorted(found, key=lambda each: (-round(each.evidence, _SAME_EVIDENCE), each.name))
@@ -208,6 +210,28 @@ def _fitted(
     return best
 
 
+def _reshaped(candidates: Candidates, base: JointFit, each: FittedCandidate) -> FittedCandidate:
+    """A candidate at the shape between the tried ones that explains clearly more; itself if there is none."""
+    shape = better_shape(candidates, each.joint, each.effect, each.parameters)
+    if shape is None:
+        return each
+    columns = candidates.at(each.effect, shape)
+    joint, ratio = beside(base, base.hypothesis.with_common(columns))
+    ratio = calibrated_ratio(joint, ratio, columns[0].shape[1])
+    evidence = _evidence(joint, ratio, each.degrees, each.effect)
+    fitted = replace(
+        each,
+        parameters=dict(shape),
+        columns=columns,
+        joint=joint,
+        likelihood_ratio=ratio,
+        evidence=evidence,
+        at_most=None,
+    )
+    better = _discounted(fitted)
+    return better if better.evidence > each.evidence else each
+
+
 def _evidence(joint: JointFit, ratio: float, degrees: int, effect: Effect) -> float:
     """Evidence of a fit; the penalty doubles if its noise is far from the declared noise."""
     excess = [
@@ -224,7 +248,9 @@ def _discounted(each: FittedCandidate) -> FittedCandidate:
     replicates = [record.stack.replicate for record in each.joint.records]
     replication = leave_one_out(each.joint, replicates, each.columns[0].shape[1])
     each = replace(each, replication=replication, replicates=replication.replicates)
-    return _inflated(each) if each.replicates else each
+    each = _inflated(each) if each.replicates else each
+    # the cached columns of a fleet would fill the memory
+    return replace(each, joint=replace(each.joint)) if len(each.joint.records) > 1 else each
 
 
 def as_if_replicated(each: FittedCandidate) -> FittedCandidate:

@@ -1,7 +1,7 @@
 """Candidate effects, each with every shape, and the screening: a test of every candidate on the whitened residual."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -74,9 +74,14 @@ class Candidates:
 
     def of_all(self, candidate: Candidate) -> Sequence[FloatArray]:
         """Columns of one candidate on each record, in natural units."""
-        if len(self.records) == 1:
-            return (self.of(candidate, 0),)
-        return Recomputed(partial(self.of, candidate), len(self.records))
+        return self._for_each(partial(self.of, candidate))
+
+    def at(self, effect: Effect, shape: Shape) -> Sequence[FloatArray]:
+        """Columns of an effect at any shape on each record, in natural units."""
+        return self._for_each(lambda number: effect_columns(self.records[number].stack, effect, shape))
+
+    def _for_each(self, make: Callable[[int], FloatArray]) -> Sequence[FloatArray]:
+        return (make(0),) if len(self.records) == 1 else Recomputed(make, len(self.records))
 
 
 def effect_columns(stack: Stack, effect: Effect, shape: Shape) -> FloatArray:
