@@ -1,4 +1,4 @@
-"""Frame counters, which tell lost and repeated frames, and times that increase strictly."""
+"""Frame counters, which tell lost and repeated frames, and restarts of the device."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,8 +7,6 @@ import numpy as np
 
 from stream.batch import BoolArray, FloatArray, IntArray
 
-# Frames with equal or slightly decreasing time stamps follow each other; a larger step back is a clock set back.
-_JITTER_NS = 1_000_000
 # A counter off by more than this share of its modulus after a long silence has restarted.
 _OUT_OF_STEP = 0.25
 # how many intervals show the usual one, and how far they may spread of it (10 to 90 %)
@@ -37,10 +35,22 @@ class _Doubtful:
 
     first: _Frame
     last: _Frame
+    step: int  # from the frame before them
     is_soon: bool  # the counter is as low as after a restart
-    is_ahead: bool
+    is_ahead: bool  # of the time
     rows: list[int]  # those of the present block
     count: int = 1
+
+
+def _is_far(steps: IntArray, elapsed: FloatArray, counter: IntArray) -> BoolArray:
+    """Whether a counter stepped far back, far ahead of the time, or far less than the time if it is as low as anew.
+
+    The frame that follows the last one is not among them, however late it comes: the receiver has stalled.
+    """
+    is_behind = (
+        (elapsed >= 0) & (elapsed - steps > _FAR) & ((steps <= 0) | ((steps > 1) & (counter <= elapsed + _SOON)))
+    )
+    return np.asarray(is_behind | (steps - np.maximum(elapsed, 0) > _FAR), np.bool_)
 
 
 class FrameCounter:
@@ -174,8 +184,7 @@ class FrameCounter:
         t_last, c_last, _ = self._last if self._last is not None else (int(t_ns[0]), int(counter[0]), 0)
         elapsed = np.diff(t_ns, prepend=np.int64(t_last)) / (self._interval_ns or 1)
         steps, is_restart = self._steps(np.diff(counter, prepend=np.int64(c_last)) % self._modulus, elapsed)
-        is_back = (steps <= 0) & (elapsed >= 0) & (elapsed - steps > _FAR)
-        far = (is_back | (steps - np.maximum(elapsed, 0) > _FAR)) & ~is_restart
+        far = _is_far(steps, elapsed, counter) & ~is_restart
         if self._last is None:
             far[0] = False
         return np.asarray(far, np.bool_)
@@ -184,9 +193,8 @@ class FrameCounter:
         """Step from one frame to another, intervals between their times, and whether the step is far off them."""
         elapsed = np.array([t_ns - before.t_ns]) / (self._interval_ns or 1)
         steps, is_restart = self._steps(np.array([(counter - before.counter) % self._modulus]), elapsed)
-        step, passed = int(steps[0]), float(elapsed[0])
-        is_back = step <= 0 <= passed and passed - step > _FAR
-        return step, passed, not is_restart[0] and (is_back or step - max(passed, 0.0) > _FAR)
+        is_far = _is_far(steps, elapsed, np.array([counter])) & ~is_restart
+        return int(steps[0]), float(elapsed[0]), bool(is_far[0])
 
     def _decide(self, row: int, t_ns: IntArray, counter: IntArray, numbers: IntArray, keep: BoolArray) -> None:
         """Take one frame where counter and time disagree: those that follow it show what it was."""
@@ -210,14 +218,17 @@ class FrameCounter:
                 return
             self._strays += doubtful.count
         is_soon = here.counter <= elapsed + _SOON
-        self._doubtful = _Doubtful(here, here, is_soon, step > 0, [row])
+        self._doubtful = _Doubtful(here, here, step, is_soon, step > elapsed, [row])
 
     def _is_certain(self, doubtful: _Doubtful) -> bool:
-        if doubtful.is_ahead or doubtful.is_soon:
+        if doubtful.is_ahead or (doubtful.is_soon and doubtful.step <= 0):
             return True
-        # late frames come in a burst, with older time stamps or none between them
+        return doubtful.count >= _LEAST_PACED and (doubtful.step > 0 or self._is_paced(doubtful))
+
+    def _is_paced(self, doubtful: _Doubtful) -> bool:
+        """Whether the frames came as they were sent; late ones come in a burst."""
         paced_ns = doubtful.last.t_ns - doubtful.first.t_ns
-        return doubtful.count >= _LEAST_PACED and 2 * paced_ns >= doubtful.last.number * (self._interval_ns or 1)
+        return 2 * paced_ns >= doubtful.last.number * (self._interval_ns or 1)
 
     def _accept(
         self, doubtful: _Doubtful, t_ns: IntArray, counter: IntArray, numbers: IntArray, keep: BoolArray
@@ -227,9 +238,9 @@ class FrameCounter:
         assert self._interval_ns is not None
         passed_ns, interval_ns = doubtful.first.t_ns - self._first_ns, self._interval_ns
         latest = (passed_ns - (self._least_delay_ns or 0.0)) / interval_ns  # no frame is sampled after it came
-        step, _, _ = self._step(self._last, doubtful.first.t_ns, doubtful.first.counter)
-        number = self._last.number + step
-        if not doubtful.is_ahead or number - latest > _FAR:
+        number = self._last.number + doubtful.step
+        goes_on = number - latest <= _FAR if doubtful.is_ahead else doubtful.step > 0 and not self._is_paced(doubtful)
+        if not goes_on:
             number = max(self._highest + 1, round((passed_ns - self._first_delay_ns) / interval_ns))
             self._least_delay_ns = None
             self.restarts += 1
@@ -253,37 +264,3 @@ class FrameCounter:
             low, middle, high = np.quantile(intervals, (0.1, 0.5, 0.9)).tolist()
             self._usual_ns = middle if middle > 0 and high - low <= _STEADY * middle else 0.0
         return self._usual_ns or None
-
-
-@dataclass
-class ForwardTimes:
-    """Makes times increase strictly.
-
-    Frames with the time of the one before, or less by up to a millisecond, are put a nanosecond after it (`retimed`);
-    those further back are left out (`late`).
-
-    >>> forward = ForwardTimes()
-    >>> times_ns, keep = forward.follow(np.array([5_000_000, 5_000_000, 1, 6_000_000]))
-    >>> times_ns.tolist(), keep.tolist(), forward.retimed, forward.late
-    ([5000000, 5000001, 6000000], [True, True, False, True], 1, 1)
-    """
-
-    last_ns: int | None = None
-    retimed: int = 0
-    late: int = 0
-
-    def follow(self, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
-        """Times of the frames that are kept, and which those are."""
-        if not len(t_ns):
-            return t_ns, np.zeros(0, np.bool_)
-        last_ns = int(t_ns[0]) - 1 if self.last_ns is None else self.last_ns
-        before = np.maximum.accumulate(np.concatenate([[last_ns], t_ns]))[:-1]
-        keep = t_ns >= before - _JITTER_NS
-        kept = t_ns[keep]
-        index = np.arange(len(kept))
-        times_ns = np.maximum(np.maximum.accumulate(kept - index), last_ns + 1) + index
-        self.retimed += int((times_ns != kept).sum())
-        self.late += int(len(keep) - len(kept))
-        if len(kept):
-            self.last_ns = int(times_ns[-1])
-        return times_ns, keep

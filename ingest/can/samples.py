@@ -8,8 +8,9 @@ from uuid import UUID
 import numpy as np
 import numpy.typing as npt
 
-from ingest.can.counters import ForwardTimes, FrameCounter
+from ingest.can.counters import FrameCounter
 from ingest.can.decode import Decoded, FrameBytes, RawArray, SignalLayout, scaled
+from ingest.can.forward_times import ForwardTimes
 from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
 from ingest.can.summary import CanCounts, MessageCount

@@ -9,9 +9,9 @@ from ingest.can.frames import id_text, ids_text
 from ingest.tables.sample_file import TableSummary
 
 LOG_SUFFIXES = frozenset({".blf", ".asc", ".trc", ".log", ".mf4"})
-_COUNTED = {
+COUNTED = {
     "lost": "lost",
-    "repeated": "repeated",
+    "repeated": "repeated or late left out",
     "restarts": "restarts of its counter",
     "strays": "whose counter fits neither those before nor those after left out",
     "checksum_failures": "with a wrong checksum left out",
@@ -101,7 +101,7 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
     for count in counts.messages:
         text = ", ".join(
             f"{number}{f' of {count.frames}' if name == 'late' else ''} {what}"
-            for name, what in _COUNTED.items()
+            for name, what in COUNTED.items()
             if (number := getattr(count, name))
         )
         if text:

@@ -1,6 +1,7 @@
 """The sources of a station: its buses, serial lines and instruments, each delivering batches of samples."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from uuid import uuid4
 
 from ingest.can.bus.bus import CanBus
@@ -9,6 +10,7 @@ from ingest.can.bus.interface import open_intake
 from ingest.can.mapping import CanMapping
 from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
+from ingest.can.summary import MessageCount
 from ingest.instruments.base import Instrument
 from ingest.serial.frame_layout import load_layout
 from ingest.serial.serial_line import SerialLine, open_port
@@ -104,7 +106,12 @@ class StationSources:
         for name, plan in self._plans.items():
             decoder = CanDecoder(plan, run=run, epoch_of=log.epoch_of)
             options = self._station.buses[name].bus
-            made.append(CanBus(options, self._clock, decoder, log.deliver, report, wanted=plan.wanted))
+            made.append(
+                CanBus(
+                    options, self._clock, decoder, log.deliver, report, wanted=plan.wanted,
+                    frame_counts=partial(_messages, decoder),
+                )
+            )  # fmt: skip
         for name, line in self._lines.items():
             layout, unit, epoch = self._layouts[name], line.unit, log.epoch_of(line.unit)
             made.append(SerialLine(line.port, line.baud, layout, unit, run, epoch, self._clock, log.deliver, report))
@@ -117,3 +124,7 @@ class StationSources:
             for instrument in self._instruments.values()
             if instrument.signals
         ]
+
+
+def _messages(decoder: CanDecoder) -> Iterable[MessageCount]:
+    return decoder.counts.messages

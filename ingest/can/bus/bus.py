@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
@@ -12,8 +12,10 @@ import numpy as np
 from ingest.can.bus.backlog import Backlog, Taken
 from ingest.can.bus.columns import FrameColumns, ReceiveClock
 from ingest.can.bus.faults import Losses, Outage
+from ingest.can.bus.frame_reports import FrameReports
 from ingest.can.bus.interface import CanBusOptions, CanIntake, filter_in_interface, open_intake
 from ingest.can.frames import FrameBlock
+from ingest.can.summary import MessageCount
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
@@ -66,6 +68,7 @@ class CanBus:
     `most_waiting` frames wait, and those beyond are lost, counted and reported. `report` gets sentences in either
     thread. `wanted` are mapped identifiers, bit 31 set if of 29 bits; by default all. Frames are collected for
     `block_s`. `reopen_s` are the first and longest pause before a lost interface is opened again, seconds.
+    `frame_counts` gives the decoder's account of each message: lost, repeated and late frames are reported.
 
     >>> import can
     >>> class Nothing:
@@ -83,6 +86,7 @@ class CanBus:
         self, options: CanBusOptions, clock: StationClock, decoder: Decoder, deliver: Callable[[SampleBatch], None],
         report: Callable[[str], None], *, wanted: Collection[int] | None = None, block_s: float = 0.05,
         most_waiting: int = 200_000, reopen_s: tuple[float, float] = (0.1, 5.0),
+        frame_counts: Callable[[], Iterable[MessageCount]] = tuple,
     ) -> None:  # fmt: skip
         self.options, self._clock, self._decoder, self._deliver = options, clock, decoder, deliver
         self._report_to = report
@@ -98,6 +102,7 @@ class CanBus:
             self._report, "were lost before they could be read: the computer is too busy or net.core.rmem_max too small"
         )
         self._malformed = Losses(self._report, "are no frames of this bus and were left out: is fd set right")
+        self._frame_reports = FrameReports(frame_counts, self._report)
         self._intake: CanIntake | None = None
         self._stopping = threading.Event()
         self._threads = [
@@ -211,9 +216,11 @@ class CanBus:
         while (taken := self._backlog.take(self._block_s)) is not None:
             for each in taken:
                 self._decode_block(each)
+            self._frame_reports.update()
         self._deliver_all(self._guarded("what was still to be decoded is lost", self._decoder.finish) or [])
         for losses in (self._overruns, self._interface_overruns, self._malformed):
             losses.flush()
+        self._frame_reports.update(at_once=True)
 
     def _decode_block(self, taken: Taken) -> None:
         """Raw frames -> columns -> times -> samples -> delivery."""

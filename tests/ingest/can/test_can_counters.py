@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.can.counters import ForwardTimes, FrameCounter
+from ingest.can.counters import FrameCounter
+from ingest.can.forward_times import ForwardTimes
 
 INTERVAL_NS = 1_000_000
 
