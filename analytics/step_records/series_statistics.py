@@ -88,7 +88,7 @@ def series_statistics(
     means, squares = np.ldexp(means, -exponent), np.ldexp(squares, -2 * exponent)
     step = math.ldexp(step, -exponent)
     mean = float(np.dot(counts, means - means[0]) / n + means[0])
-    still = _still_share(counts, means, squares)
+    still, is_only_coarse = _still_share(counts, means, squares, step)
     # samples that are all alike scatter by the rounding of their sums only
     within = 0.0 if still == 1.0 else float(squares.sum())
     between = 0.0 if still == 1.0 else float(np.dot(counts, (means - mean) ** 2))
@@ -117,19 +117,23 @@ def series_statistics(
         sd_freedom=_sd_freedom(n, means.size, within, between, dense, octaves),
         standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
-        walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step else still,
+        walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step and is_only_coarse else still,
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )  # fmt: skip
 
 
-def _still_share(counts: IntArray, means: FloatArray, squares: FloatArray) -> float:
-    """Share of the samples in the longest stretch of blocks in which all are alike.
+def _still_share(counts: IntArray, means: FloatArray, squares: FloatArray, step: float = 0.0) -> tuple[float, bool]:
+    """Share of the samples in the longest stretch of blocks in which all are alike, and whether the step explains it.
+
+    It does where the others scatter by less than one step, and are not all alike as well.
 
     >>> ones, zeros = np.ones(8, int), np.zeros(8)
-    >>> _still_share(ones, np.array([1.0, 2.0, 5.0, 5.0, 5.0, 5.0, 1.0, 1.0]), zeros)
-    0.5
+    >>> _still_share(ones, np.array([1.0, 2.0, 5.0, 5.0, 5.0, 5.0, 1.0, 1.0]), zeros, step=0.1)
+    (0.5, False)
+    >>> _still_share(ones, np.array([1.0, 1.0, 2.0, 1.0, 1.0, 2.0, 1.0, 1.0]), zeros, step=1.0)
+    (0.25, True)
     >>> _still_share(ones, np.arange(8.0), zeros)
-    0.0
+    (0.0, False)
 
     Means and squares of blocks of samples that are alike differ by the rounding of their sums.
     """
@@ -137,9 +141,18 @@ def _still_share(counts: IntArray, means: FloatArray, squares: FloatArray) -> fl
     alike = squares <= counts * rounding**2
     goes_on = (np.abs(means[1:] - means[:-1]) <= rounding) & alike[1:] & alike[:-1]
     if not goes_on.any():
-        return 0.0
-    stretches = np.add.reduceat(counts, np.flatnonzero(np.r_[True, ~goes_on]))
-    return float(stretches.max() / counts.sum())
+        return 0.0, False
+    begins = np.flatnonzero(np.r_[True, ~goes_on])
+    stretches = np.add.reduceat(counts, begins)
+    longest = int(np.argmax(stretches))
+    others = np.ones(means.size, np.bool_)
+    others[begins[longest] : begins[longest + 1] if longest + 1 < begins.size else means.size] = False
+    share, n = float(stretches[longest] / counts.sum()), int(counts[others].sum())
+    if n < 2:
+        return share, False
+    mean = float(np.dot(counts[others], means[others]) / n)
+    scatter = float(np.dot(counts[others], (means[others] - mean) ** 2) + squares[others].sum()) / (n - 1)
+    return share, scatter < step * step
 
 
 def _scaled(value: float, exponent: int) -> float:
