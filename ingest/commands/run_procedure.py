@@ -4,8 +4,8 @@ import hashlib
 import shlex
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -37,6 +37,8 @@ from stream.status.reporter import StatusReporter, served
 from stream.terminal.console import Stop, notes, print_json, results, structured_log, until_stopped
 from stream.worker.compile_kernels import compile_kernels
 from stream.worker.estimated_signals import EstimatedSignals
+
+_RESUMES = "the same command resumes it, and ends it with --end"
 
 
 class ProcedureRun(NamedTuple):
@@ -118,7 +120,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         trouble = TroubleWatch(path.publisher, operator.report)
         releases = _releases(asked, job, limits, decisions)
         operator.may_end_early = releases is not None
-        about = (log, job.steps, job.station, job.clock, operator, decisions, path.publisher, time.time_ns())
+        why_left: list[str] = []
+        about = (log, job.steps, job.station, job.clock, operator, decisions, path.publisher, time.time_ns(), why_left)
         collect = partial(run_status, *about)
         stack.enter_context(served(asked.status_listen, collect))
         stack.enter_context(StatusReporter(collect, path.put_status))
@@ -142,11 +145,14 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         report("running", f"{resumed}{path.where}")
         try:
-            code = _carried_out(log, job, asked, sources, operator, releases, decisions, commands)
+            with _noted(why_left):
+                code, unsafe = _carried_out(log, job, asked, sources, operator, releases, decisions, commands)
         except (RunStopped, InstrumentError) as stopped:
             return _leave(str(stopped), path, stop, report)
+        why_left += _by_hand(unsafe)
         run_path.drain(path, trouble, stop)
         if path.publisher.outstanding:
+            why_left.append(f"not all of it is recorded yet; {_RESUMES}")
             return _leave("interrupted before all of it was recorded", path, stop, report)
         path.finish()
         log.close()
@@ -185,10 +191,11 @@ def _releases(asked: ProcedureRun, job: _Job, limits: RunLimits, decisions: Limi
 def _carried_out(
     log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator,
     releases: Releases | None, decisions: LimitReport, commands: RunCommands,
-) -> int:  # fmt: skip
+) -> tuple[int, tuple[str, ...]]:  # fmt: skip
+    """Carry out what is left; the exit code, and instruments that could not be made safe."""
     if log.state.phase != "running":
         log.end(log.state.outcome)  # it was killed while it waited for the recorder
-        return 0
+        return 0, ()
     live = StationRun(
         log, job.steps, job.station, job.instruments, operator, job.clock, settle_timeout_s=asked.settle_timeout_s,
         releases=releases, on_record=decisions.begin_record,
@@ -203,7 +210,7 @@ def _carried_out(
         commands.finish_abort(live.unsafe)
         commands.end()
         log.end("aborted" if commands.is_aborted else "stopped")
-        return int(commands.is_aborted)
+        return int(commands.is_aborted), live.unsafe
     try:
         live.go(partial(sources.make, log, live.report), sources.samplers(log, live.report))
     except RunStopped:
@@ -213,10 +220,10 @@ def _carried_out(
         commands.finish_abort(live.unsafe)
         commands.end()
         log.end("aborted")
-        return 1
+        return 1, live.unsafe
     commands.end()
     log.end("completed")
-    return len(live.unsafe[:1])  # reported already; whoever waits for the command is to look as well
+    return len(live.unsafe[:1]), live.unsafe  # reported already; whoever waits for the command is to look as well
 
 
 def _checked(
@@ -258,6 +265,23 @@ def _about(job: _Job, parameters: Mapping[str, str]) -> dict[str, str]:
 def _common(entries: tuple[UnitEntry, ...], what: str) -> str | None:
     values = {getattr(entry, what) for entry in entries}
     return values.pop() if len(values) == 1 else None
+
+
+@contextmanager
+def _noted(why_left: list[str]) -> Iterator[None]:
+    """Note why a run is left before its end, for its status."""
+    try:
+        yield
+    except (RunStopped, InstrumentError) as stopped:
+        why_left.append(f"{stopped}; {_RESUMES}")
+        raise
+    except Exception as error:
+        why_left.append(f"{type(error).__name__}: {error}; {_RESUMES}")
+        raise
+
+
+def _by_hand(unsafe: tuple[str, ...]) -> list[str]:
+    return [f"{', '.join(unsafe)} could not be made safe; make it safe by hand"] if unsafe else []
 
 
 def _leave(why: str, path: RunPath, stop: Stop, report: Callable[[str, str], None]) -> int:

@@ -10,6 +10,7 @@ from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
 from ingest.station.releases import Releases
+from ingest.station.run_limits import listed
 from ingest.station.run_log import RunLog
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
@@ -70,6 +71,7 @@ class StationRun:
         self._releases, self._on_record = releases, on_record
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
+        self._silent: dict[str, float] = {}
         self.unsafe: tuple[str, ...] = ()
 
     def report(self, text: str) -> None:
@@ -183,9 +185,15 @@ class StationRun:
 
             def is_over() -> bool:
                 self._watch(step, off)
+                self._watch_units(step)
                 return self._clock.now_ns() >= end_ns or self._is_released(step, since_ns)
 
-            self._until(step, "recording", is_over, None)
+            self._log.coverage.watch(is_recording=True)
+            try:
+                self._until(step, "recording", is_over, None)
+            finally:
+                self._log.coverage.watch(is_recording=False)
+            self._silent.clear()
             self._report_departures(step, off)
             if not self._log.units_left:
                 self.report("every unit is decided: the record ends early")
@@ -203,6 +211,18 @@ class StationRun:
             if what not in off:
                 self.report(f"warning: {self._named(step)}: {what} has left its band: {text}; the record goes on")
             off[what] = max(departure, off.get(what, 0.0))
+
+    def _watch_units(self, step: PlannedStep) -> None:
+        """Report units that fall silent while a step records, and those that deliver again."""
+        silent = self._log.coverage.silent(self._clock.speed)
+        left = set(self._log.units_left)
+        if new := [unit for unit in silent if unit not in self._silent]:
+            longest_s = max(silent[unit] for unit in new)
+            text = f"nothing has come for {longest_s:.0f} s from {listed(new)}: check wiring and power"
+            self.report(f"warning: {self._named(step)}: {text}")
+        if back := [unit for unit in self._silent if unit not in silent and unit in left]:
+            self.report(f"{self._named(step)}: {listed(back)} delivers samples again")
+        self._silent = silent
 
     def _report_departures(self, step: PlannedStep, off: Mapping[str, float]) -> None:
         for what, departure in off.items():

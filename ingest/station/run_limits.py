@@ -177,7 +177,7 @@ def _without_limits(entries: Sequence[UnitEntry], units: Mapping[str, UnitLimits
     whose = f"specification {wanted} has no" if wanted else "no specification has"
     for product, serials in without.items():
         of = "every product, and the units file names none" if product is None else f"product {product}"
-        yield f"{whose} limits for {of}: units {_listed(serials)} are not judged"
+        yield f"{whose} limits for {of}: units {listed(serials)} are not judged"
 
 
 def _judged_after(units: Mapping[str, UnitLimits], *, is_live: bool) -> Iterator[str]:
@@ -188,8 +188,9 @@ def _judged_after(units: Mapping[str, UnitLimits], *, is_live: bool) -> Iterator
         after.setdefault(", ".join((*limits.after, *live)), []).append(unit)
     for subjects, serials in after.items():
         if subjects:
-            yield f"judged after the run (units {_listed(serials)}): {subjects}"
+            yield f"judged after the run (units {listed(serials)}): {subjects}"
 
 
-def _listed(serials: Sequence[str]) -> str:
+def listed(serials: Sequence[str]) -> str:
+    """The first of them by name, and how many more."""
     return ", ".join(serials[:_NAMED]) + (f" and {len(serials) - _NAMED} more" if len(serials) > _NAMED else "")

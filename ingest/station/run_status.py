@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ingest.procedures.plan import PlannedStep
 from ingest.station.operator_console import ConsoleOperator
-from ingest.station.run_limits import LimitReport
+from ingest.station.run_limits import LimitReport, listed
 from ingest.station.run_log import RunLog
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
@@ -14,11 +14,14 @@ from stream.status.role_status import Role, RoleState, RoleStatus, RunProgress, 
 
 def run_status(
     log: RunLog, steps: Sequence[PlannedStep], station: Station, clock: StationClock, operator: ConsoleOperator,
-    decisions: LimitReport, publisher: DurablePublisher, began_ns: int,
+    decisions: LimitReport, publisher: DurablePublisher, began_ns: int, left: Sequence[str] = (),
 ) -> RoleStatus:  # fmt: skip
-    """How far a run is, and what keeps its samples from being recorded."""
+    """How far a run is, and what keeps its samples from being recorded; `left` says why it was left before its end."""
     state, paused = log.state, publisher.paused
-    trouble = publisher.warning or (f"the recorder pauses: {paused}" if paused else "")
+    silent = log.coverage.silent(clock.speed)
+    trouble = "; ".join(left) or publisher.warning or (f"the recorder pauses: {paused}" if paused else "")
+    if silent and not trouble:
+        trouble = f"nothing has come for {max(silent.values()):,.0f} s from {listed(list(silent))}"
     forecast_s = decisions.forecast_s()
     progress = RunProgress(
         run=state.run, procedure=state.procedure, units=state.units, step=min(state.step + 1, len(steps)),
@@ -32,7 +35,8 @@ def run_status(
         **publisher.numbers,
     }  # fmt: skip
     is_paused = operator.is_paused or bool(paused)
+    at_work = RoleState.PAUSED if is_paused else RoleState.WORKING
     return new_status(
-        Role.RUN, began_ns, name=station.table.name, state=RoleState.PAUSED if is_paused else RoleState.WORKING,
+        Role.RUN, began_ns, name=station.table.name, state=RoleState.INTERRUPTED if left else at_work,
         trouble=trouble, numbers=numbers, run=progress,
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Whether the units deliver as many samples in a step as their sample intervals imply."""
 
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from stream.batch import IntArray, SampleBatch
 _KEPT_BATCHES = 8  # of each signal: what comes just before a step begins can be labelled with a time just behind it
 _MAY_LACK_FRACTION = 0.02
 _MAY_LACK_SAMPLES = 1  # where a step begins between two samples
+_SILENT_S, _SILENT_INTERVALS = 10.0, 5.0  # on the computer, and of its samples, after which a unit is silent
 
 
 @dataclass
@@ -38,6 +40,8 @@ class StepCoverage:
         self._units, self._known = tuple(units), frozenset(units)
         self._seen: dict[tuple[str, str], _Seen] = {}
         self._begin_ns = self._end_ns = 0
+        self._arrived_s: dict[str, float] = {}
+        self._watched_s: float | None = None
         self._lock = threading.Lock()
 
     def begin(self, begin_ns: int, end_ns: int) -> None:
@@ -57,6 +61,29 @@ class StepCoverage:
             seen.dt_ns, seen.last_ns = batch.dt_ns, int(times_ns[-1])
             seen.inside += self._inside(times_ns)
             seen.recent.append(times_ns)
+            self._arrived_s[batch.unit] = time.monotonic()
+
+    def watch(self, *, is_recording: bool) -> None:
+        """Count silence from now on, or no more."""
+        with self._lock:
+            self._watched_s = time.monotonic() if is_recording else None
+
+    def silent(self, speed: float = 1.0) -> dict[str, float]:
+        """Units of which nothing comes while a step records, and for how long, seconds on the computer.
+
+        `speed`: of a simulated station's clock, in which the sample intervals are.
+        """
+        now_s = time.monotonic()
+        found = {}
+        with self._lock:
+            if self._watched_s is None:
+                return {}
+            for unit in self._units:
+                dt_ns = max((seen.dt_ns for (of, _), seen in self._seen.items() if of == unit), default=0)
+                since_s = now_s - max(self._arrived_s.get(unit, 0.0), self._watched_s)
+                if since_s > max(_SILENT_S, _SILENT_INTERVALS * dt_ns / 1e9 / speed):
+                    found[unit] = since_s
+        return found
 
     def release(self, unit: str) -> None:
         """Expect nothing of a unit any more."""

@@ -17,8 +17,8 @@ _LAKE_LATE_S = 60.0  # a sealed segment is in the lake after some seconds
 
 
 class RoleReport(msgspec.Struct, frozen=True, kw_only=True):
-    """A role as its last status has it; `condition` is ``working``, ``paused``, ``failed``, ``ended``, ``silent`` or
-    ``killed``.
+    """A role as its last status has it; `condition` is ``working``, ``paused``, ``failed``, ``interrupted``, ``ended``,
+    ``silent`` or ``killed``.
     """
 
     condition: str
@@ -74,7 +74,7 @@ def _silence_s(role: RoleReport) -> float | None:
 def _verdicts(roles: tuple[RoleReport, ...]) -> dict[str, int]:
     counts: dict[str, int] = {}
     for role in roles:
-        if role.status.run is not None and role.condition != "ended":
+        if role.status.run is not None and role.condition not in {"ended", "interrupted"}:
             for unit in role.status.run.units:
                 verdict = role.status.run.verdicts.get(unit, "undecided")
                 counts[verdict] = counts.get(verdict, 0) + 1
@@ -90,6 +90,8 @@ def _troubles(role: RoleReport, *, has_recorder: bool) -> list[str]:
         found.append(f"{name} has reported nothing for {role.age_s:,.0f} s; it reports {how}")
     elif role.condition == "killed":
         found.append(f"{name} was killed {role.age_s:,.0f} s ago; start it again, it resumes where it was")
+    elif role.condition == "interrupted":
+        found.append(f"{name} was interrupted {role.age_s:,.0f} s ago: {status.trouble}")
     elif status.state in {RoleState.PAUSED, RoleState.FAILED}:
         found.append(f"{name} is {status.state}" + (f": {status.trouble}" if status.trouble else ""))
     elif status.trouble and role.condition != "ended":

@@ -16,7 +16,10 @@ from stream.status.role_status import RoleState, RoleStatus
 from stream.terminal.option_checks import parse_listen
 
 Collect = Callable[[], RoleStatus]
-_CONDITIONS = {RoleState.WORKING: 1.0, RoleState.ENDED: 1.0, RoleState.PAUSED: 0.5, RoleState.FAILED: 0.0}
+_CONDITIONS = {
+    RoleState.WORKING: 1.0, RoleState.ENDED: 1.0, RoleState.PAUSED: 0.5, RoleState.FAILED: 0.0,
+    RoleState.INTERRUPTED: 0.0,
+}  # fmt: skip
 
 
 def families(statuses: Iterable[RoleStatus]) -> Iterator[Metric]:

@@ -48,8 +48,8 @@ class StatusReporter(Closing):
     def _report(self, state: RoleState | None) -> None:
         with suppress(GyrofleetError, OSError):
             status = self._collect()
-            has_failed = status.state is RoleState.FAILED
-            self._put(status if state is None or has_failed else msgspec.structs.replace(status, state=state))
+            is_kept = status.state in {RoleState.FAILED, RoleState.INTERRUPTED}
+            self._put(status if state is None or is_kept else msgspec.structs.replace(status, state=state))
 
 
 def served(address: str | None, collect: Collect) -> AbstractContextManager[object]:

@@ -40,6 +40,7 @@ class RoleState(StrEnum):
     WORKING = "working"
     PAUSED = "paused"
     FAILED = "failed"
+    INTERRUPTED = "interrupted"  # a run was left before its end
     ENDED = "ended"
 
 
@@ -98,7 +99,7 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
         >>> RoleStatus(role=Role.LAKE, name="a", at_ns=0, began_ns=0).condition
         'silent'
         """
-        if self.state is RoleState.ENDED or self.age_s <= SILENT_AFTER_S:
+        if self.state in {RoleState.ENDED, RoleState.INTERRUPTED} or self.age_s <= SILENT_AFTER_S:
             return self.state.value
         return "killed" if self.host == socket.gethostname() and not _is_alive(self.pid) else "silent"
 

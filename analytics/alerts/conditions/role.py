@@ -9,15 +9,15 @@ from analytics.alerts.finding import AlertView, Condition, Finding
 from analytics.loop.bilingual import Bilingual
 from stream.status.role_status import Role
 
-_ZH = {"paused": "已暂停", "failed": "已失败", "killed": "已被终止", "silent": "无响应"}
+_ZH = {"paused": "已暂停", "failed": "已失败", "interrupted": "已中断", "killed": "已被终止", "silent": "无响应"}
 
 
 class RoleCondition(Condition, frozen=True, kw_only=True, tag="role"):
     """A recorder, estimator, builder of the lake or run is in one of `conditions`."""
 
     roles: tuple[Role, ...] = (Role.RECORD, Role.ESTIMATE, Role.LAKE, Role.RUN)
-    conditions: tuple[Literal["paused", "failed", "killed", "silent", "ended"], ...] = (
-        "paused", "failed", "killed", "silent"
+    conditions: tuple[Literal["paused", "failed", "interrupted", "killed", "silent", "ended"], ...] = (
+        "paused", "failed", "interrupted", "killed", "silent"
     )  # fmt: skip
 
     def findings(self, view: AlertView) -> Iterator[Finding]:

@@ -205,16 +205,19 @@ def test_several_units_in_one_file(gyrofleet: Callable[..., Any], tmp_path: Path
 
 
 @pytest.mark.long
-def test_the_same_file_at_another_start_is_another_stretch_of_the_run(
-    gyrofleet: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_the_same_file_at_another_start_is_refused(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
+    """Its rows would be there twice."""
     path = table(tmp_path / "a.csv")
-    for i, start in enumerate(("2026-03-01T20:00:00Z", "2026-03-01T20:30:00Z", "2026-03-01T19:30:00Z"), start=1):
-        done = gyrofleet("import", path, "--unit", "U1", "--run", "r", "--start", start, "--json")
-        assert [(s["added"], s["in_lake"]) for s in done.json["files"][0]["signals"]] == [(2000, 2000 * i)] * 2
-    assert "Nothing to add" in gyrofleet("import", path, "--unit", "U1", "--run", "r", "--start", start).out
+    words = ("import", path, "--unit", "U1", "--run", "r", "--start")
+    done = gyrofleet(*words, "2026-03-01T20:00:00Z", "--json")
+    assert [each["added"] for each in done.json["files"][0]["signals"]] == [2000, 2000]
+    for start in ("2026-03-01T20:30:00Z", "2026-03-01T19:30:00Z"):
+        refused = gyrofleet(*words, start)
+        assert refused.code == 1
+        assert "a.csv" in refused.err
+    assert "Nothing to add" in gyrofleet(*words, "2026-03-01T20:00:00Z").out
     (row,) = gyrofleet("sql", "select count(*) as n, count(distinct (signal, t_ns)) as m from samples", "--json").json
-    assert row == {"n": 12_000, "m": 12_000}
+    assert row == {"n": 4000, "m": 4000}
 
 
 @pytest.mark.long

@@ -167,7 +167,7 @@ def run_course(call: Call, asked: Nothing) -> RunCourse:
     ended = _ended(heard)
     progress = _progress(call, name)
     last_ns = max([each.arrival_ns for each in heard] + [row["last_ns"] or 0 for row in told.measured], default=0)
-    is_at_work = progress is not None and progress.condition not in ("ended", "killed")
+    is_at_work = progress is not None and progress.condition not in ("ended", "interrupted", "killed")
     is_live = ended is None and is_at_work
     started = [each.document for each in heard if isinstance(each.document, RunStarted)]
     instruments = sorted({unit for unit, _ in channels} - set(tested)) if tested else []
