@@ -179,10 +179,12 @@ class WriterLock(Closing):
         if not is_mine:
             self._file.close()
             os.close(self._log)
-            where = f" (--connect {holder['endpoint']})" if holder.get("endpoint") else ""
+            what = "wait until it has ended; for several at once, start `gyrofleet record`, and give them --connect"
+            if holder.get("endpoint"):
+                what = f"send to it (--connect {holder['endpoint']}), or wait until it has ended"
             raise StoreError(
                 f"{store.folder} is being written by {holder.get('role', 'another process')}, process "
-                f"{holder.get('process', '?')}; send to it{where}, or wait until it has ended"
+                f"{holder.get('process', '?')}; {what}"
             ) from None
         self._last_endpoint = endpoint or _holder(store.folder).get("last_endpoint", "")
         self._write(

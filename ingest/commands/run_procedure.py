@@ -25,14 +25,15 @@ from ingest.station.preflight import Preflight, preflight
 from ingest.station.releases import Release, Releases
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_commands import RunCommands
-from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
+from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, listed, run_limits
 from ingest.station.run_log import RunLog, check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.run_status import run_status
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
-from ingest.station.units_file import UnitEntry, mounted_documents, read_units
+from ingest.station.units_file import UnitEntry, in_fixtures, mounted_documents, read_units
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError, RunAborted
+from stream.events import Verdict
 from stream.status.reporter import StatusReporter, served
 from stream.terminal.console import Stop, notes, print_json, results, structured_log, until_stopped
 from stream.worker.compile_kernels import compile_kernels
@@ -158,13 +159,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         log.close()
         for line in log.savings():
             operator.report(line)
-        short = log.state.short_records
-        lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
-        where = "every sample is recorded"
-        if path.folder is not None:
-            query = "select run, unit, step, rate_command, started, ended from steps"
-            where += f'; ask for it: gyrofleet sql --store {shlex.quote(str(path.folder))} "{query}"'
-        report("ended", lacking + where)
+        has_limits = bool(limits.units)
+        report("ended", _done(log.state.short_records, decisions.verdicts, path.folder, has_limits=has_limits))
         return code
 
 
@@ -172,7 +168,7 @@ def _job(asked: ProcedureRun) -> _Job:
     procedure = load_procedure(asked.procedure)
     steps = procedure.steps(asked.parameters)
     station = load_station(asked.station)
-    entries = read_units(asked.units, station.slots or None).entries
+    entries = in_fixtures(read_units(asked.units, station.slots or None).entries, station.slots)
     check_station(station, procedure, asked.parameters)
     clock = station.make_clock()
     instruments = station.make_instruments(clock)
@@ -278,6 +274,33 @@ def _noted(why_left: list[str]) -> Iterator[None]:
     except Exception as error:
         why_left.append(f"{type(error).__name__}: {error}; {_RESUMES}")
         raise
+
+
+def _done(short: int, verdicts: Mapping[str, str], folder: Path | None, *, has_limits: bool) -> str:
+    """What to say of a run that has ended: what lacks, what the live limits say, and what to ask next."""
+    lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
+    where = f"{lacking}every sample is recorded{_by_live_limits(verdicts)}"
+    if folder is None:
+        return where
+    store = shlex.quote(str(folder))
+    if has_limits:
+        where += f"; judge it: gyrofleet verdicts --store {store}"
+    query = "select run, unit, step, rate_command, started, ended from steps"
+    return f'{where}; ask for it: gyrofleet sql --store {store} "{query}"'
+
+
+def _by_live_limits(verdicts: Mapping[str, str]) -> str:
+    """How many units have each verdict, and which do not pass; empty where nothing was judged live."""
+    if not verdicts:
+        return ""
+    by_verdict: dict[str, list[str]] = {}
+    for unit, verdict in sorted(verdicts.items()):
+        by_verdict.setdefault(verdict, []).append(unit)
+    named = (
+        f"{len(units)} {verdict}{f' ({listed(units)})' if verdict != Verdict.PASS else ''}"
+        for verdict, units in by_verdict.items()
+    )
+    return f"; by the live limits {', '.join(named)}"
 
 
 def _by_hand(unsafe: tuple[str, ...]) -> list[str]:

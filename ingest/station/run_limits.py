@@ -49,6 +49,9 @@ class RunLimits(NamedTuple):
                 )  # fmt: skip
 
 
+_NEVER_NS = 2**63 - 1
+
+
 class LimitReport:
     """Reports early decisions and verdicts to the operator; `verdicts` has that of each unit once the run has ended."""
 
@@ -56,7 +59,7 @@ class LimitReport:
         self._report = report
         self._decided: set[tuple[str, Limit, str]] = set()
         self._looks: dict[str, dict[Limit, EarlyDecision]] = {}
-        self._since_ns = 0
+        self._since_ns = _NEVER_NS  # what a resumed run replays is of records that are measured again
         self.verdicts: dict[str, str] = {}
 
     def so_far(self) -> dict[str, str]:
@@ -72,6 +75,7 @@ class LimitReport:
         """A record begins: looks at one before it count no more."""
         self._since_ns = since_ns
         self._looks.clear()
+        self._decided.clear()
 
     def early(self, unit: str) -> dict[Limit, str]:
         """Outcome of each limit of a unit that is decided early."""

@@ -88,6 +88,8 @@ def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[s
             f"run {state.run} was started with other units (new now: {', '.join(added) or 'none'}; gone: "
             f"{', '.join(gone) or 'none'}): give the same --units, or another --run"
         )
+    if state.plan != plan and state.phase == "ended":
+        raise BadInput(f"run {state.run} has ended ({state.outcome}): give another --run, or none, to measure again")
     if state.plan != plan:
         raise BadInput(
             f"run {state.run} was started with other steps of {procedure}: give the same --set and the same file, or "

@@ -229,6 +229,7 @@ def load_station(path: Path) -> Station:
     file.station.check(lambda field: f"{path}: station.{field}")
     _check_clock(path, file.clock)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
+    _check_resources(path, instruments)
     standards = {name: _standard(path, name, table, instruments) for name, table in file.standards.items()}
     for name, slot in file.slots.items():
         _check_power(f"{path}: slots.{name}.power is {slot.power!r}", slot.power, instruments)
@@ -277,6 +278,19 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     if isinstance(options, ScpiOptions) and (trouble := resource_trouble(options.resource)) is not None:
         raise BadInput(f"{path}: instruments.{name}.resource is {options.resource!r}: {trouble}")
     return kind, options
+
+
+def _check_resources(path: Path, instruments: Mapping[str, tuple[str, Options]]) -> None:
+    """Refuse two instruments at one address: what is meant for one would be sent to the other."""
+    names: dict[str, str] = {}
+    for name, (_, options) in instruments.items():
+        if isinstance(options, ScpiOptions):
+            other = names.setdefault(options.resource.upper(), name)
+            if other != name:
+                raise BadInput(
+                    f"{path}: instruments.{other} and instruments.{name} have the same resource, {options.resource}: "
+                    f"commands for one would be sent to the other; give each its own"
+                )
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

@@ -4,12 +4,13 @@ import csv
 import io
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from uuid import NAMESPACE_URL, uuid5
 
 import msgspec
 
+from ingest.station.station import SlotTable
 from stream.errors import BadInput
 from stream.events import UnitMounted
 from stream.identity import check_name
@@ -112,6 +113,17 @@ def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEn
         raise BadInput(f"{wanting} units have no slot, and {len(free)} of the station's {len(slots)} slots are free")
     left = iter(free)
     return tuple(entry if entry.slot else msgspec.structs.replace(entry, slot=next(left)) for entry in entries)
+
+
+def in_fixtures(entries: Iterable[UnitEntry], slots: Mapping[str, SlotTable]) -> tuple[UnitEntry, ...]:
+    """Entries with the fixtures of their slots, where the file of units names none."""
+
+    def with_fixture(entry: UnitEntry) -> UnitEntry:
+        slot = slots.get(entry.slot or "")
+        is_named = entry.fixture or slot is None or not slot.fixture
+        return entry if is_named or slot is None else msgspec.structs.replace(entry, fixture=slot.fixture)
+
+    return tuple(map(with_fixture, entries))
 
 
 def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tuple[UnitMounted, ...]:

@@ -53,6 +53,7 @@ class Case:
         station = load_station(folder / "station.toml")
         self.told: list[str] = []
         self.decisions = LimitReport(self.told.append)
+        self.decisions.begin_record(0)
         limits = {
             "U1": UnitLimits("s-A", (LIMIT, OTHER), ()),
             "U2": UnitLimits("s-A", (LIMIT,), ()),
@@ -108,3 +109,16 @@ def test_a_supply_is_idle_once_all_its_units_are_released(case: Case) -> None:
     assert case.releases.idle_supplies(("U1", "U3")) == []
     assert case.releases.idle_supplies(("U1", "U2", "U3")) == ["left"]
     assert case.releases.without_power(["left"]) == ["U1", "U2"]
+
+
+def test_decisions_of_a_record_that_is_measured_again_are_not_announced(case: Case) -> None:
+    resumed = LimitReport(case.told.append)
+    resumed.see(decision("U2", LIMIT, "FAIL"))  # replayed
+    assert case.told == []
+    resumed.begin_record(500 * S)
+    for _ in range(2):
+        resumed.see(decision("U2", LIMIT, "PASS", t_s=600.0))
+    assert len(case.told) == 1
+    resumed.begin_record(900 * S)
+    resumed.see(decision("U2", LIMIT, "PASS", t_s=950.0))
+    assert len(case.told) == 2

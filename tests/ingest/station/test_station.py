@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from ingest.simulator.station_files import write_station
-from ingest.station.station import Station, load_station
+from ingest.station.station import SlotTable, Station, load_station
+from ingest.station.units_file import in_fixtures, parse_units
 from stream.errors import BadInput
 
 
@@ -117,3 +118,17 @@ def test_a_standard_that_is_not_connected_can_be_out_of_date(folder: Path) -> No
 def test_uncertainties_that_cannot_be_meant_are_refused(folder: Path, stated: str, said: str) -> None:
     with pytest.raises(BadInput, match=re.escape(said)):
         changed(folder, 'kind = "rate_table"', f'kind = "rate_table"\nuncertainty.{stated}')
+
+
+def test_two_instruments_at_one_address_are_refused(folder: Path) -> None:
+    text = (folder / "station.toml").read_text()
+    chamber, table = re.findall(r'resource = "(TCPIP[^"]*)"', text)[:2]
+    (folder / "station.toml").write_text(text.replace(chamber, table))
+    with pytest.raises(BadInput, match="have the same resource"):
+        load_station(folder / "station.toml")
+
+
+def test_a_unit_is_in_the_fixture_of_its_slot() -> None:
+    slots = {"A1": SlotTable(fixture="plate-7"), "A2": SlotTable()}
+    units = parse_units(b"serial,slot,fixture\nF1,A1,\nF3,A2,\nF4,B1,own\n", "u").entries
+    assert [each.fixture for each in in_fixtures(units, slots)] == ["plate-7", None, "own"]
