@@ -222,6 +222,7 @@ class Floor:
                 unit.run.temperature_command_deg_c = document.words.temperature_command_deg_c
             case StepEnded():
                 unit.step = ""
+                unit.run.temperature_command_deg_c = None  # what the next step commands is known once it has settled
             case PowerOn():
                 unit.is_off = unit.released is not None
             case PowerOff():

@@ -234,7 +234,8 @@ with candidate as materialized (
           guard_factor)
       when decision_rule <> 'interval' then null
       when verdict = 'MARGINAL' and (v_lo is null or v_hi is null)
-        then 'the value has no interval, which the rule needs; simple_acceptance judges by the value alone'
+        then 'the value has no interval, which the rule needs'
+          || coalesce(': ' || (parameters->>'$.remark'), '; simple_acceptance judges by the value alone')
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
     end as reason,
     product, lot, station, fixture, day, t_ns

@@ -256,3 +256,13 @@ def test_a_released_unit_has_its_decision_and_is_not_silent() -> None:
 
 def rows_of(floor: Floor) -> list[dict[str, Any]]:
     return [dict(zip(STATE_COLUMNS, state, strict=True)) for state in FloorRows().document(floor)["states"]]
+
+
+def test_between_steps_no_temperature_is_commanded() -> None:
+    """The chamber moves to that of the next step, whose document comes once it has settled."""
+    floor = floor_of(
+        started(), StepStarted(run="r1", t_ns=0, unit="U1", words=StepWords(temperature_command_deg_c=-20.0))
+    )
+    assert floor.units["U1"].run.temperature_command_deg_c == -20.0
+    floor.take(PLACE, StepEnded(run="r1", t_ns=S, unit="U1", step_uid="x", outcome="completed"), 3 * S)
+    assert floor.units["U1"].run.temperature_command_deg_c is None
