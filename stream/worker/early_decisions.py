@@ -19,7 +19,7 @@ from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EarlyDecision, EstimatePoint, EstimatePublished, Limit, LimitsApplied
 from stream.quantities import conversion
 from stream.stillness import Stillness, remark_on_stillness
-from stream.worker.limit_checks import ALLAN_DEVIATION, ANGLE_RANDOM_WALK, estimator_key
+from stream.worker.limit_checks import ALLAN_DEVIATION, ANGLE_RANDOM_WALK, estimator_key, remark_on_lack
 from stream.worker.recent_samples import RecentSamples
 
 _SAME = 1e-6
@@ -214,10 +214,17 @@ class EarlyDecisions:
                 if not estimate.unit_of_measure:
                     return _cannot("no sample yet", "尚无样本")
                 self._begin(number, self._plan(number, limit, estimate))
-            self._tests[number].doubt = remark_on_stillness(self.still.longest, self.still.samples)
+            self._tests[number].doubt = self._doubt(elapsed_s, estimate.sample_interval_s)
             return self._tests[number].look(elapsed_s, point)
         except GyrofleetError as error:
             return _cannot(str(error), str(error))
+
+    def _doubt(self, elapsed_s: float, sample_interval_s: float) -> tuple[str, str] | None:
+        """Why no limit must pass now."""
+        still = remark_on_stillness(self.still.longest, self.still.samples)
+        if still is not None or self._planned_s is None or elapsed_s < self._planned_s:
+            return still
+        return remark_on_lack(self.still.samples * sample_interval_s, self._planned_s)
 
     def _begin(self, number: int, plan: DecisionPlan) -> None:
         is_allan = _is_allan(self._limits[number])

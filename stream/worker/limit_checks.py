@@ -154,10 +154,26 @@ def _of_whole_record(
         if each.signal == check.limit.signal
     ]
     recorded_s = max(lengths, default=0.0)
-    if check.verdict is not Verdict.PASS or recorded_s >= WHOLE_RECORD * planned_s:
+    lack = remark_on_lack(recorded_s, planned_s)
+    if check.verdict is not Verdict.PASS or lack is None:
         return check
-    reason = f"samples of {duration(recorded_s)} of {duration(planned_s)}: a PASS needs the whole record"
-    return msgspec.structs.replace(check, verdict=Verdict.MARGINAL, reason=reason)
+    return msgspec.structs.replace(check, verdict=Verdict.MARGINAL, reason=lack[0])
+
+
+def remark_on_lack(recorded_s: float, planned_s: float) -> tuple[str, str] | None:
+    """Why a record is too short for a PASS, in English and Chinese; None if it is whole.
+
+    >>> remark_on_lack(105.0, 120.0)[0], remark_on_lack(110.0, 120.0)
+    ('87.5 % of the samples of 2 min are there: a PASS needs 90 % of them, the whole record', None)
+    """
+    share = recorded_s / planned_s
+    if share >= WHOLE_RECORD:
+        return None
+    shown, needed = f"{100.0 * share:.3g} %", f"{100.0 * WHOLE_RECORD:g} %"
+    return (
+        f"{shown} of the samples of {duration(planned_s)} are there: a PASS needs {needed} of them, the whole record",
+        f"{duration(planned_s)} 的采样只有 {shown}：合格须有 {needed}",
+    )
 
 
 def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:

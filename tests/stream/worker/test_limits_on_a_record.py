@@ -105,6 +105,21 @@ def test_a_warm_up_before_the_record_fails_no_unit() -> None:
     assert all(each.t_ns >= 300 * SECOND_NS for each in worker.decided())
 
 
+def test_a_finished_record_that_lacks_samples_is_not_decided_as_passed() -> None:
+    """A seventh of it is missing: the verdict is MARGINAL, and no decision says otherwise."""
+    worker = Worker()
+    worker.record(STABILITY)  # which passes at the end alone
+    worker.samples(QUIET[:4000])
+    worker._samples += 850
+    worker.samples(QUIET[4850:])
+    worker.samples(QUIET[:10])
+    (check,) = worker.verdict().checks
+    assert check.verdict is Verdict.MARGINAL
+    assert "85.8 % of the samples of 10 min are there" in (check.reason or "")
+    assert "85.8 %" in in_chinese(check.reason or "")
+    assert worker.decided() == []
+
+
 def test_the_same_run_is_failed_where_the_limits_are_on_all_of_it() -> None:
     worker = Worker()
     worker.send(LimitsApplied(run="r1", t_ns=0, revision="R", limits=(STABILITY,), planned_s=900.0))
