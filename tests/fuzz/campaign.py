@@ -41,11 +41,14 @@ class Campaign:
         self.findings: dict[str, str] = {}
         self._began = time.monotonic()
 
-    def start(self) -> None:
-        """Read the sound contents, which must be taken, and what earlier campaigns have found; limit the memory."""
+    def start(self, corpus_bytes: int = 0) -> None:
+        """Read the sound contents, which must be taken, and what earlier campaigns have found; limit the memory.
+
+        `corpus_bytes`: room for the inputs that somebody else keeps in this process.
+        """
         for seed in self.seeds:
             self._take(self._trial.judge(seed, is_sound=True), seed)
-        limit_memory()
+        limit_memory(corpus_bytes)
         vars(os)["fsync"] = lambda _descriptor: None  # no power is lost here, and the disk is others' as well
         for path in sorted((FOUND / self.form.name).glob("*")):
             self.judge(path.read_bytes())

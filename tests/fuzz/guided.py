@@ -13,6 +13,7 @@ from pathlib import Path
 
 import atheris
 
+_CORPUS_BYTES = 4 << 30  # libFuzzer keeps thousands of inputs of up to a megabyte
 _EVERY = 20  # inputs, that the result is written
 _INSTRUMENTED = ["stream", "storage", "ingest", "analytics", "can", "asammdf", "cantools", "mcap", "msgspec"]
 
@@ -26,7 +27,7 @@ def main() -> None:
         form = formats()[name]
     folder = Path(result).parent
     campaign = Campaign(form, folder, Path(keep[0]) if keep else None)
-    campaign.start()
+    campaign.start(_CORPUS_BYTES)
 
     def mutate(content: bytes, most: int, number: int) -> bytes:
         return form.mutate(content, random.Random(number))[:most]

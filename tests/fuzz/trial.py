@@ -225,9 +225,9 @@ def _peak_bytes() -> int:
     return 1024 * int(status.partition("VmHWM:")[2].split()[0])
 
 
-def limit_memory() -> None:
-    """Bound what this process may take beyond what it has."""
+def limit_memory(beside_bytes: int = 0) -> None:
+    """Bound what this process may take beyond what it has, and beyond what is kept beside what is read."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + MAX_MEMORY_BYTES
+    most = pages * resource.getpagesize() + MAX_MEMORY_BYTES + beside_bytes
     resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
