@@ -18,6 +18,7 @@ from stream.batch import FloatArray
 _OFFSET_S = 5.0
 _RATE_ERROR = 2e-4
 _PER_HOUR = 3600.0
+_MOST_OFFSET_S, _MOST_GROWTH_S_PER_H = 120.0, 3.6  # of a clock not set for months, and of a poor quartz, 0.1 %
 Mask = npt.NDArray[np.bool_]
 _LEAST_BLOCKS = 4
 _LEAST_REACH_BLOCKS = 40
@@ -50,6 +51,8 @@ class SensorClock(Effect):
 
     def __post_init__(self) -> None:
         self.needs = (self.channel,)
+        term = "scale_factor" if self.channel == "input_rate" else self.channel
+        self.clock_bound = (term, _MOST_GROWTH_S_PER_H, "s/h") if self.is_growing else (term, _MOST_OFFSET_S, "s")
         self.per = f"{{{self.channel}}}/s" + ("*h" if self.is_growing else "")
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:

@@ -124,6 +124,8 @@ class Effect(ABC):
     reference: str
     aliases: tuple[str, ...] = ()  # names of effects that ordinary tests do not distinguish from this one
     follows: tuple[str, ...] = ()  # of a proxy: effects of the causes that it follows; found alone, it stands for one
+    clock_bound: tuple[str, float, str] | None = None
+    """Of a clock error: the declared term that it acts through, its largest plausible size, and the unit of that."""
     separating_test: str  # the measurement that would distinguish this effect from its aliases
     separating_test_zh: str
 

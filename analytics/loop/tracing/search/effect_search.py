@@ -7,7 +7,7 @@ import numpy as np
 
 from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.tracing.search.differing_terms import differing_terms
-from analytics.loop.tracing.search.evidence import PRICE, look_alike, penalty
+from analytics.loop.tracing.search.evidence import PRICE, look_alike
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, as_if_replicated, fitted_candidates
 from analytics.loop.tracing.search.named_parts import named_parts
 from analytics.loop.tracing.search.pair_round import best_pair
@@ -20,7 +20,6 @@ from stream.batch import FloatArray, IntArray
 MOST_EFFECTS = 4
 LEAST_SHARED = 0.5  # of what an effect explains beside the others, which a rival of it has to explain as well
 _MOST_SWEEPS = 3
-_MANY, _MOST_RIVALS = 3, 2  # effects found from which on rivals of the first one are tried; rivals that are
 
 
 @dataclass(frozen=True)
@@ -99,51 +98,13 @@ def _columns_of(which: Selected, widths: Sequence[tuple[Selected, int]], start: 
 
 
 def search(candidates: Candidates, rng: np.random.Generator) -> Search:
-    """Find the effects that the declared model lacks, one record for each unit.
-
-    If several are found, and the first one had rivals, the search begins with each of these rivals as well: effects
-    chosen beside a wrong first one may hold it in its place. The model that explains the data best is kept.
-    """
-    null = fit_jointly(candidates.records, nothing_more(candidates.records))
-    found = _search(candidates, null, rng)
-    if len(found.common) < _MANY or not found.first:
-        return _reported(found)
-    chosen = _chosen(found.first)
-    rivals = [] if chosen is None else [each for each in chosen.confounded if each.replicates and each.is_common]
-    others = [_search(candidates, null, rng, found.first, rival) for rival in rivals[:_MOST_RIVALS]]
-    return _reported(max((found, *others), key=_worth))
-
-
-def _reported(found: Search) -> Search:
-    """The search with the restricted fit, for results."""
-    records, selected = found.joint.records, list(found.selected)
-    joint = fit_jointly(records, _hypothesis_of(records, selected), found.joint.noises, restricted=True)
-    selected = _without_others_rivals(selected, joint)
-    return replace(found, selected=tuple(selected), joint=joint, first=() if selected else found.first)
-
-
-def _worth(found: Search) -> float:
-    """Chi-square that the selected effects explain, less the penalties for each and for each of its numbers."""
-    numbers = sum(each.fitted.degrees for each in found.selected)
-    price = sum(penalty(each.fitted.effect) for each in found.selected)
-    blocks = sum(map(len, found.joint.records))
-    return 2 * (found.joint.log_likelihood - found.null.log_likelihood) - price - numbers * float(np.log(blocks))
-
-
-def _search(
-    candidates: Candidates,
-    null: JointFit,
-    rng: np.random.Generator,
-    first: tuple[FittedCandidate, ...] = (),
-    start: FittedCandidate | None = None,
-) -> Search:
-    """A search from the declared model `null` on; with `start` chosen of the candidates `first` of the first round."""
-    records, joint = candidates.records, null
+    """Find the effects that the declared model lacks, one record for each unit."""
+    records = candidates.records
+    null = joint = fit_jointly(records, nothing_more(records))
     selected: list[Selected] = []
-    if start is not None:
-        selected, joint = [_chosen_as(start, first)], start.joint
     unreplicated: tuple[FittedCandidate, ...] = ()
-    while len(selected) < MOST_EFFECTS:
+    first: tuple[FittedCandidate, ...] = ()
+    for _ in range(MOST_EFFECTS):
         # lines and jumps would pass for a coefficient that differs from run to run
         repeats = not differing_terms(joint)
         found = fitted_candidates(candidates, joint, rng, [each.name for each in selected], with_events=repeats)
@@ -161,8 +122,9 @@ def _search(
     elif common >= 2:
         selected, joint = _refined(candidates, selected, joint, rng)
     selected, joint = _with_named_parts(candidates, selected, joint, rng)
-    joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises)
-    return Search(tuple(selected), null, joint, unreplicated, first)
+    joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises, restricted=True)
+    selected = _without_others_rivals(selected, joint)
+    return Search(tuple(selected), null, joint, unreplicated, () if selected else first)
 
 
 def provisional(found: Search) -> Search | None:
@@ -217,7 +179,7 @@ def _with_named_parts(
 
 def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
     """The best candidate that replicates; a proxy or an alias only if no cause explains the data."""
-    usable = [each for each in found if each.replicates]
+    usable = [each for each in found if each.replicates and each.is_plausible]
     significant = [each for each in usable if not each.is_rival]
     if not significant or significant[0].evidence <= 0:
         return None
@@ -239,14 +201,6 @@ def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
         companions=tuple(each.name for each in near if each.effect.role is Role.PROXY),
         leading_proxy=leading,
     )
-
-
-def _chosen_as(start: FittedCandidate, found: Sequence[FittedCandidate]) -> Selected:
-    """A rival of the best candidate in its place; all that the best one cannot be separated from are its rivals."""
-    best = _chosen(found)
-    assert best is not None
-    others = [each for each in (best.fitted, *best.confounded) if each is not start]
-    return Selected(start, tuple(others), best.companions)
 
 
 def _by_design(first: FittedCandidate, second: FittedCandidate) -> bool:

@@ -46,6 +46,7 @@ RIVAL = 0.05  # p-value from which an effect that looks like a chosen one is fit
 SWALLOWED = 0.25  # excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect
 EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0  # ratio to the declared variance at which the noise model is not trusted
 _SAME_EVIDENCE = 6  # decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine
+CONFIDENCE = 1.96
 RESHAPED = 0.5  # share of the largest evidence from which a candidate's shape is sought between the tried ones
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
@@ -66,6 +67,7 @@ class FittedCandidate:
     replication: Replication | None = None  # None for a line or a jump
     replicates: bool = True
     is_rival: bool = False  # not significant by itself; it looks like another that is
+    is_plausible: bool = True  # its size, if it is a clock error
     at_most: float | None = None  # evidence before the noise inflation; None where that was not taken into account
 
     @property
@@ -116,6 +118,7 @@ def fitted_candidates(
             found.append(_discounted(fitted))
     most = max((each.evidence for each in found), default=0.0)
     found = [_reshaped(candidates, base, each) if each.evidence > RESHAPED * most else each for each in found]
+    found = [replace(each, is_plausible=_has_plausible_size(candidates.terms, each)) for each in found]
     if with_events:
         found += [each for each in (_line(base), _jump(base)) if each is not None]
     return sorted(found, key=lambda each: (-round(each.evidence, _SAME_EVIDENCE), each.name))
@@ -230,6 +233,18 @@ def _reshaped(candidates: Candidates, base: JointFit, each: FittedCandidate) -> 
     )
     better = _discounted(fitted)
     return better if better.evidence > each.evidence else each
+
+
+def _has_plausible_size(terms: Sequence[str], each: FittedCandidate) -> bool:
+    """Whether a clock error needs no larger clock error than there is, by the declared term that it acts through."""
+    bound = each.effect.clock_bound
+    if bound is None or bound[0] not in terms:
+        return True
+    at = terms.index(bound[0])
+    sensitivity = max(
+        abs(float(own.coefficients[at])) + CONFIDENCE * float(np.sqrt(own.covariance[at, at])) for own in each.joint.own
+    )
+    return abs(float(each.joint.common.coefficients[-1])) <= bound[1] * sensitivity
 
 
 def _evidence(joint: JointFit, ratio: float, degrees: int, effect: Effect) -> float:

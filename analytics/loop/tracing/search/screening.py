@@ -50,6 +50,7 @@ class Candidates:
     items: tuple[Candidate, ...]  # every effect with every shape, grouped by effect
     scale: FloatArray  # shape (columns,); divisor that gives each column a spread of about one
     not_tested: Mapping[str, Bilingual]  # effects that could not be tested, and why
+    terms: tuple[str, ...] = ()  # names of the columns of the declared model
     _cache: dict[int, FloatArray] = field(default_factory=dict)
 
     def columns(self, number: int) -> FloatArray:
@@ -123,7 +124,7 @@ def candidates_for(
             if len(records) == 1:
                 last.append(spread.last)
     scale = np.concatenate(scales) if scales else np.empty(0)
-    found = Candidates(tuple(records), tuple(items), scale, not_tested)
+    found = Candidates(tuple(records), tuple(items), scale, not_tested, model.labels())
     if len(records) == 1:
         found.keep(0, last)
     return found

@@ -21,15 +21,6 @@ from stream.batch import FloatArray
 
 _CONFIDENCE = 1.96
 AGEING = "ageing"
-_CLOCK_BOUNDS = {
-    "temperature_time_offset": ("temperature", 120.0, "s"),
-    "rate_time_offset": ("scale_factor", 120.0, "s"),
-    "temperature_clock_rate": ("temperature", 3.6, "s/h"),
-    "rate_clock_rate": ("scale_factor", 3.6, "s/h"),
-}
-"""By clock error: the declared term that it acts through, and its largest plausible size.
-
-A clock not set for months is two minutes off; a poor quartz gains 0.1 %."""
 CONFIDENCE = 1.96
 
 
@@ -74,9 +65,10 @@ def with_clock_bounds(found: FoundEffect, declared: ErrorModel) -> FoundEffect:
 
 
 def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
-    if other.name not in _CLOCK_BOUNDS or other.coefficient is None:
+    bound = effect(other.name).clock_bound
+    if bound is None or other.coefficient is None:
         return other
-    term, most, unit = _CLOCK_BOUNDS[other.name]
+    term, most, unit = bound
     labels = declared.labels()
     if term not in labels:
         return other
