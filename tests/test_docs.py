@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 import pytest
 
+from docs import file_keys
 from gyrofleet import main
 from tests.sources import SOURCES
 
@@ -59,3 +60,12 @@ def test_every_page_is_reached_from_the_readme() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_the_keys_of_a_stations_files_are_those_that_are_read() -> None:
+    written = (ROOT / "docs" / "reference" / "station-files.md").read_text(encoding="utf-8")
+    assert written == f"{file_keys.page()}\n", (
+        "write it anew: python -m docs.file_keys > docs/reference/station-files.md"
+    )
+    for key in ("set_rate", "TEMP:SETP", "room_deg_c", "modulus", "wait_settled", "length_field", "power"):
+        assert f"`{key}" in written
