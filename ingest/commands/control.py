@@ -12,6 +12,7 @@ from stream.security.rights import Role
 from stream.terminal.console import notes, print_json, reporting, results, store_option
 from stream.terminal.security_options import secured
 
+_ABORT_PATIENCE_S = 60.0  # an instrument that does not answer may keep the station waiting
 _ACTIONS = tuple(each.value for each in RunAction)
 
 
@@ -27,9 +28,10 @@ def control(run: str, action: str, reason: str, by: str | None, folder: Path, *,
     """Pause, resume or abort the RUN of a procedure that a station on this computer carries out.
 
     The station answers within some seconds: the exit code is 0 if it does as it is told, 1 if it refuses, or nobody
-    answers; a command that the station has not taken by then is withdrawn. Command and answer are in `events`.
+    answers; a command that the station has not taken by then is withdrawn, `abort` after a minute. Command and answer
+    are in `events`.
     """
-    from storage.recording.run_command import give_command, is_at_work
+    from storage.recording.run_command import PATIENCE_S, give_command, is_at_work
     from storage.sql.catalog import Catalog
     from storage.store import Store
 
@@ -44,7 +46,11 @@ def control(run: str, action: str, reason: str, by: str | None, folder: Path, *,
             raise NotFound(f"run {run!r} is not in {folder}; `gyrofleet status` has the runs that are at work")
         outcome = str(found["outcome"][0].as_py())
         ended_as = None if outcome == "open" else outcome
-    given = give_command(store, run, RunAction(action), by=acting(by).name, reason=reason.strip(), ended_as=ended_as)
+    given = give_command(
+        store, run, RunAction(action), by=acting(by).name, reason=reason.strip(), ended_as=ended_as,
+        patience_s=_ABORT_PATIENCE_S if action == RunAction.ABORT else PATIENCE_S,
+        report=lambda text: notes().print(text, soft_wrap=True),
+    )  # fmt: skip
     answer = given.answer
     is_obeyed = answer.outcome in {CommandOutcome.ACCEPTED, CommandOutcome.DONE}
     if as_json:

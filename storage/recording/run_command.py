@@ -1,6 +1,7 @@
 """Giving a command to the station of a run, and waiting for its answer."""
 
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -41,13 +42,14 @@ class GivenCommand(NamedTuple):
 
 def give_command(
     store: Store, run: str, action: RunAction, *, by: str, reason: str, patience_s: float = PATIENCE_S,
-    role: str = "gyrofleet control", ended_as: str | None = None,
+    role: str = "gyrofleet control", ended_as: str | None = None, report: Callable[[str], None] | None = None,
 ) -> GivenCommand:  # fmt: skip
     """Command the station of a run; returns its answer: `accepted` if it is still at it after `patience_s`.
 
     A command that the station has not taken by then is withdrawn, and never carried out; one for a run that has ended,
-    with the outcome `ended_as`, is refused. `role` is who writes the log where the station does not. Raises StoreError
-    if the store's folder cannot be written, or is another user's.
+    with the outcome `ended_as`, is refused. `role` is who writes the log where the station does not. `report` gets a
+    sentence where a command with a longer patience is not taken within the usual one. Raises StoreError if the store's
+    folder cannot be written, or is another user's.
     """
     now_ns = time.time_ns()
     command = RunCommand(
@@ -60,13 +62,17 @@ def give_command(
             why = _nobody(run) if ended_as is None else _over(run, ended_as)
             return _not_taken(store, folder, command, why, role)
         folder.write(command.id, GIVEN, command)
-        until_s = time.monotonic() + patience_s
+        report_s, until_s = time.monotonic() + PATIENCE_S, time.monotonic() + patience_s
         while time.monotonic() < until_s and folder.is_held:
             answer = _answer(folder, command.id)
             if answer is not None and answer.is_final:
                 folder.remove(command.id, ANSWER)
                 return GivenCommand(command, answer, is_logged=True)
             time.sleep(_LOOK_S)
+            if report is not None and time.monotonic() > report_s:
+                report(f"the station has not taken the command yet, perhaps it waits for an instrument; the command "
+                       f"stands for {patience_s:g} s; look at the station itself")  # fmt: skip
+                report = None
         if folder.move(command.id, GIVEN, WITHDRAWN):
             why = _silent(run, patience_s) if folder.is_held else _nobody(run)
             return _not_taken(store, folder, command, why, role)

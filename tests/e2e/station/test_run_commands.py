@@ -207,6 +207,25 @@ def test_a_station_that_does_not_answer_is_told_of_and_does_nothing_later(
     assert [(row["action"], row["outcome"]) for row in kept.rows(COMMANDS)] == [("abort", None), (None, "unanswered")]
 
 
+def test_an_abort_stands_while_the_station_waits_for_an_instrument(
+    gyrofleet: Gyrofleet, store: Path, slow: Bench, spawn: Spawn, state: State, kept: Kept
+) -> None:
+    """For 8 s it takes nothing; a pause would be withdrawn after 5 s."""
+    process = spawn(*slow.run("scale_factor", *SHORT))
+    run = at_work(store, state, lambda found: found["step"] >= 2)
+    with stopped(process):
+        waiting = spawn("control", run, "abort", "--reason", "smoke", "--by", "Li", "--store", "S")
+        time.sleep(8.0)
+    out, err = waiting.communicate(timeout=60)
+    assert waiting.returncode == 0, (out, err)
+    assert "abort done" in out
+    assert "the command stands for 60 s" in err
+    reported, _ = slow.ended(process, code=1)
+    assert reported["outcome"] == "aborted"
+    assert slow.is_safe()
+    kept.sound()
+
+
 def command(run: str, action: RunAction, name: str) -> RunCommand:
     now_ns = time.time_ns()
     return RunCommand(
