@@ -12,7 +12,7 @@ from storage.sql.catalog import Catalog
 
 LEAST_UNITS = 20  # from which a process has a mean and a deviation
 _VALUES = """
-select lot, metric, subject, specification, revision, decision_rule, value, standard_uncertainty as u, guard,
+select lot, metric, subject, specification, revision, decision_rule, unit, value, standard_uncertainty as u, guard,
   lower, upper
 from verdicts where conformity is not null
 """
@@ -34,7 +34,7 @@ def lot_risks(catalog: Catalog) -> list[dict[str, Any]]:
 
 def _of_process(members: list[dict[str, Any]]) -> dict[str, float | None]:
     unknown: dict[str, float | None] = {"process_consumer_risk": None, "process_producer_risk": None}
-    if len(members) < LEAST_UNITS:
+    if len({row["unit"] for row in members}) < LEAST_UNITS:
         return unknown
     found = np.array([(row["value"], row["u"], row["guard"] or 0.0) for row in members], dtype=np.float64)
     u, guard = math.sqrt(float(np.mean(found[:, 1] ** 2))), float(np.mean(found[:, 2]))

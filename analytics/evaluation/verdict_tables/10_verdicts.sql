@@ -268,12 +268,19 @@ with candidate as materialized (
     'NO_DATA' as verdict, null::double as value, null::double as lo, null::double as hi, null::double as lower,
     null::double as upper, '' as unit_of_measure, '{}' as parameters, []::varchar[] as runs,
     null::varchar as standard, null::varchar as clause, null::varchar as specification, null::varchar as revision,
-    'its product is not known, so that no limit of ' || string_agg(distinct limit_product, ', ' order by limit_product)
-      || ' is applied: name its product with `gyrofleet import --units`, or where it is mounted' as reason,
+    case when product is null
+      then 'its product is not known, so that no limit of ' || string_agg(distinct limit_product, ', ' order by limit_product)
+        || ' is applied: name its product with `gyrofleet import --units`, or where it is mounted'
+      else 'no limit is for its product ' || product || ', but for '
+        || string_agg(distinct limit_product, ', ' order by limit_product) || ': correct it with `gyrofleet import --units`, '
+        || 'or add a table of that product to the specification where the limits for every product are all'
+    end as reason,
     product, any_value(lot) as lot, any_value(station) as station, any_value(fixture) as fixture,
     any_value(day) as day, any_value(t_ns) as t_ns
-  from in_force where product is null and limit_product is not null
+  from in_force
+  where limit_product is not null and (product is null or product not in (select product from internal.product_editions))
   group by unit, product
+  having product is null or not bool_or(limit_product = product)
 ), lacking as (
   select a.unit, a.limit_signal as signal, null::varchar as run, a.metric, a.subject, 'NO_DATA' as verdict,
     null::double as value, null::double as lo, null::double as hi, a.lower, a.upper, a.unit_of_measure, a.parameters,
