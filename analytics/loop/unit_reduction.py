@@ -9,7 +9,7 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
-from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.left_out import GRAVE, LeftOut
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.step_channels import position_numbers
@@ -135,12 +135,13 @@ def read_units(
             if isinstance(found, GyrofleetError):
                 raise found
             runs, left_out = _with_channels_of(question, found.runs)
+            losses = (*_lost_runs(found.runs, runs), *found.left_out)
             models[unit] = model_on(question, runs)
             gone = {run for note in left_out for run in note.runs}
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
             _check_values(runs)
             noise, source, is_declared = _noise(catalog, runs, models[unit], question)
-            reduced[unit] = ReducedUnit(runs, notes, noise, source, found.left_out, is_declared, positions)
+            reduced[unit] = ReducedUnit(runs, notes, noise, source, losses, is_declared, positions)
         except GyrofleetError as error:
             errors[unit] = error
     return ReadUnits(reduced, models, errors)
@@ -173,6 +174,21 @@ def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tu
         f"{where} {names} is missing, which the model needs: left out", f"{where.zh}缺少模型所需的{names}：已略去"
     )
     return kept, (Note("without_channel", text, lacking[0], tuple(others)),)
+
+
+def _lost_runs(every: Sequence[RunBlocks], kept: Sequence[RunBlocks]) -> tuple[LeftOut, ...]:
+    """Runs that are left out since the model needs a channel that they lack, as a share of all blocks."""
+    blocks = sum(map(len, every))
+    gone = blocks - sum(map(len, kept))
+    if not gone:
+        return ()
+    share, runs = gone / blocks, len(every) - len(kept)
+    what = Bilingual(f"{blocks:,} blocks", f"{blocks:,}个数据块")
+    why = Bilingual(
+        f"{runs} of {len(every)} runs lack a channel that the model needs",
+        f"{len(every)}次试验中有{runs}次缺少模型所需的通道",
+    )
+    return (LeftOut(what, share, why, is_grave=share >= GRAVE),)
 
 
 def model_on(question: Question, runs: Sequence[RunBlocks]) -> ErrorModel:
