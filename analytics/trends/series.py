@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -113,20 +113,25 @@ class Choice(NamedTuple):
     since_ns: int | None = None
 
 
+_LIMITED = "select distinct parameters from specification_limits where metric = $metric"
+
+
 def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> MetricSeries:
     """Read the values of one metric from the store; only this metric is computed.
 
     Where a metric has several kinds of values (averaging times, axes, with and without the Earth's rate) and the choice
-    leaves more than one, the kind with the most values is used; the others are named in the result.
+    leaves more than one, the kind with the most values is used, of several one that a specification limits; the others
+    are named in the result.
     """
     check_metrics([metric])
     with evaluated(catalog, [metric]):
         found = rows_of(catalog, METRIC_VALUES, {"metric": metric, "unit": ""})
+        limits = rows_of(catalog, _LIMITED, {"metric": metric})
     rows = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found]
     kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:
         raise NotFound(_nothing(metric, rows, choice))
-    variant, others, kept = _one_kind(kept)
+    variant, others, kept = _one_kind(kept, [json.loads(each["parameters"] or "{}") for each in limits])
     valued = [row for row in kept if row["value"] is not None]
     if not valued:
         reasons = Counter(row["reason"] for row in kept)
@@ -229,12 +234,16 @@ def _kinds(rows: list[dict[str, Any]]) -> dict[Variant, list[dict[str, Any]]]:
     return kinds
 
 
-def _one_kind(rows: list[dict[str, Any]]) -> tuple[Variant, tuple[Variant, ...], list[dict[str, Any]]]:
+def _one_kind(
+    rows: list[dict[str, Any]], limited: Sequence[Mapping[str, object]]
+) -> tuple[Variant, tuple[Variant, ...], list[dict[str, Any]]]:
     kinds = _kinds(rows)
+    asked = [{(name, parameter_text(value)) for name, value in each.items()} for each in limited]
 
-    def rank(kind: Variant) -> tuple[int, bool, Variant]:
-        """Most values first; of two with as many the one at room temperature."""
-        return -sum(row["value"] is not None for row in kinds[kind]), ("room", "False") in kind.parameters, kind
+    def rank(kind: Variant) -> tuple[int, bool, bool, Variant]:
+        """Most values first; of two with as many the one with a limit, and that at room temperature."""
+        own, values = set(kind.parameters), sum(row["value"] is not None for row in kinds[kind])
+        return -values, not any(each <= own for each in asked), ("room", "False") in own, kind
 
     order = sorted(kinds, key=rank)
     return order[0], tuple(order[1:]), kinds[order[0]]
