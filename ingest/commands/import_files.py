@@ -143,14 +143,20 @@ def import_files(
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)
     known = {entry.serial for entry in entries}
     not_listed = [each for each in units if entries and each not in known]
+    not_measured = [each.serial for each in entries if each.serial not in units]
     if as_json:
-        print_json({"store": str(folder), "files": imported, "units_not_listed": not_listed})
+        lists = {"units_not_listed": not_listed, "units_without_samples": not_measured}
+        print_json({"store": str(folder), "files": imported} | lists)
     else:
         if len(units) > len(not_listed) and entries:
             notes().print(f"product, lot and the rest of {len(units) - len(not_listed)} units as in {units_file}")
         if not_listed:
             said_of = f"{units_file} says nothing of {len(not_listed)} of the {len(units)} units"
             notes().print(f"{said_of}: {', '.join(not_listed[:10])}", soft_wrap=True)
+        if not_measured:
+            named = f"{', '.join(not_measured[:10])}{', ...' if len(not_measured) > 10 else ''}"
+            said_of = f"these files have no sample of {len(not_measured)} of the {len(known)} units of {units_file}"
+            notes().print(f"{said_of}: {named}", soft_wrap=True)
         report_files(imported, folder)
     if any(each.damage for each in imported):
         sys.exit(1)

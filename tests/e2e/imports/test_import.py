@@ -261,6 +261,7 @@ def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     again = gyrofleet("import", path, "--unit", "U1", "--units", units)
     assert again.code == 0
     assert "Nothing to add: all 4,000 samples" in again.out
+    assert f"no sample of 1 of the 2 units of {units}: U9" in " ".join(again.err.split())
     assert gyrofleet(*query).json == [{"unit": "U1", "product": "FOG-70", "lot": "L7", "fixture": "plate 2"}]
     log = fingerprint(tmp_path / "gyrofleet-data" / "log")
     gyrofleet("import", path, "--unit", "U1", "--units", units)
@@ -269,7 +270,7 @@ def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     units.write_text("serial,product,lot,fixture\nU1,FOG-70,L8,plate 2\n")
     gyrofleet("import", path, "--unit", "U1", "--units", units)
     other = gyrofleet("import", path, "--unit", "U2", "--units", units, "--json").json
-    assert other["units_not_listed"] == ["U2"]
+    assert (other["units_not_listed"], other["units_without_samples"]) == (["U2"], ["U1"])
     assert [(row["unit"], row["lot"]) for row in gyrofleet(*query).json] == [("U1", "L8")]
     assert samples(gyrofleet) == 8000
 
