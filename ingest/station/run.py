@@ -18,6 +18,7 @@ from stream.errors import InstrumentError, RunAborted
 
 _LOOK_S = 0.05
 _SAVE_EVERY_S = 5.0
+_SILENCE_EVERY_S = 1.0
 _LONG_S = 3600.0  # at the station; then what settles is reported
 _ASK_SETTLED_S = 1.0  # at the station
 _RETRY_S = 2.0
@@ -72,6 +73,7 @@ class StationRun:
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
         self._silent: dict[str, float] = {}
+        self._look_for_silence_s = 0.0
         self.unsafe: tuple[str, ...] = ()
 
     def report(self, text: str) -> None:
@@ -214,6 +216,9 @@ class StationRun:
 
     def _watch_units(self, step: PlannedStep) -> None:
         """Report units that fall silent while a step records, and those that deliver again."""
+        if time.monotonic() < self._look_for_silence_s:
+            return
+        self._look_for_silence_s = time.monotonic() + _SILENCE_EVERY_S
         silent = self._log.coverage.silent(self._clock.speed)
         left = set(self._log.units_left)
         if new := [unit for unit in silent if unit not in self._silent]:

@@ -41,6 +41,7 @@ class StepCoverage:
         self._seen: dict[tuple[str, str], _Seen] = {}
         self._begin_ns = self._end_ns = 0
         self._arrived_s: dict[str, float] = {}
+        self._longest_ns: dict[str, int] = {}  # sample interval of the slowest signal of each unit
         self._watched_s: float | None = None
         self._lock = threading.Lock()
 
@@ -62,6 +63,7 @@ class StepCoverage:
             seen.inside += self._inside(times_ns)
             seen.recent.append(times_ns)
             self._arrived_s[batch.unit] = time.monotonic()
+            self._longest_ns[batch.unit] = max(self._longest_ns.get(batch.unit, 0), batch.dt_ns)
 
     def watch(self, *, is_recording: bool) -> None:
         """Count silence from now on, or no more."""
@@ -79,7 +81,7 @@ class StepCoverage:
             if self._watched_s is None:
                 return {}
             for unit in self._units:
-                dt_ns = max((seen.dt_ns for (of, _), seen in self._seen.items() if of == unit), default=0)
+                dt_ns = self._longest_ns.get(unit, 0)
                 since_s = now_s - max(self._arrived_s.get(unit, 0.0), self._watched_s)
                 if since_s > max(_SILENT_S, _SILENT_INTERVALS * dt_ns / 1e9 / speed):
                     found[unit] = since_s

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 
 from ingest.can.summary import COUNTED, MessageCount
 
-_REPORT_EVERY_S = 10.0
+_REPORT_EVERY_S, _LOOK_EVERY_S = 10.0, 1.0
 _MOST = 8  # messages that one report names
 _REPORTED = ("lost", "repeated", "restarts", "strays", "checksum_failures", "late")
 
@@ -26,13 +26,14 @@ class FrameReports:
     def __init__(self, counts: Callable[[], Iterable[MessageCount]], report: Callable[[str], None]) -> None:
         self._counts, self._report = counts, report
         self._reported: dict[tuple[str, str, int], tuple[int, ...]] = {}
-        self._reported_s = float("-inf")
+        self._reported_s = self._looked_s = float("-inf")
 
     def update(self, *, at_once: bool = False) -> None:
         """Report what is new since the last report, if that is long enough ago."""
         now_s = time.monotonic()
-        if not (at_once or now_s - self._reported_s >= _REPORT_EVERY_S):
+        if not at_once and (now_s - self._reported_s < _REPORT_EVERY_S or now_s - self._looked_s < _LOOK_EVERY_S):
             return
+        self._looked_s = now_s
         sentences = []
         for count in self._counts():
             key = count.unit, count.message, count.arbitration_id
