@@ -11,8 +11,9 @@ from stream.batch import BoolArray, FloatArray, IntArray
 _OUT_OF_STEP = 0.25
 # how many intervals show the usual one, and how far they may spread of it (10 to 90 %)
 _LEAST_INTERVALS, _STEADY = 20, 0.2
-# frames by which a counter differs from the time at a restart, or where it is corrupted
-_FAR = 100
+# frames by which a counter differs from the time at a restart, or where it is corrupted: at first, and at least four
+# times the spread of the delays once so many frames have shown it
+_FAR, _LEAST_FAR, _SPREADS, _SHOWN = 100, 20, 4.0, 200
 # frames that a device sends within the silence before it begins to count anew, beyond those of the silence's length
 _SOON = 8
 # frames in a row, sent at their pace, that show a restart whose first frames were lost
@@ -42,15 +43,13 @@ class _Doubtful:
     count: int = 1
 
 
-def _is_far(steps: IntArray, elapsed: FloatArray, counter: IntArray) -> BoolArray:
+def _is_far(steps: IntArray, elapsed: FloatArray, counter: IntArray, far: float) -> BoolArray:
     """Whether a counter stepped far back, far ahead of the time, or far less than the time if it is as low as anew.
 
     The frame that follows the last one is not among them, however late it comes: the receiver has stalled.
     """
-    is_behind = (
-        (elapsed >= 0) & (elapsed - steps > _FAR) & ((steps <= 0) | ((steps > 1) & (counter <= elapsed + _SOON)))
-    )
-    return np.asarray(is_behind | (steps - np.maximum(elapsed, 0) > _FAR), np.bool_)
+    is_behind = (elapsed >= 0) & (elapsed - steps > far) & ((steps <= 0) | ((steps > 1) & (counter <= elapsed + _SOON)))
+    return np.asarray(is_behind | (steps - np.maximum(elapsed, 0) > far), np.bool_)
 
 
 class FrameCounter:
@@ -82,6 +81,13 @@ class FrameCounter:
         self._first_delay_ns = 0.0  # the least one of the first frames, before it has
         self.lost = self.repeated = self.restarts = 0
         self._strays = 0
+        self._spread = 0.0  # of the delays within a block, intervals
+
+    @property
+    def _far(self) -> float:
+        """Frames by which a counter and the time do not differ by their delays alone."""
+        shown = max(_LEAST_FAR, _SPREADS * self._spread) if self._highest >= _SHOWN else _FAR
+        return min(_FAR, shown)
 
     @property
     def strays(self) -> int:
@@ -140,6 +146,7 @@ class FrameCounter:
                 self._first_delay_ns = min(self._first_delay_ns, least)
             if self._least_delay_ns is not None:
                 least = min(least, self._least_delay_ns + _DRIFT * max(0, int(t_ns[-1]) - t_last))
+            self._spread = max(self._spread, float(np.ptp(delays_ns)) / (self._interval_ns or 1))
             self._least_delay_ns = least
         self._last = _Frame(int(t_ns[-1]), int(counter[-1]), int(numbers[-1]))
         self._highest = max(self._highest, int(numbers.max()))
@@ -184,7 +191,7 @@ class FrameCounter:
         t_last, c_last, _ = self._last if self._last is not None else (int(t_ns[0]), int(counter[0]), 0)
         elapsed = np.diff(t_ns, prepend=np.int64(t_last)) / (self._interval_ns or 1)
         steps, is_restart = self._steps(np.diff(counter, prepend=np.int64(c_last)) % self._modulus, elapsed)
-        far = _is_far(steps, elapsed, counter) & ~is_restart
+        far = _is_far(steps, elapsed, counter, self._far) & ~is_restart
         if self._last is None:
             far[0] = False
         return np.asarray(far, np.bool_)
@@ -193,7 +200,7 @@ class FrameCounter:
         """Step from one frame to another, intervals between their times, and whether the step is far off them."""
         elapsed = np.array([t_ns - before.t_ns]) / (self._interval_ns or 1)
         steps, is_restart = self._steps(np.array([(counter - before.counter) % self._modulus]), elapsed)
-        is_far = _is_far(steps, elapsed, np.array([counter])) & ~is_restart
+        is_far = _is_far(steps, elapsed, np.array([counter]), self._far) & ~is_restart
         return int(steps[0]), float(elapsed[0]), bool(is_far[0])
 
     def _decide(self, row: int, t_ns: IntArray, counter: IntArray, numbers: IntArray, keep: BoolArray) -> None:
@@ -239,7 +246,9 @@ class FrameCounter:
         passed_ns, interval_ns = doubtful.first.t_ns - self._first_ns, self._interval_ns
         latest = (passed_ns - (self._least_delay_ns or 0.0)) / interval_ns  # no frame is sampled after it came
         number = self._last.number + doubtful.step
-        goes_on = number - latest <= _FAR if doubtful.is_ahead else doubtful.step > 0 and not self._is_paced(doubtful)
+        goes_on = (
+            number - latest <= self._far if doubtful.is_ahead else doubtful.step > 0 and not self._is_paced(doubtful)
+        )
         if not goes_on:
             number = max(self._highest + 1, round((passed_ns - self._first_delay_ns) / interval_ns))
             self._least_delay_ns = None

@@ -149,3 +149,15 @@ def test_a_restart_is_no_loss_where_the_interval_is_not_given() -> None:
     _, keep = placed(counter, t_ns, counts, 100)
     assert keep.all()
     assert (counter.restarts, counter.lost) == (1, 300)
+
+
+@pytest.mark.parametrize("silence", [1, 16, 60, 130, 200, 250])
+@pytest.mark.parametrize("last", [20, 100, 200, 250])  # after 255, 0 is the next
+def test_a_counter_of_8_bits_that_begins_anew_is_near_its_time(silence: int, last: int) -> None:
+    before = np.arange(256 * 3 + last + 1)
+    counts = np.r_[before, np.arange(600)] % 256
+    slots = np.r_[before, before[-1] + silence + np.arange(600)]
+    t_ns = slots * INTERVAL_NS + np.random.default_rng(last).integers(0, INTERVAL_NS // 2, slots.size)
+    numbers, keep = placed(FrameCounter(256, INTERVAL_NS), t_ns, counts, 32)
+    assert np.abs(numbers - slots)[keep].max() <= 21
+    assert (~keep).sum() <= 21  # at most those by whose pace it is found
