@@ -2,7 +2,7 @@
 
 import re
 from datetime import UTC, datetime, timedelta
-from decimal import ROUND_HALF_EVEN, Context, Decimal
+from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -100,7 +100,10 @@ def ns_from_text(text: str, ns: int) -> int | None:
     if places is None:
         array, wrong = ns_from_floats(np.array([float(text)]), ns)
         return None if wrong[0] else int(array[0])
-    number = Decimal(text)
+    try:
+        number = Decimal(text)
+    except InvalidOperation:  # an exponent that no number has
+        return None
     if number.adjusted() > _MOST_DIGITS:
         return None
     if number.adjusted() < -_MOST_DIGITS:
