@@ -129,7 +129,8 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     if units_at is not None and len(units := split_line(lines[units_at][0], delimiter)) == len(titles):
         titles = _with_units(titles, units)
     elif units_at is not None:  # it has other cells than titles: a row, which is not right
-        units_at, rows_at = None, units_at
+        rows_at = units_at
+        units_at = None
     return Dialect(
         titles, delimiter, first_line=rows_at + 1, first_byte=lines[rows_at - 1][1] if rows_at else 0,
         comments=len(comments), is_header_comment=is_header_comment, sample=rows,
