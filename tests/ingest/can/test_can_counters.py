@@ -77,7 +77,7 @@ def placed(counter: FrameCounter, t_ns: np.ndarray, counts: np.ndarray, size: in
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(
-    modulus=st.sampled_from([4096, 65536, 2**32]),
+    modulus=st.sampled_from([65536, 2**32]),  # of fewer bits it may agree with the time by chance
     lengths=st.lists(st.integers(150, 1500), min_size=2, max_size=5),
     silences=st.lists(st.integers(1, 4000), min_size=5, max_size=5),
     size=st.sampled_from([7, 256, 100_000]),
