@@ -81,12 +81,12 @@ class FrameCounter:
         self._first_delay_ns = 0.0  # the least one of the first frames, before it has
         self.lost = self.repeated = self.restarts = 0
         self._strays = 0
-        self._spread = 0.0  # of the delays within a block, intervals
+        self._spread, self._shown = 0.0, 0  # of the delays, intervals; frames that have shown it
 
     @property
     def _far(self) -> float:
         """Frames by which a counter and the time do not differ by their delays alone."""
-        shown = max(_LEAST_FAR, _SPREADS * self._spread) if self._highest >= _SHOWN else _FAR
+        shown = max(_LEAST_FAR, _SPREADS * self._spread) if self._shown >= _SHOWN else _FAR
         return min(_FAR, shown)
 
     @property
@@ -146,7 +146,8 @@ class FrameCounter:
                 self._first_delay_ns = min(self._first_delay_ns, least)
             if self._least_delay_ns is not None:
                 least = min(least, self._least_delay_ns + _DRIFT * max(0, int(t_ns[-1]) - t_last))
-            self._spread = max(self._spread, float(np.ptp(delays_ns)) / (self._interval_ns or 1))
+            self._shown += len(delays_ns)
+            self._spread = max(self._spread, (float(delays_ns.max()) - least) / (self._interval_ns or 1))
             self._least_delay_ns = least
         self._last = _Frame(int(t_ns[-1]), int(counter[-1]), int(numbers[-1]))
         self._highest = max(self._highest, int(numbers.max()))
