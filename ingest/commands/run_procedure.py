@@ -147,10 +147,9 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         report("running", f"{resumed}{path.where}")
         try:
             with _noted(why_left):
-                code, unsafe = _carried_out(log, job, asked, sources, operator, releases, decisions, commands)
+                code = _carried_out(log, job, asked, sources, operator, releases, decisions, commands, why_left)
         except (RunStopped, InstrumentError) as stopped:
             return _leave(str(stopped), path, stop, report)
-        why_left += _by_hand(unsafe)
         run_path.drain(path, trouble, stop)
         if path.publisher.outstanding:
             why_left.append(f"not all of it is recorded yet; {_RESUMES}")
@@ -186,12 +185,12 @@ def _releases(asked: ProcedureRun, job: _Job, limits: RunLimits, decisions: Limi
 
 def _carried_out(
     log: RunLog, job: _Job, asked: ProcedureRun, sources: StationSources | None, operator: ConsoleOperator,
-    releases: Releases | None, decisions: LimitReport, commands: RunCommands,
-) -> tuple[int, tuple[str, ...]]:  # fmt: skip
-    """Carry out what is left; the exit code, and instruments that could not be made safe."""
+    releases: Releases | None, decisions: LimitReport, commands: RunCommands, why_left: list[str],
+) -> int:  # fmt: skip
+    """Carry out what is left; the exit code. `why_left` gets the instruments that could not be made safe."""
     if log.state.phase != "running":
         log.end(log.state.outcome)  # it was killed while it waited for the recorder
-        return 0, ()
+        return 0
     live = StationRun(
         log, job.steps, job.station, job.instruments, operator, job.clock, settle_timeout_s=asked.settle_timeout_s,
         releases=releases, on_record=decisions.begin_record,
@@ -203,10 +202,11 @@ def _carried_out(
                     instrument.open()
                     stack.callback(instrument.close)
             live.make_safe()
+        why_left += _by_hand(live.unsafe)
         commands.finish_abort(live.unsafe)
         commands.end()
         log.end("aborted" if commands.is_aborted else "stopped")
-        return int(commands.is_aborted), live.unsafe
+        return int(commands.is_aborted)
     try:
         live.go(partial(sources.make, log, live.report), sources.samplers(log, live.report))
     except RunStopped:
@@ -216,10 +216,12 @@ def _carried_out(
         commands.finish_abort(live.unsafe)
         commands.end()
         log.end("aborted")
-        return 1, live.unsafe
+        return 1
+    finally:
+        why_left += _by_hand(live.unsafe)
     commands.end()
     log.end("completed")
-    return len(live.unsafe[:1]), live.unsafe  # reported already; whoever waits for the command is to look as well
+    return len(live.unsafe[:1])  # reported already; whoever waits for the command is to look as well
 
 
 def _checked(

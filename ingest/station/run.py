@@ -226,7 +226,7 @@ class StationRun:
             text = f"nothing has come for {longest_s:.0f} s from {listed(new)}: check wiring and power"
             self.report(f"warning: {self._named(step)}: {text}")
         if back := [unit for unit in self._silent if unit not in silent and unit in left]:
-            self.report(f"{self._named(step)}: {listed(back)} delivers samples again")
+            self.report(f"{self._named(step)}: samples come again from {listed(back)}")
         self._silent = silent
 
     def _report_departures(self, step: PlannedStep, off: Mapping[str, float]) -> None:

@@ -120,8 +120,9 @@ def in_fixtures(entries: Iterable[UnitEntry], slots: Mapping[str, SlotTable]) ->
 
     def with_fixture(entry: UnitEntry) -> UnitEntry:
         slot = slots.get(entry.slot or "")
-        is_named = entry.fixture or slot is None or not slot.fixture
-        return entry if is_named or slot is None else msgspec.structs.replace(entry, fixture=slot.fixture)
+        if entry.fixture or slot is None or not slot.fixture:
+            return entry
+        return msgspec.structs.replace(entry, fixture=slot.fixture)
 
     return tuple(map(with_fixture, entries))
 

@@ -42,7 +42,7 @@ def test_silent_units_and_an_interruption_are_in_the_status(
     reported, err = slow.ended(process, code=130)
     assert reported["event"] == "interrupted"
     assert "nothing has come for 1" in err
-    assert "SIM-0001, SIM-0002 delivers samples again" in err
+    assert "samples come again from SIM-0001, SIM-0002" in err
     found = until_trouble(gyrofleet, "(run night) was interrupted")
     (role,) = (each for each in found["roles"] if each["status"]["role"] == "run")
     assert role["condition"] == "interrupted"

@@ -12,16 +12,14 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
 from analytics.loop.tracing.search.effect_search import Search, Selected
 from analytics.loop.tracing.search.event_scans import amplitude_of
-from analytics.loop.tracing.search.fitted_candidates import FittedCandidate
+from analytics.loop.tracing.search.fitted_candidates import CONFIDENCE, FittedCandidate
 from analytics.loop.tracing.search.screening import Candidates
 from analytics.loop.tracing.verdict.adequacy import WRONG_FORM, form_p_values, homogeneity
 from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
-_CONFIDENCE = 1.96
 AGEING = "ageing"
-CONFIDENCE = 1.96
 
 
 def unfitted(cause: Effect, *, recorded: bool, evidence_behind: float | None = None) -> ConfoundedEffect:
@@ -74,7 +72,7 @@ def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
         return other
     at = labels.index(term)
     error = float(np.sqrt(declared.covariance[at][at])) if declared.covariance else 0.0
-    sensitivity = abs(declared.coefficients[at]) + _CONFIDENCE * error
+    sensitivity = abs(declared.coefficients[at]) + CONFIDENCE * error
     if sensitivity == 0.0:
         return other
     return msgspec.structs.replace(other, implied=abs(other.coefficient) / sensitivity, most=most, implied_unit=unit)
