@@ -25,7 +25,14 @@ def sentences(trend: Trend) -> list[Words]:
     stations, outliers, changes of charts, drifts, signals of rules, and groups; adjusted for all charts and groups).
     """
     found = significant(trend) or [_nothing(trend)]
-    return [_head(trend), *found, *_of_components(trend), *_of_capability(trend), *_left_out(trend)]
+    return [
+        _head(trend),
+        *_of_products(trend),
+        *found,
+        *_of_components(trend),
+        *_of_capability(trend),
+        *_left_out(trend),
+    ]
 
 
 def stands_out(trend: Trend) -> bool:
@@ -71,6 +78,16 @@ def _head(trend: Trend) -> Words:
         n=series.value.size, units=units, s="s" * (units > 1), first=moment(series, 0),
         last=moment(series, series.value.size - 1), charted=charted,
     )  # fmt: skip
+
+
+def _of_products(trend: Trend) -> Iterator[Words]:
+    """That charts have values of several products, which differ by their make."""
+    units: dict[str, set[str]] = {}
+    for product, serial in zip(trend.series.groups.get("product", []), trend.series.serial, strict=False):
+        units.setdefault(product, set()).add(serial)
+    if len(units) > 1 and trend.by not in {"unit", "product"}:
+        counts = [f"{name}: {len(of)}" for name, of in sorted(units.items(), key=lambda each: (-len(each[1]), each[0]))]
+        yield words("several_products", n=len(units), parts=listed(counts))
 
 
 def _of_shifts(trend: Trend) -> Iterator[Words]:
@@ -154,7 +171,10 @@ def _nothing(trend: Trend) -> Words:
     if not is_judged and not compared:
         return words("too_little")
     groups = words("nothing_between", names=joined(map(group_name, compared), ", ", "、")) if compared else NOTHING
-    return words("nothing", groups=groups)
+    beyond = [(chart.counts[0], chart.chance.expected[0]) for chart in trend.charts if chart.chance is not None]
+    n, expected = sum(each for each, _ in beyond), sum(each for _, each in beyond)
+    outside = words("nothing_beyond", n=n, s="s" * (n > 1), expected=expected) if n else NOTHING
+    return words("nothing", groups=groups, beyond=outside)
 
 
 def _about(trend: Trend, names: list[str], text: Words) -> Words:

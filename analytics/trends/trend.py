@@ -76,7 +76,7 @@ class Trend:
     """The trend of a metric."""
 
     series: MetricSeries  # all values
-    # the grouping of the charts, ``unit``, ``lot``, ``station``, ``fixture``; None where all units share one
+    # the grouping of the charts: ``unit``, ``product``, ``lot``, ``station``, ``fixture``; None for one chart of all
     by: str | None
     charts: tuple[Chart, ...]  # in order of the groups' names, as the capabilities
     shifts: LevelShifts | NotComputed  # level shifts of single stations, from all values
@@ -96,10 +96,10 @@ def trend_of(
 ) -> Trend:  # fmt: skip
     """Make the control charts of a series and compare its groups.
 
-    One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
-    fixture has all values measured there; where units were measured more than once, each is charted by its deviation
-    from the value expected of its unit. Other charts have the first value of each unit, since values of one unit are
-    correlated. The limits are computed from the first `baseline` points, by default from all.
+    One chart for each unit, product, lot, station or fixture. A chart of a unit has all its values. A chart of a
+    station or fixture has all values measured there; where units were measured more than once, each is charted by its
+    deviation from the value expected of its unit. Other charts have the first value of each unit, since values of one
+    unit are correlated. The limits are computed from the first `baseline` points, by default from all.
     """
     if by is None and len(set(series.unit)) == 1:
         by = "unit"

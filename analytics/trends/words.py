@@ -24,7 +24,7 @@ class NotComputed(NamedTuple):
 NOTHING = Words("", "")
 UNGIVEN = "(not given)"
 _UNGIVEN_ZH = "（未给出）"
-_GROUPS_ZH = {"station": "试验台", "fixture": "夹具", "lot": "批次", "unit": "产品", "product": "产品"}
+_GROUPS_ZH = {"station": "试验台", "fixture": "夹具", "lot": "批次", "unit": "产品", "product": "产品型号"}
 
 
 @cache

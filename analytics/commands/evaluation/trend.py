@@ -31,7 +31,7 @@ _STATES = {
 @click.argument("metric", type=METRIC, required=False)
 @click.option("--metric", "named", type=METRIC, help="The metric; the same as the argument METRIC.")
 @click.option(
-    "--by", type=click.Choice(["unit", "lot", "station", "fixture"]),
+    "--by", type=click.Choice(["unit", "product", "lot", "station", "fixture"]),
     help="One chart for each; by default one chart with the first value of each unit.",
 )  # fmt: skip
 @store_option

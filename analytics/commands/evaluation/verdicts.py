@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
 
 _FAILED = 3
+_KINDS = ("all", "product", "lot", "station", "fixture", "day", "week", "month")
 _SHOWN = 200
 _COLOURS = {"PASS": "green", "FAIL": "red", "MARGINAL": "yellow", "NO_DATA": "dim"}
 _ZH_VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
 _ZH = {
+    "week": "周", "month": "月", "all": "全部",
     "unit": "产品编号", "product": "产品型号", "lot": "批次", "verdict": "判定", "latest": "最近判定",
     "passed": "合格项", "failed": "不合格项", "marginal": "临界项", "no data": "无数据项", "fails by": "不合格特性",
     "characteristic": "特性", "signal": "信号", "run": "试验", "value": "数值", "95 % interval": "95 % 区间",
@@ -42,15 +44,20 @@ _ZH = {
 @click.option(
     "--unit", "units", type=UNIT, multiple=True, help="Only this unit, with each of its values; may be repeated."
 )
-@click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
+@click.option("--by", type=click.Choice(_KINDS), help="Yield of each of these instead; `all`: of all units.")
+@click.option("--product", default="", help="With --by: only what was measured of this product.")
+@click.option("--lot", default="", help="With --by: only this lot.")
+@click.option("--station", default="", help="With --by: only this station.")
+@click.option("--fixture", default="", help="With --by: only this fixture.")
+@click.option("--since", default="", help="With --by: only runs that began then or later, as 2026-11-21 (UTC).")
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
 @engine_option
 @language_option
 @reporting
 def verdicts(
-    folder: Path, units: tuple[str, ...], by: Any, engine: str | None, language: str, *, risks: bool,
-    fail_on_fail: bool, as_json: bool,
+    folder: Path, units: tuple[str, ...], by: Any, product: str, lot: str, station: str, fixture: str, since: str,
+    engine: str | None, language: str, *, risks: bool, fail_on_fail: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
 
@@ -58,9 +65,16 @@ def verdicts(
     another decision_rule. Each is judged by the
     revision that was valid when its run began. A unit's verdict is the worst of its limits.
     """
+    from analytics.evaluation.selection import dated
     from analytics.specifications.risks import lot_risks
-    from analytics.specifications.verdicts import verdicts_of, yield_by
+    from analytics.specifications.verdicts import Group, failures_in, verdicts_of, yield_by
 
+    since_ns = dated(since) if since else None
+    group = Group(product=product, lot=lot, station=station, fixture=fixture, since_ns=since_ns)
+    if group != Group() and not by:
+        raise BadInput(
+            "--product, --lot, --station, --fixture and --since choose what a yield is of: give --by as well"
+        )
     if by and units:
         raise BadInput("give --unit or --by, not both: the yield is that of all units")
     if risks and (units or by):
@@ -69,7 +83,9 @@ def verdicts(
     def ask(catalog: "Catalog") -> "tuple[Verdicts, list[dict[str, Any]], list[dict[str, Any]]]":
         compute_by_engine(catalog, engine)
         of_units = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
-        return of_units, yield_by(catalog, by) if by else [], lot_risks(catalog) if risks else []
+        if group != Group():
+            of_units = of_units._replace(pareto=failures_in(catalog, group))
+        return of_units, yield_by(catalog, by, group) if by else [], lot_risks(catalog) if risks else []
 
     answers = of_plants(folder, ask, quiet=as_json)
     found = _joined([(plant, of_units) for plant, (of_units, _, _) in answers])
@@ -214,7 +230,8 @@ def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Resu
         share = ("", "") if row["yield"] is None else (
             f"{row['yield']:.1%}", f"{row['yield_lo']:.1%} .. {row['yield_hi']:.1%}"
         )  # fmt: skip
-        table.add_row("?" if row["name"] is None else named(row, "name"), *counts, *share)
+        name = "?" if row["name"] is None else named(row, "name")
+        table.add_row(name, *counts, *share)
     return table
 
 

@@ -1,20 +1,63 @@
 -- Where units that no limit applies to were measured, or were to be.
 create or replace view internal.unlimited_units as
-select unit, lot, station, fixture, day from unit_runs anti join verdicts using (unit)
+select unit, product, lot, station, fixture, day, t_start_ns as t_ns from unit_runs anti join verdicts using (unit)
 union all
-select unit, lot, station, fixture, day from internal.judged_units anti join verdicts using (unit) where lack is not null;
+select unit, product, lot, station, fixture, day, t_ns from internal.judged_units anti join verdicts using (unit)
+where lack is not null;
 
--- How many units of a lot, station, fixture or day are good. Each group judges a unit by what was measured in it. The
--- yield is of the units that are decided or marginal; its 95 % interval is Wilson's. Units that no limit applies to are
--- NO_DATA where they were measured.
-create or replace view yield_by as
-with judged as materialized (
-  select unit, signal, metric, subject, standard, specification, verdict, decision_rule, lot, station, fixture, day from verdicts
+create or replace macro internal.week_of(day) as strftime(day, '%G-W%V');
+create or replace macro internal.month_of(day) as strftime(day, '%Y-%m');
+-- Whether something was measured in a group: of a product, lot, station, fixture, day, ISO week or month, of some units,
+-- since a moment. Empty asks for all.
+create or replace macro internal.is_in_group(
+  product, lot, station, fixture, day, unit, t_ns,
+  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_units, since_ns
+) as (of_product = '' or product = of_product) and (of_lot = '' or lot = of_lot)
+  and (of_station = '' or station = of_station) and (of_fixture = '' or fixture = of_fixture)
+  and (of_day = '' or day::varchar = of_day) and (of_week = '' or internal.week_of(day) = of_week)
+  and (of_month = '' or internal.month_of(day) = of_month)
+  and (len(of_units) = 0 or list_contains(of_units, unit)) and (since_ns is null or t_ns >= since_ns);
+create or replace macro internal.verdicts_in(
+  of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
+  of_units := [], since_ns := null
+) as table
+select unit, signal, metric, subject, standard, specification, verdict, decision_rule, product, lot, station, fixture, day
+from verdicts
+where internal.is_in_group(product, lot, station, fixture, day, unit, t_ns,
+  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_units, since_ns);
+create or replace macro internal.unlimited_in(
+  of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
+  of_units := [], since_ns := null
+) as table
+select distinct unit, product, lot, station, fixture, day
+from internal.unlimited_units
+where internal.is_in_group(product, lot, station, fixture, day, unit, t_ns,
+  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_units, since_ns);
+
+-- How many units are good: of all, and of each product, lot, station, fixture, day, week or month, of those in a group.
+-- Each kind of group judges a unit by what was measured in it. The yield is of the units that are decided or marginal;
+-- its 95 % interval is Wilson's. Units that no limit applies to are NO_DATA where they were measured.
+create or replace macro internal.yield_in(
+  of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
+  of_units := [], since_ns := null
+) as table
+with judged as (
+  from internal.verdicts_in(of_product := of_product, of_lot := of_lot, of_station := of_station,
+    of_fixture := of_fixture, of_day := of_day, of_week := of_week, of_month := of_month, of_units := of_units,
+    since_ns := since_ns)
+), unlimited as (
+  from internal.unlimited_in(of_product := of_product, of_lot := of_lot, of_station := of_station,
+    of_fixture := of_fixture, of_day := of_day, of_week := of_week, of_month := of_month, of_units := of_units,
+    since_ns := since_ns)
 ), placed as (
-  select 'lot' as kind, lot as name, * from judged
+  select 'all' as kind, 'all' as name, * from judged
+  union all select 'product', product, * from judged
+  union all select 'lot', lot, * from judged
   union all select 'station', station, * from judged
   union all select 'fixture', fixture, * from judged
   union all select 'day', day::varchar, * from judged
+  union all select 'week', internal.week_of(day), * from judged
+  union all select 'month', internal.month_of(day), * from judged
 ), each_limit as (                      -- as in unit_verdicts
   select kind, name, unit, specification,
     coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
@@ -24,10 +67,14 @@ with judged as materialized (
   from each_limit group by kind, name, unit
 ), every_unit as (
   from each_unit
-  union all select distinct 'lot', lot, unit, 'NO_DATA' from internal.unlimited_units
-  union all select distinct 'station', station, unit, 'NO_DATA' from internal.unlimited_units
-  union all select distinct 'fixture', fixture, unit, 'NO_DATA' from internal.unlimited_units
-  union all select distinct 'day', day::varchar, unit, 'NO_DATA' from internal.unlimited_units
+  union all select distinct 'all', 'all', unit, 'NO_DATA' from unlimited
+  union all select distinct 'product', product, unit, 'NO_DATA' from unlimited
+  union all select distinct 'lot', lot, unit, 'NO_DATA' from unlimited
+  union all select distinct 'station', station, unit, 'NO_DATA' from unlimited
+  union all select distinct 'fixture', fixture, unit, 'NO_DATA' from unlimited
+  union all select distinct 'day', day::varchar, unit, 'NO_DATA' from unlimited
+  union all select distinct 'week', internal.week_of(day), unit, 'NO_DATA' from unlimited
+  union all select distinct 'month', internal.month_of(day), unit, 'NO_DATA' from unlimited
 ), counted as (
   select kind, name, count(*) as units,
     count(*) filter (verdict = 'PASS') as passed,
@@ -51,4 +98,5 @@ select s.kind, s.name, units, passed, failed, marginal, no_data, share as yield,
   case when n is null then 'none of its units has a verdict: all are NO_DATA' end as reason
 from shares s left join rules r on r.kind = s.kind and r.name is not distinct from s.name
 order by s.kind, s.name nulls last;
-comment on view yield_by is 'yield by lot, station, fixture and day (column kind), with its 95 % interval';
+create or replace view yield_by as from internal.yield_in();
+comment on view yield_by is 'yield by product, lot, station, fixture, day, week and month (column kind), with its 95 % interval';

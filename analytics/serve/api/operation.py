@@ -220,5 +220,5 @@ def link(*segments: str, **parameters: object) -> str:
     ('/api/units/A%2F..%2FB', '/units?after=%3Cx%3E')
     """
     path = "/" + "/".join(quote(each, safe="") for each in segments)
-    given = {name: value for name, value in parameters.items() if value not in (None, "", ())}
+    given = {name: value for name, value in parameters.items() if value not in (None, "", (), [])}
     return f"{path}?{urlencode(given, doseq=True)}" if given else path

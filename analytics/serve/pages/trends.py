@@ -1,6 +1,6 @@
 """The page of trends: the sentences first, then charts as tables, yield, and what units fail by."""
 
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
@@ -10,6 +10,7 @@ from analytics.serve.api.trend import trend_pictures as pictures
 from analytics.serve.api.trend import trends as api
 from analytics.serve.pages.frame.page import shown
 from analytics.serve.pages.frame.zones import DEFAULT
+from analytics.specifications.verdicts import GROUP_KINDS, GroupKind
 
 _MOST_CHARTS = 24
 _OF_PAGE = ("yield_by", "group")
@@ -19,7 +20,7 @@ class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """As `TrendAsked`, without a metric at first."""
 
     metric: Name = ""
-    by: Literal["", "unit", "station", "fixture", "lot"] = ""
+    by: api.ChartsBy = ""
     unit: tuple[Name, ...] = ()
     signal: Name = ""
     standard: Name = ""
@@ -29,7 +30,7 @@ class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     product: Name = ""
     parameter: tuple[Name, ...] = ()
     since: Name = ""
-    yield_by: Literal["lot", "station", "fixture", "day"] = "lot"
+    yield_by: GroupKind = "lot"
     group: Name = ""
 
 
@@ -37,7 +38,8 @@ class TrendPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
     """The trend of a metric."""
     fields = {name: value for name, value in msgspec.structs.asdict(asked).items() if name not in _OF_PAGE}
-    shares = api.YieldAsked(by=asked.yield_by, name=asked.group)
+    group = {name: fields[name] for name in api.GroupAsked.__struct_fields__ if name in fields}
+    shares = api.YieldAsked(by=asked.yield_by, name=asked.group, **group)
     try:
         metrics = api.list_metrics(call, Nothing()).metrics
     except NotYet:
@@ -48,20 +50,22 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
             "found": None, "metrics": api.named_metrics(), "here": fields, "zone": DEFAULT, "data": data,
             "has_table": not asked.metric, "is_whole": False,
         }  # fmt: skip
-    of_yield = {"by": asked.yield_by, "name": asked.group}
+    of_yield = {"by": asked.yield_by, "name": asked.group} | group
     content = {
         "found": None,
         "is_whole": True,
         "metrics": metrics,
         "shares": api.list_yield(call, shares),
         "yields": {
-            "picture": pictures.yield_picture(call, api.YieldAsked(by=asked.yield_by)),
-            "url": link("api", "yield", "groups", by=asked.yield_by),
+            "picture": pictures.yield_picture(call, api.YieldAsked(by=asked.yield_by, **group)),
+            "url": link("api", "yield", "groups", by=asked.yield_by, **group),
         },
         "pareto": {
             "picture": pictures.pareto_picture(call, shares), "url": link("api", "yield", "pareto", **of_yield)
         },
         "here": fields,
+        "in_group": group,
+        "kinds": GROUP_KINDS,
         "data": link("api", "trends", **fields) if asked.metric else "/api/metrics",
         "has_table": not asked.metric,
         "zone": DEFAULT,  # the trend itself gives its times in UTC

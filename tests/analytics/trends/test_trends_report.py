@@ -13,6 +13,7 @@ from scipy.stats import t as student
 from analytics.plots.trend_plot import plot_trend
 from analytics.specifications.entering import add_specification
 from analytics.trends.charts.capability import Capability, SpecifiedLimits, specified_limits
+from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.document import document
 from analytics.trends.report import sentences, stands_out
 from analytics.trends.series import Choice, MetricSeries, Variant, read_series
@@ -187,6 +188,34 @@ def test_products_with_different_limits_have_none_in_common(reported: Reported, 
     assert "--product" in limits.why_not.en
     one = read_series(reported(rows), "bias", Choice(product="Q"))
     assert specified_limits(store, one).upper == 2.0
+
+
+def test_products_in_one_chart_are_named_and_each_has_a_chart_of_its_own(reported: Reported) -> None:
+    rng = np.random.default_rng(5)
+    rows = [
+        {"unit": f"U{i:02}", "product": "AB"[i % 3 == 0], "value": rng.normal(10.0 * (i % 3 == 0), 1.0)}
+        for i in range(60)
+    ]
+    series = read_series(reported(rows), "bias")
+    mixed = sentences(trend_of(series))
+    assert "of 2 products (A: 40, B: 20)" in mixed[1].en
+    assert "2 种产品型号（A: 40、B: 20）" in mixed[1].zh
+    by_product = trend_of(series, by="product")
+    assert [(chart.name, chart.series.value.size) for chart in by_product.charts] == [("A", 40), ("B", 20)]
+    assert not any("products" in each.en for each in sentences(by_product))
+    of_one = read_series(reported(rows), "bias", Choice(product="A"))
+    assert not any("products" in each.en for each in sentences(trend_of(of_one)))
+
+
+def test_a_point_beyond_three_sigma_is_counted_where_nothing_stands_out(reported: Reported) -> None:
+    values = np.random.default_rng(0).normal(size=400)
+    trend = trend_of(read_series(reported([{"unit": f"U{i:03}", "value": x} for i, x in enumerate(values)]), "bias"))
+    (chart,) = trend.charts
+    assert isinstance(chart.limits, IndividualsChart)
+    n = int((np.abs(values - chart.limits.centre) > 3 * chart.limits.sigma).sum())
+    assert n > 0
+    assert chart.in_control
+    assert f"({n} point" in sentences(trend)[1].en
 
 
 def test_few_values_without_a_date(reported: Reported) -> None:

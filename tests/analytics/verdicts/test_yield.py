@@ -1,11 +1,13 @@
 """Yield of lots, stations, fixtures and days, and what units fail by."""
 
+from collections.abc import Sequence
+from datetime import date, timedelta
 from typing import Any
 
 import pytest
 from scipy import stats
 
-from analytics.specifications.verdicts import verdicts_of, yield_by
+from analytics.specifications.verdicts import Group, failures_in, verdicts_of, yield_by
 from tests.analytics.verdicts.judged_store import BIAS, DAY_NS, JANUARY_NS, Judged, Rows, limits
 
 
@@ -38,6 +40,48 @@ def test_yield_by_lot_station_fixture_and_day_with_wilsons_interval(judged: Judg
     assert [row["units"] for row in yield_by(catalog, "fixture")] == [10] * 4
     assert [row["name"] for row in yield_by(catalog, "day")] == [f"2026-01-0{day}" for day in range(1, 6)]
     assert sum(row["failed"] for row in yield_by(catalog, "day")) == 6
+
+
+def test_the_yield_of_all_and_of_parts_of_a_group(judged: Judged) -> None:
+    judged.specify(limits(BIAS))
+    made: list[dict[str, Any]] = []
+    for i in range(60):
+        where = {"product": "XY"[i % 2], "lot": f"L{i % 3}", "station": f"S{i % 4}", "fixture": None}
+        made.append({"unit": f"U{i:02}", "run": "r1", "t_start_ns": JANUARY_NS + i * DAY_NS, **where})
+    levels = [2.0 if i % 7 == 0 else 0.0 for i in range(60)]
+    values = [
+        {"unit": run["unit"], "run": "r1", "value": x, "lo": x - 0.1, "hi": x + 0.1}
+        for run, x in zip(made, levels, strict=True)
+    ]
+    catalog = judged.catalog(made, values)
+    dates = [date(2026, 1, 1) + timedelta(days=i) for i in range(60)]
+    weeks = [f"{each.isocalendar().year}-W{each.isocalendar().week:02}" for each in dates]
+    groups: dict[Group, Sequence[int]] = {
+        Group(): range(60),
+        Group(product="X"): range(0, 60, 2),
+        Group(product="Y", lot="L1"): range(1, 60, 6),
+        Group(station="S3", month="2026-02"): [i for i in range(3, 60, 4) if dates[i].month == 2],
+        Group(week="2026-W02", units=("U05", "U07", "U40")): [5, 7],
+        Group(day="2026-01-08"): [7],
+        Group(since_ns=JANUARY_NS + 50 * DAY_NS): range(50, 60),
+    }
+    for group, members in groups.items():
+        names = {
+            "all": ["all"] * 60, "product": [run["product"] for run in made], "lot": [run["lot"] for run in made],
+            "week": weeks, "month": [f"{each:%Y-%m}" for each in dates],
+        }  # fmt: skip
+        for kind, levels_of in names.items():
+            expected = {
+                name: (
+                    sum(levels_of[i] == name for i in members),
+                    sum(levels_of[i] == name and levels[i] > 1 for i in members),
+                )
+                for name in sorted({levels_of[i] for i in members})
+            }
+            rows = yield_by(catalog, kind, group)  # type: ignore[arg-type]
+            assert {row["name"]: (row["units"], row["failed"]) for row in rows} == expected, (group, kind)
+        failed = sum(levels[i] > 1 for i in members)
+        assert [row["failed"] for row in failures_in(catalog, group)] == [failed] * (failed > 0)
 
 
 @pytest.mark.long

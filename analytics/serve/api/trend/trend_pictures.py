@@ -125,7 +125,7 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
 
 @get("/api/yield/groups", table="", is_slow=True)
 def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
-    """Yield of each lot, station, fixture or day with its 95 % interval."""
+    """Yield of all, or of each lot, station or other part, with its 95 % interval."""
     groups: list[dict[str, Any]] = msgspec.to_builtins(trends.list_yield(call, asked).groups)
     found = [row for row in groups if row["yield"] is not None]
     names = [row["name"] or "?" for row in found]
@@ -133,7 +133,7 @@ def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     curve = Curve(
         name=Label("yield", "合格率"), x=[float(i) for i in range(len(found))], y=list(percent["yield"]), style="bars",
         lo=list(percent["yield_lo"]), hi=list(percent["yield_hi"]), texts=names,
-        links=[link("verdicts", **{asked.by: row["name"]}) for row in found],
+        links=[link("verdicts", **asked.asked_group | _part(asked.by, row["name"])) for row in found],
     )  # fmt: skip
     none = Label("No unit was judged.", "没有已判定的产品。")
     return Picture(
@@ -150,7 +150,7 @@ def pareto_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     rows = trends.list_yield(call, asked).pareto
     x, names = [float(i) for i in range(len(rows))], [Label(row["en"], row["zh"]) for row in rows]
     failing = Label("share of the failures", "占不合格的比例")
-    group = {asked.by: asked.name} if asked.name else {}
+    group = asked.asked_group | _part(asked.by, asked.name)
     curves = [
         Curve(
             name=failing, x=x, y=[100 * row["share"] for row in rows], style="bars",
@@ -167,9 +167,15 @@ def pareto_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     )  # fmt: skip
 
 
+def _part(kind: str, name: str | None) -> dict[str, str]:
+    """The field of a question that names a part of a group."""
+    return {kind: name} if name and kind != "all" else {}
+
+
 _GROUPS = {
-    "lot": Label("lot", "批次"), "station": Label("station", "试验台"), "fixture": Label("fixture", "夹具"),
-    "day": Label("day", "日期"),
+    "all": Label("all", "全部"), "product": Label("product", "产品型号"), "lot": Label("lot", "批次"),
+    "station": Label("station", "试验台"), "fixture": Label("fixture", "夹具"), "day": Label("day", "日期"),
+    "week": Label("week", "周"), "month": Label("month", "月"),
 }  # fmt: skip
 
 

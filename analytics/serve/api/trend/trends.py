@@ -1,12 +1,13 @@
 """Trends of metrics, yield, and what units fail by."""
 
-from datetime import date
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, cast
 
 import msgspec
 
 from analytics.serve.api.operation import Call, Nothing, get, link
-from analytics.serve.api.rows import Name, Paged, dictionaries, page_of
+from analytics.serve.api.rows import Limit, Name, dictionaries, page_of
+from analytics.specifications.verdicts import GROUP_ARGUMENTS, Group, GroupKind
 from stream.errors import BadInput, NotFound
 
 if TYPE_CHECKING:
@@ -17,52 +18,27 @@ _COUNTS = """
 select metric, count(value) as n, count(distinct unit) as units, count(*) - count(value) as without_value
 from unit_metrics group by metric
 """
-_IN_GROUP = """
-select unit, metric, subject, signal, standard, specification, verdict from verdicts
-where ($lot = '' or lot = $lot) and ($station = '' or station = $station) and ($fixture = '' or fixture = $fixture)
-  and ($day = '' or day::varchar = $day) and ($metric = '' or metric = $metric)
-"""
 # a unit is judged by what was measured in the group, as in yield_by; without a group by all of it
 _VERDICTS = f"""
 with each_limit as (
   select unit, specification, coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
-  from ({_IN_GROUP}) group by unit, signal, metric, subject, standard, specification
+  from internal.verdicts_in({GROUP_ARGUMENTS}) where $metric = '' or metric = $metric
+  group by unit, signal, metric, subject, standard, specification
 ), in_group as (
   select unit, unit_verdict(min(rank), count(specification)) as verdict from each_limit group by unit
   union all
-  select distinct unit, 'NO_DATA' from internal.unlimited_units
-  where ($lot = '' or lot = $lot) and ($station = '' or station = $station) and ($fixture = '' or fixture = $fixture)
-    and ($day = '' or day::varchar = $day) and $metric = ''
+  select distinct unit, 'NO_DATA' from internal.unlimited_in({GROUP_ARGUMENTS}) where $metric = ''
 )
 select u.* replace (case when $is_group then g.verdict else u.verdict end as verdict)
 from unit_verdicts u left join in_group g using (unit)
 where unit > $after and (not $is_group or g.unit is not null)
   and ($verdict = '' or case when $is_group then g.verdict else u.verdict end = $verdict)
-  and ($product = '' or u.product = $product) order by unit limit $rows
+order by unit limit $rows
 """  # noqa: S608  our own statement
-# failure_pareto of one group
-_PARETO = f"""
-with each_limit as (
-  select unit, metric, subject,
-    verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict
-  from ({_IN_GROUP}) group by unit, signal, metric, subject, standard, specification
-), counted as (
-  select metric, subject, count(distinct unit) filter (verdict = 'FAIL') as failed,
-    count(distinct unit) filter (verdict = 'MARGINAL') as marginal,
-    count(distinct unit) filter (verdict <> 'NO_DATA') as judged
-  from each_limit group by metric, subject
-)
-select row_number() over worst as place, c.metric, c.subject, coalesce(n.en, c.metric) as en,
-  coalesce(n.zh, c.metric) as zh,
-  c.failed, c.marginal, c.judged, c.failed / sum(c.failed) over () as share,
-  sum(c.failed) over worst / sum(c.failed) over () as cumulative_share
-from counted c left join metric_names n using (metric)
-where c.failed > 0
-window worst as (order by c.failed desc, c.marginal desc, c.metric, c.subject rows unbounded preceding)
-order by place
-"""  # noqa: S608  our own statement
+_TIMES = (("day", "%Y-%m-%d", "2026-03-29"), ("week", "%G-W%V-%u", "2026-W13"), ("month", "%Y-%m", "2026-03"))
+_FILLED = {"day": "", "week": "-1", "month": ""}
+ChartsBy = Literal["", "unit", "product", "station", "fixture", "lot"]
 AnyVerdict = Literal["", "PASS", "FAIL", "MARGINAL", "NO_DATA"]
-_GROUPS = ("lot", "station", "fixture", "day", "metric")
 
 
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,7 +65,7 @@ class TrendAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Which metric of which units; `parameter` as ``average_s=100``, `since` as 2026-11-21."""
 
     metric: Name
-    by: Literal["", "unit", "station", "fixture", "lot"] = ""
+    by: ChartsBy = ""
     unit: tuple[Name, ...] = ()
     signal: Name = ""
     standard: Name = ""
@@ -103,10 +79,46 @@ class TrendAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     sigma: Literal["median_moving_range", "moving_range", "deviation"] = "median_moving_range"
 
 
-class YieldAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """By which group; `name` is the group whose failures are counted, by default all are."""
+class GroupAsked(msgspec.Struct, frozen=True, kw_only=True):
+    """What was measured in a group: `day` as 2026-03-29, `week` as 2026-W13, `month` as 2026-03; empty asks for all."""
 
-    by: Literal["lot", "station", "fixture", "day"] = "lot"
+    product: Name = ""
+    lot: Name = ""
+    station: Name = ""
+    fixture: Name = ""
+    day: Name = ""
+    week: Name = ""
+    month: Name = ""
+    unit: tuple[Name, ...] = ()
+    since: Name = ""
+
+    @property
+    def group(self) -> Group:
+        """The group; BadInput where a time is none."""
+        from analytics.evaluation.selection import dated
+
+        for name, form, example in _TIMES:
+            value = getattr(self, name)
+            try:
+                if value:
+                    datetime.strptime(value + _FILLED[name], form)
+            except ValueError:
+                raise BadInput(f"{name} {value!r} is not like {example}") from None
+        since_ns = dated(self.since, "since") if self.since else None
+        return Group(
+            self.product, self.lot, self.station, self.fixture, self.day, self.week, self.month, self.unit, since_ns
+        )
+
+    @property
+    def asked_group(self) -> dict[str, Any]:
+        """The fields that name the group."""
+        return {name: getattr(self, name) for name in GroupAsked.__struct_fields__}
+
+
+class YieldAsked(GroupAsked, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """By which parts of which group; `name` is the part whose failures are counted, by default all are."""
+
+    by: GroupKind = "lot"
     name: Name = ""
 
 
@@ -138,16 +150,13 @@ class Yield(msgspec.Struct, frozen=True, kw_only=True):
     pareto: list[dict[str, Any]]
 
 
-class VerdictsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class VerdictsAsked(GroupAsked, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which units: those measured in a group or against limits of a `metric`, judged by what was measured there."""
 
     verdict: AnyVerdict = ""
-    product: Name = ""
-    lot: Name = ""
-    station: Name = ""
-    fixture: Name = ""
-    day: Name = ""
     metric: Name = ""
+    limit: Limit = 200  # as `Paged`, which cannot be a second base
+    after: Name = ""
 
 
 class UnitVerdict(TypedDict):
@@ -238,31 +247,28 @@ def series_of(call: Call, asked: TrendAsked) -> "MetricSeries":
 
 @get("/api/yield", table="groups", is_slow=True)
 def list_yield(call: Call, asked: YieldAsked) -> Yield:
-    """Yield by lot, station, fixture or day, and the characteristics that units fail by, of all or of one group."""
-    from analytics.specifications.verdicts import yield_by
+    """Yield of all, or by product, lot, place or time, and what units fail by, of all or of one part."""
+    from analytics.specifications.verdicts import failures_in, yield_by
 
-    groups = cast("list[YieldGroup]", yield_by(call.metrics, asked.by))
+    groups = cast("list[YieldGroup]", yield_by(call.metrics, asked.by, asked.group))
     if asked.name and asked.name not in (names := [row["name"] for row in groups]):
         raise NotFound(f"no {asked.by} is named {asked.name!r}; there are {', '.join(map(str, names[:20])) or 'none'}")
-    pareto = dictionaries(call.metrics, _PARETO, dict.fromkeys(_GROUPS, "") | ({asked.by: asked.name}))
+    pareto = failures_in(call.metrics, asked.group.part(asked.by, asked.name))
     return Yield(by=asked.by, name=asked.name, groups=groups, pareto=pareto)
 
 
 @get("/api/verdicts", table="units", is_slow=True)
 def list_verdicts(call: Call, asked: VerdictsAsked) -> UnitVerdicts:
     """Units by name with their verdict by the specifications, and what they fail by."""
-    if asked.day:
-        try:
-            date.fromisoformat(asked.day)
-        except ValueError:
-            raise BadInput(f"day {asked.day!r} is not like 2026-03-29") from None
     if asked.metric:
         from analytics.metric_registry.registry import check_metrics
 
         check_metrics((asked.metric,))
-    given = msgspec.to_builtins(asked) | {"rows": asked.limit + 1}
-    del given["limit"]
-    given["is_group"] = any(given[name] for name in _GROUPS)
+    group = asked.group
+    given = group.parameters | {
+        "verdict": asked.verdict, "metric": asked.metric, "after": asked.after, "rows": asked.limit + 1,
+        "is_group": group != Group() or bool(asked.metric),
+    }  # fmt: skip
     found = cast("list[UnitVerdict]", dictionaries(call.metrics, _VERDICTS, given))
     units, has_more = page_of(found, asked.limit)
     after = units[-1]["unit"] if has_more else None
