@@ -22,6 +22,7 @@ class Group(NamedTuple):
     day: str = ""  # as 2026-03-29
     week: str = ""  # ISO week, as 2026-W13
     month: str = ""  # as 2026-03
+    run: str = ""
     units: tuple[str, ...] = ()
     since_ns: int | None = None
 

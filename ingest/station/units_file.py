@@ -17,6 +17,16 @@ from stream.identity import check_name
 
 STDIN = "-"
 COLUMNS = ("serial", "slot", "lot", "operator", "fixture", "firmware", "product")
+# other titles of the columns; the first of several is taken, the others are details
+_TITLES = {
+    "serial": ("serial", "serial number", "serial_number", "unit", "编号", "产品编号", "序列号"),
+    "slot": ("slot", "工位"),
+    "lot": ("lot", "batch", "批次", "批号"),
+    "operator": ("operator", "操作员"),
+    "fixture": ("fixture", "夹具"),
+    "firmware": ("firmware", "固件"),
+    "product": ("product", "model", "产品型号", "型号"),
+}
 
 _MOST_BYTES = 16_000_000
 _MOST_CHARACTERS = 1000
@@ -52,9 +62,9 @@ class UnitsFile(msgspec.Struct, frozen=True, kw_only=True):
 def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFile:
     """Read which units are tested from a file, or from standard input where the path is ``-``.
 
-    It is a table with a first line of titles, one of them ``serial`` (comma, semicolon or tab between columns), or
-    plain text with one serial a line; UTF-8, GB 18030, or UTF-16 with its mark. Only the station's `slots` are taken.
-    Raises BadInput if it cannot be read, or units are missing, named twice, put into one slot or a slot that is not
+    It is a table with a first line of titles, one of them ``serial`` or ``unit`` (comma, semicolon or tab between
+    columns), or plain text with one serial a line; UTF-8, GB 18030, or UTF-16 with its mark. Only the station's `slots`
+    are taken. Raises BadInput if it cannot be read, or units are missing, named twice, put into one slot or a slot that is not
     there; all problems are listed with their lines.
     """
     if str(path) == STDIN:
@@ -84,8 +94,8 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
     if not rows:
         raise BadInput(f"units {source}: it is empty; one serial a line is expected, or a table with a column serial")
     problems: list[str] = []
-    titles = [cell.strip().lower() for cell in rows[0][1]]
-    if "serial" in titles:
+    titles = rows[0][1]
+    if "serial" in _named(titles):
         entries = list(_table(rows, source, problems))
     elif len(titles) > 1:
         raise BadInput(
@@ -182,9 +192,20 @@ def _plain(rows: list[tuple[int, list[str]]], problems: list[str]) -> Iterator[U
             yield UnitEntry(serial=cells[0], line=line)
 
 
+def _named(titles: Sequence[str]) -> list[str]:
+    """Titles, those of the columns by their names.
+
+    >>> _named(["Unit", "产品型号", "colour"]), _named(["unit", "Serial"])
+    (['serial', 'product', 'colour'], ['unit', 'serial'])
+    """
+    lower = [title.strip().lower() for title in titles]
+    names = {next((each for each in known if each in lower), known[0]): name for name, known in _TITLES.items()}
+    return [names.get(low, title) for low, title in zip(lower, titles, strict=True)]
+
+
 def _table(rows: list[tuple[int, list[str]]], source: str, problems: list[str]) -> Iterator[UnitEntry]:
     head_line, titles = rows[0]
-    named = [title.lower() if title.lower() in COLUMNS else title for title in titles]
+    named = _named(titles)
     for i, title in enumerate(named):
         if _COLUMN.fullmatch(title) is None:
             raise BadInput(f"units {source}, line {head_line}: column {i + 1} has the title {title!r}; give it a name")

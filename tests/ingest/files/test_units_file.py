@@ -80,7 +80,7 @@ def test_all_mistakes_are_told_with_their_lines_and_nothing_is_taken() -> None:
         (b"", "it is empty"),
         (b"\n \n", "it is empty"),
         (b"serial,slot\n", "no unit below"),
-        (b"unit,slot\nFOG-1,A1\n", "line 1: no title 'serial' among 'unit', 'slot'"),
+        (b"gyro,slot\nFOG-1,A1\n", "line 1: no title 'serial' among 'gyro', 'slot'"),
         (b"serial,lot,Lot\nFOG-1,1,2\n", "two columns are named 'lot'"),
         (b"serial,,x\nFOG-1,1,2\n", "column 2 has the title ''"),
         (b"\xff\x00\x81", "neither UTF-8 nor GB 18030"),

@@ -14,19 +14,20 @@ _RUN = """
 select run, site, station, date_known, case when date_known then epoch_ns(started) end as started_ns,
   case when date_known then epoch_ns(ended) end as ended_ns, duration_s, outcome, resumptions, gap_s,
   greatest(coalesce(len(units), 0), coalesce(mounted, 0)) as units, coalesce(signals, 0) as signals, samples,
-  "procedure", operator, lot, simulated, source, epoch_ns(recorded) as recorded_ns, released, saved_s, time_zone
+  "procedure", operator, lot, simulated, source, epoch_ns(recorded) as recorded_ns, released, saved_s, time_zone,
+  coalesce(if(date_known, epoch_ns(started), epoch_ns(recorded)), 0) as place_ns
 from internal.served_runs
 left join (select run, count(*) as mounted from internal.served_units group by run) using (run)
 """
 _PAGE = f"""
-with listed as ({_RUN}), seen as (select coalesce(recorded_ns, 0) as before from listed where run = $after)
+with listed as ({_RUN}), seen as (select place_ns as before from listed where run = $after)
 select listed.* from listed
-where ($after = '' or (-coalesce(recorded_ns, 0), run) > (select row(-before, $after) from seen))
+where ($after = '' or (-place_ns, run) > (select row(-before, $after) from seen))
   and ($station = '' or station = $station) and ($procedure = '' or "procedure" = $procedure)
   and ($outcome = '' or outcome = $outcome)
   and ($lot = '' or lot = $lot or run in (select run from internal.served_units where lot = $lot))
   and contains(lower(run), lower($search))
-order by coalesce(recorded_ns, 0) desc, run limit $rows
+order by place_ns desc, run limit $rows
 """  # noqa: S608  our own statement
 _STEPS = """
 select "index", "procedure", step, repeat, position, axis, phase, rate_command, temperature_command, frequency,
@@ -195,7 +196,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
 
 @get("/api/runs", table="runs", sees_log=True)
 def list_runs(call: Call, asked: RunsAsked) -> Runs:
-    """All runs, the newest first: when, where, which procedure, how they ended."""
+    """All runs, the newest first, of those without a date by when they were recorded."""
     if asked.after and not call.fresh.rows("select 1 from internal.served_runs where run = $run", {"run": asked.after}):
         raise BadInput(f"after {asked.after!r} is not what the page before gave as its next one")
     if asked.outcome:
@@ -257,4 +258,5 @@ def run_row(views: Views, name: str) -> RunRow:
 
 
 def _run_row(row: dict[str, Any]) -> RunRow:
+    del row["place_ns"]
     return RunRow(**row, started=iso(row["started_ns"]), ended=iso(row["ended_ns"]))

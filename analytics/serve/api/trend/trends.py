@@ -89,6 +89,7 @@ class GroupAsked(msgspec.Struct, frozen=True, kw_only=True):
     day: Name = ""
     week: Name = ""
     month: Name = ""
+    run: Name = ""
     unit: tuple[Name, ...] = ()
     since: Name = ""
 
@@ -106,7 +107,16 @@ class GroupAsked(msgspec.Struct, frozen=True, kw_only=True):
                 raise BadInput(f"{name} {value!r} is not like {example}") from None
         since_ns = dated(self.since, "since") if self.since else None
         return Group(
-            self.product, self.lot, self.station, self.fixture, self.day, self.week, self.month, self.unit, since_ns
+            self.product,
+            self.lot,
+            self.station,
+            self.fixture,
+            self.day,
+            self.week,
+            self.month,
+            self.run,
+            self.unit,
+            since_ns,
         )
 
     @property

@@ -16,23 +16,29 @@ with named as (
   select distinct run, unnest(from_json(document->'$.units', '["varchar"]')) as unit
   from internal.lake_documents where kind = 'RunStarted'
   union select run, unit from internal.served_units
+), dated as (                          -- runs of known date by their samples, before them the others as they came
+  select c.*, row(if(r.date_known, t_last_ns, 0), arrival_last_ns) as place,
+    if(r.date_known, t_last_ns, null) as measured_ns
+  from internal.lake_channels c left join internal.served_runs r using (run)
 ), recorded as (
   select unit, bool_and(run in (select run from named)) as is_in_runs_that_name_units,
     count(distinct run) as runs, count(distinct signal) as signals, sum(samples)::bigint as samples,
-    arg_max(run, arrival_last_ns) as last_run, arg_max(site, arrival_last_ns) as site,
-    arg_max(station, arrival_last_ns) as station, max(arrival_last_ns) as recorded_ns
-  from internal.lake_channels group by unit
+    arg_max(run, place) as last_run, arg_max(site, place) as site, arg_max(station, place) as station,
+    max(measured_ns) as measured_ns, max(arrival_last_ns) as recorded_ns
+  from dated group by unit
 ), mounted as (
   select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot, arg_max(slot, t_ns) as slot,
     arg_max(fixture, t_ns) as fixture, arg_max(firmware, t_ns) as firmware, arg_max(run, t_ns) as run
   from internal.served_units group by unit
 ), given as (
-  select unit, arg_max(verdict, arrival_ns) as verdict from internal.served_verdicts group by unit
+  select unit, arg_max(verdict, row(if(r.date_known, epoch_ns(r.started), 0), v.arrival_ns)) as verdict
+  from internal.served_verdicts v left join internal.served_runs r using (run) group by unit
 )
 select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, m.slot, m.fixture, m.firmware,
   coalesce(r.runs, 0) as runs, coalesce(r.last_run, m.run) as last_run, coalesce(r.signals, 0) as signals,
   coalesce(r.samples, 0) as samples, coalesce(r.is_in_runs_that_name_units, false)
-    and coalesce(r.unit, m.unit) not in (select unit from named) as is_instrument, g.verdict, r.recorded_ns, z.time_zone
+    and coalesce(r.unit, m.unit) not in (select unit from named) as is_instrument, g.verdict,
+  r.measured_ns, r.recorded_ns, z.time_zone
 from recorded r full join mounted m using (unit) left join given g using (unit)
 left join (select run, time_zone from internal.served_runs) z on z.run = coalesce(r.last_run, m.run)
 """
@@ -46,7 +52,7 @@ from (
 full join (select * from internal.served_units where unit = $unit) u using (run)
 join internal.served_runs r using (run)
 left join (select run, verdict from internal.served_verdicts where unit = $unit) g using (run)
-order by r.recorded desc, r.run
+order by coalesce(if(r.date_known, r.started, r.recorded), r.recorded) desc, r.run
 """
 
 
@@ -78,8 +84,10 @@ class UnitRow(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     is_instrument: bool
     verdict: str | None
+    measured_ns: int | None  # the last sample of a run whose date is known
     recorded_ns: int | None
     time_zone: str | None
+    measured: str | None = None
     recorded: str | None = None
 
 
@@ -223,7 +231,7 @@ def unit_row(call: Call, name: str) -> UnitRow:
 
 
 def _unit_row(row: dict[str, Any]) -> UnitRow:
-    return UnitRow(**row, recorded=iso(row["recorded_ns"]))
+    return UnitRow(**row, measured=iso(row["measured_ns"]), recorded=iso(row["recorded_ns"]))
 
 
 def _all_units(call: Call) -> dict[str, dict[str, Any]]:
