@@ -64,8 +64,8 @@ def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFil
 
     It is a table with a first line of titles, one of them ``serial`` or ``unit`` (comma, semicolon or tab between
     columns), or plain text with one serial a line; UTF-8, GB 18030, or UTF-16 with its mark. Only the station's `slots`
-    are taken. Raises BadInput if it cannot be read, or units are missing, named twice, put into one slot or a slot that is not
-    there; all problems are listed with their lines.
+    are taken. Raises BadInput if it cannot be read, or units are missing, named twice, put into one slot or a slot that
+    is not there; all problems are listed with their lines.
     """
     if str(path) == STDIN:
         content, source = sys.stdin.buffer.read(_MOST_BYTES + 1), "standard input"
