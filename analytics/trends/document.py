@@ -5,6 +5,7 @@ from typing import Any
 from analytics.trends.charts.capability import Capability
 from analytics.trends.charts.nelson_rules import RULES
 from analytics.trends.groups.between_stations import Difference, GroupComparison, Pairs
+from analytics.trends.groups.level_drifts import LevelDrift
 from analytics.trends.levels.change_points import Changes
 from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
@@ -38,6 +39,7 @@ def document(trend: Trend) -> dict[str, Any]:
             "stretches": [each._asdict() for each in limits.stretches],
         },
         **_shifts(trend.shifts, series),
+        "drifts": [_flat(each) for each in trend.drifts],
         **_comparison(trend.comparison),
         "components": {name: _plain(each) for name, each in trend.components.items()},
         "stands_out": stands_out(trend),
@@ -149,5 +151,5 @@ def _comparison(found: GroupComparison | NotComputed) -> dict[str, Any]:
     }
 
 
-def _flat(each: Difference | Pairs) -> dict[str, Any]:
+def _flat(each: Difference | Pairs | LevelDrift) -> dict[str, Any]:
     return {name: value for name, value in each._asdict().items() if name != "effect"} | each.effect._asdict()

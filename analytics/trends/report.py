@@ -21,8 +21,9 @@ _BRIEF_DAYS = 10
 def sentences(trend: Trend) -> list[Words]:
     """The report of a trend: its values, the significant results, components of variance, capability.
 
-    Where nothing is significant it says so: of trends of noise alone at most 6 % report more (1 % each for changes of
-    stations, outliers, changes of charts, drifts, signals of rules, and groups; adjusted for all charts and groups).
+    Where nothing is significant it says so: of trends of noise alone at most 7 % report more (1 % each for changes of
+    stations, outliers, changes of charts, drifts of charts, drifts of stations and fixtures against each other, signals
+    of rules, and groups; adjusted for all charts and groups).
     """
     found = significant(trend) or [_nothing(trend)]
     return [
@@ -43,7 +44,7 @@ def stands_out(trend: Trend) -> bool:
 def significant(trend: Trend) -> list[Words]:
     """Sentences on what is significant; none where nothing is."""
     of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
-    return [*_of_shifts(trend), *of_charts, *_of_groups(trend)]
+    return [*_of_shifts(trend), *_of_drifts(trend), *of_charts, *_of_groups(trend)]
 
 
 def moment(series: MetricSeries, index: int) -> str:
@@ -98,6 +99,17 @@ def _of_shifts(trend: Trend) -> Iterator[Words]:
         yield _shift(trend.series, each)
     if trend.shifts.unsteady is not None:
         yield _unsteady(trend.series, trend.shifts)
+
+
+def _of_drifts(trend: Trend) -> Iterator[Words]:
+    """Stations and fixtures that drift against the others."""
+    for each in trend.drifts:
+        effect, group = each.effect, group_name(each.group)
+        yield words(
+            "drifts_apart", group=Words(_capitalised(group.en), group.zh), level=each.level, units=each.units,
+            others=group, blocks=each.blocks,
+            size=interval(effect.value, effect.lo, effect.hi, trend.series.unit_of_measure),
+        )  # fmt: skip
 
 
 def _shift_parts(series: MetricSeries, shift: LevelShift) -> dict[str, Words]:
@@ -190,12 +202,13 @@ def _capitalised(sentence: str) -> str:
 
 
 def _of_groups(trend: Trend) -> Iterator[Words]:
-    """Significant differences between the levels of groups."""
+    """Significant differences between the levels of groups; a level that drifts has no difference."""
     if isinstance(trend.comparison, NotComputed):
         return
     reported: set[str] = set()
+    drifting = {each.group for each in trend.drifts}
     for each in trend.comparison.differences:
-        if each.adjusted > FALSE_ALARM or reported & set(each.confounded):
+        if each.adjusted > FALSE_ALARM or reported & set(each.confounded) or each.group in drifting:
             continue
         if each.confounded:
             reported.add(each.group)

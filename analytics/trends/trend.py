@@ -13,6 +13,7 @@ from analytics.trends.charts.capability import Capability, SpecifiedLimits, capa
 from analytics.trends.charts.control_chart import EwmaChart, IndividualsChart, Spread, ewma_chart, individuals_chart
 from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components
+from analytics.trends.groups.level_drifts import LevelDrift, drift_columns, level_drifts
 from analytics.trends.groups.mixed_model import ComponentDeviation
 from analytics.trends.levels.change_points import ChangePoint, Changes, change_points
 from analytics.trends.levels.drift import Drift, drift
@@ -80,6 +81,7 @@ class Trend:
     by: str | None
     charts: tuple[Chart, ...]  # in order of the groups' names, as the capabilities
     shifts: LevelShifts | NotComputed  # level shifts of single stations, from all values
+    drifts: tuple[LevelDrift, ...]  # stations and fixtures that drift against the others
     comparison: GroupComparison | NotComputed  # between stations, fixtures and lots
     specification: SpecifiedLimits
     capabilities: tuple[Capability | NotComputed, ...]
@@ -106,9 +108,10 @@ def trend_of(
     shifts = level_shifts(series, false_alarm=FALSE_ALARM)
     parts = _parts(series, by, shifts)
     charts = tuple(_chart(part, len(parts), baseline, spread) for part in parts)
-    comparison = compare_groups(series, GROUPS)
+    drifts = level_drifts(series, false_alarm=FALSE_ALARM)
+    comparison = compare_groups(series, GROUPS, beside=drift_columns(series, drifts))
     capabilities = tuple(_capability(chart, by, specification) for chart in charts)
-    return Trend(series, by, charts, shifts, comparison, specification, capabilities)
+    return Trend(series, by, charts, shifts, drifts, comparison, specification, capabilities)
 
 
 class _Part(NamedTuple):

@@ -64,14 +64,17 @@ class _Group(NamedTuple):
     columns: FloatArray  # indicators of all levels but the first
 
 
-def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> GroupComparison | NotComputed:
+def compare_groups(
+    series: MetricSeries, groups: tuple[str, ...] = GROUPS, *, beside: FloatArray | None = None
+) -> GroupComparison | NotComputed:
     """Compare the levels of groups, units being a random effect.
 
     Repeated values separate the scatter of units from that of measurements; groups with one level are skipped.
     One linear mixed model for all: value = level of station + of fixture + of lot + unit + residual. Measurements of
     one unit on several stations and of different units are both used, each with its weight. A group whose columns
     depend on those of others is compared without them, and reported as confounded with them. With two levels the second
-    is compared with the first, with more each against the mean of the others.
+    is compared with the first, with more each against the mean of the others. `beside`: columns of shape (n, columns)
+    of what else is known to act, as a fixture that drifts.
     """
     if series.value.size < LEAST_VALUES:
         return not_computed("groups_short", values=series.value.size, least=LEAST_VALUES)
@@ -81,7 +84,9 @@ def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> Gr
     for group in found:
         confounded = _confounded(group, found)
         others = [each for each in found if each is not group and each.name not in confounded]
-        fixed = np.column_stack([np.ones(series.value.size), *(each.columns for each in (group, *others))])
+        known = [] if beside is None else [beside]
+        columns = [np.ones(series.value.size), *(each.columns for each in (group, *others)), *known]
+        fixed = np.column_stack(columns)
         model = MixedModel(series.value, fixed[:, _independent(fixed)], unit)
         if model.y.size - model.fixed.shape[1] < 3 or unit.max() < 1:
             left_out.append(words("group_short", group=group_name(group.name), levels=len(group.levels)))

@@ -16,6 +16,7 @@ from stream.batch import FloatArray, IntArray
 
 _CONFIDENCE = 0.95
 _STEP = 1e-3
+_DEPENDENT = 1e-9
 # of the logarithm of a variance ratio: beyond it the component is as good as none
 _LEAST, _MOST = -16.0, 16.0
 
@@ -208,6 +209,28 @@ def paired_difference(differences: FloatArray) -> ContrastEstimate:
     """Mean of at least 2 paired differences with bounds by Student's t."""
     n = differences.size
     return _estimate(float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n)), float(n - 1))
+
+
+def ols_estimates(
+    y: FloatArray, columns: FloatArray, contrasts: FloatArray, *, blocks: int
+) -> list[ContrastEstimate | None]:
+    """Contrasts of a least-squares fit of values and columns from which the means of blocks were taken.
+
+    None of a contrast that the columns do not determine.
+    """
+    inverse = np.linalg.pinv(columns.T @ columns, rcond=_DEPENDENT, hermitian=True)
+    beta = inverse @ (columns.T @ y)
+    freedom = y.size - blocks - int(np.linalg.matrix_rank(columns, tol=None))
+    if freedom < 1:
+        return [None] * len(contrasts)
+    variance = float(((y - columns @ beta) ** 2).sum()) / freedom
+    normal = columns.T @ columns
+    found: list[ContrastEstimate | None] = []
+    for contrast in contrasts:
+        is_determined = np.allclose(normal @ (inverse @ contrast), contrast, atol=1e-6 * np.abs(contrast).max())
+        error = float(np.sqrt(variance * (contrast @ inverse @ contrast)))
+        found.append(_estimate(float(contrast @ beta), error, float(freedom)) if is_determined else None)
+    return found
 
 
 def _estimate(value: float, error: float, freedom: float) -> ContrastEstimate:
