@@ -20,7 +20,7 @@ _LIMITS = pa.schema({
     "known_from_ns": _WHOLE, "known_until_ns": _WHOLE, "valid": _TEXT, "revisions": _WHOLE, "metric": _TEXT,
     "subject": _TEXT, "parameters": _TEXT, "parameter_count": _WHOLE, "product": _TEXT, "signal": _TEXT,
     "standard": _TEXT, "lower": _REAL, "upper": _REAL, "unit_of_measure": _TEXT, "decision_rule": _TEXT,
-    "guard_factor": _REAL, "largest_U": _REAL,
+    "guard_factor": _REAL, "largest_U": _REAL, "record_s": _REAL,
 })  # fmt: skip
 _PARAMETERS = pa.schema({"limit_id": _WHOLE, "metric": _TEXT, "path": _TEXT, "key": _TEXT})
 _PRODUCTS = pa.schema({

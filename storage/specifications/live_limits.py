@@ -86,11 +86,14 @@ def live_limits(limit: SpecificationLimit, signals: Sequence[str]) -> Iterator[L
     """A limit as live estimators take it, for each signal and averaging time; nothing where they cannot.
 
     They take upper limits on the standard deviation of averages, the Allan deviation at an averaging time, and the
-    angle random walk, which they read from the Allan deviation at 1 s.
+    angle random walk, which they read from the Allan deviation at 1 s. A limit that asks for the length of its record
+    is judged when the record is there.
     """
     characteristic, time = _LIVE.get(limit.metric, (None, None))
     times = _averaging_times(limit, time)
     if characteristic is None or times is None or limit.lower is not None or limit.upper is None or limit.upper <= 0:
+        return
+    if limit.record_s is not None:
         return
     unit, factor = limit.unit_of_measure, 1.0
     try:

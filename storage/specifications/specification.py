@@ -63,7 +63,8 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     `parameters` select among the metric's values, such as ``{average_s = 100}``; omitted parameters match all values.
     So do product, signal and standard where they are left out. `decision_rule` says how U counts; the guard band is
-    `guard_factor` times U, and `largest_U` the U up to which risks are shared, in `unit_of_measure`.
+    `guard_factor` times U, and `largest_U` the U up to which risks are shared, in `unit_of_measure`. A value from a
+    record shorter than `record_s` does not pass.
     """
 
     metric: str
@@ -77,6 +78,7 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     decision_rule: DecisionRule = DecisionRule.INTERVAL
     guard_factor: Annotated[float, msgspec.Meta(ge=0, le=10)] | None = None
     largest_U: Positive | None = None  # noqa: N815  U as in JCGM 100
+    record_s: Positive | None = None
 
     def __post_init__(self) -> None:
         is_guarded = self.decision_rule in {DecisionRule.GUARDED_ACCEPTANCE, DecisionRule.GUARDED_REJECTION}

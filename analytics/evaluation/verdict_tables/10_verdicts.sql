@@ -193,9 +193,17 @@ with candidate as materialized (
     end as conformity,
     case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of
   from guarded
+), lasted as (                          -- how long the records are of values whose limits ask for it
+  select g.row, g.limit_id, coalesce(any_value((g.parameters->>'$.duration_s')::double),
+    sum((m.t_to_ns - m.t_from_ns) / 1e9)) as record
+  from guarded g left join step_means m on m.run = g.run and m.unit = g.unit and m.signal = g.signal
+    and list_contains(g.steps, m."index")
+  where g.record_s is not null group by g.row, g.limit_id
 ), judged as (                          -- an early decision stands, unless the value says the opposite
-  select b.*, d.reason as early_reason, d.outcome as early, l.n as samples, l.expected,
+  select b.*, d.reason as early_reason, d.outcome as early, l.n as samples, l.expected, r.record,
+    b.record_s is not null and coalesce(r.record, 0) < 0.99 * b.record_s as is_short,
     case
+      when is_short and by_value = 'PASS' and d.outcome is distinct from 'FAIL' then 'MARGINAL'
       when d.outcome is null and by_value = 'PASS' and l.n is not null then 'MARGINAL'
       when d.outcome is null then by_value
       when d.outcome = 'PASS' and by_value = 'FAIL' or d.outcome = 'FAIL' and by_value = 'PASS' then 'MARGINAL'
@@ -208,6 +216,7 @@ with candidate as materialized (
       where f.source = b.limit_unit and f.target = d.unit_of_measure), 1)) <= 1e-9 * d.upper
     and (d.metric = 'angle_random_walk'
       or abs(d.tau_s - coalesce((b.parameters->>'$.average_s')::double, (b.parameters->>'$.tau_s')::double)) <= 1e-6 * d.tau_s)
+  left join lasted r on r.row = b.row and r.limit_id = b.limit_id
   left join lacking_samples l on l.run = b.run and l.unit = b.unit and l.signal = b.signal
     and list_has_any(l.lacking_steps, b.steps)
 ), of_values as (
@@ -217,6 +226,9 @@ with candidate as materialized (
     case decision_rule when 'interval' then greatest(v_hi - v, v - v_lo) else guard end as guard, parameters, runs, standard, clause,
     specification, revision,
     case
+      when is_short and by_value = 'PASS' and verdict = 'MARGINAL' then
+        coalesce('its record lasts ' || printf('%.4g', record) || ' s', 'the length of its record is not known')
+        || ', the limit asks for ' || printf('%.4g', record_s) || ' s: measure longer'
       when early = verdict then early_reason
       when early is not null then early || ' was ' || early_reason || '; the value says ' || by_value || ': test it again'
       when v is null and value is null then reason

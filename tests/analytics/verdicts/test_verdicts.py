@@ -146,3 +146,32 @@ def test_every_metric_has_names_in_two_languages(judged: Judged) -> None:
     rows = rows_of(judged.catalog([], []), "select * from metric_names order by metric")
     assert [row["metric"] for row in rows] == list(metrics())
     assert all(row["en"] and row["zh"] and not row["zh"].isascii() and row["needs"] for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("record_s", "value", "expected", "reason"),
+    [
+        (3600, 0.0, "PASS", None),
+        (3630, 0.0, "PASS", None),  # within a hundredth
+        (7200, 0.0, "MARGINAL", "its record lasts 3600 s, the limit asks for 7200 s: measure longer"),
+        (7200, 3.0, "FAIL", None),
+    ],
+)
+def test_a_value_of_a_record_that_is_too_short_does_not_pass(
+    judged: Judged, record_s: int, value: float, expected: str, reason: str | None
+) -> None:
+    judged.specify(limits(f"{BIAS}\nrecord_s = {record_s}"))
+    step = {"unit": "U1", "run": "r1", "signal": "rate", "index": 1, "t_from_ns": JANUARY_NS}
+    catalog = judged.catalog([step], [{"run": "r1", "value": value, "lo": value - 0.1, "hi": value + 0.1}])
+    (found,) = verdicts_of(catalog).verdicts
+    assert (found["verdict"], found["reason"]) == (expected, reason)
+
+
+def test_a_record_of_unknown_length_does_not_pass_where_one_is_asked_for(judged: Judged) -> None:
+    judged.specify(limits(f"{BIAS}\nrecord_s = 60"))
+    catalog = judged.catalog(
+        [{"unit": "U1", "run": "r1", "index": 7}], [{"run": "r1", "value": 0.0, "lo": -0.1, "hi": 0.1}]
+    )
+    (found,) = verdicts_of(catalog).verdicts
+    assert found["verdict"] == "MARGINAL"
+    assert found["reason"] == "the length of its record is not known, the limit asks for 60 s: measure longer"
