@@ -2,6 +2,7 @@
 
 import json
 from collections import defaultdict
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -76,9 +77,10 @@ with rate as (
   from still
   group by run having max(temperature) - min(temperature) >= 3
 )
-select s.run, avg(s.temperature) as temperature, avg(s.mean) as mean, stddev_samp(s.mean) as deviation, count(*) as n
+select s.run, avg(s.temperature) as temperature, avg(s.mean) as mean, stddev_samp(s.mean) as deviation, count(*) as n,
+  floor((s.temperature - p.low) / p.width)::int as class
 from still s join spread p using (run)
-group by s.run, floor((s.temperature - p.low) / p.width) having count(*) >= 2 order by s.run, temperature
+group by s.run, class having count(*) >= 2 order by s.run, temperature
 """
 _RESULTS = {
     "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days", "power_ons",
@@ -231,13 +233,35 @@ def _sweeps(call: Call, unit: str, signal: str, temperature: str, factor: float)
         by_run[row["run"]].append(row)
     return [
         Curve(
-            name=Label.same(run), x=[row["temperature"] for row in rows], y=[row["mean"] * factor for row in rows],
-            style="both", lo=[(row["mean"] - (row["deviation"] or 0.0)) * factor for row in rows],
-            hi=[(row["mean"] + (row["deviation"] or 0.0)) * factor for row in rows],
-            links=[link("signals", unit, run, signal)] * len(rows),
+            name=Label.same(run), x=[row["temperature"] for row in rows], y=[_scaled(row, factor) for row in rows],
+            style="both", lo=[_scaled(row, factor, -1.0) for row in rows],
+            hi=[_scaled(row, factor, 1.0) for row in rows], links=[link("signals", unit, run, signal)] * len(rows),
         )
-        for run, rows in by_run.items()
+        for run, rows in ((run, _with_gaps(rows)) for run, rows in by_run.items())
     ]  # fmt: skip
+
+
+def _with_gaps(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of classes of temperature, with an empty one where classes lie between that nothing was measured in.
+
+    >>> rows = [{"class": at, "temperature": float(at), "mean": 1.0, "deviation": 0.1} for at in (0, 1, 5)]
+    >>> [(row["temperature"], row["mean"]) for row in _with_gaps(rows)]
+    [(0.0, 1.0), (1.0, 1.0), (3.0, None), (5.0, 1.0)]
+    """
+    found = rows[:1]
+    for before, row in pairwise(rows):
+        if row["class"] > before["class"] + 1:
+            middle = (before["temperature"] + row["temperature"]) / 2
+            found.append({"temperature": middle, "mean": None, "deviation": None})
+        found.append(row)
+    return found
+
+
+def _scaled(row: dict[str, Any], factor: float, deviations: float = 0.0) -> float | None:
+    """The mean of a class, or a bound some standard deviations from it; None of an empty class."""
+    if row["mean"] is None:
+        return None
+    return float((row["mean"] + deviations * (row["deviation"] or 0.0)) * factor)
 
 
 def _signal_of(call: Call, asked: str) -> str:
