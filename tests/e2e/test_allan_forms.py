@@ -39,6 +39,7 @@ def ask(store: Path, *more: object) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("kind", ["adev", "oadev", "mdev", "hdev", "ohdev"])
+@pytest.mark.in_gate("mdev", "ohdev")
 def test_every_deviation_agrees_with_allantools(gyrofleet: Callable[..., Any], store: Path, kind: str) -> None:
     found = gyrofleet(*ask(store, "--deviation", kind, "--points-per-octave", 2, "--json")).json
     assert (found["deviation"], found["overlap"]) == (kind, "full")

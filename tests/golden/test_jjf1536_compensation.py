@@ -81,6 +81,7 @@ def test_the_worked_case_comes_back_to_what_was_turned(lab: Path, run_command: C
     assert done.json["calibration"]["misalignment_rad"]["L_yx"]["value"] == pytest.approx(0.003, abs=1e-8)
 
 
+@pytest.mark.long
 def test_at_rest_the_errors_of_heading_pitch_and_roll_go(lab: Path, run_command: Callable[..., Any]) -> None:
     """As given, pitch (about east), roll (about north), heading (about up) are off by N - A of X, Y, Z."""
     done = asked(run_command, lab, "--run", f"rest-{UNIT}", "--out", "rest.parquet")

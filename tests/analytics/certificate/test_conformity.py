@@ -96,6 +96,7 @@ def test_a_specification_that_judges_nothing_makes_a_draft(
     assert any("VG-21" in each for each in done.json["missing"])
 
 
+@pytest.mark.long
 def test_without_agreed_interval_none_is_recommended_and_none_ends(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

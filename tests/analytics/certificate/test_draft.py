@@ -55,6 +55,7 @@ def test_without_an_order_a_draft_lists_what_is_missing(
         ("2026-02-27", "2026-03-27", "it was received on 2026-03-27, after the first run of 2026-03-02"),
     ],
 )
+@pytest.mark.in_gate("2026-02-27-2026-03-27-it was received on 2026-03-27, after the first run of 2026-03-02")
 def test_an_order_that_contradicts_the_clause_or_the_runs_makes_a_draft(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path, given: str, then: str, missing: str
 ) -> None:
@@ -67,6 +68,7 @@ def test_an_order_that_contradicts_the_clause_or_the_runs_makes_a_draft(
 
 
 @pytest.mark.parametrize("language", ["zh", "en"])
+@pytest.mark.in_gate("zh")
 def test_every_item_of_clause_8_and_annex_a_is_printed(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path, language: str
 ) -> None:

@@ -178,6 +178,7 @@ def test_a_signature_holds_until_a_byte_is_changed(issued: tuple[Path, dict[str,
     assert found is None or not found.intact
 
 
+@pytest.mark.long
 def test_what_was_not_ordered_is_not_stated(laboratory: Path, run_command: Callable[..., Any], tmp_path: Path) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(laboratory, folder)
@@ -206,6 +207,7 @@ def test_what_was_not_ordered_is_not_stated(laboratory: Path, run_command: Calla
     assert f"replaces{done.json['number']}:modelcorrected" in "".join(pages_of(folder / "b.pdf"))
 
 
+@pytest.mark.long
 def test_an_unsigned_one_is_trusted_by_nobody_and_the_digital_one_is_known(
     issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
 ) -> None:

@@ -72,6 +72,7 @@ def test_a_certificate_is_issued_by_another_person(site: tuple[Path, Callable[..
     assert station.json["genuine"]  # who only looks needs no certificate of a role
 
 
+@pytest.mark.long
 def test_what_is_approved_is_what_the_store_gives_by_then(site: tuple[Path, Callable[..., Any]]) -> None:
     folder, run = site
 

@@ -97,6 +97,7 @@ def test_bad_input_is_told(values: Any, words: dict[str, Any], error: type[Excep
         gf.allan_deviation(values, **({"rate_hz": 1.0} | words))
 
 
+@pytest.mark.long
 def test_coefficients_of_what_is_no_angular_rate_are_refused() -> None:
     values = np.random.default_rng(7).normal(size=1000)
     with pytest.raises(BadInput, match="unit_of_measure"):

@@ -15,6 +15,7 @@ def shown_by_one() -> Built:
     return built(Case("planted", "scale_factor_warm_up", 8.0, 2004))
 
 
+@pytest.mark.long
 def test_held_out_runs_replicate_what_one_training_run_shows(shown_by_one: Built) -> None:
     found = diagnose(shown_by_one.runs, MODEL, declared_noise=DECLARED)
     assert (found.verdict, found.names) == (ModelVerdict.EFFECT_FOUND, ("scale_factor_warm_up",))

@@ -22,6 +22,7 @@ _LANGUAGES: tuple[Language, ...] = ("en", "zh")
 
 
 @pytest.mark.parametrize("seed", [1014, 1015])
+@pytest.mark.in_gate("1015")
 def test_a_bias_that_walks_from_run_to_run_is_not_called_ageing(seed: int) -> None:
     line = traced(Case("null", "correlated_turn_on", 0.0, seed))
     assert line["verdict"] not in ("effect_found", "confounded"), line

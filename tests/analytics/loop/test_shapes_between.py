@@ -33,6 +33,7 @@ def cycles(number: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("width", [6.3, 8.0])
+@pytest.mark.in_gate("8.0")
 def test_a_loop_of_any_width_is_one_effect(run_command: Callable[..., Any], tmp_path: Path, width: float) -> None:
     """The tried widths are 4, 10, 18, 25 and 40 degC."""
     rng = np.random.default_rng(7)

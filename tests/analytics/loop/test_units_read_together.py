@@ -54,6 +54,7 @@ def singly(catalog: Catalog, units: Sequence[str], **options: Any) -> Iterator[R
 
 
 @pytest.mark.parametrize("options", [{}, {"runs": ["r1"]}, {"block_s": 0.8}, {"until_ns": START_NS + 1800 * SECOND_NS}])
+@pytest.mark.in_gate("options0")
 def test_units_read_together_are_those_read_singly(tested: TestedUnits, options: dict[str, Any]) -> None:
     fleet(tested)
     with tested.catalog() as catalog:

@@ -39,6 +39,7 @@ def lot(tmp_path: Path) -> Iterator[TestedUnits]:
 
 
 @pytest.mark.parametrize("with_limits", [True, False])
+@pytest.mark.in_gate("True")
 def test_every_mounted_unit_is_judged_and_counted(lot: TestedUnits, with_limits: bool) -> None:
     if not with_limits:
         lot.product('[[limit]]\nmetric = "bias"\nlower = -1.0\nunit_of_measure = "deg/h"\nproduct = "OTHER"\n')

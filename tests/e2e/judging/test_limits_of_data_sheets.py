@@ -67,6 +67,7 @@ def verdict_of(folder: Path, run_command: Callable[..., Any], unit: str, metric:
 
 
 @pytest.mark.parametrize(("unit", "density", "verdict"), [("N10", 10.0, "PASS"), ("N14", 14.0, "FAIL")])
+@pytest.mark.in_gate("N10-10.0-PASS")
 def test_a_noise_density_is_one_sided(
     sheet: Path, run_command: Callable[..., Any], unit: str, density: float, verdict: str
 ) -> None:

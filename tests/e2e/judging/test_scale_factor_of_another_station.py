@@ -78,6 +78,7 @@ def measured(folder: Path, gyrofleet: Callable[..., Any], due: str) -> dict[str,
     return {"bias": bias, "budget": json.dumps(budget)}
 
 
+@pytest.mark.long
 def test_the_rate_of_the_table_enters_where_the_scale_factor_was_measured(
     tmp_path: Path, gyrofleet: Callable[..., Any]
 ) -> None:

@@ -118,6 +118,7 @@ def test_the_worked_case_comes_out_of_a_file(laboratory: Laboratory) -> None:
         assert bias["value"] == pytest.approx(0.0196, abs=2e-4)
 
 
+@pytest.mark.long
 def test_one_speed_in_other_units_has_the_nine_changes_and_no_joint_fit(laboratory: Laboratory) -> None:
     rows = laboratory.rows("one_speed", method="speed")
     changes = [float(each) for row in rows for each in row["parameters"]["changes_mm_per_s2"].split(", ")]

@@ -107,6 +107,7 @@ def measured(ask: Ask, tmp_path: Path) -> Ask:
     return ask
 
 
+@pytest.mark.long
 def test_a_bias_without_the_earths_rate_is_no_surer_than_with_it(measured: Ask) -> None:
     answer = measured("metrics", "--metric", "bias")
     rows = answer["metrics"] if isinstance(answer, dict) else answer

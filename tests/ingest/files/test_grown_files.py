@@ -17,6 +17,7 @@ def rows(count: int, *, with_words: bool) -> str:
 
 
 @pytest.mark.parametrize("with_words", [True, False])
+@pytest.mark.in_gate("True")
 def test_a_grown_step_is_judged_as_a_whole(run_command: Callable[..., Any], tmp_path: Path, with_words: bool) -> None:
     """The second half is at 20 deg/h: the bias was that of the first half, and passed 3 deg/h."""
     step = () if with_words else ("--procedure", "static_bias", "--position", "IRA_up")

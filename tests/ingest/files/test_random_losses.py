@@ -21,6 +21,7 @@ unit_of_measure = "deg/h"
 
 
 @pytest.mark.parametrize(("lost", "seed"), [(0.3, 1), (0.55, 2), (0.75, 3), (0.9, 4)])
+@pytest.mark.in_gate("0.55-2")
 def test_a_record_without_its_samples_does_not_pass(
     run_command: Callable[..., Any], tmp_path: Path, lost: float, seed: int
 ) -> None:
