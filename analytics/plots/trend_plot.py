@@ -37,8 +37,8 @@ def plot_trend(trend: Trend, path: Path) -> None:
         _draw_averages(axes[1], shown[0])
         _name_axis(axes[1], trend.series)
     else:
-        # units differ by more than each scatters; stations, lots and fixtures are to be compared
-        is_of_units = trend.by == "unit"
+        # units and products differ by more than each scatters; stations, lots and fixtures are to be compared
+        is_of_units = trend.by in {"unit", "product"}
         axes = figure.subplots(len(shown), 1, sharex=True, sharey=not is_of_units, gridspec_kw={"hspace": 0.12, **grid})
         for each, chart in zip(axes, shown, strict=True):
             _draw_chart(each, chart, trend)
@@ -86,7 +86,9 @@ def _name_axis(axes: Axes, series: MetricSeries) -> None:
 
 
 def _draw_chart(axes: Axes, chart: Chart, trend: Trend) -> None:
-    series, specification = chart.series, trend.specification
+    series = chart.series
+    names = [each.name for each in trend.charts]
+    specification = trend.specifications[names.index(chart.name)]
     t, values = _times(series), chart.charted
     if trend.by is None and series.value.size < trend.series.value.size:
         axes.plot(_times(trend.series), trend.series.value, ".", ms=3, color=FLEET, zorder=1.5, label="measured again")

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from analytics.trends.charts.capability import Capability
+from analytics.trends.charts.capability import Capability, SpecifiedLimits
 from analytics.trends.charts.nelson_rules import RULES
 from analytics.trends.groups.between_stations import Difference, GroupComparison, Pairs
 from analytics.trends.groups.level_drifts import LevelDrift
@@ -18,7 +18,7 @@ from analytics.trends.words import NotComputed
 def document(trend: Trend) -> dict[str, Any]:
     """All results of a trend; one that was not computed has a `reason`."""
     series, header = trend.series, trend.series.header
-    limits, charts = trend.specification, zip(trend.charts, trend.capabilities, strict=True)
+    charts = zip(trend.charts, trend.capabilities, trend.specifications, strict=True)
     return {
         "metric": series.metric,
         "names": None if header is None else {"en": header.en, "zh": header.zh},
@@ -30,20 +30,27 @@ def document(trend: Trend) -> dict[str, Any]:
         "without_value": series.without_value,
         "dated": series.dated,
         "by": trend.by,
-        "charts": [_chart(chart) | {"capability": _capability(found)} for chart, found in charts],
-        "specification": {
-            "lower": limits.lower,
-            "upper": limits.upper,
-            "source": limits.source or None,
-            "decision_rule": limits.rule or None,
-            "stretches": [each._asdict() for each in limits.stretches],
-        },
+        "charts": [
+            _chart(chart) | {"capability": _capability(found), "specification": _specification(limits)}
+            for chart, found, limits in charts
+        ],
+        "specification": _specification(trend.specification),
         **_shifts(trend.shifts, series),
         "drifts": [_flat(each) for each in trend.drifts],
         **_comparison(trend.comparison),
         "components": {name: _plain(each) for name, each in trend.components.items()},
         "stands_out": stands_out(trend),
         "report": [each._asdict() for each in sentences(trend)],
+    }
+
+
+def _specification(limits: SpecifiedLimits) -> dict[str, Any]:
+    return {
+        "lower": limits.lower,
+        "upper": limits.upper,
+        "source": limits.source or None,
+        "decision_rule": limits.rule or None,
+        "stretches": [each._asdict() for each in limits.stretches],
     }
 
 

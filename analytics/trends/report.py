@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from analytics.trends.charts.capability import Capability
+from analytics.trends.charts.capability import Capability, SpecifiedLimits
 from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.charts.nelson_rules import RULES, wild_point_chance
 from analytics.trends.groups.between_stations import LEAST_PAIRS, Difference, GroupComparison
@@ -274,23 +274,22 @@ def _of_components(trend: Trend) -> Iterator[Words]:
 def _of_capability(trend: Trend) -> Iterator[Words]:
     """Capability of each chart, or why there is none."""
     refused: dict[Words, list[str]] = {}
-    for chart, found in zip(trend.charts, trend.capabilities, strict=True):
+    for chart, found, limits in zip(trend.charts, trend.capabilities, trend.specifications, strict=True):
         if isinstance(found, NotComputed):
             refused.setdefault(found.why, []).append(chart.name)
         else:
-            yield _about(trend, [chart.name], _capable(trend, found))
+            yield _about(trend, [chart.name], _capable(trend, found, limits))
     if trend.by == "unit" and len(trend.charts) > 1:
         return
     for why, names in refused.items():
         yield _about(trend, names, words("no_capability", why=why))
 
 
-def _capable(trend: Trend, found: Capability) -> Words:
+def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits) -> Words:
     indices = {name: index for name, index in (("Cp", found.cp), ("Cpk", found.cpk)) if index is not None}
     noise = NOTHING
     if found.measurement_share is not None:
         noise = words("share", share=f"{found.measurement_share * 100:.2g} %")
-    limits = trend.specification
     sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
     return words(
         "capability", n=found.n, of=NOTHING if found.n == found.units else words("values_of", units=found.units),

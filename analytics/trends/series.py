@@ -84,6 +84,14 @@ class MetricSeries:
             bounds=None if self.bounds is None else self.bounds[:, at],
         )  # fmt: skip
 
+    def within_products(self) -> "MetricSeries":
+        """The values less the mean of their product, plus that of all; the same where there is one product."""
+        products, code = np.unique(np.array(self.groups.get("product", self.unit)), return_inverse=True)
+        if products.size < 2 or "product" not in self.groups:
+            return self
+        means = np.bincount(code, self.value) / np.bincount(code)
+        return replace(self, value=self.value - means[code] + self.value.mean())
+
     def first_of_units(self) -> "MetricSeries":
         """The first value of each unit: a repeated measurement is no new unit."""
         return self.where(self.first_places())

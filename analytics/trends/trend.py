@@ -1,6 +1,6 @@
 """The trend of a metric: control charts, changes, drift, differences between groups, capability."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -12,7 +12,7 @@ import numpy as np
 from analytics.trends.charts.capability import Capability, SpecifiedLimits, capability
 from analytics.trends.charts.control_chart import EwmaChart, IndividualsChart, Spread, ewma_chart, individuals_chart
 from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
-from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components
+from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components, product_columns
 from analytics.trends.groups.level_drifts import LevelDrift, drift_columns, level_drifts
 from analytics.trends.groups.mixed_model import ComponentDeviation
 from analytics.trends.levels.change_points import ChangePoint, Changes, change_points
@@ -79,39 +79,48 @@ class Trend:
     series: MetricSeries  # all values
     # the grouping of the charts: ``unit``, ``product``, ``lot``, ``station``, ``fixture``; None for one chart of all
     by: str | None
-    charts: tuple[Chart, ...]  # in order of the groups' names, as the capabilities
+    charts: tuple[Chart, ...]  # in order of the groups' names
     shifts: LevelShifts | NotComputed  # level shifts of single stations, from all values
     drifts: tuple[LevelDrift, ...]  # stations and fixtures that drift against the others
     comparison: GroupComparison | NotComputed  # between stations, fixtures and lots
-    specification: SpecifiedLimits
+    specification: SpecifiedLimits  # of all values
+    specifications: tuple[SpecifiedLimits, ...]  # of each chart, in the order of the charts, as the capabilities
     capabilities: tuple[Capability | NotComputed, ...]
 
     @cached_property
     def components(self) -> dict[str, ComponentDeviation]:
         """Scatter of units, of measurements, and of groups."""
-        return components(self.series, GROUPS)
+        return components(self.series.within_products(), GROUPS)
 
 
 def trend_of(
     series: MetricSeries, *, by: str | None = None, baseline: int | None = None,
     spread: Spread = Spread.MEDIAN_MOVING_RANGE, specification: SpecifiedLimits = SpecifiedLimits(),
+    limits_of: Callable[[MetricSeries], SpecifiedLimits] | None = None,
 ) -> Trend:  # fmt: skip
     """Make the control charts of a series and compare its groups.
 
     One chart for each unit, product, lot, station or fixture. A chart of a unit has all its values. A chart of a
     station or fixture has all values measured there; where units were measured more than once, each is charted by its
     deviation from the value expected of its unit. Other charts have the first value of each unit, since values of one
-    unit are correlated. The limits are computed from the first `baseline` points, by default from all.
+    unit are correlated. The limits are computed from the first `baseline` points, by default from all. `specification`:
+    limits of all values; where they have none in common, `limits_of` gives those of each chart. Stations, fixtures and
+    lots are compared within each product.
     """
     if by is None and len(set(series.unit)) == 1:
         by = "unit"
-    shifts = level_shifts(series, false_alarm=FALSE_ALARM)
+    alike = series.within_products()
+    shifts = level_shifts(alike, false_alarm=FALSE_ALARM)
     parts = _parts(series, by, shifts)
     charts = tuple(_chart(part, len(parts), baseline, spread) for part in parts)
     drifts = level_drifts(series, false_alarm=FALSE_ALARM)
-    comparison = compare_groups(series, GROUPS, beside=drift_columns(series, drifts))
-    capabilities = tuple(_capability(chart, by, specification) for chart in charts)
-    return Trend(series, by, charts, shifts, drifts, comparison, specification, capabilities)
+    beside = np.column_stack([product_columns(series), drift_columns(series, drifts)])
+    comparison = compare_groups(alike, GROUPS, beside=beside)
+    limits = [specification] * len(charts)
+    if limits_of is not None and specification.why_not is not None and by != "unit":
+        limits = [limits_of(chart.series) for chart in charts]
+    capabilities = tuple(_capability(*each, by) for each in zip(charts, limits, strict=True))
+    return Trend(series, by, charts, shifts, drifts, comparison, specification, tuple(limits), capabilities)
 
 
 class _Part(NamedTuple):
@@ -204,7 +213,7 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     )  # fmt: skip
 
 
-def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capability | NotComputed:
+def _capability(chart: Chart, limits: SpecifiedLimits, by: str | None) -> Capability | NotComputed:
     if by == "unit":
         return not_computed("capability_of_one_unit")
     if limits.why_not is not None:

@@ -93,8 +93,11 @@ def trend(
     with opened_catalog(folder, quiet=as_json) as catalog:
         compute_by_engine(catalog, engine, [metric])
         series = read_series(catalog, metric, choice)
-        specification = specified_limits(catalog.store, series)
-    found = trend_of(series, by=by, baseline=baseline, spread=Spread(spread), specification=specification)
+        found = trend_of(
+            series, by=by, baseline=baseline, spread=Spread(spread),
+            specification=specified_limits(catalog.store, series),
+            limits_of=lambda part: specified_limits(catalog.store, part),
+        )  # fmt: skip
     if plot_path is not None:
         from analytics.plots.trend_plot import plot_trend
 

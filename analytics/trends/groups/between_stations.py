@@ -98,6 +98,12 @@ def compare_groups(
     return GroupComparison(tuple(differences), tuple(pairs), tuple(left_out))
 
 
+def product_columns(series: MetricSeries) -> FloatArray:
+    """Indicators of all products but the first, of shape (values, products - 1)."""
+    levels, code = _codes(series.groups["product"])
+    return np.asarray(code[:, None] == np.arange(1, len(levels)), np.float64)
+
+
 def _codes(levels: list[str]) -> tuple[list[str], IntArray]:
     names, code = np.unique(np.array(levels), return_inverse=True)
     return [str(each) for each in names], code.astype(np.int64)

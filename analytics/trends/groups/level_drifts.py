@@ -43,12 +43,11 @@ def level_drifts(series: MetricSeries, *, false_alarm: float = _FALSE_ALARM) -> 
     return tuple(each for each in tested if each.adjusted <= false_alarm and _leads(each, tested))
 
 
-def drift_columns(series: MetricSeries, drifts: tuple[LevelDrift, ...]) -> FloatArray | None:
-    """Time at the levels that drift, a column for each, of shape (values, drifts); None where none does."""
-    if not drifts:
-        return None
+def drift_columns(series: MetricSeries, drifts: tuple[LevelDrift, ...]) -> FloatArray:
+    """Time at the levels that drift, a column for each, of shape (values, drifts)."""
     time = (series.t_ns - series.t_ns.mean()) / NS_PER_DAY
-    return np.column_stack([time * (np.array(series.groups[each.group]) == each.level) for each in drifts])
+    columns = [time * (np.array(series.groups[each.group]) == each.level) for each in drifts]
+    return np.array(columns, np.float64).reshape(len(columns), series.value.size).T
 
 
 def _leads(drift: LevelDrift, others: list[LevelDrift]) -> bool:

@@ -54,7 +54,7 @@ def trend_values(call: Call, asked: trends.TrendAsked) -> Picture:
     marks = [mark for shift in found["shifts"] if (mark := _shift(shift, found["unit_of_measure"])) is not None]
     return Picture(
         title=title, x=_TIME, y=Axis(label=title, unit=found["unit_of_measure"]),
-        curves=[*curves, *_specified(found, times, series.t_ns.tolist())], marks=marks, note=note,
+        curves=[*curves, *_specified(found, found["dated"], times, series.t_ns.tolist())], marks=marks, note=note,
     )  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
     ]
     shown = Label(title.en if not chart["name"] else chart["name"], title.zh if not chart["name"] else chart["name"])
     # limits are of values, not of what is left of them
-    specified = [] if is_adjusted else _specified(found, x, [point["t_ns"] for point in points])
+    specified = [] if is_adjusted else _specified(chart, found["dated"], x, [point["t_ns"] for point in points])
     note = Label(
         "Each value without its unit's own level: the level there plus the deviation from the value expected of the "
         "unit. The limits of the specification do not apply to these points; a point's text has its value.",
@@ -194,11 +194,11 @@ def _levels(groups: dict[str, list[str]], by: str) -> tuple[list[str], list[str]
     return ["all"], ["all"] * len(groups["unit"])
 
 
-def _specified(found: dict[str, Any], x: list[float], t_ns: list[int | None]) -> list[Curve]:
+def _specified(found: dict[str, Any], is_dated: bool, x: list[float], t_ns: list[int | None]) -> list[Curve]:
     """Limits of the specification, each over the values that were measured while it was valid."""
     sides = (("lower", Label("lower limit", "下限")), ("upper", Label("upper limit", "上限")))
     limits = found["specification"]
-    if not found["dated"] or None in t_ns:
+    if not is_dated or None in t_ns:
         stretches = [(limits, x)]
     else:
         moments = [(place, t or 0) for place, t in zip(x, t_ns, strict=True)]

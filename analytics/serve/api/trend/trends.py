@@ -234,10 +234,11 @@ def trend(call: Call, asked: TrendAsked) -> dict[str, Any]:
         series = series_of(call, asked)
     except NotFound as error:
         return {"metric": asked.metric, "values": 0, "charts": [], "report": [], "reason": str(error)}
-    specification = specified_limits(call.store, series)
     found = trend_of(
-        series, by=asked.by or None, baseline=asked.baseline, spread=Spread(asked.sigma), specification=specification
-    )
+        series, by=asked.by or None, baseline=asked.baseline, spread=Spread(asked.sigma),
+        specification=specified_limits(call.store, series),
+        limits_of=lambda part: specified_limits(call.store, part),
+    )  # fmt: skip
     return document(found) | {"reason": None}
 
 
