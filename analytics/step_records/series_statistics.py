@@ -18,7 +18,8 @@ from stream.batch import FloatArray, IntArray
 
 AVERAGES_S = (1.0, 10.0, 100.0)
 _ROUNDING = 1e-14  # relative; a hundred times that of a number
-LEAST_SHARE = 0.9
+# of the samples of an average; less a thousandth, since the interval of uneven times is an estimate
+LEAST_SHARE = 0.9 - 1e-3
 _LEAST_BLOCKS = 8
 
 

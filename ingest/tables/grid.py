@@ -16,6 +16,8 @@ _MOST_ROUNDING = 0.25  # of an interval: coarser times do not show that the samp
 _LEAST_ROUNDED = 30  # intervals of the rarer length that show rounding
 _MOST_RANGE = 0.4  # of the times about an even grid, by what losses at random would make of it
 _GEOMETRIC = 5.0  # standard deviations that the shortest intervals may be away from their number by chance
+_MOSTLY = 0.9  # of the intervals, of times on a grid
+_GAP_OF_JITTERED = 2.2  # of an interval: longer than two times moved apart by half of one
 _LONE_SAMPLE_DT_NS = 10**9
 _GAP = 1.5
 # After a gap longer than this many intervals the source may have restarted with another grid.
@@ -29,7 +31,7 @@ class Sampling:
     `dt_ns`: nominal interval, nanoseconds: the mean of the first 10,000 intervals, a gap divided by the intervals it
     lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has a
     median of 10 ms.) Where times are rounded to more than a quarter of the interval, as those in 32-bit floats after a
-    day, it is that of an even grid through the longest stretch without losses.
+    day, or are about an even grid without being on it, it is that of a line through the longest stretch without losses.
     `off_grid`: intervals further than a tenth of the nominal one (or than the step to which the times are rounded, up
     to a quarter) from every multiple of it. Gaps of more than ten intervals are excepted: after such a gap the source
     may have restarted with another grid.
@@ -100,6 +102,8 @@ class SamplingGrid:
             dt_ns, self._step_ns = rounded
         elif (finer := _grid_with_losses(intervals_ns[:MEDIAN_INTERVALS])) is not None:
             dt_ns = finer
+        elif (mean_ns := _grid_of_jittered(intervals_ns[:MEDIAN_INTERVALS], dt_ns)) is not None:
+            dt_ns = mean_ns
         if self._from_measured is not None:
             dt_ns = self._from_measured(intervals_ns, dt_ns)
         self._dt_ns = dt_ns = min(dt_ns, MAX_INTERVAL_NS)  # two samples decades apart have a gap between them
@@ -221,6 +225,34 @@ def _grid_with_losses(intervals_ns: IntArray) -> int | None:
     expected = len(intervals_ns) / float(multiples.mean())  # of the shortest, by the geometric distribution
     is_geometric = abs(counts[1] - expected) < _GEOMETRIC * math.sqrt(expected)
     return grid_ns if not off.any() and is_falling and is_geometric else None
+
+
+def _grid_of_jittered(intervals_ns: IntArray, dt_ns: int) -> int | None:
+    """Interval of samples without losses whose times are about an even grid; None where they are on one, or on none.
+
+    The longest stretch without a gap is looked at. Each of its times has to lie within half an interval of its place on
+    the line through all of them; a lost sample moves those after it by a whole one.
+
+    >>> rng = np.random.default_rng(3)
+    >>> times = np.arange(5000) * 10**8 + rng.integers(-4 * 10**7, 4 * 10**7, 5000)
+    >>> abs(_grid_of_jittered(np.diff(times), 99_800_000) - 10**8) < 2e4
+    True
+    >>> _grid_of_jittered(np.diff(np.delete(times, 2500)), 99_800_000) is None
+    True
+    """
+    multiples = np.maximum(np.rint(intervals_ns / dt_ns), 1)
+    on_grid = np.abs(intervals_ns - multiples * dt_ns) <= _GRID_TOLERANCE * dt_ns
+    if on_grid.mean() > _MOSTLY:
+        return None
+    edges = np.concatenate([[-1], np.flatnonzero(intervals_ns > _GAP_OF_JITTERED * dt_ns), [len(intervals_ns)]])
+    longest = int(np.argmax(np.diff(edges)))
+    times_ns = np.concatenate([[0], np.cumsum(intervals_ns[edges[longest] + 1 : edges[longest + 1]])])
+    if len(times_ns) <= _LEAST_ROUNDED:
+        return None
+    places = np.arange(len(times_ns)) - (len(times_ns) - 1) / 2
+    mean_ns = float(places @ times_ns / (places @ places))
+    away_ns = times_ns - times_ns.mean() - mean_ns * places
+    return round(mean_ns) if np.abs(away_ns).max() <= mean_ns / 2 else None
 
 
 def _median(intervals_ns: IntArray) -> int:

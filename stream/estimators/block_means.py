@@ -10,6 +10,7 @@ from stream.compiled import compiled
 from stream.errors import BadInput
 from stream.estimators.base import LEAST_SHARE
 
+_ESTIMATED = 1e-3  # of the samples of a block: the interval of uneven times is an estimate
 _NO_TIMES = np.empty(0, np.int64)
 
 
@@ -91,7 +92,7 @@ def _close_blocks(
         t_ns = times_ns[i] if is_timed else first_ns + i * dt_ns
         if t_ns < begin or t_ns >= end:
             expected = block_ns / dt_ns if is_timed else float((-begin // dt_ns) - (-end // dt_ns))
-            if count > 0 and count >= LEAST_SHARE * expected:
+            if count > 0 and count >= (LEAST_SHARE - _ESTIMATED) * expected:
                 is_even = is_even and (found == 0 or blocks[found - 1] == index - 1)
                 blocks[found] = index
                 means[found] = total / count

@@ -115,3 +115,28 @@ def test_a_few_repeated_rows_are_to_be_corrected(gyrofleet: Callable[..., Any], 
     path.write_text(f"time[s],rate[deg/s]\n{rows}")
     refused = gyrofleet("import", path, "--unit", "U1")
     assert "10 rows do not keep the import contract; correct the file, or leave them out with --skip-bad" in refused.err
+
+
+@pytest.mark.parametrize("jitter", [0.15, pytest.param(0.3, marks=pytest.mark.long), 0.4])  # of an interval
+def test_times_about_a_grid_give_its_interval_and_no_second_is_missing(
+    gyrofleet: Callable[..., Any], tmp_path: Path, jitter: float
+) -> None:
+    rng = np.random.default_rng(20261129)
+    n, rate_hz = 6000, 10
+    times = (np.arange(n) + rng.uniform(-jitter, jitter, n)) / rate_hz + 1.0
+    values = 12.0 + rng.standard_normal(n)
+    head = "time[s],rate[deg/h],procedure,position\n"
+    rows = "".join(f"{t:.4f},{x:.6f},static_bias,IRA_up\n" for t, x in zip(times, values, strict=True))
+    (tmp_path / "polled.csv").write_text(head + rows)
+    imported = gyrofleet("import", tmp_path / "polled.csv", "--unit", "U1", "--json").json
+    assert imported["files"][0]["signals"][0]["sample_interval_s"] == pytest.approx(0.1, rel=2e-5)
+    curve = gyrofleet("allan", "--unit", "U1", "--signal", "rate", "--resample", "1", "--json").json
+    # only the second in which the record begins or ends may be a part
+    assert curve["missing"] == 0
+    assert curve["samples"] >= n // rate_hz - 2
+    averages = gyrofleet("metrics", "--metric", "bias_stability_averaged", "--json").json
+    of_1_s = next(row for row in averages if row["parameters"]["average_s"] == 1)
+    seconds, second = np.unique(np.floor(times), return_inverse=True)
+    means = (np.bincount(second, values) / np.bincount(second))[1:-1]
+    assert of_1_s["n"] >= len(seconds) - 2
+    assert of_1_s["value"] == pytest.approx(means.std(ddof=1), rel=2e-3)
