@@ -19,7 +19,7 @@ ACKNOWLEDGEMENT_KEY = f"{ROOT}/@acknowledgement"
 
 # A chunk of a Zenoh key expression contains none of / * $ ? #; white space and a leading @ or . confuse people.
 _NAME = re.compile(rf"[^\s/\\*$?#@.][^\s/\\*$?#]{{0,{MAX_NAME_CHARS - 1}}}")
-_RULE = (
+NAME_RULE = (
     f"1 to {MAX_NAME_CHARS} characters without white space, / \\ * $ ? #, and characters that nobody sees, not "
     "starting with @ or a dot"
 )
@@ -66,7 +66,7 @@ def check_name(kind: str, name: str) -> str:
     """
     if not is_name(name):
         shown = name if len(name) <= MAX_NAME_CHARS else f"{name[:MAX_NAME_CHARS]}..."
-        raise BadInput(f"{kind} {shown!r} cannot be used as a name: {_RULE}; rename it, for example FOG-0231")
+        raise BadInput(f"{kind} {shown!r} cannot be used as a name: {NAME_RULE}; rename it, for example FOG-0231")
     return name
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _PIECE_SAMPLES = 1_000_000
 _OFF_GRID = 0.5  # of an interval
+_OFF_RATE = 1e-3  # of the samples, over a whole index
 _NO_NUMBERS = {"M": "times", "m": "durations", "b": "true and false", "U": "texts", "S": "texts"}
 
 
@@ -203,6 +204,12 @@ def _check_index(values: object, rate_hz: float) -> None:
             f"the index has {steps_s[at]:g} s between samples {at} and {at + 1}, and rate_hz={rate_hz:g} says "
             f"{1.0 / rate_hz:g} s: sort it, fill what is missing with NaN (series.asfreq), or give the values alone "
             "(series.to_numpy())"
+        )
+    elapsed = float((times[-1] - times[0]).astype("timedelta64[ns]").astype(np.int64)) / 1e9 * rate_hz
+    if abs(elapsed - steps_s.size) > max(_OFF_GRID, _OFF_RATE * steps_s.size):
+        raise BadInput(
+            f"the index has {steps_s.size / elapsed * rate_hz:.6g} samples a second on average, and rate_hz is "
+            f"{rate_hz:g}: give its own rate, or the values alone (series.to_numpy())"
         )
 
 

@@ -47,6 +47,8 @@ class AllanCurve:
     plausible: tuple[tuple[int, ...], ...] = ()
     windows: tuple[int, ...] = ()  # number of differences of each deviation; empty where unknown
     longest_still: int = 0  # samples of the longest stretch in which all are alike
+    left_out_tau_s: tuple[float, ...] = ()  # averaging times that were asked for and the record has no deviation at
+    longest_tau_s: float | None = None  # the longest averaging time of the record, where any was left out
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -81,7 +83,13 @@ class AllanCurve:
     @property
     def remark(self) -> tuple[str, str] | None:
         """What a reader must know of the record, in English and Chinese."""
-        return remark_on_stillness(self.longest_still, self.samples)
+        still = remark_on_stillness(self.longest_still, self.samples)
+        if not self.left_out_tau_s:
+            return still
+        taus = ", ".join(f"{each:g} s" for each in self.left_out_tau_s)
+        en = f"no deviation at {taus}: this record reaches {self.longest_tau_s:g} s, less where samples are missing"
+        zh = f"在 {taus} 处没有结果：本记录最长平均时间为 {self.longest_tau_s:g} s，缺采样处更短"
+        return (en, zh) if still is None else (f"{still[0]}; {en}", f"{still[1]}；{zh}")
 
     def document(self) -> dict[str, Any]:
         """The curve as JSON, with the same keys for every kind of deviation."""
@@ -125,7 +133,12 @@ def allan_curve(
         still = _feed(full, catalog, record, resample_s)
         factors = [_factor(tau_s, full.sample_interval_s) for tau_s in taus_s] or None
         points = full.evaluate(deviation, points_per_octave, factors)
-        return _curve(record, full, points, deviation, overlap, still)
+        curve = _curve(record, full, points, deviation, overlap, still)
+        given = {round(tau_s / full.sample_interval_s) for tau_s in curve.tau_s}
+        missing = [tau_s for tau_s, factor in zip(taus_s, factors or (), strict=bool(factors)) if factor not in given]
+        if not missing:
+            return curve
+        return replace(curve, left_out_tau_s=tuple(missing), longest_tau_s=full.longest_tau_s(deviation))
 
 
 def _factor(tau_s: float, interval_s: float) -> int:
@@ -178,11 +191,14 @@ def curve_of_points(
 ) -> AllanCurve:  # fmt: skip
     """The curve of a unit, signal and run from the points of an estimator."""
     unit, signal, run = of
+    columns: dict[str, Any] = {
+        name: tuple(getattr(point, name) for point in points) for name in ("tau_s", "lo", "hi", "edf")
+    }
     return AllanCurve(
         unit=unit, signal=signal, run=run, unit_of_measure=estimator.unit_of_measure,
         sample_interval_s=estimator.sample_interval_s, samples=estimator.samples, missing=estimator.missing,
         adev=tuple(point.value for point in points), deviation=deviation, overlap=overlap,
-        **{name: tuple(getattr(point, name) for point in points) for name in ("tau_s", "lo", "hi", "edf")},
+        **columns,
         plausible=tuple(point.plausible for point in points), windows=tuple(point.n for point in points),
         longest_still=still.longest,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from ingest.tables.times import RunClock, ns_from_index, seconds_text
 from stream.batch import IntArray
 from stream.errors import BadInput
 from stream.events import StepWords
-from stream.identity import check_name
+from stream.identity import NAME_RULE, check_name
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -92,7 +92,7 @@ class RowFilter:
             try:
                 return check_name(kind, name)
             except BadInput as error:
-                raise BadInput("a name without white space or / * $ ? #") from error
+                raise BadInput(f"a name: {NAME_RULE}") from error
 
         names = _read_texts(block, title, read)
         block.sieve.refuse(np.flatnonzero(names.codes < 0), _unreadable(block, title, "", f"the name of a {kind}"))

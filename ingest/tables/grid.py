@@ -240,6 +240,8 @@ def _grid_of_jittered(intervals_ns: IntArray, dt_ns: int) -> int | None:
     >>> _grid_of_jittered(np.diff(np.delete(times, 2500)), 99_800_000) is None
     True
     """
+    if len(intervals_ns) < _LEAST_ROUNDED:
+        return None
     multiples = np.maximum(np.rint(intervals_ns / dt_ns), 1)
     on_grid = np.abs(intervals_ns - multiples * dt_ns) <= _GRID_TOLERANCE * dt_ns
     if on_grid.mean() > _MOSTLY:

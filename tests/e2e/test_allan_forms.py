@@ -77,6 +77,18 @@ def test_given_averaging_times_have_the_values_of_the_whole_curve(gyrofleet: Cal
     assert list(some) == list(whole) == list(gyrofleet(*ask(store, "--json")).json)
 
 
+def test_averaging_times_that_the_record_cannot_give_are_named(gyrofleet: Callable[..., Any], store: Path) -> None:
+    """Half an hour at 50 Hz has two averages of 900 s, and none of 1000 s."""
+    some = gyrofleet(*ask(store, "--tau", "1000,10,2000", "--json"))
+    assert some.json["tau_s"] == pytest.approx([10.0])
+    assert some.json["left_out_tau_s"] == [1000.0, 2000.0]
+    shown = gyrofleet(*ask(store, "--tau", "1000,10,2000"))
+    assert "no deviation at 1000 s, 2000 s: this record reaches 900 s" in " ".join(shown.out.split())
+    alone = gyrofleet(*ask(store, "--tau", "5000"))
+    assert alone.code != 0
+    assert "no averaging time of this record is longer than 900 s" in " ".join(alone.err.split())
+
+
 @pytest.mark.long
 def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
     done = gyrofleet(*ask(store, "--rolling", 0.1, "--step", 0.05, "--plot", "rolling.png", "--json"))

@@ -14,12 +14,12 @@ from analytics.commands.evaluation.engine_option import compute_by_engine, engin
 from analytics.commands.evaluation.metrics import language_option
 from analytics.commands.evaluation.plants import named, of_plants, with_plant
 from storage.commands.stored_names import UNIT
-from stream.errors import BadInput
+from stream.errors import BadInput, NotFound
 from stream.terminal.console import counted, notes, print_json, reporting, results, store_option, styled
 from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from analytics.specifications.verdicts import Verdicts
+    from analytics.specifications.verdicts import Group, Verdicts
     from storage.sql.catalog import Catalog
 
 _FAILED = 3
@@ -28,6 +28,7 @@ _SHOWN = 200
 _COLOURS = {"PASS": "green", "FAIL": "red", "MARGINAL": "yellow", "NO_DATA": "dim"}
 _ZH_VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
 _ZH = {
+    "passed units": "合格数", "failed units": "不合格数", "marginal units": "临界数", "units without data": "无数据数",
     "week": "周", "month": "月", "all": "全部",
     "unit": "产品编号", "product": "产品型号", "lot": "批次", "verdict": "判定", "latest": "最近判定",
     "passed": "合格项", "failed": "不合格项", "marginal": "临界项", "no data": "无数据项", "fails by": "不合格特性",
@@ -85,7 +86,10 @@ def verdicts(
         of_units = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
         if group != Group():
             of_units = of_units._replace(pareto=failures_in(catalog, group))
-        return of_units, yield_by(catalog, by, group) if by else [], lot_risks(catalog) if risks else []
+        shares = yield_by(catalog, by, group) if by else []
+        if group != Group() and not shares:
+            raise NotFound(_nothing_in(catalog, group))
+        return of_units, shares, lot_risks(catalog) if risks else []
 
     answers = of_plants(folder, ask, quiet=as_json)
     found = _joined([(plant, of_units) for plant, (of_units, _, _) in answers])
@@ -105,6 +109,19 @@ def verdicts(
         _print(found, shares, by, language, with_values=bool(units))
     if fail_on_fail and found.has_failure:
         sys.exit(_FAILED)
+
+
+def _nothing_in(catalog: "Catalog", group: "Group") -> str:
+    """That nothing was measured in a group, with the names that there are."""
+    from analytics.metric_registry.registry import alike
+
+    for kind in ("product", "lot", "station", "fixture"):
+        if name := getattr(group, kind):
+            rows = catalog.rows(f"select distinct {kind} from verdicts where {kind} is not null order by all")  # noqa: S608
+            known = [str(each) for (each,) in rows]
+            if name not in known:
+                return f"nothing was judged of {kind} {name!r}; {alike(name, known, f'{kind}s are')}"
+    return "nothing was judged in this group: leave out some of --product, --lot, --station, --fixture and --since"
 
 
 def _joined(of_plants: "Iterable[tuple[str, Verdicts]]") -> "Verdicts":
@@ -224,7 +241,11 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
 
 
 def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:
-    table = _table((by, "units", "passed", "failed", "marginal", "no data", "yield", "95 % interval"), language)
+    counted_as = ("passed units", "failed units", "marginal units", "units without data")
+    titles = (by, "units", *counted_as, "yield", "95 % interval") if language == "zh" else (
+        by, "units", "passed", "failed", "marginal", "no data", "yield", "95 % interval"
+    )  # fmt: skip
+    table = _table(titles, language)
     for row in rows:
         counts = (str(row[name]) for name in ("units", "passed", "failed", "marginal", "no_data"))
         share = ("", "") if row["yield"] is None else (
@@ -236,7 +257,10 @@ def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Resu
 
 
 def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
-    table = _table(("fails by", "failed", "marginal", "judged", "share", "cumulative"), language)
+    titles = ("fails by", "failed", "marginal", "judged", "share", "cumulative")
+    if language == "zh":
+        titles = ("fails by", "failed units", "marginal units", "judged", "share", "cumulative")
+    table = _table(titles, language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
         name = named(row, language) + ("" if row["subject"] == "entered" else of)

@@ -140,6 +140,10 @@ class FullOverlap(SignalInput, Closing):
         factors, windows = [factor for factor, _, _ in found], [n for _, _, n in found]
         return self._points(kind, factors, variances, windows) or NoEstimate(self._too_little(kind, wanted))
 
+    def longest_tau_s(self, kind: Deviation) -> float:
+        """The longest averaging time that the record is long enough for, seconds; 0 where there is none."""
+        return self._prefix.slots // FORMS[kind].reach * self.sample_interval_s
+
     def _wanted(self, kind: Deviation, points_per_octave: int, factors: Sequence[int] | None) -> list[int]:
         """Averaging factors that the record is long enough for."""
         largest = self._prefix.slots // FORMS[kind].reach
@@ -171,6 +175,11 @@ class FullOverlap(SignalInput, Closing):
 
     def _too_little(self, kind: Deviation, wanted: list[int]) -> str:
         reach = FORMS[kind].reach
+        if not wanted and (longest_s := self.longest_tau_s(kind)):
+            return (
+                f"{reach} averages one after the other are needed, so that no averaging time of this record is longer "
+                f"than {longest_s:g} s"
+            )
         if not wanted:
             return f"{reach} samples for each in an average needed, {self._prefix.slots} seen"
         return (

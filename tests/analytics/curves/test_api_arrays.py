@@ -157,6 +157,8 @@ def test_a_series_whose_times_are_not_the_rate_is_refused() -> None:
     for wrong, rate_hz in (
         (series, 1.0),
         (zoned, 1.0),
+        (series, 80.0),  # each step within half an interval of it, a thousand of them far away
+        (series, 101.0),
         (series.drop(series.index[10:20]), 100.0),
         (series.iloc[::-1], 100.0),
     ):

@@ -127,3 +127,12 @@ def test_the_command_gives_the_same_yield(
     refused = run_command("verdicts", "--product", "B", "--store", served_at, cwd=served_at)
     assert refused.code != 0
     assert "give --by as well" in refused.err
+    unknown = run_command("verdicts", "--by", "all", "--product", "b", "--store", served_at, cwd=served_at)
+    assert unknown.code != 0
+    assert "nothing was judged of product 'b'" in unknown.err
+    assert "B" in unknown.err.partition("'b'")[2]
+    none = run_command("verdicts", "--by", "all", "--since", "2026-05-01", "--store", served_at, cwd=served_at)
+    assert "nothing was judged in this group" in none.err
+    chinese = run_command("verdicts", "--by", "lot", "--lang", "zh", "--store", served_at, cwd=served_at)
+    assert "不合格数" in chinese.out
+    assert "不合格项" not in chinese.out

@@ -15,6 +15,7 @@ from ingest.tables.csv_lines import LineReader
 from ingest.tables.file import TableFile
 from ingest.tables.rows import BadRow, BadRows, CellBlock
 from stream.errors import BadInput
+from stream.identity import NAME_RULE
 
 Tool = Callable[..., Any]
 G1 = TableOptions(unit="G1")
@@ -114,7 +115,7 @@ def test_bad_names_and_words_are_bad_rows(write: Tool, said: Tool) -> None:
     with pytest.raises(BadRows) as caught:
         TableFile(write(text), TableOptions()).check()
     assert said(caught.value.bad) == [
-        "line 3, column unit: found 'a b', expected a name without white space or / * $ ? #",
+        f"line 3, column unit: found 'a b', expected a name: {NAME_RULE}",
         "line 4, column unit: found '', expected the name of a unit",
         "line 5, column repeat: found '1.5', expected a whole number",
         "line 6, column room: found 'maybe', expected yes or no (also true, false, 1, 0)",
