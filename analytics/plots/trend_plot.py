@@ -14,8 +14,7 @@ from analytics.plots.plot_fonts import set_fonts
 from analytics.trends.charts.capability import LimitStretch, SpecifiedLimits
 from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.levels.change_points import Changes
-from analytics.trends.levels.sessions import NS_PER_DAY
-from analytics.trends.series import MetricSeries
+from analytics.trends.series import NS_PER_DAY, MetricSeries
 from analytics.trends.trend import Chart, Trend
 
 _MOST_CHARTS = 8

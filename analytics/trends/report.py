@@ -10,8 +10,8 @@ from analytics.trends.groups.between_stations import LEAST_PAIRS, Difference, Gr
 from analytics.trends.levels.change_points import Changes
 from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
-from analytics.trends.levels.sessions import LEAST_UNITS, NS_PER_DAY
-from analytics.trends.series import MetricSeries
+from analytics.trends.levels.sessions import LEAST_UNITS
+from analytics.trends.series import NS_PER_DAY, MetricSeries
 from analytics.trends.trend import FALSE_ALARM, Chart, Trend
 from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
 

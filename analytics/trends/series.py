@@ -19,6 +19,7 @@ from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
 
+NS_PER_DAY = 86_400 * 10**9
 GROUPS = ("station", "fixture", "lot")
 
 # Results beside the value, no settings: values that differ in these are of one kind.

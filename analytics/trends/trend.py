@@ -18,8 +18,7 @@ from analytics.trends.groups.mixed_model import ComponentDeviation
 from analytics.trends.levels.change_points import ChangePoint, Changes, change_points
 from analytics.trends.levels.drift import Drift, drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts, level_shifts
-from analytics.trends.levels.sessions import NS_PER_DAY
-from analytics.trends.series import GROUPS, MetricSeries
+from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
 from analytics.trends.wander import NOISES
 from analytics.trends.words import NotComputed, Words, joined, not_computed, words
 from stream.batch import FloatArray, IntArray

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.trends.groups.mixed_model import ContrastEstimate, holm, ols_estimates
-from analytics.trends.levels.sessions import NS_PER_DAY
-from analytics.trends.series import MetricSeries
+from analytics.trends.series import NS_PER_DAY, MetricSeries
 from stream.batch import FloatArray
 
 PLACES = ("station", "fixture")

@@ -13,13 +13,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from analytics.trends.groups.mixed_model import MixedModel
-from analytics.trends.series import MetricSeries
+from analytics.trends.series import NS_PER_DAY, MetricSeries
 from stream.batch import FloatArray, IntArray
 
 LEAST_SEGMENT = 4
 LEAST_UNITS = 3
 _MOST_SESSIONS = 150
-NS_PER_DAY = 86_400 * 10**9
 
 
 class LevelStep(NamedTuple):
