@@ -100,7 +100,7 @@ class _Record:
             return {"reason": points.reason}
         point = points[-1]
         if abs(point.tau_s - tau_s) > _SAME_TAU * tau_s:
-            return {"reason": f"the record of {row['duration_s']:.0f} s has no Allan deviation at {tau_s:g} s"}
+            return {"reason": _why_none(tau_s, row["duration_s"], interval_s)}
         if point.value == 0:
             return {"reason": "all samples are alike: the output is frozen, or its resolution too coarse to show noise"}
         factor = abs(row["deg_per_h"]) / report_unit(row["output_unit"])[1]
@@ -108,3 +108,16 @@ class _Record:
             return {"value": point.value * factor}  # what its scatter is worth, the remark says
         found = {name: getattr(point, name) * factor for name in ("value", "lo", "hi")}
         return found | {"freedom": point.edf, "standard_uncertainty": found["value"] / (2 * point.edf) ** 0.5}
+
+
+def _why_none(tau_s: float, duration_s: float, interval_s: float) -> str:
+    intervals = tau_s / interval_s if interval_s else 1.0
+    if 2 * tau_s < duration_s and abs(intervals - round(intervals)) > _SAME_TAU * intervals:
+        return (
+            f"there is no Allan deviation at {tau_s:g} s: the averaging time is no whole number of sample intervals of "
+            f"{interval_s:g} s"
+        )
+    return (
+        f"the record of {duration_s:.0f} s has no Allan deviation at {tau_s:g} s, of which it needs two averages one "
+        "after the other"
+    )

@@ -299,7 +299,8 @@ with candidate as materialized (
     []::varchar[] as runs, coalesce(a.standard, n.standard) as standard, n.clause, a.specification, a.revision,
     case when a.lack is not null then a.lack
       when h.unit is null then 'not measured: it needs ' || n.needs
-      else 'values of ' || a.metric || ' are there, but none of ' || a.subject end as reason,
+      else 'values of ' || a.metric || ' are there, but none of ' || a.subject
+        || ': `gyrofleet metrics --metric ' || a.metric || '` shows which' end as reason,
     a.product, a.lot, a.station, a.fixture, a.day, a.t_ns
   from asked a
   left join metric_names n on n.metric = a.metric

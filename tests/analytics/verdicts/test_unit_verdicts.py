@@ -30,6 +30,7 @@ def test_what_a_specification_asks_for_and_nobody_measured_is_no_data(judged: Ju
     assert {row["verdict"] for row in lacking.values()} == {"NO_DATA"}
     assert lacking["U1"]["reason"] == (
         "values of bias_stability_averaged are there, but none of bias_stability_averaged (average_s = 100)"
+        ": `gyrofleet metrics --metric bias_stability_averaged` shows which"
     )
     assert lacking["U2"]["reason"].startswith("not measured: it needs ")
     assert [(row["unit"], row["verdict"], row["lacking"]) for row in found.units] == [
