@@ -11,7 +11,8 @@ import pytest
 COEFFICIENTS = ["quantization_noise", "angle_random_walk", "bias_instability", "rate_random_walk", "rate_ramp"]
 CURVE = [
     "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
-    "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible", "longest_still", "left_out_tau_s", "longest_tau_s",
+    "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible", "longest_still",
+    "left_out_tau_s", "longest_tau_s",
 ]  # fmt: skip
 WALK, INTERVAL_S = 0.02, 0.005
 

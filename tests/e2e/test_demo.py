@@ -170,7 +170,8 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
     assert [common[tau] for tau in coarse["tau_s"]] == pytest.approx(coarse["value"], rel=1e-12)
     assert list(coarse) == [
         "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
-        "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible", "longest_still", "left_out_tau_s", "longest_tau_s",
+        "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible", "longest_still",
+        "left_out_tau_s", "longest_tau_s",
     ]  # fmt: skip
 
 
