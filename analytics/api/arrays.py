@@ -205,6 +205,8 @@ def _check_index(values: object, rate_hz: float) -> None:
             f"{1.0 / rate_hz:g} s: sort it, fill what is missing with NaN (series.asfreq), or give the values alone "
             "(series.to_numpy())"
         )
+    if not steps_s.size:
+        return
     elapsed = float((times[-1] - times[0]).astype("timedelta64[ns]").astype(np.int64)) / 1e9 * rate_hz
     if abs(elapsed - steps_s.size) > max(_OFF_GRID, _OFF_RATE * steps_s.size):
         raise BadInput(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gyrofleet as gf
-from stream.errors import BadInput, NotEnoughData
+from stream.errors import BadInput, GyrofleetError, NotEnoughData
 
 
 @pytest.mark.long
@@ -165,3 +165,6 @@ def test_a_series_whose_times_are_not_the_rate_is_refused() -> None:
         with pytest.raises(BadInput, match="the index has"):
             gf.allan_deviation(wrong, rate_hz)
     assert gf.allan_deviation(series.drop(series.index[10:20]).asfreq("10ms"), 100.0).n[0] < 999
+    for short in (series.iloc[:0], series.iloc[:1]):
+        with pytest.raises(GyrofleetError, match="sample"):
+            gf.allan_deviation(short, 100.0)
