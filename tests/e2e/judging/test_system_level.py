@@ -72,9 +72,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[.
     """The worked cases, and one unit for each thing that can be wrong."""
     made = Laboratory(tmp_path_factory.mktemp("system-level"), run_command)
     made.take(table(Planted(gyro_bias_deg_per_h=0.02), (10.0, 20.0, 30.0)), "whole")
-    one = table(Planted(), (10.0,), rate_unit="deg/h", force_unit="g")
-    made.take(one, "one_speed")
-    made.take(one, "no_latitude", latitude=None)
+    made.take(table(Planted(), (10.0,), rate_unit="deg/h", force_unit="g"), "no_latitude", latitude=None)
     clipped = [pl.col(f"rate_{axis}[deg/s]").clip(-25.0, 25.0) for axis in "xyz"]
     fast = table(Planted(), (30.0,), unit="WHOLE")
     is_cut = (pl.col("time[s]") > 17.0) & (pl.col("time[s]") < 17.1)
@@ -118,8 +116,11 @@ def test_the_worked_case_comes_out_of_a_file(laboratory: Laboratory) -> None:
         assert bias["value"] == pytest.approx(0.0196, abs=2e-4)
 
 
-@pytest.mark.long
-def test_one_speed_in_other_units_has_the_nine_changes_and_no_joint_fit(laboratory: Laboratory) -> None:
+def test_one_speed_in_other_units_has_the_nine_changes_and_no_joint_fit(
+    tmp_path: Path, run_command: Callable[..., Any]
+) -> None:
+    laboratory = Laboratory(tmp_path, run_command)  # of its own: the others take minutes to import
+    laboratory.take(table(Planted(), (10.0,), rate_unit="deg/h", force_unit="g"), "one_speed")
     rows = laboratory.rows("one_speed", method="speed")
     changes = [float(each) for row in rows for each in row["parameters"]["changes_mm_per_s2"].split(", ")]
     assert changes == pytest.approx(CHANGES_MM_PER_S2, abs=1.1e-5)
@@ -131,6 +132,7 @@ def test_one_speed_in_other_units_has_the_nine_changes_and_no_joint_fit(laborato
     assert [row["value"] for row in rests] == pytest.approx([10.0, -6.0, 4.0], abs=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("unit", "axis", "reason"),
     [
@@ -156,6 +158,7 @@ def test_what_cannot_be_calibrated_says_why(laboratory: Laboratory, unit: str, a
     assert reason in rows[0]["reason"]
 
 
+@pytest.mark.long
 def test_what_is_good_beside_it_is_calibrated(laboratory: Laboratory) -> None:
     rows = {(row["unit"], row["parameters"]["axis"]): row for row in laboratory.rows("wrong", method="average")}
     assert "9 samples are missing in the turn" in rows["BROKEN", "X"]["parameters"]["left_out"]
