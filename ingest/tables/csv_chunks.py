@@ -215,7 +215,10 @@ class CsvTable:
         return CellBlock("line", numbers, times_ns, signals, texts, Sieve(len(numbers)), done)
 
     def _read_typed(self, block: bytes) -> pa.Table | None:
-        read = arrow_csv.ReadOptions(column_names=self.titles, block_size=_ARROW_BLOCK_BYTES)
+        read = arrow_csv.ReadOptions(
+            column_names=self.titles, block_size=_ARROW_BLOCK_BYTES,
+            use_threads=self._decimal_mark == ".",  # Arrow's threads share one buffer for decimals with a comma
+        )  # fmt: skip
         parse = arrow_csv.ParseOptions(delimiter=self._dialect.delimiter)
         for spare in sorted({self._spare_digits, _SPARE_DIGITS}):
             convert = arrow_csv.ConvertOptions(

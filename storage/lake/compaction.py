@@ -80,15 +80,15 @@ def compact(lake: "Lake", *, now_ns: int | None = None) -> Iterator[Compacted]:
 
 def due(manifest: Manifest, now_ns: int, skipped: Set[str] = frozenset()) -> Iterator[list[Part]]:
     """Neighbouring parts to merge, oldest first: all of a finished day (UTC, by arrival), full groups of today."""
-    kinds: dict[tuple[str, bool, bool, int], list[Part]] = defaultdict(list)
+    kinds: dict[tuple[str, bool, bool, int, int], list[Part]] = defaultdict(list)
     for part in manifest.parts:
         if part.name in skipped or part.bytes > MOST_BYTES // 2:
             continue
         arrival_ns = part.arrival_first_ns or 0
         is_finished = (arrival_ns // _DAY_NS + 1) * _DAY_NS + _DAY_GRACE_NS <= now_ns
         level = 0 if is_finished else math.floor(math.log(len(part.segments), FAN_IN) + 1e-9)
-        kinds[part.day, part.dropped is not None, is_finished, level].append(part)
-    for (_, _, is_finished, _), parts in kinds.items():
+        kinds[part.day, part.dropped is not None, is_finished, level, part.columns].append(part)
+    for (_, _, is_finished, _, _), parts in kinds.items():
         group: list[Part] = []
         for part in parts:
             if group and not _fits([*group, part]):

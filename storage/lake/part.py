@@ -74,7 +74,7 @@ def _written(segment: Path, fresh: Path, name: str, content: SegmentContent, wit
         t_first_ns=min((row["t_first_ns"] for row in rows), default=None),
         t_last_ns=max((row["t_last_ns"] for row in rows), default=None), arrival_first_ns=content.arrival_first_ns,
         arrival_last_ns=content.arrival_last_ns, quarantined=content.quarantine.messages,
-        quarantined_samples=content.quarantine.samples,
+        quarantined_samples=content.quarantine.samples, columns=tables.COLUMNS_VERSION,
     )  # fmt: skip
     if without_raw is not None:
         part = without_samples(part, without_raw)

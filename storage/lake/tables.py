@@ -24,6 +24,8 @@ def _schema(*groups: tuple[pa.DataType, str]) -> pa.Schema:
     return pa.schema([(name, kind) for kind, names in groups for name in names.split()])
 
 
+# one more with each column that is added: parts of an earlier version have null there
+COLUMNS_VERSION = 1
 _INT, _FLOAT, _TEXT, _BOOL = pa.int64(), pa.float64(), pa.string(), pa.bool_()
 # counts are base + above, which takes less space than the counts themselves
 SAMPLE_COLUMNS = _schema(

@@ -48,7 +48,8 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
 
     `samples` are those in its segments, `sources` their SHA-256 (empty in parts of an older gyrofleet, and in a large
     manifest that was read without them). `dropped` is
-    set once its raw rows are. `quarantined` messages cannot be built; the log keeps them and their samples.
+    set once its raw rows are. `quarantined` messages cannot be built; the log keeps them and their samples. `columns` is
+    the version of the columns of its files.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
     sources: dict[str, str] = {}
     quarantined: int = 0
     quarantined_samples: int = 0
+    columns: int = 1
 
     @property
     def bytes(self) -> int:
@@ -78,7 +80,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
-    """The description of a part that holds what `parts` hold."""
+    """The description of a part that holds what `parts`, whose columns have one version, hold."""
     parts = list(parts)
 
     def known(field: str) -> list[int]:
@@ -100,6 +102,7 @@ def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
         else DroppedRows(dropped[-1].document, sum(d.samples for d in dropped), sum(d.bytes for d in dropped)),
         quarantined=sum(part.quarantined for part in parts),
         quarantined_samples=sum(part.quarantined_samples for part in parts),
+        columns=parts[0].columns,
     )
 
 

@@ -15,7 +15,7 @@ import duckdb
 import pyarrow as pa
 
 from storage.findings import Finding
-from storage.lake.tables import TABLES
+from storage.lake.tables import COLUMNS_VERSION, TABLES
 from storage.manifests.part import Part
 from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.lake_source import LakeSource, source_of
@@ -143,17 +143,28 @@ class Catalog(Closing):
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
         """A view of a table over the parts that have it; DuckDB opens the first file now, the others on demand."""
         file = f"{table}.parquet"
-        paths = [self.source.path(part.name, file) for part in parts if file in part.files and part.files[file].rows]
-        if not paths:
+        by_columns: dict[int, list[str]] = defaultdict(list)
+        for part in parts:
+            if file in part.files and part.files[file].rows:
+                by_columns[part.columns].append(self.source.path(part.name, file))
+        empty = source if not by_columns else f"{source}_columns"
+        if set(by_columns) != {COLUMNS_VERSION}:
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
-            self._connection.execute(f"create table {source} ({columns}, filename varchar)")
+            self._connection.execute(f"create table {empty} ({columns}, filename varchar)")
+        if not by_columns:
             return
         if table in _ALWAYS_READ:
-            self.source.bring(paths)
+            self.source.bring([path for paths in by_columns.values() for path in paths])
         of_units = ""
         if self._units is not None and "unit" in (column.name for column in TABLES[table]):
             of_units = f" where unit is null or unit in ({_quoted(['', *self._units])})"
-        sql = f"create view {source} as select *, filename from read_parquet([{_quoted(paths)}]){of_units}"  # noqa: S608
+        read = [
+            f"select *, filename from read_parquet([{_quoted(paths)}]){of_units}"  # noqa: S608
+            for paths in by_columns.values()
+        ]
+        if set(by_columns) != {COLUMNS_VERSION}:
+            read.insert(0, f"from {empty}")
+        sql = f"create view {source} as {' union all by name '.join(read)}"
         with reading_lake(self.store):
             self._connection.execute(sql)
 

@@ -2,7 +2,7 @@
 -- extend over many segments of the log; here it becomes one row.
 create or replace view internal.lake_channel_parts as
 select *, true as is_kept from internal.lake_channels_kept
-union all
+union all by name
 select *, false as is_kept from internal.lake_channels_dropped;
 
 -- A signal is tidy if its stretches follow each other in time: then only edges of stretches share a bucket.

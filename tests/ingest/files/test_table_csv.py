@@ -227,3 +227,14 @@ def test_block_size_changes_nothing(
     found = TableFile(path, options)
     assert found.check() == expected.check()
     assert by_signal(deliver(found)) == by_signal(deliver(expected))
+
+
+def test_a_large_file_with_decimal_commas_is_read_the_same_each_time(write: Tool) -> None:
+    # Arrow's decoder of decimals with a comma is not safe among its threads: they gave other times in a file like this
+    times_ns = np.arange(150_000, dtype=np.int64) * 13_700_001
+    lines = [f"{ns // 10**9},{ns % 10**9:09};{ns % 1000},5" for ns in times_ns.tolist()]
+    path = write("time[s];rate[deg/s]\n" + "\n".join(lines))
+    for _ in range(3):
+        chunks = list(TableFile(path, G1).chunks())
+        assert np.array_equal(np.concatenate([chunk.times_ns for chunk in chunks]), times_ns)
+        assert np.array_equal(np.concatenate([chunk.data for chunk in chunks]), times_ns % 1000 + 0.5)
