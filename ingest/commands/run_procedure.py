@@ -115,9 +115,11 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         if log.state.phase == "ended":
             report("ended", "nothing to do, all of it is recorded")
             return 0
-        path = stack.enter_context(
-            run_path.path_to(destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see)
-        )
+        reached = run_path.path_to(
+            destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see,
+            station=job.station.place.station,
+        )  # fmt: skip
+        path = stack.enter_context(reached)
         trouble = TroubleWatch(path.publisher, operator.report)
         releases = _releases(asked, job, limits, decisions)
         operator.may_end_early = releases is not None

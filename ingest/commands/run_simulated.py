@@ -43,7 +43,10 @@ def run_simulated(
         if live.state.phase == "ended":
             _report(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        with run_path.path_to(destination, run, bus, spool, units=live.units) as path, ExitStack() as stack:
+        with (
+            run_path.path_to(destination, run, bus, spool, units=live.units, station=live.place.station) as path,
+            ExitStack() as stack,
+        ):
             collect = partial(_status, live, path.publisher, time.time_ns())
             stack.enter_context(served(status_listen, collect))
             stack.enter_context(StatusReporter(collect, path.put_status))

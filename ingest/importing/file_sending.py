@@ -13,6 +13,7 @@ import msgspec
 
 from ingest.can.summary import CanCounts, CanSummary
 from ingest.importing.stored import StoredSamples, check_steps
+from ingest.importing.tested_units import tested_units
 from ingest.measurement_standards import DETAIL
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow
@@ -94,6 +95,7 @@ class SendingGroup:
 
     runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)  # first file of each, and whether it is dated
     begun: set[str] = field(default_factory=set)  # runs whose documents are sent
+    named: set[tuple[str, str]] = field(default_factory=set)  # runs, and units that documents which are sent name
     uids: set[str] = field(default_factory=set)  # steps whose documents are sent
     stated: set[str] = field(default_factory=set)  # runs whose station is corrected
 
@@ -106,6 +108,7 @@ class FileSending:
     ) -> None:
         self.path, self._file, self._summary, self.checking_s = checked
         self._place, self._about, self._restates = place, dict(about), restates
+        self.station = place.station
         self._entries = {entry.serial: entry for entry in entries}
         self.spent_s = self.checking_s
         self.owners = list(dict.fromkeys((signal.unit, signal.run) for signal in self._summary.signals))
@@ -187,13 +190,16 @@ class FileSending:
         for run in self._of:
             if run not in self._group.begun and run not in self._stored.runs:
                 self._group.begun.add(run)
-                send(self._started(run, content))
+                started = self._started(run, content)
+                self._group.named |= {(run, unit) for unit in started.units}
+                send(started)
             elif run in self._stated and self._about.items() - self._stated[run].items():
                 self._stated[run] |= self._about
                 if run not in self._group.stated:
                     self._group.stated.add(run)
                     send(StationStated(run=run, t_ns=self._first_ns(run), details=self._stated[run]))
             for mounted in self._mounted(run):
+                self._group.named.add((run, mounted.unit))
                 send(mounted)
         news = self._send_file(sender, epochs, progress)
         for run in self._of:
@@ -292,10 +298,21 @@ class FileSending:
     def _mounted(self, run: str) -> list[UnitMounted]:
         """Documents on the units of the run, if the last stored ones differ."""
         units = dict.fromkeys(signal.unit for signal in self._of[run])
-        entries = [self._entries[unit] for unit in units if unit in self._entries]
+        new = self._new_units(run)
+        entries = [
+            self._entries.get(unit, UnitEntry(serial=unit)) for unit in units if unit in self._entries or unit in new
+        ]
         documents = mounted_documents(entries, run, self._first_ns(run))
         later = [_following(each, self._last_mounted.get((run, each.unit))) for each in documents]
         return [each for each in later if each is not None]
+
+    def _new_units(self, run: str) -> set[str]:
+        """Tested units that the run gets from this file, and that nothing names."""
+        stored = {unit for unit, of, _ in self._held if of == run}
+        return {
+            unit for unit in tested_units(self._of[run])
+            if unit not in stored and (run, unit) not in self._group.named and (run, unit) not in self._last_mounted
+        }  # fmt: skip
 
     def _note(self, run: str, content: str) -> NoteAdded:
         added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of[run])

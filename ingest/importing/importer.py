@@ -117,7 +117,7 @@ def _sent_to_recorder(
     with ZenohBus(connect=[connect]) as bus:
         client = RecorderClient(bus, wanted=identity)
         with (
-            HeldClaim(client, owners, f"import of {names}") as claim,
+            HeldClaim(client, owners, f"import of {names}", station=group[0].station) as claim,
             DurablePublisher(bus, only_store=client.store) as publisher,
         ):
             claim.on_loss = publisher.fail

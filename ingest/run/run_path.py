@@ -107,13 +107,13 @@ def opened_spool(to: Destination, spool_folder: Path) -> Iterator[Spool]:
 def path_to(
     to: Destination, run: str, bus: ZenohBus | None, spool: Spool, every_s: float | None = None,
     estimated: EstimatedSignals = EstimatedSignals(), units: Sequence[str] = (),
-    on_document: Callable[[AnyDocument], None] | None = None,
+    on_document: Callable[[AnyDocument], None] | None = None, station: str = "",
 ) -> Iterator[RunPath]:  # fmt: skip
     """Send to the recorder on a bus, or record and estimate in this process; raises GyrofleetError if the store cannot
     be written, or another source sends the same units in a run of this id.
 
     `every_s` is the interval between estimates in the signals' time; by default that of the run so far. Nobody else may
-    send `units` to the same recorder in this run. `on_document` takes the estimates of this process.
+    send `units` of `station` to the same recorder in this run. `on_document` takes the estimates of this process.
     """
     if bus is not None:
         with ExitStack() as stack:
@@ -121,7 +121,9 @@ def path_to(
             if client is not None:
                 holder = uuid5(NAMESPACE_URL, f"{socket.gethostname()}/{spool.folder.absolute()}").hex
                 owners = [(unit, run) for unit in units]
-                claim = stack.enter_context(HeldClaim(client, owners, f"gyrofleet run {run}", holder=holder))
+                claim = stack.enter_context(
+                    HeldClaim(client, owners, f"gyrofleet run {run}", holder=holder, station=station)
+                )
             only_store = None if client is None else client.store
             publisher = stack.enter_context(DurablePublisher(bus, spool=spool, only_store=only_store))
             if on_document is not None:

@@ -68,6 +68,11 @@ class EventLog:
             self.warnings.append(f"segments that were sealed are not in {store.log}: {names}; see `gyrofleet verify`")
         self.recover()
 
+    @property
+    def entries(self) -> list[SegmentEntry]:
+        """What sealed segments hold."""
+        return [*self._manifest.found.entries.values(), *self._unlisted]
+
     def append(self, place: LogPlace, record: LogRecord) -> None:
         """Append a numbered message; durable after the next `sync`."""
         self._writer().append(record)

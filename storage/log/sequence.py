@@ -9,7 +9,7 @@ from typing import NamedTuple
 from storage.manifests.entries import SegmentEntry
 from storage.segments.records import EVENTS, SAMPLES, LogRecord, SealedSegment
 from stream.errors import GyrofleetError, StoreError
-from stream.events import AnyDocument, RunEnded, decode_event
+from stream.events import AnyDocument, RunEnded, RunStarted, decode_event
 from stream.identity import SampleKey, parse_key
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import RawBatch, read_raw_batch
@@ -27,6 +27,13 @@ class LogPlace(NamedTuple):
     last_ns: int
     run: str
     is_end: bool = False
+    is_start: bool = False
+
+    @property
+    def station(self) -> str:
+        """The station, if samples or the start of a run show that the run is its own; else empty."""
+        shows = self.is_start or _is_of_samples(self.stream.key)
+        return parse_key(self.stream.key).place.station if shows else ""
 
     @property
     def samples(self) -> int:
@@ -129,7 +136,7 @@ class SegmentTally:
     def __init__(self) -> None:
         self.messages = self.samples = self.arrival_first_ns = self.arrival_last_ns = 0
         self.positions: dict[StreamId, int] = {}
-        self._runs: dict[str, None] = {}
+        self._runs: dict[str, str] = {}
         self._ended: dict[str, None] = {}
 
     def add(self, record: LogRecord, place: LogPlace | None) -> None:
@@ -143,7 +150,8 @@ class SegmentTally:
         self.positions[place.stream] = place.next_seq
         self.samples += place.samples
         if place.run:
-            self._runs[place.run] = None
+            if not self._runs.get(place.run):
+                self._runs[place.run] = place.station
             if place.is_end:
                 self._ended[place.run] = None
 
@@ -157,7 +165,7 @@ class SegmentTally:
         return SegmentEntry(
             segment=sealed.path.name, size=sealed.size, sha256=sealed.sha256, messages=self.messages,
             samples=self.samples, arrival_first_ns=self.arrival_first_ns, arrival_last_ns=self.arrival_last_ns,
-            runs=tuple(self._runs), ended=tuple(self._ended), origin=origin,
+            runs=tuple(self._runs), stations=tuple(self._runs.values()), ended=tuple(self._ended), origin=origin,
         )  # fmt: skip
 
 
@@ -173,8 +181,10 @@ def parse_record(record: LogRecord) -> ParsedRecord | None:
         numbered = decode_event(record.data)
         document = numbered.document
         stream = StreamId(record.topic, numbered.epoch)
-        is_end = isinstance(document, RunEnded)
-        place = LogPlace(stream, numbered.seq, numbered.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
+        place = LogPlace(
+            stream, numbered.seq, numbered.seq + 1, document.t_ns, document.t_ns, document.run,
+            is_end=isinstance(document, RunEnded), is_start=isinstance(document, RunStarted),
+        )  # fmt: skip
         return ParsedRecord(place, document)
     return None
 

@@ -20,9 +20,10 @@ _MOST_BYTES = 1 << 28
 class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     """A sealed segment: name, bytes and SHA-256 of its file, and what it holds.
 
-    Arrivals are by the recorder's clock. `runs` are those that it has samples or documents of, `ended` those whose end
-    it has. `origin` is recorded, recovered (was left open), salvaged (readable part of a damaged one), found (sealed,
-    without a line), or lost (documented in the log).
+    Arrivals are by the recorder's clock. `runs` are those that it has samples or documents of, `stations` the station
+    of each whose samples or start came first here, empty where neither did, `ended` those whose end it has. `origin` is
+    recorded, recovered (was left open), salvaged (readable part of a damaged one), found (sealed, without a line), or
+    lost (documented in the log).
     """
 
     segment: str
@@ -33,6 +34,7 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     arrival_first_ns: int
     arrival_last_ns: int
     runs: tuple[str, ...] = ()
+    stations: tuple[str, ...] = ()
     ended: tuple[str, ...] = ()
     origin: str = "recorded"
 

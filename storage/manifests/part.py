@@ -47,9 +47,8 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
     """A part of the lake: the folder `name`, made from the sealed `segments`, in order.
 
     `samples` are those in its segments, `sources` their SHA-256 (empty in parts of an older gyrofleet, and in a large
-    manifest that was read without them). `dropped` is
-    set once its raw rows are. `quarantined` messages cannot be built; the log keeps them and their samples. `columns` is
-    the version of the columns of its files.
+    manifest that was read without them). `dropped` is set once its raw rows are. `quarantined` messages cannot be
+    built; the log keeps them and their samples. `columns` is the version of the columns of its files.
     """
 
     name: str

@@ -120,16 +120,16 @@ class HeldClaim(Closing):
 
     `what` describes the source in the message that another one gets. `on_loss` is called once, with the reason, if
     another source has taken over. With the same `holder` a restarted source does not wait for its own claim. Raises a
-    StoreError if another source holds the claim.
+    StoreError if another source holds the claim, or a run is of another station than `station`.
     """
 
     def __init__(
         self, client: RecorderClient, owners: Iterable[tuple[str, str]], what: str,
-        on_loss: Callable[[str], None] | None = None, holder: str | None = None,
+        on_loss: Callable[[str], None] | None = None, holder: str | None = None, station: str = "",
     ) -> None:  # fmt: skip
         self._client, self.on_loss = client, on_loss
         text = f"{what} on {socket.gethostname()}, process {os.getpid()}"
-        self._claim = requests.Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))))
+        self._claim = requests.Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))), station)
         self._stop = threading.Event()
         until = time.monotonic() + requests.LEASE_S + 2.0  # the lease of a killed source ends
         while (reason := self._refused()) is not None:

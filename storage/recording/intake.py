@@ -8,16 +8,17 @@ from functools import lru_cache
 from storage.log.event_log import EventLog
 from storage.log.sequence import LogPlace
 from storage.log.store_documents import forgery
+from storage.recording.run_owners import RunOwners
 from storage.recording.two_persons import reason_against
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
-from stream.events import ApprovedAct, StoreNoted
+from stream.events import ApprovedAct, RunEnded, RunStarted, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
 from stream.security.proof import Proven, SourceVerifier, split
-from stream.security.rights import Principal
+from stream.security.rights import Principal, Role
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch, encode_preview, read_batch_head
 from stream.wire.event_validation import decode_received
@@ -118,11 +119,13 @@ class Intake:
     of each: no more is acknowledged, whatever the log has. `rewinds` are streams of which messages are missing, to be
     requested; `conflicts` messages whose numbers are recorded with other content. `ended_runs` counts ends of runs,
     `late` messages after the end of their run (resent ones, estimates); the recorder resets both. With `sources` a
-    message needs a proof of its source, which is authorised for it.
+    message needs a proof of its source, which is authorised for it; `owners` say whose runs a station may add to.
     """
 
-    def __init__(self, log: EventLog, store: Store, sources: SourceVerifier | None = None) -> None:
-        self._log, self._store, self._sources = log, store, sources
+    def __init__(
+        self, log: EventLog, store: Store, sources: SourceVerifier | None = None, owners: RunOwners | None = None
+    ) -> None:
+        self._log, self._store, self._sources, self._owners = log, store, sources, owners
         self._recent = RecentMessages()
         self.conflicts: list[NumberConflict] = []
         self.counts = RecorderCounts()
@@ -150,7 +153,7 @@ class Intake:
             if isinstance(parsed, SampleKey):
                 if source is not None:
                     check_authority(source, key, parsed, None)
-                self._add_samples(key, parsed, payload, proven.body, arrival_ns)
+                self._add_samples(key, parsed, payload, proven.body, arrival_ns, source)
             else:
                 self._add_document(key, parsed, payload, proven.body, arrival_ns, source)
         except GyrofleetError as error:
@@ -164,6 +167,11 @@ class Intake:
             message.check()
             return None
         return self._sources.source_of(key, message)
+
+    def _check_owner(self, run: str, source: Principal | None) -> None:
+        """Raise OfAnotherStation if a station adds to a run that another one began."""
+        if self._owners is not None and source is not None and source.role is Role.STATION:
+            self._owners.check(run, source.name)
 
     def undo(self, undone: dict[StreamId, int]) -> None:
         """Streams fell back by so many numbers, which are sent again."""
@@ -187,16 +195,21 @@ class Intake:
         self._log.append_aside(LogRecord(key[:1000], REJECTED, arrival_ns, arrival_ns, kept))
         return True
 
-    def _add_samples(self, key: str, parsed: SampleKey, payload: bytes, body: bytes, arrival_ns: int) -> None:
+    def _add_samples(
+        self, key: str, parsed: SampleKey, payload: bytes, body: bytes, arrival_ns: int, source: Principal | None
+    ) -> None:
         unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
         if run:
             check_name("run", run)
+            self._check_owner(run, source)
         stream = StreamId(key, epoch)
         place = LogPlace(stream, seq, next_seq, t0_ns, last_ns, run)
         if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload), body):
             return
+        if self._owners is not None and run:
+            self._owners.add(run, parsed.place.station)
         self.counts.samples += next_seq - seq
         before_ns = self._last_ns.get(stream)
         self._last_ns[stream] = last_ns
@@ -218,6 +231,8 @@ class Intake:
         document = message.document
         if source is not None:
             check_authority(source, key, parsed, document)
+        if document.run:
+            self._check_owner(document.run, source)
         if (reason := forgery(self._store, document)) is not None:
             what = document.what if isinstance(document, StoreNoted) else ""
             raise WireError(f"{type(document).__name__} {what[:80]}".strip() + f": {reason}")
@@ -226,10 +241,17 @@ class Intake:
         access = None if self._sources is None else self._sources.access
         if (reason := reason_against(self._store, access, document)) is not None:
             raise WireError(f"{type(document).__name__}: {reason}")
-        is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)
-        place = LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
-        if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload), body) and is_end:
+        place = LogPlace(
+            stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run,
+            is_end=isinstance(parsed, EventKey) and isinstance(document, RunEnded),
+            is_start=isinstance(document, RunStarted),
+        )  # fmt: skip
+        if not self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload), body):
+            return
+        if self._owners is not None and place.is_start:
+            self._owners.add(document.run, parsed.place.station)
+        if place.is_end:
             self.ended_runs += 1
             self._ended[document.run] = None
             if len(self._ended) > _MOST_ENDED:

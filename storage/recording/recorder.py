@@ -17,6 +17,7 @@ from storage.recording.disk_watch import DiskWatch
 from storage.recording.intake import Intake
 from storage.recording.lake_builder import LakeBuilder
 from storage.recording.reports import Reports
+from storage.recording.run_owners import RunOwners
 from storage.recording.service import RecorderService
 from storage.recording.signed_rules import keep_signed_rules
 from storage.recording.status_board import StatusBoard
@@ -62,7 +63,10 @@ class Recorder(Closing):
         self._credentials = credentials_of(bus)
         if self._credentials is not None:
             keep_signed_rules(store, self._credentials, on_warning)
-        self._intake = Intake(log, store, None if self._credentials is None else SourceVerifier(self._credentials))
+        sources = owners = None
+        if self._credentials is not None:
+            sources, owners = SourceVerifier(self._credentials), RunOwners(log.entries)
+        self._intake = Intake(log, store, sources, owners)
         self.counts = self._intake.counts
         self._reports = Reports(store, log, self._intake, self._warn)
         self._watch = DiskWatch(store.folder, disk)
@@ -82,7 +86,7 @@ class Recorder(Closing):
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
-        self._service = RecorderService(store, bus, self.settle)
+        self._service = RecorderService(store, bus, self.settle, owners)
         board, self._began_ns = StatusBoard(store), time.time_ns()
         bus.subscribe(STATUS_KEY, board.on_message)
         self._status = StatusReporter(self.status, board.put) if reports_status else None

@@ -7,6 +7,7 @@ from contextlib import suppress
 from queue import Empty, Full, Queue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from storage.recording.run_owners import RunOwners
 from storage.store import Store
 from stream.errors import GyrofleetError, StoreError, WireError
 from stream.transport.bus import Bus
@@ -53,10 +54,13 @@ class Claims:
 
 
 class RecorderService:
-    """Answers requests for the recorder of one store, in its own threads; `settle` brings all received to the lake."""
+    """Answers requests for the recorder of one store, in its own threads.
 
-    def __init__(self, store: Store, bus: Bus, settle: Callable[[], None]) -> None:
-        self._store, self._bus, self._settle = store, bus, settle
+    `settle` brings all received to the lake; with `owners`, a claim on a run of another station is refused.
+    """
+
+    def __init__(self, store: Store, bus: Bus, settle: Callable[[], None], owners: RunOwners | None = None) -> None:
+        self._store, self._bus, self._settle, self._owners = store, bus, settle, owners
         self._claims = Claims()
         self._catalog: Catalog | None = None
         self._closing = False
@@ -83,7 +87,7 @@ class RecorderService:
             request = requests.decode(payload, requests.Request)
         except WireError:
             return  # no one to answer
-        if request.store not in {"", self._store.identity} or self._closing:
+        if request.store not in {"", self._store.identity} or self._closing or not requests.is_id(request.id):
             return
         is_quick = isinstance(request.question, requests.Hello | requests.Claim | requests.Release)
         with suppress(Full):  # else it is requested again
@@ -101,16 +105,15 @@ class RecorderService:
                 reply = requests.Reply(request.id, self._store.identity, error=str(error))
             except Exception as error:  # noqa: BLE001  the requester gets any error
                 reply = requests.Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
-            try:
-                self._bus.publish(requests.reply_key(request.id[:64]), requests.encode(reply))
-            except GyrofleetError:
-                return  # the bus is closed
+            with suppress(GyrofleetError):  # else it is requested again
+                self._bus.publish(requests.reply_key(request.id), requests.encode(reply))
 
     def _answer(self, question: requests.Question) -> Any:
         match question:
             case requests.Hello():
                 return str(self._store.folder.absolute())
             case requests.Claim():
+                self._check_owners(question)
                 return self._claims.claim(question, time.monotonic())
             case requests.Release():
                 self._claims.release(question.holder)
@@ -133,6 +136,13 @@ class RecorderService:
                 times_ns, values = knowledge.samples(unit, signal, run, first_ns, last_ns)
                 return packed(times_ns, values) if len(times_ns) <= requests.MOST_ROWS else None
         raise StoreError(f"a recorder of this version does not answer {type(question).__name__}")
+
+    def _check_owners(self, claim: requests.Claim) -> None:
+        if self._owners is None or not claim.station:
+            return
+        for run in sorted({run for _, run in claim.owners}):
+            if (reason := self._owners.reason_against(run, claim.station)) is not None:
+                raise StoreError(reason)
 
     def _forget(self) -> None:
         if self._catalog is not None:

@@ -71,3 +71,5 @@ def _check_identity(source: Principal, document: events.Act) -> None:
         raise NotAuthorised(f"{source} may not act as {claimed[:80]}: the identity of a document is that of its source")
     if is_person and isinstance(document, _NAMED_BY) and document.by != own:
         raise NotAuthorised(f"{source} may not act in the name of {document.by[:80]!r}")
+    if is_person and isinstance(document, events.NoteAdded) and document.author not in {own, source.name}:
+        raise NotAuthorised(f"{source} may not write a note of {document.author[:80]!r}")

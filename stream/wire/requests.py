@@ -4,6 +4,7 @@ Requests have one key, replies a key for each request. A chunk of a key that sta
 wildcard, so that neither is recorded.
 """
 
+import re
 from typing import Any, TypeVar
 
 import msgspec
@@ -16,6 +17,7 @@ from stream.identity import ROOT
 REQUEST_KEY = f"{ROOT}/@request"
 LEASE_S = 3.0  # duration of a claim that is not renewed
 RENEW_S = 0.7
+_ID = re.compile(r"[0-9A-Za-z_-]{1,64}")
 MOST_ROWS = 1_000_000  # samples in one answer
 
 
@@ -24,11 +26,15 @@ class Hello(msgspec.Struct, frozen=True, tag=True):
 
 
 class Claim(msgspec.Struct, frozen=True, tag=True):
-    """Let `holder` alone send samples of these units and runs, until it releases them or is silent for a lease."""
+    """Let `holder` alone send samples of these units and runs, until it releases them or is silent for a lease.
+
+    `station` sends them.
+    """
 
     holder: str
     text: str
     owners: tuple[tuple[str, str], ...]
+    station: str = ""
 
 
 class Release(msgspec.Struct, frozen=True, tag=True):
@@ -84,6 +90,15 @@ class Reply(msgspec.Struct, frozen=True):
 
 
 Message = TypeVar("Message", Request, Reply)
+
+
+def is_id(request_id: str) -> bool:
+    """Whether a request can be answered: its id is a chunk of a key.
+
+    >>> is_id("0f3a"), is_id(""), is_id("a/**")
+    (True, False, False)
+    """
+    return _ID.fullmatch(request_id) is not None
 
 
 def reply_key(request_id: str) -> str:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from typing import Any
 
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -40,11 +41,11 @@ with Catalog(store) as catalog:
 """
 
 
-def later(store: Store, what: str) -> dict[str, list[list[object]]]:
+def later(store: Store, what: str) -> dict[str, list[Any]]:
     command = [sys.executable, "-c", LATER, str(store.folder), what]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
-    found: dict[str, list[list[object]]] = json.loads(answer.stdout)
+    found: dict[str, list[Any]] = json.loads(answer.stdout)
     return found
 
 
@@ -65,4 +66,5 @@ def test_parts_that_were_built_before_have_null_in_an_added_column_until_the_lak
     rebuilt = later(days.store, "rebuild")
     assert set(rebuilt["parts"]) == {2}
     assert all(row[2] is not None for row in rebuilt["channels"])
-    assert rebuilt["samples"] == found["samples"] and rebuilt["problems"] == []
+    assert rebuilt["samples"] == found["samples"]
+    assert rebuilt["problems"] == []

@@ -21,7 +21,9 @@ from storage.store import Store
 
 
 def entry(number: int, origin: str = "recorded", size: int = 1) -> SegmentEntry:
-    return SegmentEntry(f"{number:08d}.mcap", size, f"{number:064x}", 1, 10, number, number, ("r1",), (), origin)
+    return SegmentEntry(
+        f"{number:08d}.mcap", size, f"{number:064x}", 1, 10, number, number, ("r1",), ("chamber-1",), (), origin
+    )
 
 
 @pytest.fixture

@@ -22,7 +22,14 @@ from stream.events import (
     CompensationStarted,
     ModelActivated,
     NoteAdded,
+    RunEnded,
+    RunStarted,
+    StationStated,
+    StepStarted,
+    StepWords,
     StoreNoted,
+    UnitMounted,
+    UnitReleased,
     Verdict,
     VerdictGiven,
     encode_event,
@@ -47,6 +54,18 @@ IN_ANOTHERS_NAME = msgspec.structs.replace(MODEL, by="approver:chief")
 AS_ANOTHER = msgspec.structs.replace(MODEL, identity="user:chief")
 AS_NOBODY = msgspec.structs.replace(MODEL, identity="unauthenticated")
 STATIONS_NOTE = NoteAdded(run="r1", t_ns=0, text="let it pass", author="chief", identity="approver:lead")
+ANOTHERS_NOTE = NoteAdded(run="r1", t_ns=0, text="let it pass", author="chief", identity=LEAD)
+# run r1 is of station c1, whose samples came first
+C2_EVENTS, C2_KEY = "gyrofleet/plant/c2/event", "gyrofleet/plant/c2/U1/rate"
+NOT_OF_C2 = "run r1 is of station c1"
+ABOUT_R1 = (
+    RunStarted(run="r1", t_ns=0), RunEnded(run="r1", t_ns=0, outcome="aborted"),
+    StationStated(run="r1", t_ns=0, details={"time_zone": "Asia/Tokyo"}),
+    StepStarted(run="r1", t_ns=0, unit="U1", words=StepWords(procedure="static_bias")),
+    UnitMounted(run="r1", t_ns=0, unit="U1", product="another"),
+    UnitReleased(run="r1", t_ns=0, unit="U1", verdict=Verdict.PASS, recorded_s=1.0, planned_s=1.0),
+    NoteAdded(run="r1", t_ns=0, text="door opened"),
+)  # fmt: skip
 STARTED = CompensationStarted(
     run="r1", t_ns=0, unit="U1", signal="rate", epoch="e", model="a", version=1, compensated="rate_compensated",
     compensated_epoch="f",
@@ -127,6 +146,9 @@ def test_nothing_that_a_router_makes_up_is_recorded(between: Between) -> None:
         (STORE_KEY, prove(between, LEAD, STORE_KEY, AS_ANOTHER), "approver lead may not act as user:chief"),
         (STORE_KEY, prove(between, LEAD, STORE_KEY, AS_NOBODY), "approver lead may not act as unauthenticated"),
         (EVENTS, prove(between, "station:c1", EVENTS, STATIONS_NOTE), "station c1 may not act as approver:lead"),
+        (STORE_KEY, prove(between, LEAD, STORE_KEY, ANOTHERS_NOTE), "approver lead may not write a note of 'chief'"),
+        *((C2_EVENTS, prove(between, "station:c2", C2_EVENTS, each), NOT_OF_C2) for each in ABOUT_R1),
+        (C2_KEY, SourceProver(credentials(between.site, "station:c2")).prove(C2_KEY, encode_batch(NEXT)), NOT_OF_C2),
     ]  # fmt: skip
     counts = between.recorder.counts
     for number, (key, payload, reason) in enumerate(cases, 1):
