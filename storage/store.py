@@ -11,6 +11,7 @@ from typing import Self
 from uuid import uuid4
 
 from storage.store_marker import (
+    BACKUP,
     FLEET_MARKER,
     MARKER,
     alone_in,
@@ -67,6 +68,10 @@ class Store:
                 ) from error
             if not is_missing:
                 raise StoreError(f"{marker} cannot be read ({error}); is {folder} a gyrofleet store?") from error
+            if (folder / BACKUP).exists():
+                raise StoreError(
+                    f"{folder} is a backup, not a store: `gyrofleet restore {folder} --store NEW` makes a store of it"
+                ) from None
             if (folder / FLEET_MARKER).exists():
                 raise StoreError(
                     f"{folder} is a fleet store of many plants; this command asks one: --store {folder}/plants/NAME"

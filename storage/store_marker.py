@@ -18,6 +18,8 @@ from stream.errors import BadInput, StoreError
 STORE_FORMAT = 1
 MARKER = "store.json"
 FLEET_MARKER = "fleet.json"
+BACKUP = "backup.json"
+"""What a backup holds: a folder with it is no store, though it has the store's log."""
 REPLICA = "replica"
 """Folder in the copy of a plant's store that a fleet store holds; such a store is written by replication alone."""
 RECEIVED = "segments.jsonl"
@@ -76,6 +78,15 @@ def write_markers(folder: Path, identity: str) -> None:
         write_durably(copy, content_now, fresh=folder / "tmp" / MARKER)
 
 
+def copy_fault(folder: Path) -> str | None:
+    """What is wrong with the copy of a store's marker in its log; None if nothing is."""
+    copy = folder / "log" / MARKER
+    try:
+        return None if copy.read_bytes() == (folder / MARKER).read_bytes() else f"it differs from {folder / MARKER}"
+    except FileNotFoundError:
+        return "it is missing"
+
+
 def is_replica(folder: Path) -> bool:
     """Whether a store is a fleet store's copy of a plant."""
     return (folder / REPLICA).is_dir()
@@ -99,6 +110,8 @@ def identity_of_segments(folder: Path) -> str | None:
 
 def is_repairable(folder: Path) -> bool:
     """Whether a folder without a valid marker holds a store's log."""
+    if (folder / BACKUP).exists():
+        return False
     try:
         return identity_of_copy(folder) is not None or any(
             _SEGMENT.fullmatch(path.name) for path in (folder / "log").iterdir()

@@ -1,9 +1,9 @@
 """Values of metrics, computed from the step records that are in the catalogue."""
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
@@ -120,8 +120,14 @@ def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor)
         return dict(catalog.table(f"select {sql}").to_pylist()[0]) if some else {}
 
     found: dict[str, bool] = {}
-    for each in pool.map(found_in, [sources[at::_MOST_THREADS] for at in range(_MOST_THREADS)]):
-        found |= each
+    try:
+        for each in pool.map(found_in, [sources[at::_MOST_THREADS] for at in range(_MOST_THREADS)]):
+            found |= each
+    except QueryError:
+        for metric in chosen:  # whose it is
+            with _naming(metric):
+                found_in({metric.header.of} - {""})
+        raise
     return [metric for metric in chosen if found.get(metric.header.of, True)]
 
 
@@ -141,7 +147,8 @@ def keep_scale_factors(catalog: Catalog) -> None:
 def _values(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:
     found, columns = columns_of(catalog, metric)
     if type_b is not None:
-        columns |= type_b.columns(metric.header, found, columns)
+        with _naming(metric):
+            columns |= type_b.columns(metric.header, found, columns)
     return pa.table(columns, schema=COLUMNS)
 
 
@@ -167,13 +174,21 @@ def columns_of(catalog: Catalog, metric: Metric) -> tuple[pa.Table, dict[str, pa
 def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     """Rows of a metric as `_computed` has them; an error of its own statement or function names it."""
     try:
-        return _computed(catalog, metric)
-    except QueryError as error:
-        raise _own_error(metric, str(error).partition(" (views: ")[0]) from error
+        with _naming(metric):
+            return _computed(catalog, metric)
     except (GyrofleetError, NotKept, MemoryError, OSError, *_OF_THE_COMPUTER):
         raise
     except Exception as error:
         raise _own_error(metric, f"{type(error).__name__}: {error}") from error
+
+
+@contextmanager
+def _naming(metric: Metric) -> Iterator[None]:
+    """Let an error of a statement name the metric of which it is."""
+    try:
+        yield
+    except QueryError as error:
+        raise _own_error(metric, str(error).partition(" (views: ")[0]) from error
 
 
 def _own_error(metric: Metric, what: str) -> QueryError:

@@ -223,7 +223,10 @@ def _can_mapping(
     from ingest.can.mapping import CanMapping
 
     if not databases:
-        raise BadInput(f"{logs[0]}: a CAN log needs its database: give --dbc FILE.dbc")
+        signals = "" if logs[0].suffix.lower() != ".mf4" else (
+            "; an MF4 file of measured signals, without frames of a bus, is not read: export it as CSV or Parquet"
+        )  # fmt: skip
+        raise BadInput(f"{logs[0]}: a CAN log needs its database: give --dbc FILE.dbc{signals}")
     if mapping is None and unit is None:
         raise BadInput(f"{logs[0]}: nothing says whose samples these are: give --unit, or a --mapping that does")
     chosen = {}

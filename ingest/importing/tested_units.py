@@ -2,8 +2,10 @@
 
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 
 from ingest.tables.sample_file import SignalSummary
+from stream.errors import UnknownUnit
 from stream.quantities import is_angular_rate
 
 # as the SQL macro `is_instrument_name` has it
@@ -27,12 +29,14 @@ def is_instrument_name(signal: str) -> bool:
 
 def tested_units(signals: Iterable[SignalSummary]) -> list[str]:
     """Units of which a signal may be the output of a gyro, by its unit of measure or its name."""
-    found = {
-        each.unit: None for each in signals
-        if not is_instrument_name(each.signal)
-        and (
-            is_angular_rate(each.unit_of_measure) or each.unit_of_measure in _COUNTS
-            or _OUTPUT.search(each.signal.lower()) is not None
-        )
-    }  # fmt: skip
-    return list(found)
+    return list(dict.fromkeys(each.unit for each in signals if _may_be_output(each)))
+
+
+def _may_be_output(signal: SignalSummary) -> bool:
+    if is_instrument_name(signal.signal):
+        return False
+    if _OUTPUT.search(signal.signal.lower()) is not None or signal.unit_of_measure in _COUNTS:
+        return True
+    with suppress(UnknownUnit):  # of a CAN database
+        return is_angular_rate(signal.unit_of_measure)
+    return False

@@ -16,12 +16,11 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store, only_one
-from storage.store_marker import check_folder
+from storage.store_marker import BACKUP, check_folder
 from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import BadInput, StoreError
 
-BACKUP = "backup.json"
 LOG, OPEN, FILES = "log", "open", "files"
 _FORMAT = 1
 _ATTEMPTS = 20
@@ -85,7 +84,8 @@ def back_up(
         with only_one(folder / "backup.lock", "gyrofleet backup"):
             return _Writer(store, folder, is_checked=is_checked, progress=progress).written()
     except OSError as error:
-        raise StoreError(f"cannot write the backup {folder}: {error}; the one before is as it was") from error
+        left = "the one before is as it was" if (folder / BACKUP).exists() else "there is no backup yet"
+        raise StoreError(f"cannot write the backup {folder}: {error}; {left}") from error
 
 
 class _Writer:

@@ -6,13 +6,13 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from storage.backup.backup import BACKUP, FILES, Backup, read_backup
+from storage.backup.backup import FILES, Backup, read_backup
 from storage.backup.copied_file import CopiedFile, copy_file
 from storage.check.recover import Action, recover
 from storage.store import Store
-from storage.store_marker import check_folder, write_markers
+from storage.store_marker import BACKUP, check_folder, write_markers
 from stream.atomic_file import write_durably
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 
 _RESTORING, _MARK = "restoring", "of.txt"
 
@@ -27,6 +27,8 @@ def restore(
     """
     check_folder(folder)
     backup = read_backup(source)
+    if folder.resolve().is_relative_to(source.resolve()):
+        raise BadInput(f"{folder} lies within the backup {source}: give another folder")
     copies = [*_of_log(backup), *backup.open, *backup.files]
     total = max(1, sum(each.size for each in copies))
     fresh = folder / _RESTORING  # not yet where a store's log is: what is incomplete is no store

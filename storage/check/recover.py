@@ -23,6 +23,7 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LOST, ManifestWriter, manifest_path, read_log_manifest, rewrite_manifest
 from storage.specifications.copies import mend_copies
 from storage.store import Store, WriterLock
+from storage.store_marker import MARKER, copy_fault, write_markers
 from stream.errors import StoreError
 from stream.events import StoreNoted, new_uid
 from stream.identity import Place, event_key
@@ -50,6 +51,9 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
             if quarantine:
                 for unknown, target in quarantine_unknown(store):
                     yield Action("file_quarantined", str(unknown.path), f"{unknown.why}; kept as {target}")
+            if (fault := copy_fault(store.folder)) is not None:
+                write_markers(store.folder, store.identity)
+                yield Action("marker_copied", str(store.log / MARKER), f"written again, {fault}")
             yield from _repair_log(store)
             yield from _repair_lake(store)
             for finding in checkpoint_findings(store, verify_log(store)):

@@ -15,6 +15,7 @@ from storage.manifests.lake import read_manifest
 from storage.manifests.part import Part
 from storage.specifications.copies import specification_findings
 from storage.store import Store, writer_is_active
+from storage.store_marker import MARKER, copy_fault
 from stream.delivery.spool import held_messages
 from stream.errors import EstimatorError, GyrofleetError, StoreError
 from stream.wire.acknowledgement import StreamId
@@ -52,6 +53,7 @@ def _verify(
     state = verify_log(store, progress, since)
     findings = [
         *state.findings,
+        *_run_check(lambda: marker_findings(store), store.log),
         *_run_check(lambda: lake_findings(store, state), store.lake),
         *_run_check(lambda: checkpoint_findings(store, state), store.folder / CHECKPOINT),
         *_run_check(lambda: _spools(store), store.folder / "spool"),
@@ -100,6 +102,16 @@ def _run_check(check: Callable[[], Iterable[Finding]], where: Path) -> list[Find
         what = f"it cannot be checked: {why}"
         remedy = "repair the other findings, and run `gyrofleet verify` again"
         return [Finding("check_failed", Severity.DAMAGE, str(where), what, remedy)]
+
+
+def marker_findings(store: Store) -> list[Finding]:
+    """What is wrong with the copy of the store's marker, from which a lost marker is rebuilt."""
+    if (fault := copy_fault(store.folder)) is None:
+        return []
+    copy = store.log / MARKER
+    severity = Severity.DAMAGE if copy.exists() else Severity.NOTE  # the oldest stores have none
+    what = f"{fault}; the store's identity is rebuilt from it if {MARKER} is lost"
+    return [Finding("marker_copy", severity, str(copy), what, "write it again")]
 
 
 def lake_findings(store: Store, state: LogState) -> list[Finding]:

@@ -13,8 +13,10 @@ from uuid import uuid4
 import numpy as np
 
 from storage.log.store_documents import LAKE
+from storage.recording.disk_watch import DiskWatch
 from storage.recording.knowledge import KnownRuns, KnownSignal, KnownStep, unpacked
 from storage.recording.signed_rules import keep_signed_rules
+from storage.segments.disk import DISK
 from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint, writer_security
 from stream.batch import FloatArray, IntArray
 from stream.closing import Closing
@@ -200,6 +202,9 @@ def record_documents(
     from stream.transport.bus import LocalBus
 
     with WriterLock(store, role, is_brief=True, patience_s=_BRIEF_S):
+        full, _ = DiskWatch(store.folder, DISK).look(time.monotonic())
+        if full is not None:
+            raise StoreError(f"nothing was entered: {full}")
         if (own := process_security().credentials) is not None:
             keep_signed_rules(store, own, lambda text: notes().print(f"warning: {text}", soft_wrap=True, markup=False))
         with (
@@ -236,4 +241,7 @@ def _send(bus: Bus, documents: Sequence[AnyDocument], place: Place, store: Store
     with DurablePublisher(bus, timeout_s=20.0, only_store=store.identity) as publisher:
         for document in documents:
             publisher.send_event(event_key(place), document)
-        publisher.drain()
+        publisher.drain(given_up=lambda: publisher.paused is not None)
+        if publisher.outstanding and (why := publisher.paused) is not None:
+            publisher.abandon()  # a person waits, and enters it again
+            raise StoreError(f"nothing was entered, the recorder of {store.folder} is paused: {why}")

@@ -14,7 +14,7 @@ from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogReco
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
-from stream.events import ApprovedAct, RunEnded, RunStarted, StoreNoted
+from stream.events import AnyDocument, ApprovedAct, ModelActivated, RunEnded, RunStarted, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
 from stream.security.proof import Proven, SourceVerifier, split
@@ -110,6 +110,16 @@ class RecentMessages:
         name = hash((stream, seq))
         found = self._young.get(name, self._old.get(name))
         return None if found is None else found != hash(payload)
+
+
+def _unknown_model(store: Store, document: AnyDocument) -> str | None:
+    """Why an error model that is put to use cannot be; None if its version is in the store."""
+    if not isinstance(document, ModelActivated) or document.stage == "off":
+        return None
+    folder = store.folder / "models" / document.unit
+    if any(path.name.endswith(f"-{document.model}.json") for path in folder.glob("*.json")):
+        return None
+    return f"the store has no version {document.model[:80]} of the error model of {document.unit}"
 
 
 class Intake:
@@ -238,6 +248,8 @@ class Intake:
             raise WireError(f"{type(document).__name__} {what[:80]}".strip() + f": {reason}")
         if isinstance(document, ApprovedAct):
             self._log.sync()  # what it rests on may have come just before
+        if (reason := _unknown_model(self._store, document)) is not None:
+            raise WireError(f"{type(document).__name__}: {reason}")
         access = None if self._sources is None else self._sources.access
         if (reason := reason_against(self._store, access, document)) is not None:
             raise WireError(f"{type(document).__name__}: {reason}")

@@ -1,6 +1,7 @@
 """An extension with a mistake is named, and claims nothing."""
 
 from importlib.resources import files
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,8 +14,18 @@ from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects import registry
 from analytics.loop.effects.base import Effect, Shape
 from analytics.loop.effects.monomial import channel_linear
-from analytics.metric_registry.registry import BoundsSource, Clause, MetricError, metrics, parse_header
-from storage.sql.catalog import NotKept
+from analytics.metric_registry.registry import (
+    BoundsSource,
+    Clause,
+    Influence,
+    Metric,
+    MetricError,
+    metrics,
+    parse_header,
+)
+from analytics.step_records.step_table import step_means
+from storage.sql.catalog import Catalog, NotKept
+from storage.store import Store
 from stream.errors import BadInput, QueryError
 
 
@@ -47,6 +58,26 @@ def test_a_metric_that_fails_is_named_and_what_is_no_mistake_of_it_is_not(monkey
         monkeypatch.setattr(evaluation, "_computed", failing(other))
         with pytest.raises(type(other)):
             evaluation._found(SimpleNamespace(), metrics()["bias"])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("where", ["of", "influence"])
+def test_a_mistake_in_the_header_of_a_metric_names_it(tmp_path: Path, where: str) -> None:
+    step = {
+        "run": "r1", "unit": "U1", "signal": "rate", "index": 1, "date_known": True, "t_start_ns": 0, "t_from_ns": 0,
+        "t_to_ns": 3600 * 10**9, "duration_s": 3600.0, "procedure": "static_bias", "unit_of_measure": "deg/h",
+        "n": 36_000, "mean": 1.0, "sd": 2.0, "freedom": 30.0, "standard_uncertainty": 0.01, "sd_freedom": 900.0,
+    }  # fmt: skip
+    bias = metrics()["bias"]
+    wrong = bias.header._replace(of="internal.bias_stepss")
+    if where == "influence":
+        quantities = (*bias.header.influences, Influence("temperature", "per_ppmm(value)"))
+        wrong = bias.header._replace(influences=quantities)
+    with Catalog(Store.create(tmp_path / "S")) as catalog:
+        catalog._unfilled.clear()  # else it would fill itself
+        evaluation.define_views(catalog, pa.Table.from_pylist([step], schema=step_means(catalog).schema))
+        assert evaluation.evaluate(catalog, [bias]).num_rows
+        with pytest.raises(QueryError, match=r"metric bias cannot be computed: .*(bias_stepss|per_ppmm)"):
+            evaluation.evaluate(catalog, [Metric(wrong, bias.sql)])
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.
     when not o.is_output then
       'signal ' || o.signal || ' in ' || o.unit_of_measure || ' is not taken for the output of a gyro: call it rate, or '
       || 'rate_x, rate_y, rate_z'
+    when o.n = 0 then 'signal ' || o.signal || ' has no sample in them: compare the times of the files, their time zone '
+      || 'and --start'
     else 'no characteristic is made of a step of procedure ' || coalesce(o."procedure", '(not given)')
       || coalesce(', position ' || o.position, '')
       || coalesce(', phase ' || o.phase || case when lower(o.phase) in ('before', 'during', 'after') then ''

@@ -25,5 +25,8 @@ qualify row_number() over (
 ) = 1;
 
 create or replace view internal.product_scales as
-select unit, run, product, scale_factor_unit as unit_of_measure, scale_factor
+select unit, run, product,
+  -- two names of one unit
+  unnest(if(scale_factor_unit in ('count', 'LSB'), ['count', 'LSB'], [scale_factor_unit])) as unit_of_measure,
+  scale_factor
 from internal.run_products where scale_factor is not null;

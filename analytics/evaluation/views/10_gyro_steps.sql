@@ -6,7 +6,7 @@ create or replace macro is_instrument_name(signal) as
     '|^(转台|台面|基准|参考|标准|指令|设定|给定|输入|温箱|地球)');
 
 create or replace macro is_output_name(signal) as
-  (regexp_matches(signal, '^rate(_|$)') or is_integrated_output(signal)) and not is_instrument_name(signal);
+  (regexp_matches(signal, '^rate(_|$)|^gyro(_[xyz])?$') or is_integrated_output(signal)) and not is_instrument_name(signal);
 
 create or replace macro no_scale_factor(unit_of_measure) as
   'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';

@@ -71,6 +71,8 @@ class CanLogFile:
             damage = f" ({self._log.damage})" if self._log.damage else ""
             unknown = f"ids that are not in the database: {ids_text(counts.unknown)}; " if counts.unknown else ""
             none = f"{counts.frames} frames{damage} and not one sample of what is mapped"
+            if not counts.frames and self._path.suffix.lower() == ".mf4":
+                none += ": of an MF4 file only frames of a bus are read; export measured signals as CSV or Parquet"
             raise BadInput(f"{self._path}: {none}; {unknown}see `gyrofleet can scan`")
         for each in counts.messages:
             if each.frames > _FEW_FRAMES and each.late + each.retimed > each.frames / 2:

@@ -53,6 +53,18 @@ def test_static_records_are_those_of_the_samples(tested: Any) -> None:
     assert len(averaged) == 8
 
 
+@pytest.mark.parametrize(("nominal", "output"), [("count", "LSB"), ("LSB", "count"), ("LSB", "LSB")])
+def test_a_nominal_scale_factor_in_counts_holds_for_both_names_of_the_unit(
+    tested: Any, nominal: str, output: str
+) -> None:
+    tested.product(f'[product."FOG-70"]\nscale_factor = 262.4\nscale_factor_unit = "{nominal}"\n')
+    tested.run("r1", procedure="static_bias")
+    tested.mount("r1", "U1", product="FOG-70")
+    counts = np.random.default_rng(4).normal(6.5, 3.0, 4000).round()
+    tested.step("r1", "U1", counts, t0_ns=START_NS, dt_ns=DT_NS, unit_of_measure=output)
+    assert one(tested.metric("bias"), earth_rate="none")["value"] == exact(counts.mean() / 262.4 * 3600)
+
+
 @pytest.mark.long
 def test_a_short_record_is_flagged_an_empty_one_has_a_reason_and_the_others_go_on(recorded: Recorded) -> None:
     rows: Rows = [

@@ -31,7 +31,8 @@ HEADS = {
     "U-MDPS": "rate[mdps]",
     "U-MV": "rate[mV]",
     "U-OUT": "output[mV]",
-    "U-COUNT": "gyro[count]",
+    "U-COUNT": "sensor[count]",
+    "U-LSB": "gyro_z[LSB]",
 }
 
 
@@ -56,7 +57,7 @@ def ask(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Result]:
     paths = [written(f"U-{name}", "rate[deg/h]", 1.0, name) for name in NAMES]
     for name, head in HEADS.items():
         unit = head.partition("[")[2][:-1]
-        factor = 1.0 if unit in {"mV", "count"} else conversion("deg/h", unit)[0]
+        factor = 1.0 if unit in {"mV", "count", "LSB"} else conversion("deg/h", unit)[0]
         paths.append(written(name, head, factor, "static_bias"))
     ask("import", *paths)
     return ask
@@ -81,6 +82,12 @@ def test_degrees_per_second_may_be_written_dps(biases: dict[str, Any], unit: str
 
 def test_an_output_without_a_scale_factor_has_a_reason(biases: dict[str, Any]) -> None:
     assert "no scale factor for an output in mV" in biases["U-MV"]["reason"]
+
+
+def test_an_output_in_counts_may_be_called_gyro(ask: Callable[..., Result]) -> None:
+    (found,) = json.loads(ask("metrics", "--unit", "U-LSB", "--metric", "bias", "--json").stdout)
+    assert found["signal"] == "gyro_z"
+    assert "no scale factor for an output in LSB" in found["reason"]
 
 
 @pytest.mark.long

@@ -55,6 +55,15 @@ def counts(store: Store) -> list[dict[str, Any]]:
         return rows
 
 
+def test_a_backup_is_no_store(store: Store, tmp_path: Path) -> None:
+    back_up(store, tmp_path / "B")
+    for opened in (Store.open, Store.open_or_repair):
+        with pytest.raises(StoreError, match=r"B is a backup, not a store: `gyrofleet restore"):
+            opened(tmp_path / "B")
+    with pytest.raises(BadInput, match="lies within the backup"):
+        restore(tmp_path / "B", tmp_path / "B" / "x")
+
+
 def test_a_restored_store_is_the_same(store: Store, tmp_path: Path) -> None:
     done = back_up(store, tmp_path / "B")
     assert (done.added_segments, len(done.backup.segments)) == (3, 3)

@@ -87,6 +87,20 @@ def test_a_run_that_sent_more_than_is_there_is_incomplete(store: Store) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("content", [b"", b"{}", None])
+def test_another_copy_of_the_marker_is_damage_and_is_written_again(store: Store, content: bytes | None) -> None:
+    marker, copy = store.folder / "store.json", store.log / "store.json"
+    another = marker.read_bytes().replace(store.identity.encode(), b"f" * 32)
+    copy.write_bytes(another if content is None else content)
+    assert kinds(store) == ["marker_copy"]
+    assert not verify(store)[0].is_sound
+    assert [action.what for action in recover(store)] == ["marker_copied"]
+    assert copy.read_bytes() == marker.read_bytes()
+    copy.unlink()  # as in the oldest stores
+    assert kinds(store) == ["marker_copy"]
+    assert verify(store)[0].is_sound
+
+
 def test_a_lost_lake_is_made_anew(store: Store) -> None:
     shutil.rmtree(store.lake)
     store.lake.mkdir()
@@ -140,9 +154,10 @@ def test_a_log_that_has_gone_is_damage_until_the_log_says_so(store: Store, how: 
     if how == "files":
         store.log.mkdir()
     first = "log_missing" if how == "folder" else "manifest_missing"
-    assert kinds(store) == ["lake_has_more"] * 3 + [first]
+    assert kinds(store) == ["lake_has_more"] * 3 + [first, "marker_copy"]
     assert not verify(store)[0].is_sound
-    assert [action.what for action in recover(store)] == ["segment_missing"] * 3 + ["lake_built"]
+    done = [action.what for action in recover(store)]
+    assert done == ["marker_copied", *["segment_missing"] * 3, "lake_built"]
     found, _ = verify(store)
     assert found.is_sound
     assert [finding.kind for finding in found.findings] == ["lake_has_more"] * 3

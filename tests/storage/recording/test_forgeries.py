@@ -76,6 +76,7 @@ class Between(NamedTuple):
     """The router, what it passes on, and who is behind it."""
 
     site: Path
+    store: Store
     router: ZenohBus
     recorder: Recorder
     source: DurablePublisher
@@ -105,7 +106,7 @@ def between(tmp_path: Path, endpoint: str) -> Iterator[Between]:
         source.drain()
         assert (recorder.counts.samples, recorder.counts.rejected) == (10, 0)
         _until(lambda: {KEY, EVENTS, ACKNOWLEDGEMENT_KEY} <= passed.keys())  # the router gets its own copies later
-        yield Between(site, router, recorder, source, passed)
+        yield Between(site, store, router, recorder, source, passed)
 
 
 def prove(between: Between, who: str, key: str, document: AnyDocument) -> bytes:
@@ -146,6 +147,7 @@ def test_nothing_that_a_router_makes_up_is_recorded(between: Between) -> None:
         (STORE_KEY, prove(between, LEAD, STORE_KEY, AS_ANOTHER), "approver lead may not act as user:chief"),
         (STORE_KEY, prove(between, LEAD, STORE_KEY, AS_NOBODY), "approver lead may not act as unauthenticated"),
         (EVENTS, prove(between, "station:c1", EVENTS, STATIONS_NOTE), "station c1 may not act as approver:lead"),
+        (STORE_KEY, prove(between, LEAD, STORE_KEY, MODEL), "no version a of the error model of U1"),
         (STORE_KEY, prove(between, LEAD, STORE_KEY, ANOTHERS_NOTE), "approver lead may not write a note of 'chief'"),
         *((C2_EVENTS, prove(between, "station:c2", C2_EVENTS, each), NOT_OF_C2) for each in ABOUT_R1),
         (C2_KEY, SourceProver(credentials(between.site, "station:c2")).prove(C2_KEY, encode_batch(NEXT)), NOT_OF_C2),
@@ -171,6 +173,9 @@ def test_what_is_replayed_adds_nothing_and_who_may_is_recorded(between: Between)
     _until(lambda: counts.duplicates == 2)
     assert (counts.samples, counts.rejected, counts.conflicts) == (10, 0, 0)
     messages = counts.messages
+    models = between.store.folder / "models" / "U1"
+    models.mkdir(parents=True)
+    (models / "0001-a.json").write_text("{}")
     for who, key, document in (
         ("estimator:e1", VERDICT_KEY, VERDICT),
         ("estimator:e1", EVENTS, STARTED),
