@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 LISTED_FILES = 10
 _LISTED_BAD_ROWS = 20
 _LISTED_REMARKS = 20
+_FEWEST_SAMPLES, _FEWEST_OF_FIT = 3, 64  # of an Allan deviation, and of a noise fit
 
 
 def report_files(imported: "Sequence[FileImport]", folder: Path) -> None:
@@ -81,6 +82,7 @@ def _total(imported: "Sequence[FileImport]", folder: Path) -> str:
 
 
 def _report_next(imported: "FileImport", folder: Path) -> None:
+    from ingest.importing.tested_units import is_instrument_name
     from stream.quantities import is_angular_rate
 
     if not imported.steps and not _has_steps(imported, folder):
@@ -92,13 +94,17 @@ def _report_next(imported: "FileImport", folder: Path) -> None:
             f"--procedure, as --procedure static_bias --position {position} for a record at rest",
             soft_wrap=True,
         )
-    here = [signal for signal in imported.signals if signal.in_lake is not None]
+    here = [
+        signal for signal in imported.signals
+        if (signal.in_lake or 0) >= _FEWEST_SAMPLES and not is_instrument_name(signal.signal)
+    ]  # fmt: skip
     if not here:
         return
     signal = next((each for each in here if is_angular_rate(each.unit_of_measure)), here[0])
     which = f"--unit {shlex.quote(signal.unit)} --signal {shlex.quote(signal.signal)} --run {shlex.quote(signal.run)}"
     store = "" if str(folder) == DEFAULT_STORE else f" --store {shlex.quote(str(folder))}"
-    how = " --fit" if is_angular_rate(signal.unit_of_measure) else ""
+    is_fit = is_angular_rate(signal.unit_of_measure) and (signal.in_lake or 0) >= _FEWEST_OF_FIT
+    how = " --fit" if is_fit else ""
     if signal.irregular:
         how = f" --resample {10 * signal.sample_interval_s:.3g}"  # Allan's deviation needs a grid
     notes().print(f"Ask it: gyrofleet allan {which}{how}{store}", soft_wrap=True)

@@ -246,6 +246,23 @@ def test_it_ends_with_what_to_ask_next(gyrofleet: Callable[..., Any], tmp_path: 
     assert gyrofleet(*shlex.split(asked)[3:]).code == 0
 
 
+@pytest.mark.parametrize(
+    ("samples", "asked"), [(1, None), (3, "--store s"), (63, "--store s"), (64, "--fit --store s")]
+)
+def test_what_to_ask_can_be_answered(
+    gyrofleet: Callable[..., Any], tmp_path: Path, samples: int, asked: str | None
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time[s],rate[deg/s]\n" + "".join(f"{i / 10},{i % 7}\n" for i in range(samples)))
+    reported = gyrofleet("import", path, "--unit", "U", "--store", "s").err
+    if asked is None:
+        assert "Ask it" not in reported
+        return
+    line = reported.splitlines()[-1]
+    assert line == f"Ask it: gyrofleet allan --unit U --signal rate --run a {asked}"
+    assert gyrofleet(*shlex.split(line)[3:]).code == 0
+
+
 @pytest.mark.long
 def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     gyrofleet: Callable[..., Any], tmp_path: Path
