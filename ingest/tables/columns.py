@@ -1,8 +1,8 @@
 """The header of a table: the meaning of each column.
 
 ``signal[unit]`` is a signal, ``time[s]`` (or another unit of time) the time; ``unit`` and ``run`` say whose samples a
-row holds, the step words in which step it lies. Titles of other programs, ``Gyro X (deg/s)``, ``Time (s)``, are
-understood: blanks in such a name become ``_``, and it is written in lower case.
+row holds, the step words in which step it lies. Titles of other programs, ``Gyro X (deg/s)``, ``Gyro X [deg/s]``,
+``Time (s)``, are understood: blanks in such a name become ``_``, and it is then written in lower case.
 """
 
 import difflib
@@ -146,6 +146,9 @@ class _HeaderReader:
                 many = f"{len(found)} columns are called so" if found else f"the columns are {', '.join(titles)}"
                 raise BadInput(f"--rename {old!r}: {many}; give the title of one column")
             self._renames[found[0]] = new
+        # of `Time [s]`; beside others that may be the time, nobody knows
+        times = [title for title in titles if _is_time_name(_parts(title)[0])]
+        self._only_time = times[0] if len(times) == 1 and not options.sample_rate_hz else None
 
     def add(self, title: str, number: int) -> None:
         if not title.strip():
@@ -165,7 +168,9 @@ class _HeaderReader:
             unit = None if name in {"unit", "run"} | WORD_NAMES and new_unit is None else unit
         is_time = _is_time_name(name)
         is_stamp = title in self._stamps
-        if name == "time" or (is_time and (is_stamp or (is_foreign and _is_of_time(unit)))):
+        if name == "time" or (
+            is_time and (is_stamp or ((is_foreign or title == self._only_time) and _is_of_time(unit)))
+        ):
             self._add_time(title, unit, is_stamp=is_stamp, is_foreign=is_foreign)
         elif name in {"unit", "run"}:
             self._add_owner(title, name, unit)
@@ -201,6 +206,7 @@ class _HeaderReader:
         setattr(self.columns, name, title)
 
     def _add_signal(self, title: str, name: str, unit: str, *, is_foreign: bool) -> None:
+        is_foreign = is_foreign or re.search(r"\s", name) is not None
         signal = re.sub(r"[\s/*$?#]+", "_", name).strip("_.@").lower() if is_foreign else name
         try:
             if is_foreign and name != signal and not _is_usable(name):

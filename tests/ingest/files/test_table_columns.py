@@ -31,13 +31,13 @@ def test_every_kind_of_column_is_recognised() -> None:
         (["time[ps]", "rate[deg/s]"], "no whole number of nanoseconds"),
         (["time[s]"], "no column holds a signal"),
         (["rate[deg/s]"], "no column 'time[s]'"),
-        (["Time[s]", "rate[deg/s]"], "'Time[s]' is not it: rename it"),
+        (["Time[s]", "clock[s]", "rate[deg/s]"], "'Time[s]' is not it: rename it"),
         (["time[s]", "rate[deg/s]", "rate[deg/s]"], "more than once"),
         (["time[s]", "rate[deg/s]", "rate[rad/s]"], "signal 'rate' stands in the header more than once"),
         (["time[s]", "rate[deg/s]", ""], "column 3 has no title"),
         (["time[s]", "rate[deg/s", "x[1]"], "cannot be read"),
         (["time[s]", "[deg/s]"], "cannot be read"),
-        (["time[s]", "rate x[deg/s]"], "cannot be used as a name"),
+        (["time[s]", "rate/x[deg/s]"], "cannot be used as a name"),
         (["0.0", "1.25"], "the first line must be the header"),
         (["time[s]", "rate[deg/s]", "stp"], "did you mean 'step'?"),
         (["time[s]", "rate[deg/s]", "step[1]"], "written without a unit"),
@@ -54,6 +54,17 @@ def test_a_header_that_breaks_the_contract_is_refused(titles: list[str], message
         read_header(Path("a.csv"), titles, G1)
     assert message in str(caught.value)
     assert str(caught.value).startswith("a.csv: ")
+
+
+@pytest.mark.parametrize(
+    "titles", [["Time [s]", "Gyro X [deg/s]"], ["Time (s)", "Gyro X (deg/s)"], ["T[s]", "Gyro X[deg/s]"]]
+)
+def test_titles_of_other_programs_are_understood(titles: list[str]) -> None:
+    found = read_header(Path("a.csv"), titles, G1)
+    assert found.time is not None
+    assert found.time.title == titles[0]
+    assert [(each.name, each.unit_of_measure) for each in found.signals] == [("gyro_x", "deg/s")]
+    assert found.remarks == [f"column {titles[1]!r} is signal gyro_x"]
 
 
 def test_all_columns_that_cannot_be_read_are_named_at_once() -> None:
