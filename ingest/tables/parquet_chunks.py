@@ -184,6 +184,8 @@ def _decoded(array: pa.Array) -> pa.Array:
 
 
 def _float64(array: pa.Array) -> pa.Array:
+    if pa.types.is_decimal(array.type):  # by way of its text: Arrow's cast is not rounded to the nearest
+        array = array.cast(pa.string())
     return array if pa.types.is_float64(array.type) else array.cast(pa.float64(), safe=False)
 
 

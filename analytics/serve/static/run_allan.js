@@ -79,7 +79,8 @@ function draw(view, found) {
   view.section.dataset.limits = String(limits.length);
   view.section.dataset.samples = String(Math.max(...shown.map(each => each.curve.samples)));
   const items = found.units.flatMap(each => each.limits.map(one => element("li", {},
-    `${each.unit}, ${say("limit")} ${figure(one.tau_s)} s: ${figure(one.upper)} ${unit}: ${one.value === null ? "–" : figure(one.value) + say("bounds", {lo: figure(one.lo), hi: figure(one.hi)})} `,
+    say("of_limit", {unit: each.unit, name: say(one.characteristic), tau: figure(one.tau_s), limit: say("limit"), upper: figure(one.upper), measure: unit}),
+    `${one.value === null ? "–" : figure(one.value) + say("bounds", {lo: figure(one.lo), hi: figure(one.hi)})} `,
     element("span", {className: `verdict ${one.verdict.toLowerCase()}`, textContent: words(one.verdict)}))));
   if (items.length) document.getElementById("allan-limits").replaceChildren(...items);
 }

@@ -35,6 +35,14 @@ def test_numbers_of_any_type(write: Tool, deliver: Tool, samples: Tool, type_: A
     assert samples(deliver(TableFile(path, G1)))["G1", "r", "rate"] == [(0, 1.0), (10**9, 3.0)]
 
 
+def test_decimals_are_the_nearest_numbers(write: Tool, deliver: Tool, samples: Tool) -> None:
+    values = [Decimal(str(round(each, 9))) for each in np.random.default_rng(1).normal(0, 1e6, 5000)]
+    rate = pa.array(values, pa.decimal128(20, 9))
+    path = write({"time[s]": [i / 100 for i in range(5000)], "rate[deg/s]": rate}, "r.parquet")
+    read = samples(deliver(TableFile(path, G1)))["G1", "r", "rate"]
+    assert [value for _, value in read] == [float(each) for each in values]
+
+
 @pytest.mark.parametrize(
     "times",
     [
