@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 _PIECE_SAMPLES = 1_000_000
+_EXACT = 2.0**53  # all integers below are floats
 _OFF_GRID = 0.5  # of an interval
 _OFF_RATE = 1e-3  # of the samples, over a whole index
 _NO_NUMBERS = {"M": "times", "m": "durations", "b": "true and false", "U": "texts", "S": "texts"}
@@ -231,6 +232,8 @@ def _row_of(values: npt.ArrayLike) -> FloatArray:
         row = np.ascontiguousarray(found, np.float64)
     except (TypeError, ValueError) as error:
         raise BadInput(f"values are not numbers: {error}") from None
+    if found.dtype.kind in "iu" and found.size and (np.abs(row) >= _EXACT).any():
+        raise BadInput("values are integers from 2**53 on, which floats round: give them less an offset, as x - x[0]")
     if row.ndim != 1:
         raise BadInput(f"values have the shape {row.shape}: one row of samples of one axis is expected")
     infinite = np.flatnonzero(np.isinf(row))

@@ -28,6 +28,8 @@ def document(trend: Trend) -> dict[str, Any]:
         "values": series.value.size,
         "units": len(set(series.serial)),
         "without_value": series.without_value,
+        "undated_left_out": series.undated,
+        "undated_runs": list(series.undated_runs),
         "dated": series.dated,
         "by": trend.by,
         "charts": [

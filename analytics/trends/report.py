@@ -317,6 +317,8 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         yield words("without_value", n=series.without_value, metric=series.metric)
     if not series.dated:
         yield words("undated")
+    if series.undated:
+        yield words("undated_left_out", n=series.undated, runs=listed(list(series.undated_runs)))
     if series.others:
         kinds = [str(each) for each in series.others]
         more = [f"{len(kinds) - 6} more"] if len(kinds) > 6 else []

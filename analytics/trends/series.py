@@ -59,6 +59,8 @@ class MetricSeries:
     without_value: int  # rows of this kind that have a reason instead of a value
     dated: bool  # whether the dates of all runs are known
     bounds: FloatArray | None = None  # shape (2, n); 95 % bounds of each value, NaN where there are none
+    undated_runs: tuple[str, ...] = ()  # runs without a date, whose values are left out
+    undated: int = 0  # how many values that are
 
     @property
     def header(self) -> MetricHeader | None:
@@ -265,6 +267,10 @@ def _series(
     # scale factors of outputs in volts and in deg/s cannot share a chart
     without_value += len(rows) - most
     rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
+    undated = [row for row in rows if not row["date_known"]]
+    if len(undated) > len(rows) / 2:  # the order in which they were recorded is all that is known of most
+        undated = []
+    rows = [row for row in rows if row["date_known"] or not undated]
     rows.sort(key=lambda row: (_moment(row), row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1
     groups = {name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")}
@@ -277,4 +283,5 @@ def _series(
         groups=groups | {"serial": [row["unit"] for row in rows]},
         variant=variant, others=others, without_value=without_value, dated=all(row["date_known"] for row in rows),
         bounds=np.array([[row[side] for row in rows] for side in ("lo", "hi")], np.float64),
+        undated_runs=tuple(sorted({row["run"] or "" for row in undated})), undated=len(undated),
     )  # fmt: skip

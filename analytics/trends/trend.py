@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.trends.charts.capability import Capability, SpecifiedLimits, capability
-from analytics.trends.charts.control_chart import EwmaChart, IndividualsChart, Spread, ewma_chart, individuals_chart
+from analytics.trends.charts.control_chart import (
+    LEAST_POINTS,
+    EwmaChart,
+    IndividualsChart,
+    Spread,
+    ewma_chart,
+    individuals_chart,
+)
 from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components, product_columns
 from analytics.trends.groups.level_drifts import LevelDrift, drift_columns, level_drifts
@@ -43,7 +50,7 @@ class Chart(NamedTuple):
     drifts: bool  # whether the drift is significant
     # level shifts of stations with values of this chart on both sides, from all measurements there
     shifts: tuple[LevelShift, ...]
-    is_unsteady: bool  # whether the stations wander from session to session
+    is_unsteady: bool  # whether the stations wander between the sessions that it has values of
     z: FloatArray = np.empty(0)  # shape (points,); distances from the centre in sigma; empty without limits
     # points in the patterns of each of Nelson's rules that is met, by its number
     signals: Mapping[int, list[int]] = MappingProxyType({})
@@ -111,7 +118,8 @@ def trend_of(
     alike = series.within_products()
     shifts = level_shifts(alike, false_alarm=FALSE_ALARM)
     parts = _parts(series, by, shifts)
-    charts = tuple(_chart(part, len(parts), baseline, spread) for part in parts)
+    tested = sum(part.charted.size >= LEAST_POINTS for part in parts)  # the others cannot give a false alarm
+    charts = tuple(_chart(part, max(1, tested), baseline, spread) for part in parts)
     drifts = level_drifts(series, false_alarm=FALSE_ALARM)
     beside = np.column_stack([product_columns(series), drift_columns(series, drifts)])
     comparison = compare_groups(alike, GROUPS, beside=beside)
@@ -146,7 +154,8 @@ def _parts(series: MetricSeries, by: str | None, shifts: LevelShifts | NotComput
         is_adjusted = by in {"station", "fixture"}
         shown = at if is_adjusted else at[part.first_places()]
         own = tuple(each for each in shifts.shifts if _crosses(each, shown, series))
-        is_unsteady = shifts.unsteady is not None
+        sessions = {(series.groups["station"][each], series.run[each]) for each in shown.tolist()}
+        is_unsteady = shifts.unsteady is not None and len(sessions) > 1
         if is_adjusted:
             changes = _changes_of(own, at, shifts.points[at]) if by == "station" else None
             found.append(_Part(name, part, shifts.points[at], True, own, changes, is_unsteady))
@@ -178,8 +187,9 @@ def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray
     return Changes(changes, tuple(float(each.mean()) for each in stretches), sigma, FALSE_ALARM)
 
 
-def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Chart:
-    share = FALSE_ALARM / charts
+def _chart(part: _Part, tested: int, baseline: int | None, spread: Spread) -> Chart:
+    """The chart of a part, one of so many that are `tested`."""
+    share = FALSE_ALARM / tested
     values = part.charted
     limits = individuals_chart(values, baseline=baseline, spread=spread)
     changes = change_points(values, false_alarm=share) if part.changes is None else part.changes
@@ -201,7 +211,7 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     counts = flags.sum(axis=-1)
     noise = changes.noise if isinstance(changes, Changes) and changes.noise is not None else NOISES[0]
     chance = None
-    if charts <= _MOST_SIMULATED:
+    if tested <= _MOST_SIMULATED:
         chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread, noise=noise)
     is_wild = wild_point_chance(values) <= share
     return chart._replace(

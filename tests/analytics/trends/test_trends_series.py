@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from analytics.trends.report import sentences
 from analytics.trends.series import Choice, read_series
+from analytics.trends.trend import trend_of
 from stream.errors import BadInput, NotFound
 from tests.analytics.trends.reported_values import HOUR_NS, START_NS, Reported
 
@@ -26,6 +28,35 @@ def test_values_come_in_order_of_time_with_their_groups(reported: Reported) -> N
         "A": ["U1"],
         "B": ["U2", "U1"],
     }
+
+
+@pytest.mark.parametrize(("dated", "left_out"), [(12, 2), (2, 0)])
+def test_a_few_values_without_a_date_are_left_out_and_named(reported: Reported, dated: int, left_out: int) -> None:
+    rows = [{"unit": f"U{at}", "run": f"r{at:02}", "value": at / 7, "dated": at < dated} for at in range(14)]
+    catalog = reported(rows)
+    series = read_series(catalog, "bias")
+    assert (series.value.size, series.undated, series.dated) == (14 - left_out, left_out, left_out > 0)
+    assert series.undated_runs == (("r12", "r13") if left_out else ())
+    said = " ".join(str(each) for each in sentences(trend_of(series)))
+    assert ("Values of runs without a date are left out: 2, of r12, r13." in said) == (left_out > 0)
+    assert ("The dates of some runs are not known" in said) == (left_out == 0)
+
+
+def test_charts_that_are_too_short_take_nothing_from_the_others(reported: Reported) -> None:
+    noise = np.random.default_rng(3).normal(0, 0.02, 10)
+    rows = [
+        {"unit": "U-drifts", "run": f"d{at}", "value": 0.8 + 0.1 * at + noise[at], "hour": 24 * at} for at in range(10)
+    ]
+    alone = trend_of(read_series(reported(rows), "bias"), by="unit").charts[0]
+    others = [
+        {"unit": f"U{unit}", "run": f"o{unit}-{again}", "value": 1.0 + unit / 50, "hour": 24 * again + unit / 9}
+        for unit in range(60) for again in (0, 5)
+    ]  # fmt: skip
+    beside = trend_of(read_series(reported([*rows, *others]), "bias"), by="unit")
+    (found,) = [chart for chart in beside.charts if chart.name == "U-drifts"]
+    assert (alone.in_control, found.in_control) == (False, False)
+    assert (found.drifts, found.too_many) == (alone.drifts, alone.too_many)
+    assert len(beside.charts) == 61
 
 
 def test_kinds_of_values_are_told_apart(reported: Reported) -> None:
