@@ -31,6 +31,7 @@ _SLASH_TITLE = re.compile(r"\s*([^\[\]()/]*[\u4e00-\u9fff][^\[\]()/]*?)\s*/\s*([
 _FULL_WIDTH = str.maketrans("（）［］【】／", "()[][]/")
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
 _TEMPERATURE = re.compile(r"(?i)t|temp|temperature|gyro_?temp(erature)?|(陀螺|产品)?温度")
+_LARGE_SECONDS = re.compile("[MG]s(ec)?")  # a slip of the pen, which a unit of any other quantity would be said to be
 _MOST_PROBLEMS = 8  # in one error
 _SQUARE = "name it like 'rate[deg/s]'"
 
@@ -191,6 +192,8 @@ class _HeaderReader:
             return
         if unit is None:
             raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")
+        if _LARGE_SECONDS.fullmatch(unit.strip()):
+            raise BadInput(f"column {title!r}: {unit.strip()} are 1e6 or 1e9 seconds; write 'ms', or 's'")
         if _plain_letters(unit) in _STAMP_UNITS:
             raise BadInput(f"column {title!r} begins with no time stamp, like 2026-11-21T18:00:00.5Z")
         try:

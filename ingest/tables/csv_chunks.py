@@ -1,5 +1,6 @@
 """Delimited text files, block by block: parsed at speed if good, line by line if not."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ BLOCK_BYTES = 4 << 20
 LONGEST_LINE_BYTES = 8 << 20
 # A block in which something is wrong is cut in parts; one of this size is read line by line.
 _LINEWISE_BYTES = 64 << 10
+_BLANK_LINE = re.compile(rb"(?m)^[ \t\r]*\n")
 _PARTS = 8
 _SPARE_DIGITS = 15
 _ARROW_BLOCK_BYTES = 1 << 20
@@ -39,7 +41,7 @@ class CsvTable:
         self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
         # Digits after the point that times need beyond whole nanoseconds: none until the first that has them.
         self._spare_digits = 0
-        self._comments = 0
+        self._comments = self._blank_line = 0
         self._time_zone = "UTC"
         self._has_stamps_without_zone = False
         self._thousands: tuple[str, str] | None = None
@@ -96,8 +98,11 @@ class CsvTable:
         self._comments = self._dialect.comments
         with self._path.open("rb") as file:
             file.seek(self._dialect.first_byte)
+            self._blank_line = 0
             for block in self._whole_lines(file, line):
                 block = self._as_utf8(block, line)
+                if self._columns.time is None and len(self.titles) == 1:
+                    self._check_blank_lines(block, line)
                 if b"#" in block:  # a comment becomes a blank line, so that lines keep their numbers
                     block, comments = COMMENT.subn(b"", block)
                     self._comments += comments
@@ -105,6 +110,19 @@ class CsvTable:
                     block = without_blanks(block)
                 yield from self._parse(block, line, file.tell() / self._size)
                 line += _lines(block)
+
+    def _check_blank_lines(self, block: bytes, line: int) -> None:
+        """Refuse a blank line before a row of one column without times: it may be a sample that is missing."""
+        if not self._blank_line and _BLANK_LINE.search(block) is None:
+            return
+        for number, text in enumerate(block.split(b"\n")[:-1], line):
+            if not text.strip():
+                self._blank_line = self._blank_line or number
+            elif self._blank_line and not text.lstrip().startswith(b"#"):
+                raise BadInput(
+                    f"{self._path}, line {self._blank_line}: a blank line between the rows of one column: where a sample "
+                    'is missing, write ""; remove other blank lines'
+                )
 
     def _find_dialect(self) -> Dialect:
         lines: list[tuple[str, int]] = []

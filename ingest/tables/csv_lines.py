@@ -151,7 +151,8 @@ def _header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> t
     if first < 2:
         return written[0], None
     row = lines[written[first]][0]
-    delimiter = max(_DELIMITERS, key=row.count)
+    # a comma may be that of decimals, the others are in no number
+    delimiter = next((mark for mark in _DELIMITERS if mark != "," and mark in row), ",")
     if delimiter not in row:
         return written[0], None
     width = len(_cells(row, delimiter))
@@ -178,7 +179,11 @@ def _bare_unit(cell: str) -> str:
 
 
 def _with_units(titles: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
-    """Titles with the unit below them, where they have none themselves."""
+    """Titles with the unit below them, where they have none themselves; BadInput where both have one, and another."""
+    for title, unit in zip(titles, units, strict=True):
+        own = re.search(r"[(\[（]([^()\[\]（）]*)[)\]）]$", title)
+        if own is not None and _bare_unit(unit) and own[1].strip() != _bare_unit(unit):
+            raise BadInput(f"title {title!r} and the line below it, {unit!r}, name two units; keep the right one")
     return tuple(
         title if not _bare_unit(unit) or title.endswith((")", "]", "）")) else f"{title} ({_bare_unit(unit)})"
         for title, unit in zip(titles, units, strict=True)
@@ -275,6 +280,8 @@ class LineReader:
         cells = split_line(text, self._delimiter)
         if len(cells) != len(self._titles):
             hint = " (a decimal comma? write a point)" if self._delimiter == "," and len(cells) > 1 else ""
+            if len(cells) == len(self._titles) + 1 and not cells[-1].strip(_BLANK):
+                hint = " (a delimiter at the end of the line? remove it, or give the header one)"
             noun = "cell" if len(cells) == 1 else "cells"
             raise _BadCell("", f"{len(cells)} {noun}", f"{len(self._titles)} as in the header{hint}")
         return cells

@@ -74,6 +74,7 @@ class TableFile:
         }
         whole = {name for name, may_be in may_be_counts.items() if may_be}
         rounded: Counter[str] = Counter()  # whole numbers that float64 cannot tell from their neighbours, by signal
+        in_thousandths: dict[str, bool] = {}  # of counts, whether all that are not whole have three decimals
         tracker = StepTracker()
         steps = 0
         procedures: set[str | None] = set()
@@ -85,6 +86,9 @@ class TableFile:
                     if name in whole and not _are_int32(values):
                         may_be_counts[name] = False
                         rounded[name] += int(np.count_nonzero(np.abs(values) >= _EXACT))
+                        broken = values[values != np.rint(values)]
+                        if len(broken):
+                            in_thousandths[name] = in_thousandths.get(name, True) and _are_thousandths(broken)
             for begin, end, words in good.stretches:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
@@ -104,6 +108,7 @@ class TableFile:
         remarks = (
             *self._columns.remarks, *self._reader.remarks, *self._remarks_on_times(signals, rows.clock),
             *(rounded_remark(name, count) for name, count in rounded.items() if count),
+            *(thousands_remark(name, units[name]) for name, is_so in in_thousandths.items() if is_so),
         )  # fmt: skip
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
@@ -119,9 +124,12 @@ class TableFile:
         if (zone := self._reader.local_zone) is not None:
             found.append(repeated_hour_remark(first_ns, last_ns, zone))
         yield from filter(None, found)
-        coarse = Counter((each.sampling.step_ns, each.sampling.dt_ns) for each in signals if each.sampling.step_ns)
-        for (step_ns, dt_ns), count in coarse.items():
-            yield coarse_times_remark(self._time_title, step_ns, dt_ns, count)
+        coarse = Counter(
+            (each.sampling.step_ns, each.sampling.dt_ns, each.sampling.gaps > 0)
+            for each in signals if each.sampling.step_ns
+        )  # fmt: skip
+        for (step_ns, dt_ns, has_gaps), count in coarse.items():
+            yield coarse_times_remark(self._time_title, step_ns, dt_ns, count, has_gaps=has_gaps)
 
     @property
     def _time_title(self) -> str:
@@ -241,6 +249,20 @@ def rounded_remark(signal: str, samples: int) -> str:
     number = "1 whole number" if samples == 1 else f"{samples} whole numbers"
     verb = "is beyond 2**53: it is" if samples == 1 else "are beyond 2**53: they are"
     return f"warning: {number} of signal {signal} {verb} rounded to the nearest 64-bit float"
+
+
+def thousands_remark(signal: str, unit: str) -> str:
+    """A warning that a signal in counts has parts of a count, and all of them in thousandths."""
+    return (
+        f"warning: signal {signal} in {unit} has numbers with three decimals, as 1.234: if the mark separates "
+        "thousands, write the file without it"
+    )
+
+
+def _are_thousandths(values: FloatArray) -> bool:
+    """Whether all values are below 1000 and have at most three decimals."""
+    scaled = values * 1000.0
+    return bool((np.abs(values) < 1000.0).all() and (np.abs(scaled - np.rint(scaled)) < 1e-6).all())
 
 
 def _are_int32(values: FloatArray) -> bool:

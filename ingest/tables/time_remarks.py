@@ -57,17 +57,20 @@ def repeated_hour_remark(first_ns: int, last_ns: int, zone: str) -> str | None:
     return None
 
 
-def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int) -> str:
+def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, has_gaps: bool = False) -> str:
     """A warning that even samples have times rounded to steps of more than a quarter of their interval.
+
+    Where there are gaps, nothing else is advised: even times would close them.
 
     >>> coarse_times_remark("time[s]", 7812500, 10**7, 1)[:86]
     "warning: column 'time[s]' is written in steps of 0.0078125 s, and samples of 1 signal "
     """
+    even = "write them with more digits" if has_gaps else _evenly(title, f"{1e9 / dt_ns:.4g}")
     which = "1 signal come" if signals == 1 else f"{signals} signals come"
     return (
         f"warning: column {title!r} is written in steps of {step_ns / 1e9:.6g} s, and samples of {which} every "
         f"{dt_ns / 1e9:.6g} s on average: their times are taken as they are, as irregular, and single losses are not "
-        f"seen; {_evenly(title, f'{1e9 / dt_ns:.4g}')}"
+        f"seen; {even}"
     )
 
 
