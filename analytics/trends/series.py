@@ -156,7 +156,7 @@ def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
         (not choice.units or row["unit"] in choice.units),
         choice.signal in {None, row["signal"]},
         choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
-        choice.since_ns is None or _moment(row) >= choice.since_ns,
+        choice.since_ns is None or (row["date_known"] and _moment(row) >= choice.since_ns),
         *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in (*GROUPS, "product")),
         *(parameter_text(own.get(name)) == parameter_text(value) for name, value in choice.parameters.items()),
     )

@@ -120,8 +120,8 @@ class CsvTable:
                 self._blank_line = self._blank_line or number
             elif self._blank_line and not text.lstrip().startswith(b"#"):
                 raise BadInput(
-                    f"{self._path}, line {self._blank_line}: a blank line between the rows of one column: where a sample "
-                    'is missing, write ""; remove other blank lines'
+                    f"{self._path}, line {self._blank_line}: a blank line between the rows of one column: where a "
+                    'sample is missing, write ""; remove other blank lines'
                 )
 
     def _find_dialect(self) -> Dialect:

@@ -28,6 +28,7 @@ from stream.events import StepEnded, StepStarted
 
 CSV_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 PARQUET_SUFFIXES = frozenset({".parquet", ".pq"})
+_MANY_MISSING = 0.01  # of the samples of its record
 COUNT_UNITS = frozenset({"count", "LSB"})
 
 _INT32 = np.iinfo(np.int32)
@@ -105,10 +106,11 @@ class TableFile:
             SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
             for (owner, name), grid in grids.items()
         )
+        is_known = any("separates thousands" in each for each in self._reader.remarks)
         remarks = (
             *self._columns.remarks, *self._reader.remarks, *self._remarks_on_times(signals, rows.clock),
             *(rounded_remark(name, count) for name, count in rounded.items() if count),
-            *(thousands_remark(name, units[name]) for name, is_so in in_thousandths.items() if is_so),
+            *(thousands_remark(name, units[name]) for name, is_so in in_thousandths.items() if is_so and not is_known),
         )  # fmt: skip
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
@@ -125,7 +127,7 @@ class TableFile:
             found.append(repeated_hour_remark(first_ns, last_ns, zone))
         yield from filter(None, found)
         coarse = Counter(
-            (each.sampling.step_ns, each.sampling.dt_ns, each.sampling.gaps > 0)
+            (each.sampling.step_ns, each.sampling.dt_ns, each.sampling.missing_share > _MANY_MISSING)
             for each in signals if each.sampling.step_ns
         )  # fmt: skip
         for (step_ns, dt_ns, has_gaps), count in coarse.items():
@@ -260,9 +262,10 @@ def thousands_remark(signal: str, unit: str) -> str:
 
 
 def _are_thousandths(values: FloatArray) -> bool:
-    """Whether all values are below 1000 and have at most three decimals."""
-    scaled = values * 1000.0
-    return bool((np.abs(values) < 1000.0).all() and (np.abs(scaled - np.rint(scaled)) < 1e-6).all())
+    """Whether all values are from 1 to 1000 with at most three decimals, and most have three."""
+    sizes = np.abs(values)
+    off_3, off_2 = (np.abs(sizes * scale - np.rint(sizes * scale)) > 1e-6 for scale in (1000.0, 100.0))
+    return bool((sizes > 1.0).all() and (sizes < 1000.0).all() and not off_3.any() and off_2.mean() > 0.5)
 
 
 def _are_int32(values: FloatArray) -> bool:

@@ -47,6 +47,12 @@ class Sampling:
     step_ns: int = 0  # to which the times of even samples are rounded, if it is over a quarter of the interval; else 0
 
     @property
+    def missing_share(self) -> float:
+        """Share of the samples of an even record of this length that are not there."""
+        expected = 1 + (self.t_last_ns - self.t_first_ns) / self.dt_ns if self.dt_ns else 1.0
+        return max(0.0, 1.0 - self.samples / expected)
+
+    @property
     def irregular(self) -> bool:
         """Whether an interval is off the grid."""
         return self.off_grid > 0

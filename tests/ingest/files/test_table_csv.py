@@ -142,7 +142,7 @@ def test_a_start_gives_the_date(write: Tool) -> None:
 
 
 def test_a_sample_rate_in_place_of_times_keeps_the_slot_of_a_bad_row(write: Tool, deliver: Tool, samples: Tool) -> None:
-    path = write("rate[deg/s]\n1\nx\n3\n\n4\n")
+    path = write("rate[deg/s]\n1\nx\n3\n4\n")
     options = TableOptions(unit="G1", sample_rate_hz=100.0, skip_bad=True)
     found = samples(deliver(TableFile(path, options)))["G1", "run1", "rate"]
     assert found == [(0, 1.0), (2 * 10**7, 3.0), (3 * 10**7, 4.0)]
