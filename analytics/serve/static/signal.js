@@ -116,11 +116,12 @@ class View {
   #columns() {
     const {t_ns, min, max, mean, bucket_ns, gaps} = this.found;
     const columns = [[], [], [], []];
-    const ends = new Set(gaps.map(gap => gap[0]));
+    let next = 0;  // gap
     t_ns.forEach((t, i) => {
       const at = (t + bucket_ns / 2) / 1e9;
       [at, min[i], max[i], mean[i]].forEach((value, column) => columns[column].push(value));
-      if (ends.has(t + bucket_ns)) [at + 1e-6, null, null, null].forEach((value, column) => columns[column].push(value));
+      while (next < gaps.length && gaps[next][0] < t) next += 1;
+      if (next < gaps.length && gaps[next][0] < (t_ns[i + 1] ?? Infinity)) [at + 1e-6, null, null, null].forEach((value, column) => columns[column].push(value));
     });
     for (const {found} of this.over) columns.push(beside(columns[0], found));
     return columns;

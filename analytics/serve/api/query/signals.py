@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from analytics.serve.api.operation import Call, get
+from analytics.serve.api.query.signal_gaps import exact_gaps
 from analytics.serve.api.rows import dictionaries, iso, moment
 from analytics.serve.live.tail import LiveSamples
 from storage.lake.tables import SAMPLES_FILE
@@ -66,7 +67,8 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     `bucket_ns` is 0. Buckets of rollups are whole: the first may begin before the stretch and the last end after it;
     all of them together, and `samples`, are of `covers_from_ns` to `covers_to_ns`. Others have samples of the stretch
     only. Every sample is in its bucket's min and max. `gaps` are stretches within the record and what was asked that
-    have no samples and are longer than 1.5 intervals and than a bucket, also where the stretch begins or ends in one.
+    have no samples and are longer than 1.5 intervals and than a bucket, also where the stretch begins or ends in one;
+    the first 50 are from the last sample before to the first after it.
     Values are in `unit_of_measure`. `is_live`: some samples have not come to the lake yet, so that the record probably
     goes on.
     """
@@ -205,13 +207,20 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     t_ns = [int(row["slot"]) for row in rows]
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
     within = max(first_ns, about["t_first_ns"]), min(stop_ns, about["t_last_ns"] + 1)
-    longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
+    length_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
+    gaps = [] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, length_ns, within)
+    if gaps and bucket_ns:
+        gaps = exact_gaps(
+            views, gaps, bucket_ns, files=stretch.files, channels=stretch.channels, live_ns=stretch.live_times,
+            is_raw=stretch.is_raw,
+        )  # fmt: skip
+        gaps = [(max(first, within[0]), min(last, within[1])) for first, last in gaps]
     return SignalBuckets(
         **of, unit_of_measure=about["unit_of_measure"], source=source, bucket_ns=bucket_ns, from_ns=first_ns,
         to_ns=stop_ns, covers_from_ns=min(first_ns, ends[0]), covers_to_ns=max(stop_ns, ends[1]), t_ns=t_ns,
         min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
         mean=[row["mean"] for row in rows], n=[int(row["n"]) for row in rows],
-        gaps=[] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns, within),
+        gaps=gaps,
         samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
         first_ns=about["t_first_ns"], last_ns=about["t_last_ns"], first=iso(about["t_first_ns"]),
         last=iso(about["t_last_ns"]), note=note, is_live=live is not None,
