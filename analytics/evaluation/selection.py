@@ -128,6 +128,18 @@ def dated(text: str, name: str = "--since") -> int:
     return moment_ns(f"{text}T00:00:00Z" if len(text) == len("2026-11-21") else text, name)
 
 
+def day_or_moment(text: str, name: str = "--since") -> tuple[str, int | None]:
+    """A day of the station, or nanoseconds UTC, of the value `name`; BadInput if it is neither.
+
+    >>> day_or_moment("2026-11-21"), day_or_moment("1970-01-01T08:00:00+08:00"), day_or_moment("")
+    (('2026-11-21', None), ('', 0), ('', None))
+    """
+    if not text:
+        return "", None
+    t_ns = dated(text, name)
+    return (text, None) if len(text) == len("2026-11-21") else ("", t_ns)
+
+
 def undated_runs(catalog: Catalog, asked: Selection) -> int:
     """How many runs with steps have no known date, and so are omitted by `--since`."""
     with evaluated(catalog, asked.metrics):

@@ -25,6 +25,7 @@ class Group(NamedTuple):
     run: str = ""
     units: tuple[str, ...] = ()
     since_ns: int | None = None
+    since_day: str = ""  # of the station, as 2026-03-29
 
     def part(self, kind: GroupKind, name: str) -> "Group":
         """A lot, a station or another part of the group; all of it without a name."""

@@ -50,7 +50,7 @@ _ZH = {
 @click.option("--lot", default="", help="With --by: only this lot.")
 @click.option("--station", default="", help="With --by: only this station.")
 @click.option("--fixture", default="", help="With --by: only this fixture.")
-@click.option("--since", default="", help="With --by: only runs that began then or later, as 2026-11-21 (UTC).")
+@click.option("--since", default="", help="With --by: only runs that began then or later, as 2026-11-21 (a day there).")
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
 @engine_option
@@ -66,12 +66,14 @@ def verdicts(
     another decision_rule. Each is judged by the
     revision that was valid when its run began. A unit's verdict is the worst of its limits.
     """
-    from analytics.evaluation.selection import dated
+    from analytics.evaluation.selection import day_or_moment
     from analytics.specifications.risks import lot_risks
     from analytics.specifications.verdicts import Group, failures_in, verdicts_of, yield_by
 
-    since_ns = dated(since) if since else None
-    group = Group(product=product, lot=lot, station=station, fixture=fixture, since_ns=since_ns)
+    since_day, since_ns = day_or_moment(since)
+    group = Group(
+        product=product, lot=lot, station=station, fixture=fixture, since_ns=since_ns, since_day=since_day
+    )  # fmt: skip
     if group != Group() and not by:
         raise BadInput(
             "--product, --lot, --station, --fixture and --since choose what a yield is of: give --by as well"

@@ -8,47 +8,49 @@ where lack is not null;
 create or replace macro internal.week_of(day) as strftime(day, '%G-W%V');
 create or replace macro internal.month_of(day) as strftime(day, '%Y-%m');
 -- Whether something was measured in a group: of a product, lot, station, fixture, day, ISO week or month, in a run, of
--- some units, since a moment. Empty asks for all.
+-- some units, since a moment or a day. Days are those of the station. Empty asks for all.
 create or replace macro internal.is_in_group(
   product, lot, station, fixture, day, run, unit, t_ns,
-  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns
+  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns, of_since_day
 ) as (of_product = '' or product = of_product) and (of_lot = '' or lot = of_lot)
   and (of_station = '' or station = of_station) and (of_fixture = '' or fixture = of_fixture)
   and (of_day = '' or day::varchar = of_day) and (of_week = '' or internal.week_of(day) = of_week)
   and (of_month = '' or internal.month_of(day) = of_month)
-  and (of_run = '' or run = of_run) and (len(of_units) = 0 or list_contains(of_units, unit)) and (since_ns is null or t_ns >= since_ns);
+  and (of_run = '' or run = of_run) and (len(of_units) = 0 or list_contains(of_units, unit)) and (since_ns is null or t_ns >= since_ns)
+  and (of_since_day = '' or day::varchar >= of_since_day);
 create or replace macro internal.verdicts_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
-  of_run := '', of_units := [], since_ns := null
+  of_run := '', of_units := [], since_ns := null, of_since_day := ''
 ) as table
-select unit, signal, metric, subject, standard, specification, verdict, decision_rule, product, lot, station, fixture, day
+select unit, signal, metric, subject, standard, specification, verdict, decision_rule, product, lot, station, fixture, day,
+  t_ns
 from verdicts
 where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
-  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns);
+  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns, of_since_day);
 create or replace macro internal.unlimited_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
-  of_run := '', of_units := [], since_ns := null
+  of_run := '', of_units := [], since_ns := null, of_since_day := ''
 ) as table
 select distinct unit, product, lot, station, fixture, day
 from internal.unlimited_units
 where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
-  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns);
+  of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns, of_since_day);
 
 -- How many units are good: of all, and of each product, lot, station, fixture, day, week or month, of those in a group.
 -- Each kind of group judges a unit by what was measured in it. The yield is of the units that are decided or marginal;
 -- its 95 % interval is Wilson's. Units that no limit applies to are NO_DATA where they were measured.
 create or replace macro internal.yield_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
-  of_run := '', of_units := [], since_ns := null
+  of_run := '', of_units := [], since_ns := null, of_since_day := ''
 ) as table
 with judged as (
   from internal.verdicts_in(of_product := of_product, of_lot := of_lot, of_station := of_station,
     of_fixture := of_fixture, of_day := of_day, of_week := of_week, of_month := of_month, of_run := of_run,
-    of_units := of_units, since_ns := since_ns)
+    of_units := of_units, since_ns := since_ns, of_since_day := of_since_day)
 ), unlimited as (
   from internal.unlimited_in(of_product := of_product, of_lot := of_lot, of_station := of_station,
     of_fixture := of_fixture, of_day := of_day, of_week := of_week, of_month := of_month, of_run := of_run,
-    of_units := of_units, since_ns := since_ns)
+    of_units := of_units, since_ns := since_ns, of_since_day := of_since_day)
 ), placed as (
   select 'all' as kind, 'all' as name, * from judged
   union all select 'product', product, * from judged

@@ -9,7 +9,7 @@ from analytics.serve.api.rows import Name
 from analytics.serve.api.trend import trend_pictures as pictures
 from analytics.serve.api.trend import trends as api
 from analytics.serve.pages.frame.page import shown
-from analytics.serve.pages.frame.zones import DEFAULT
+from analytics.serve.pages.frame.zones import DEFAULT, common_zone, zoned
 from analytics.specifications.verdicts import GROUP_KINDS, GroupKind
 
 _MOST_CHARTS = 24
@@ -75,6 +75,7 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
 
 def _of_metric(call: Call, fields: dict[str, Any]) -> dict[str, Any]:
     """The trend with its pictures, and the other kinds of values of its metric."""
+    fields = fields | {"since": zoned(fields["since"], common_zone(call)) or ""}
     question = api.TrendAsked(**fields)
     found = api.trend(call, question)
     charts = [

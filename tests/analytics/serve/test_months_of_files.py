@@ -100,6 +100,11 @@ def test_the_yield_is_of_what_is_asked_for(
 def test_verdicts_of_a_run_are_by_what_it_measured(months: httpx.Client) -> None:
     units = _asked(months, "/api/verdicts?run=A1_2026-03")["units"]
     assert [(row["unit"], row["verdict"]) for row in units] == [("A1", "PASS")]
+    (row,) = units
+    counts = [row[name] for name in ("latest_verdict", "passed", "failed", "marginal", "no_data", "failures")]
+    assert counts == ["PASS", 1, 0, 0, 0, []], "those of its other runs are not in the row"
+    (row,) = _asked(months, "/api/verdicts?run=A1_2026-01")["units"]
+    assert (row["verdict"], row["passed"], row["failed"], row["failures"]) == ("FAIL", 0, 1, ["bias"])
     units = _asked(months, "/api/verdicts?month=2026-01")["units"]
     assert [(row["unit"], row["verdict"]) for row in units] == [("A1", "FAIL"), ("A2", "PASS")]
     for wrong in ("month=2026-13", "week=2026-01", "day=2026-01", "since=yesterday"):

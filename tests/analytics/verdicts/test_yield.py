@@ -64,6 +64,7 @@ def test_the_yield_of_all_and_of_parts_of_a_group(judged: Judged) -> None:
         Group(week="2026-W02", units=("U05", "U07", "U40")): [5, 7],
         Group(day="2026-01-08"): [7],
         Group(since_ns=JANUARY_NS + 50 * DAY_NS): range(50, 60),
+        Group(since_day="2026-02-20"): range(50, 60),
     }
     for group, members in groups.items():
         names = {

@@ -21,19 +21,33 @@ from unit_metrics group by metric
 # a unit is judged by what was measured in the group, as in yield_by; without a group by all of it
 _VERDICTS = f"""
 with each_limit as (
-  select unit, specification, coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
+  select unit, metric, specification,
+    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank,
+    coalesce(arg_max(verdict_rank(verdict), (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 3) as latest
   from internal.verdicts_in({GROUP_ARGUMENTS}) where $metric = '' or metric = $metric
   group by unit, signal, metric, subject, standard, specification
 ), in_group as (
-  select unit, unit_verdict(min(rank), count(specification)) as verdict from each_limit group by unit
-  union all
-  select distinct unit, 'NO_DATA' from internal.unlimited_in({GROUP_ARGUMENTS}) where $metric = ''
+  select unit, unit_verdict(min(rank), count(specification)) as verdict,
+    unit_verdict(min(latest), count(specification)) as latest_verdict,
+    count(*) filter (verdict_of_rank(rank) = 'PASS') as passed,
+    count(*) filter (verdict_of_rank(rank) = 'FAIL') as failed,
+    count(*) filter (verdict_of_rank(rank) = 'MARGINAL') as marginal,
+    count(*) filter (verdict_of_rank(rank) = 'NO_DATA') as no_data,
+    coalesce(list(distinct metric order by metric) filter (verdict_of_rank(rank) = 'FAIL'), []) as failures,
+    coalesce(list(distinct metric order by metric) filter (verdict_of_rank(rank) = 'MARGINAL'), []) as undecided,
+    coalesce(list(distinct metric order by metric) filter (verdict_of_rank(rank) = 'NO_DATA'), []) as lacking
+  from each_limit group by unit
+  union all by name
+  select distinct unit, 'NO_DATA' as verdict, 'NO_DATA' as latest_verdict, 0 as passed, 0 as failed, 0 as marginal,
+    0 as no_data, [] as failures, [] as undecided, [] as lacking
+  from internal.unlimited_in({GROUP_ARGUMENTS}) where $metric = ''
+), shown as (
+  from unit_verdicts where not $is_group
+  union all by name
+  select u.unit, u.product, u.lot, g.* exclude (unit), u.reason from unit_verdicts u join in_group g using (unit)
+  where $is_group
 )
-select u.* replace (case when $is_group then g.verdict else u.verdict end as verdict)
-from unit_verdicts u left join in_group g using (unit)
-where unit > $after and (not $is_group or g.unit is not null)
-  and ($verdict = '' or case when $is_group then g.verdict else u.verdict end = $verdict)
-order by unit limit $rows
+from shown where unit > $after and ($verdict = '' or verdict = $verdict) order by unit limit $rows
 """  # noqa: S608  our own statement
 _TIMES = (("day", "%Y-%m-%d", "2026-03-29"), ("week", "%G-W%V-%u", "2026-W13"), ("month", "%Y-%m", "2026-03"))
 _FILLED = {"day": "", "week": "-1", "month": ""}
@@ -96,7 +110,7 @@ class GroupAsked(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def group(self) -> Group:
         """The group; BadInput where a time is none."""
-        from analytics.evaluation.selection import dated
+        from analytics.evaluation.selection import day_or_moment
 
         for name, form, example in _TIMES:
             value = getattr(self, name)
@@ -105,7 +119,7 @@ class GroupAsked(msgspec.Struct, frozen=True, kw_only=True):
                     datetime.strptime(value + _FILLED[name], form)
             except ValueError:
                 raise BadInput(f"{name} {value!r} is not like {example}") from None
-        since_ns = dated(self.since, "since") if self.since else None
+        since_day, since_ns = day_or_moment(self.since, "since")
         return Group(
             self.product,
             self.lot,
@@ -117,6 +131,7 @@ class GroupAsked(msgspec.Struct, frozen=True, kw_only=True):
             self.run,
             self.unit,
             since_ns,
+            since_day,
         )
 
     @property
