@@ -10,10 +10,11 @@ import numpy as np
 
 from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge, KnownStep
-from stream.batch import BoolArray, IntArray
+from stream.batch import BoolArray, CountArray, FloatArray, IntArray
 from stream.errors import BadInput
 
 _Name = tuple[str, str, str]
+_FEWEST_TWINS = 3
 
 
 class StoredSamples:
@@ -91,6 +92,8 @@ class StoredSamples:
             # a sample between two stored ones belongs to another recording of the same moment
             nearest_ns = np.minimum(np.abs(stored_ns[after] - times_ns), np.abs(times_ns - stored_ns[before]))
             differs |= ~same_time & (2 * nearest_ns <= sampling.dt_ns)
+        else:
+            self._check_twins(chunk, ~same_time, stored_ns, stored, (before, after))
         if differs.any():
             at = int(np.flatnonzero(differs)[0])
             value, moment_ns = stored[after][at], int(stored_ns[after][at])
@@ -102,6 +105,27 @@ class StoredSamples:
                 f"is another recording, give --run"
             )
         return int(same_time.sum())
+
+    def _check_twins(
+        self, chunk: SignalChunk, others: BoolArray, stored_ns: IntArray, stored: FloatArray | CountArray,
+        beside: tuple[IntArray, IntArray],
+    ) -> None:  # fmt: skip
+        """Refuse irregular samples that are stored with the same values a little earlier or later."""
+        before, after = beside
+        times_ns, dt_ns = chunk.times_ns, self._signals[chunk.unit, chunk.run, chunk.signal].sampling.dt_ns
+        is_later = np.abs(stored_ns[after] - times_ns) < np.abs(times_ns - stored_ns[before])
+        nearest = np.where(is_later, after, before)
+        twins = others & (stored[nearest] == chunk.data) & (4 * np.abs(stored_ns[nearest] - times_ns) <= dt_ns)
+        count = int(twins.sum())
+        if count >= _FEWEST_TWINS and count > others.sum() / 2:
+            at = int(np.flatnonzero(twins)[0])
+            raise BadInput(
+                f"{self._path}: unit {chunk.unit}, signal {chunk.signal}, run {chunk.run}: {count} samples of this "
+                f"stretch are stored with the same values at slightly other times, as at "
+                f"{self._moment(int(stored_ns[nearest][at]))} for {self._moment(int(times_ns[at]))}: the file is "
+                "probably the same record with other digits; nothing was imported. If it is another recording, "
+                "give --run"
+            )
 
     def _moment(self, t_ns: int) -> str:
         if self._summary.date_known:

@@ -13,11 +13,14 @@ from typing import Any, cast
 from zoneinfo import ZoneInfo
 
 import can
+from can.io.asc import ASC_MESSAGE_REGEX
 
 _MOST_TEXT = 60
 _CANDUMP = re.compile(
     r"\(([0-9.e+]+|nan|inf)\)\s+\S+\s+[0-9A-Fa-f]{1,8}#(#[0-9A-Fa-f])?([Rr]\d*|([0-9A-Fa-f]{2})*)(\s+[RTrt])?"
 )
+_ASC_DATA = re.compile(r"^\S*\d\S*\s.*\sd\s+[0-9A-Fa-f]{1,2}(\s+[0-9A-Fa-f]{2})+\s")
+_HEX_BYTE, _DECIMAL_BYTE = re.compile("[0-9A-Fa-f]{2}"), re.compile("[0-9]{1,3}")
 _TIMED = re.compile(r"(\s*)(\d+\.\d+)(\s.*)", re.DOTALL)
 _CLOCK_FORMATS = ("%m %d %I:%M:%S.%f %p %Y", "%m %d %I:%M:%S %p %Y", "%m %d %H:%M:%S.%f %Y", "%m %d %H:%M:%S %Y")
 _MONTHS = ("Jan", "Feb", "Mar|Mär", "Apr", "May|Mai", "Jun", "Jul", "Aug", "Sep", "Oct|Okt", "Nov", "Dec|Dez")
@@ -69,7 +72,7 @@ class AscReader(can.ASCReader):
     file: LogLines
 
     def __init__(self, path: Path, zone: str | None) -> None:
-        super().__init__(LogLines(path), relative_timestamp=False)
+        super().__init__(_AscLines(path), relative_timestamp=False)
         self._zone = zone
         self.has_local_time = False
 
@@ -89,6 +92,15 @@ class AscReader(can.ASCReader):
     def _process_fd_can_frame(self, line: str, msg_kwargs: dict[str, Any]) -> can.Message:
         return self._read(super()._process_fd_can_frame, line, msg_kwargs)
 
+    def _process_data_string(self, data_str: str, data_length: int, msg_kwargs: dict[str, Any]) -> None:
+        # python-can takes any token for a byte, and does not miss those that are not there
+        byte, tokens = (_HEX_BYTE if self._converted_base == 16 else _DECIMAL_BYTE), data_str.split()
+        wrong = [token for token in tokens[:data_length] if byte.fullmatch(token) is None]
+        is_longer = not msg_kwargs.get("is_fd") and any(map(byte.fullmatch, tokens[data_length : data_length + 1]))
+        if wrong or is_longer or len(tokens) < data_length:
+            raise ValueError(f"{wrong[0]!r} is no byte" if wrong else f"it does not have {data_length} bytes")
+        super()._process_data_string(data_str, data_length, msg_kwargs)
+
     def _read(self, read: Any, line: str, given: dict[str, Any]) -> can.Message:
         try:
             found: can.Message = read(line, given)
@@ -96,6 +108,16 @@ class AscReader(can.ASCReader):
             self.file.leave_out(" ".join(str(error).split()))
             return cast("can.Message", None)  # its caller leaves none out
         return found
+
+
+class _AscLines(LogLines):
+    def __next__(self) -> str:  # type: ignore[override]
+        """The next line; one with data that python-can takes for no frame is counted, and given as it is."""
+        line = super().__next__()
+        text = line.strip()
+        if _ASC_DATA.search(f"{text} ") and "J1939TP" not in text and not ASC_MESSAGE_REGEX.match(text):
+            self.leave_out("not like 0.0100 1 100 Rx d 8 01 02 03 04 05 06 07 08")
+        return line
 
 
 class CandumpReader(can.CanutilsLogReader):

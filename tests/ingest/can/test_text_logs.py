@@ -99,6 +99,42 @@ def test_a_line_that_cannot_be_read_costs_itself(tmp_path: Path) -> None:
     assert log.damage.startswith("1 of 23 lines cannot be read and are left out, the first is line 9, '0.05")
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("d 8 05 00", "d 8 0 5 00"),  # a byte in two
+        ("d 8 05 00 05 00 00 00 00 00", "d 8 05 00 05 00 00 00 00 00 01"),
+        ("d 8 05 00 05 00 00 00 00 00", "d 8 05 00 05 00 00 00 00"),
+        ("d 8 05 00 05 00 00 00 00 00", "d 8 05 00 05 00 00 00 00 0"),
+        (" 0.050000 1", " 0.05x000 1"), (" 0.050000 1", " 0,050000 1"),
+        ("Rx   d 8 05", "R#   d 8 05"),
+    ],
+)  # fmt: skip
+def test_a_damaged_frame_of_an_asc_is_no_other_frame(tmp_path: Path, old: str, new: str) -> None:
+    text = asc([f"{at / 100:.6f}" for at in range(20)])
+    assert old in text
+    (tmp_path / "x.asc").write_text(text.replace(old, new))
+    log = CanLog(tmp_path / "x.asc")
+    assert sum(len(block) for block in log.blocks()) == 19
+    assert log.damage.startswith("1 of 23 lines cannot be read and are left out, the first is line 9, '0")
+
+
+def test_other_lines_of_an_asc_are_no_damage(tmp_path: Path) -> None:
+    others = [
+        "0.051 1  Statistic: D 12 R 0 XD 0 XR 0 E 0 O 0 B 0.98%",
+        "0.052 J1939TP FEE3p 6 0 0 - Rx d 23 A0 0F A6 60 3B D1 40",
+        "0.053 1  100x            Rx   r",
+        "0.054 1  ErrorFrame",
+        "// 0.05 d 8 01 02",
+        "0.055 SV: 2 0 1 ::Sys::x = d 5 1 2 3",
+        " 0.056 1  101             Rx   d 2 01 02  Length = 100000 BitCount = 64 ID = 257",
+    ]
+    (tmp_path / "x.asc").write_text(asc([f"{at / 100:.6f}" for at in range(5)]) + "\n".join(others) + "\n")
+    log = CanLog(tmp_path / "x.asc")
+    assert sum(len(block) for block in log.blocks()) >= 6
+    assert log.damage == ""
+
+
 def test_what_candump_shows_on_a_screen_is_named(tmp_path: Path) -> None:
     (tmp_path / "s.log").write_text(" (1795255200.0) can0 100 [2] 01 02\n" * 3 + "(1795255200.0) can0 100#0102\n")
     log = CanLog(tmp_path / "s.log")

@@ -14,6 +14,7 @@ from ingest.tables.file import TableFile
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
+from stream.errors import BadInput
 from stream.events import AnyDocument, RunEnded, RunStarted
 from stream.identity import Place, event_key
 
@@ -69,6 +70,28 @@ def test_an_import_that_broke_off_is_completed(
     assert outcome(folder) == [("completed", 5000), (2, 2)]
     assert imported(path, folder).added == 0
     assert outcome(folder) == [("completed", 5000), (2, 2)]
+
+
+@pytest.mark.parametrize("digits", [6, 3])
+def test_irregular_samples_with_fewer_digits_are_not_there_twice(tmp_path: Path, digits: int) -> None:
+    rng = np.random.default_rng(5)
+    times, values = np.cumsum(rng.exponential(0.1, 500)) + 0.01 * np.arange(500), rng.normal(0, 1, 500)
+
+    def written(places: int, step: float = 0.0) -> Path:
+        path = tmp_path / f"r{places}{step}.csv"
+        rows = [f"{t + step:.{places}f},{x!r}" for t, x in zip(times.tolist(), values.tolist(), strict=True)]
+        path.write_text("time[s],rate[deg/s]\n" + "\n".join(rows) + "\n")
+        return path
+
+    def sent(path: Path) -> FileImport:
+        table = TableFile(path, TableOptions(unit="U1", run="r"))
+        (found,) = import_files([CheckedFile(path, table, table.check(), 0.0)], tmp_path / "store", PLACE)
+        return found
+
+    assert sent(written(9)).added == 500
+    with pytest.raises(BadInput, match="the same values at slightly other times"):
+        sent(written(digits))
+    assert sent(written(9)).added == 0
 
 
 @pytest.mark.long
