@@ -124,7 +124,12 @@ def _curve(call: Call, course: RunCourse, unit: str, signal: str) -> UnitCurve:
 
 
 def _of_specification(call: Call, course: RunCourse, unit: str, signal: str) -> list[Limit]:
-    """Limits of the specifications that are in force when the run begins, where the run itself has none."""
+    """Limits of the specifications that are in force when the run begins, where the run itself has none.
+
+    They are of a record at rest: none where a rate was commanded, or several temperatures.
+    """
+    if not _is_at_rest(course):
+        return []
 
     def found() -> list[Limit]:
         t_ns = min((each.t_start_ns for each in course.steps), default=0) if course.date_known else 0
@@ -141,6 +146,12 @@ def _of_specification(call: Call, course: RunCourse, unit: str, signal: str) -> 
     key = ("limits", course.run, unit, signal, call.state.tag, call.service.live.entered())
     limits: list[Limit] = call.service.memo.result(key, found)
     return limits
+
+
+def _is_at_rest(course: RunCourse) -> bool:
+    words = [each.words for each in course.steps]
+    temperatures = {each.temperature_command_deg_c for each in words}
+    return bool(words) and len(temperatures) == 1 and not any(each.rate_command_deg_per_s for each in words)
 
 
 def _drawn(limit: Limit, curve: Allan) -> DrawnLimit | None:
