@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from analytics.loop.unit_diagnosis import UnitDiagnosis
     from storage.sql.catalog import Catalog
 
+_FIRST, _LAST = np.datetime64("1678-01-01"), np.datetime64("2262-01-01")  # of 64-bit nanoseconds
 _UNITS = """
 select s.unit, s.run, u.product, u.lot, u.slot, u.fixture, s.signals
 from (select unit, run, count(*) as signals from signals group by all) s left join units u using (unit, run)
@@ -264,7 +265,11 @@ def _moment_ns(moment: str | datetime | np.datetime64 | int | np.integer[Any] | 
     if moment is None:
         return None
     if isinstance(moment, np.datetime64):  # numpy's are UTC
+        if np.isnat(moment) or not _FIRST <= moment <= _LAST:  # beyond, its nanoseconds have no number
+            raise BadInput(f"{name} is {moment}: a moment from {_FIRST} to {_LAST} is expected")
         return int(moment.astype("datetime64[ns]").astype(np.int64))
+    if isinstance(moment, bool):
+        raise BadInput(f"{name} is {moment}: a moment is expected")
     if isinstance(moment, str | datetime):
         return moment_ns(moment if isinstance(moment, str) else moment.isoformat(), name)
     try:

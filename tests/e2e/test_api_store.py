@@ -71,6 +71,12 @@ def test_samples_between_two_moments(store: gf.FleetStore) -> None:
         store.samples("G-9", "rate")
 
 
+@pytest.mark.parametrize("moment", [np.datetime64("3000-01-01"), np.datetime64("NaT"), True])
+def test_what_is_no_moment_of_a_record_is_refused(store: gf.FleetStore, moment: Any) -> None:
+    with pytest.raises(BadInput, match="a moment"):
+        store.samples("G-1", "rate", stop=moment)
+
+
 def test_without_a_run_the_longest_record_is_taken(store: gf.FleetStore) -> None:
     assert store.samples("G-2", "rate")["run"].unique().to_list() == [store.allan("G-2", "rate").curve.run]
     assert store.samples("G-2", "rate", "t3")["run"].unique().to_list() == ["t3"]

@@ -3,7 +3,7 @@ import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
 import {asked, element, figure, moment, say} from "./texts.js";
 
-const PANEL = 150, POINTS = 1200, FOLLOW_MS = 1000, TABLE_ROWS = 100;
+const PANEL = 150, POINTS = 1200, FOLLOW_MS = 1000, TABLE_ROWS = 100, SETTLED_MS = 700;
 const ns = seconds => (BigInt(Math.round(seconds * 1e6)) * 1000n).toString();
 
 export async function start(section) {
@@ -11,6 +11,19 @@ export async function start(section) {
   section.querySelector("h2").after(host);
   const view = new View(section, host);
   await view.show(section.dataset.asked === "all" ? "" : section.dataset.from, section.dataset.asked === "all" ? "" : section.dataset.to, false);
+}
+
+/** A page of this server as a document, without running it; null if it is not there. */
+function documentAt(url) {
+  return new Promise(done => {
+    const request = new XMLHttpRequest(); // its documents need no trusted types, which a parser of texts does
+    request.open("GET", url);
+    request.responseType = "document";
+    request.setRequestHeader("Accept", "text/html");
+    request.onload = () => done(request.status === 200 ? request.response : null);
+    request.onerror = () => done(null);
+    request.send();
+  });
 }
 
 class View {
@@ -24,6 +37,8 @@ class View {
     host.after(this.panels);
     this.chosen = this.boxes.length > 0 && new URL(location.href).searchParams.has("beside");
     for (const box of this.boxes) box.addEventListener("change", () => { this.chosen = true; this.show(...(this.stretch ?? ["", ""])); });
+    this.settled = true;
+    addEventListener("popstate", () => location.reload());
     document.getElementById("signal-form").addEventListener("submit", event => this.#submit(event));
   }
 
@@ -51,12 +66,30 @@ class View {
       const url = stretched(location.href, from, to);
       url.searchParams.delete("beside");
       if (this.chosen) for (const name of beside.length ? beside.map(box => box.value) : ["none"]) url.searchParams.append("beside", name);
-      history.replaceState(null, "", url);
+      history[this.settled ? "pushState" : "replaceState"](null, "", url); // back leads to where one stayed
+      this.settled = false;
+      clearTimeout(this.settling);
+      this.settling = setTimeout(() => this.#settle(), SETTLED_MS);
       for (const link of this.section.querySelectorAll(".exports a")) link.href = stretched(link.href, from, to);
     }
     this.#draw(quiet);
     if (kept) requestAnimationFrame(() => setTimeout(() => this.#table())); // the curve is on the screen first
     this.#follow(from, to);
+  }
+
+  /** Bring what the page says of the stretch beside the picture: its facts, moments, links and gaps. */
+  async #settle() {
+    const href = location.href, page = await documentAt(href);
+    if (page === null || href !== location.href) return;
+    for (const id of ["signal-facts", "signal-zoom", "signal-gaps"]) {
+      const found = page.getElementById(id);
+      if (found) document.getElementById(id).replaceChildren(...found.childNodes);
+    }
+    for (const input of document.querySelectorAll("#signal-form [name=from], #signal-form [name=to]")) {
+      const found = page.querySelector(`#signal-form [name=${input.name}]`);
+      if (found && document.activeElement !== input) input.value = found.value;
+    }
+    this.settled = true;
   }
 
   /** Show what comes, while the record goes on and its end is in view. */

@@ -168,3 +168,12 @@ def test_a_series_whose_times_are_not_the_rate_is_refused() -> None:
     for short in (series.iloc[:0], series.iloc[:1]):
         with pytest.raises(GyrofleetError, match="sample"):
             gf.allan_deviation(short, 100.0)
+
+
+def test_integers_that_floats_would_round_are_refused() -> None:
+    counts = np.random.default_rng(1).integers(-1000, 1000, 4096)
+    for offset in (2**53, -(2**60)):
+        with pytest.raises(BadInput, match=r"2\*\*53"):
+            gf.allan_deviation(counts + offset, 10.0)
+    below = gf.allan_deviation(counts + 2**52, 10.0).deviation
+    np.testing.assert_allclose(below, gf.allan_deviation(counts, 10.0).deviation, rtol=1e-9)

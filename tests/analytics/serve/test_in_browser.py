@@ -116,6 +116,26 @@ def test_keys_read_values_zoom_and_go_back(window: Browser, served: Served) -> N
     assert window.complaints() == []
 
 
+def test_what_the_page_says_follows_a_zoom_and_back_leads_to_where_one_was(window: Browser, served: Served) -> None:
+    def said() -> tuple[str, str]:
+        first = window.ask("document.querySelector('#signal-form [name=from]').value")
+        return str(first), str(window.ask("document.getElementById('signal-facts').textContent"))
+
+    plotted(window, served.url + SIGNAL)
+    whole = said()
+    assert whole[0] == ""
+    press(window, "+")
+    press(window, "+")
+    until(lambda: said()[0] != "")
+    assert said()[1] != whole[1]
+    assert "from=" in window.ask("location.search")
+    window.ask("history.back()")
+    until(lambda: window.ask("location.search") == "" and window.ask("document.readyState") == "complete")
+    until(lambda: window.ask("!!document.querySelector('#signal-plot canvas')"))
+    assert said() == whole
+    assert window.complaints() == []
+
+
 def test_a_statement_is_answered_without_leaving_the_page(window: Browser, served: Served) -> None:
     window.open(f"{served.url}/sql?sql=select+1")
     until(lambda: window.ask("!!document.querySelector('#sql-form select')"))
