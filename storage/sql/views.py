@@ -11,7 +11,7 @@ import duckdb
 from storage.sql.deferred import DeferredDefinitions, defined_names
 from storage.sql.sandbox.guard import plain_message
 from storage.store import Store
-from stream.errors import StoreError, UnknownUnit
+from stream.errors import QueryError, StoreError, UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
@@ -39,8 +39,11 @@ def defer_views(deferred: DeferredDefinitions, cursor_of: Callable[[], duckdb.Du
     """Let the same views and macros wait for a statement that names them; `cursor_of` gives one of their database."""
 
     def conversions() -> str:
-        with cursor_of() as cursor:
-            return _stored_conversions(cursor)
+        try:
+            with cursor_of() as cursor:
+                return _stored_conversions(cursor)
+        except duckdb.Error as error:  # also where the catalogue closes meanwhile
+            raise QueryError(plain_message(error)) from error
 
     for script in view_scripts():
         deferred.add(script)

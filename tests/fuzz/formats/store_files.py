@@ -199,7 +199,7 @@ def _make_backup(folder: Path) -> None:
 def _restore(path: Path) -> None:
     read_backup(path.parent)
     try:
-        restore(path.parent, path.parent / "restored")
+        restore(path.parent, path.parent.with_name("restored"))
     except StoreError as error:
         raise StoreError(f"{path}: {error}") from error
 
