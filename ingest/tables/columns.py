@@ -31,7 +31,7 @@ _SLASH_TITLE = re.compile(r"\s*([^\[\]()/]*[\u4e00-\u9fff][^\[\]()/]*?)\s*/\s*([
 _FULL_WIDTH = str.maketrans("（）［］【】／", "()[][]/")
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
 _TEMPERATURE = re.compile(r"(?i)t|temp|temperature|gyro_?temp(erature)?|(陀螺|产品)?温度")
-_LARGE_SECONDS = re.compile("[MG]s(ec)?")  # a slip of the pen, which a unit of any other quantity would be said to be
+_LARGE_SECONDS = re.compile("[MG]s(ec)?")  # megaseconds, where milliseconds are meant
 _MOST_PROBLEMS = 8  # in one error
 _SQUARE = "name it like 'rate[deg/s]'"
 

@@ -14,7 +14,7 @@ import numpy as np
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
-from ingest.tables.units import is_unit
+from ingest.tables.units import is_same_unit, is_unit
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -182,7 +182,8 @@ def _with_units(titles: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
     """Titles with the unit below them, where they have none themselves; BadInput where both have one, and another."""
     for title, unit in zip(titles, units, strict=True):
         own = re.search(r"[(\[（]([^()\[\]（）]*)[)\]）]$", title)
-        if own is not None and _bare_unit(unit) and own[1].strip() != _bare_unit(unit):
+        below = _bare_unit(unit)
+        if own is not None and below and is_unit(own[1]) and not is_same_unit(own[1], below):
             raise BadInput(f"title {title!r} and the line below it, {unit!r}, name two units; keep the right one")
     return tuple(
         title if not _bare_unit(unit) or title.endswith((")", "]", "）")) else f"{title} ({_bare_unit(unit)})"

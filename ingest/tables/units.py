@@ -73,6 +73,19 @@ def database_unit(text: str | None, signal: str) -> tuple[str, bool]:
         return written, False
 
 
+def is_same_unit(one: str, other: str) -> bool:
+    """Whether two texts, as files write them, name one unit of measure.
+
+    >>> is_same_unit("°/s", "deg/s"), is_same_unit("s", "sec"), is_same_unit("s", "ms"), is_same_unit("s", "V")
+    (True, True, False, False)
+    """
+    names = [_UNITS.get(_plain(each), each.strip()) for each in (one, other)]
+    try:
+        return names[0] == names[1] or conversion(names[0], names[1]) == (1.0, 0.0)
+    except UnknownUnit:
+        return False
+
+
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of measure, as files write it.
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from storage.log.event_log import EventLog
+from storage.log.run_owners import RunOwners
 from storage.log.sequence import LogPlace
 from storage.log.store_documents import forgery
-from storage.recording.run_owners import RunOwners
 from storage.recording.two_persons import reason_against
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store

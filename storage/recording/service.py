@@ -7,7 +7,7 @@ from contextlib import suppress
 from queue import Empty, Full, Queue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from storage.recording.run_owners import RunOwners
+from storage.log.run_owners import RunOwners
 from storage.store import Store
 from stream.errors import GyrofleetError, StoreError, WireError
 from stream.transport.bus import Bus

@@ -50,7 +50,9 @@ _ZH = {
 @click.option("--lot", default="", help="With --by: only this lot.")
 @click.option("--station", default="", help="With --by: only this station.")
 @click.option("--fixture", default="", help="With --by: only this fixture.")
-@click.option("--since", default="", help="With --by: only runs that began then or later, as 2026-11-21 (a day there).")
+@click.option(
+    "--since", default="", help="With --by: only runs that began then or later, as 2026-11-21, a day of the station."
+)
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
 @engine_option

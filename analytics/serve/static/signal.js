@@ -38,7 +38,8 @@ class View {
     this.chosen = this.boxes.length > 0 && new URL(location.href).searchParams.has("beside");
     for (const box of this.boxes) box.addEventListener("change", () => { this.chosen = true; this.show(...(this.stretch ?? ["", ""])); });
     this.settled = true;
-    addEventListener("popstate", () => location.reload());
+    this.address = location.search;
+    addEventListener("popstate", () => location.search === this.address || location.reload()); // not for a fragment
     document.getElementById("signal-form").addEventListener("submit", event => this.#submit(event));
   }
 
@@ -68,6 +69,7 @@ class View {
       if (this.chosen) for (const name of beside.length ? beside.map(box => box.value) : ["none"]) url.searchParams.append("beside", name);
       history[this.settled ? "pushState" : "replaceState"](null, "", url); // back leads to where one stayed
       this.settled = false;
+      this.address = location.search;
       clearTimeout(this.settling);
       this.settling = setTimeout(() => this.#settle(), SETTLED_MS);
       for (const link of this.section.querySelectorAll(".exports a")) link.href = stretched(link.href, from, to);

@@ -19,7 +19,7 @@ _MOST_TEXT = 60
 _CANDUMP = re.compile(
     r"\(([0-9.e+]+|nan|inf)\)\s+\S+\s+[0-9A-Fa-f]{1,8}#(#[0-9A-Fa-f])?([Rr]\d*|([0-9A-Fa-f]{2})*)(\s+[RTrt])?"
 )
-_ASC_DATA = re.compile(r"^\S*\d\S*\s.*\sd\s+[0-9A-Fa-f]{1,2}(\s+[0-9A-Fa-f]{2})+\s")
+_ASC_DATA = re.compile(r"\sd\s+[0-9A-Fa-f]{1,2}(?:\s+[0-9A-Fa-f]{2})+\s")
 _HEX_BYTE, _DECIMAL_BYTE = re.compile("[0-9A-Fa-f]{2}"), re.compile("[0-9]{1,3}")
 _TIMED = re.compile(r"(\s*)(\d+\.\d+)(\s.*)", re.DOTALL)
 _CLOCK_FORMATS = ("%m %d %I:%M:%S.%f %p %Y", "%m %d %I:%M:%S %p %Y", "%m %d %H:%M:%S.%f %Y", "%m %d %H:%M:%S %Y")
@@ -115,7 +115,9 @@ class _AscLines(LogLines):
         """The next line; one with data that python-can takes for no frame is counted, and given as it is."""
         line = super().__next__()
         text = line.strip()
-        if _ASC_DATA.search(f"{text} ") and "J1939TP" not in text and not ASC_MESSAGE_REGEX.match(text):
+        if ASC_MESSAGE_REGEX.match(text) or not text[:1].isdigit() or "J1939TP" in text:
+            return line
+        if _ASC_DATA.search(f"{text} "):
             self.leave_out("not like 0.0100 1 100 Rx d 8 01 02 03 04 05 06 07 08")
         return line
 

@@ -207,8 +207,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     t_ns = [int(row["slot"]) for row in rows]
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
     within = max(first_ns, about["t_first_ns"]), min(stop_ns, about["t_last_ns"] + 1)
-    length_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
-    gaps = [] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, length_ns, within)
+    longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
+    gaps = [] if about["irregular"] and not bucket_ns else _gaps(t_ns, bucket_ns, longest_ns, within)
     if gaps and bucket_ns:
         gaps = exact_gaps(
             views, gaps, bucket_ns, files=stretch.files, channels=stretch.channels, live_ns=stretch.live_times,
