@@ -16,7 +16,8 @@ _OPEN_DAYS = 7
 _RUNS = """
 select run from (
   select run, outcome, epoch_ns(recorded) as recorded_ns, row_number() over
-    (partition by site, station order by recorded desc nulls last, run) as rank
+    (partition by site, station
+     order by if(source like 'file %' and date_known, started, recorded) desc nulls last, run) as rank
   from runs where site is not null
 ) where rank = 1 or outcome = 'open' and recorded_ns > $since order by recorded_ns limit 200
 """

@@ -59,6 +59,7 @@ class RunNow:
     planned_s: float | None = None
     since_ns: int | None = None
     time_zone: str | None = None  # IANA name
+    is_imported: bool = False  # from a file, perhaps long after it was measured
     temperature_command_deg_c: float | None = None  # of the step at work
     limits: dict[str | None, tuple[Limit, ...]] = field(default_factory=dict)
     tested: frozenset[str] = frozenset()  # empty where the run does not name its units
@@ -89,6 +90,12 @@ class UnitNow:
     def is_instrument(self) -> bool:
         """Whether it is an instrument of the station, such as the chamber, and not a unit under test."""
         return bool(self.run.tested) and self.unit not in self.run.tested
+
+    @property
+    def last_ns(self) -> int:
+        """When its last sample arrived; of a file with dates, when it was measured."""
+        is_of_file = self.run.is_imported and self.run.date_known and self.t_ns is not None
+        return self.t_ns or 0 if is_of_file else self.arrival_ns
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -153,8 +160,8 @@ class UnitNow:
 class Floor:
     """Units and runs as the messages of a log leave them; for one thread at a time.
 
-    Each station has its open runs, else its last one. `changed` and `gone` are numbers of units since the last
-    `forget_changes`, `entered` counts documents that change limits, checks or models.
+    Each station has its open runs, else its last one; files that are older are left out. `changed` and `gone` are
+    numbers of units since the last `forget_changes`, `entered` counts documents that change limits, checks or models.
     """
 
     def __init__(self) -> None:
@@ -186,6 +193,8 @@ class Floor:
     def take(self, place: Place, document: AnyDocument, arrival_ns: int) -> None:
         """Apply a document."""
         match document:
+            case RunStarted() if self._is_older_file(place, document):
+                self._over.add(document.run)
             case RunStarted():
                 self._over.discard(document.run)
                 self._start(place, document, arrival_ns)
@@ -211,6 +220,13 @@ class Floor:
                 self._take_of_unit(self._unit(place, document.unit, document.run, arrival_ns), document)
             case _:
                 self.entered[type(document).__name__] += 1
+
+    def _is_older_file(self, place: Place, document: RunStarted) -> bool:
+        """Whether a run comes from a file, and its station has a run that began later."""
+        if not document.is_imported or not document.date_known or document.run in self.runs:
+            return False
+        others = [run.started_ns for run in self.runs.values() if run.place == place and run.date_known]
+        return any(began_ns is not None and began_ns > document.t_ns for began_ns in others)
 
     def _take_of_unit(self, unit: UnitNow, document: OfUnit) -> None:
         match document:
@@ -270,6 +286,7 @@ class Floor:
         run.procedure, run.operator, run.lot = document.procedure, document.operator, document.lot
         run.started_ns, run.date_known, run.outcome = document.t_ns, document.date_known, "open"
         run.time_zone = document.details.get("time_zone")
+        run.is_imported = document.is_imported
         run.tested = frozenset(document.units)
         for unit in document.units:
             self._unit(place, unit, document.run, arrival_ns)

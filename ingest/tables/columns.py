@@ -146,6 +146,8 @@ class _HeaderReader:
             if len(found) != 1:
                 many = f"{len(found)} columns are called so" if found else f"the columns are {', '.join(titles)}"
                 raise BadInput(f"--rename {old!r}: {many}; give the title of one column")
+            if self._renames.get(found[0], new) != new:
+                raise BadInput(f"--rename {old!r}: given twice, as {self._renames[found[0]]!r} and {new!r}; give one")
             self._renames[found[0]] = new
         # of `Time [s]`; beside others that may be the time, nobody knows
         times = [title for title in titles if _is_time_name(_parts(title)[0])]

@@ -42,6 +42,7 @@ class CsvTable:
         # Digits after the point that times need beyond whole nanoseconds: none until the first that has them.
         self._spare_digits = 0
         self._comments = self._blank_line = 0
+        self._last_line: tuple[int, bool] | None = None  # one without an end, and whether it is left out
         self._time_zone = "UTC"
         self._has_stamps_without_zone = False
         self._thousands: tuple[str, str] | None = None
@@ -73,6 +74,15 @@ class CsvTable:
             found.append(
                 f"warning: column {title!r}: {cell} is read as {float(cell.replace(',', '.')):g}, and whole numbers "
                 "stand beside it; if the mark separates thousands, write the file without it"
+            )
+        if self._last_line is not None:
+            line, is_cut = self._last_line
+            found.append(
+                f"warning: the last line, {line:,}, has no end (line feed) and its last number has fewer digits than "
+                "those above: it is left out; import the file again when it is complete"
+                if is_cut
+                else f"warning: the last line, {line:,}, has no end (line feed): if the file was still being written, "
+                "its last number may lack digits"
             )
         if self._is_gb18030:
             found.append("its text is read as GB18030 (GBK)")
@@ -191,7 +201,10 @@ class CsvTable:
             if len(rest) > LONGEST_LINE_BYTES:
                 raise BadInput(f"{self._path}, line {line}: longer than 8 MiB; this is no table of rows")
         if rest:
-            yield rest + b"\n"
+            is_cut = False if rest.startswith(b"#") else self._dialect.is_cut(self._as_utf8(rest, line).decode())
+            self._last_line = None if is_cut is False else (line, bool(is_cut))
+            if not is_cut:
+                yield rest + b"\n"
 
     def _parse(self, block: bytes, line: int, done: float) -> Iterator[CellBlock]:
         parsed = self._parse_fast(block, line, done)

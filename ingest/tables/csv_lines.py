@@ -21,6 +21,8 @@ from stream.errors import BadInput
 COMMENT = re.compile(rb"(?m)^#[^\n]*")
 
 _DELIMITERS = "\t;,"
+# names the delimiter, for Excel
+_NAMED_DELIMITER = re.compile(r'"?sep=([\t;,])"?', re.IGNORECASE)
 _BLANKS = re.compile(rb"[ \t]+")
 _MARGINS = re.compile(rb"(?m)^ | (?=\r?$)")
 _BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
@@ -94,6 +96,25 @@ class Dialect:
                 return title, marked[0]
         return None
 
+    def is_cut(self, line: str) -> bool | None:
+        """Whether a last line without an end lacks digits of its last cell; None if that cannot be seen.
+
+        It can where all numbers of the column have as many decimals.
+
+        >>> found = find_dialect([("t[s],rate", 9), ("0.0,1.25", 18), ("0.1,1.50", 27)])
+        >>> found.is_cut("0.2,1.7"), found.is_cut("0.2,1.75")
+        (True, False)
+        """
+        cells = _cells(line, self.delimiter)
+        if len(cells) != len(self.titles):
+            return False  # refused as any such line
+        sample = self.sample[:-1] if self.sample[-1:] == (line,) else self.sample
+        rows = (_cells(each, self.delimiter) for each in sample)
+        above = {_decimals(row[-1]) for row in rows if len(row) == len(cells)}
+        if len(above) != 1 or above <= {None, 0}:
+            return None if NUMBER.fullmatch(cells[-1].replace(",", ".")) else False
+        return _decimals(cells[-1]) != above.pop()
+
     def _sample_cells(self) -> Iterator[tuple[str, ...]]:
         """Cells of the first rows, each taken apart when it is asked for: most questions end with the first."""
         return filter(None, (_cells(text, self.delimiter) for text in self.sample))
@@ -102,12 +123,16 @@ class Dialect:
 def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     """Find the dialect from the first lines of a file, each with the place in the file behind it.
 
-    A header in a comment, as NumPy writes it, is taken if the first line that is none consists of numbers.
+    A header in a comment, as NumPy writes it, is taken if the first line that is none consists of numbers. A first line
+    like ``sep=;`` names the delimiter.
 
     >>> found = find_dialect([("# bench 3", 10), ("Time (s);Rate (deg/s)", 32), ("0,5;1", 38)])
     >>> found.titles, found.delimiter, found.comments, found.first_line, found.decimal_mark(["Time (s)"])
     (('Time (s)', 'Rate (deg/s)'), ';', 1, 3, ',')
     """
+    named = _NAMED_DELIMITER.fullmatch(lines[0][0]) if any(text.strip() for text, _ in lines[1:]) else None
+    if named:
+        lines = [("", lines[0][1]), *lines[1:]]
     written = [i for i, (text, _) in enumerate(lines) if text.strip() and not text.startswith("#")]
     header_at, units_at = _header_place(lines, written)
     header = lines[header_at][0]
@@ -120,7 +145,7 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
             header, rows_at, is_header_comment = title_line, header_at, True
             comments.pop()
     rows = tuple(text for text, _ in lines[rows_at:] if text.strip() and not text.startswith("#"))
-    delimiter = max(_DELIMITERS, key=header.count)
+    delimiter = named[1] if named else max(_DELIMITERS, key=header.count)
     titles = tuple(title.strip() for title in split_line(header, delimiter))
     if not any(mark in header for mark in _DELIMITERS) and rows and len(rows[0].split()) > 1:
         by_blanks = tuple(title.strip() for title in _BLANK_TITLE.findall(header))
@@ -214,6 +239,12 @@ def _is_row(line: str) -> bool:
     cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
     cells = [part for cell in cells for part in ([cell] if match_stamp(cell) else re.split("[, ]+", cell))]
     return bool(cells) and all(match_stamp(cell) or NUMBER.fullmatch(cell) for cell in cells)
+
+
+def _decimals(cell: str) -> int | None:
+    """Digits behind the decimal mark of a number; None where it has an exponent or is none."""
+    found = re.fullmatch(r"[+-]?[0-9]+(?:[.,]([0-9]*))?", cell)
+    return None if found is None else len(found[1] or "")
 
 
 def _cells(line: str, delimiter: str) -> tuple[str, ...]:

@@ -45,6 +45,11 @@ class RunStarted(Document, frozen=True, kw_only=True, tag=True):
     lot: str | None = None
     details: dict[str, str] = msgspec.field(default_factory=dict)
 
+    @property
+    def is_imported(self) -> bool:
+        """Whether the run comes from a file."""
+        return self.source.startswith("file ")
+
 
 class StepWords(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Commanded values of a step, in the words that files, events and SQL share."""
@@ -128,6 +133,11 @@ class NoteAdded(Act, frozen=True, kw_only=True, tag=True):
     text: str
     author: str = ""
     unit: str | None = None
+
+    @property
+    def is_of_import(self) -> bool:
+        """Whether the import of a file wrote it; its time is that of the file's last sample."""
+        return self.author == "import"
 
 
 class StationStated(Document, frozen=True, kw_only=True, tag=True):

@@ -35,8 +35,8 @@ class FloorRows:
 
         A unit's `state` has the code of its verdict so far in `verdicts`, whether early decisions gave it, whether it
         is silent, the number of its step in `steps`, the seconds left, the value nearest its limit divided by that
-        limit, the second (since 1970) in which its last sample arrived, and whether it is released before the end
-        of its run.
+        limit, the second (since 1970) in which its last sample arrived (was measured, of a file), and whether it is
+        released before the end of its run.
         """
         units = [unit for unit in floor.units.values() if not unit.is_instrument]
         states = [self._state(unit) for unit in units]
@@ -91,7 +91,7 @@ class FloorRows:
             step,
             None if left_s is None else round(left_s),
             ratio,
-            unit.arrival_ns // _NS,
+            unit.last_ns // _NS,
             int(unit.released is not None),
         ]
 

@@ -79,7 +79,7 @@ class CanLog:
                     held = None
                 if progress is not None:
                     progress(min(place / size, 1.0))
-            self.damage = self.damage or lines_left_out(reader)
+            self.damage = "; ".join(filter(None, [self.damage, lines_left_out(reader)]))
             if getattr(reader, "has_local_time", False):
                 told = f"its time of day has no zone and is taken as of {self._zone or 'UTC'}"
                 advice = "" if self._zone else "; give --time-zone if that is not right"

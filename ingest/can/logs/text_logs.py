@@ -5,7 +5,9 @@ that are differences are added up, and the time of day in a header is of a time 
 """
 
 import io
+import itertools
 import re
+from collections import deque
 from datetime import datetime, timedelta, tzinfo
 from decimal import Decimal
 from pathlib import Path
@@ -14,14 +16,18 @@ from zoneinfo import ZoneInfo
 
 import can
 from can.io.asc import ASC_MESSAGE_REGEX
+from can.util import dlc2len
 
 _MOST_TEXT = 60
+_MOST_AHEAD = 20  # lines
 _CANDUMP = re.compile(
     r"\(([0-9.e+]+|nan|inf)\)\s+\S+\s+[0-9A-Fa-f]{1,8}#(#[0-9A-Fa-f])?([Rr]\d*|([0-9A-Fa-f]{2})*)(\s+[RTrt])?"
 )
 _ASC_DATA = re.compile(r"\sd\s+[0-9A-Fa-f]{1,2}(?:\s+[0-9A-Fa-f]{2})+\s")
 _HEX_BYTE, _DECIMAL_BYTE = re.compile("[0-9A-Fa-f]{2}"), re.compile("[0-9]{1,3}")
 _TIMED = re.compile(r"(\s*)(\d+\.\d+)(\s.*)", re.DOTALL)
+# lines of TRC that are no frames: bus information of 1.0, warnings, errors, status and marks of the later forms
+_TRC_EVENTS = frozenset({"FFFFFFFF", "Warng", "Error", "ST", "EC", "ER", "EV"})
 _CLOCK_FORMATS = ("%m %d %I:%M:%S.%f %p %Y", "%m %d %I:%M:%S %p %Y", "%m %d %H:%M:%S.%f %Y", "%m %d %H:%M:%S %Y")
 _MONTHS = ("Jan", "Feb", "Mar|Mär", "Apr", "May|Mai", "Jun", "Jul", "Aug", "Sep", "Oct|Okt", "Nov", "Dec|Dez")
 _SCREEN = "it is what candump shows on a screen: write the log with `candump -l`, or -L"
@@ -38,19 +44,27 @@ class LogLines(io.TextIOWrapper):
         self.is_difference = False
         self._sum = Decimal(0)
         self._last = ""
-        self._again: list[str] = []
+        self._ahead: deque[str] = deque()
 
     def __next__(self) -> str:  # type: ignore[override]
         """The next line."""
-        if self._again:
-            return self._timed(self._again.pop())
-        self._last = super().__next__()
+        self._last = self._ahead.popleft() if self._ahead else super().__next__()
         self.number += 1
         return self._timed(self._last)
 
     def read_again(self) -> None:
         """Give the last line once more."""
-        self._again.append(self._last)
+        self._ahead.appendleft(self._last)
+        self.number -= 1
+
+    def next_time_s(self) -> float | None:
+        """Time of the next event, as its line will be given; None if there is none in the next lines."""
+        self._ahead.extend(itertools.islice(iter(super().__next__, None), max(0, _MOST_AHEAD - len(self._ahead))))
+        events = (line for line in self._ahead if "start of measurement" not in line.lower())
+        found = next(filter(None, map(_TIMED.fullmatch, events)), None)
+        if found is None:
+            return None
+        return float(Decimal(found[2]) + (self._sum if self.is_difference else 0))
 
     def leave_out(self, why: str) -> None:
         """Count the last line as one that cannot be read."""
@@ -83,8 +97,14 @@ class AscReader(can.ASCReader):
         self.file.is_difference = self.timestamps_format == "relative"
 
     def _datetime_to_timestamp(self, datetime_string: str) -> float:  # type: ignore[override]
-        self.has_local_time = True
-        return _clock_time(datetime_string).replace(tzinfo=_zone_of(self._zone)).timestamp()
+        begin_s = _clock_time(datetime_string).replace(tzinfo=_zone_of(self._zone)).timestamp()
+        is_block, self.has_local_time = self.has_local_time, True
+        first_s = self.file.next_time_s() if is_block else None
+        if first_s is None:
+            return begin_s
+        # times in a block of a trigger count from the block, or go on from the start of the measurement
+        goes_on = abs(self.start_time + first_s - begin_s) < abs(first_s)
+        return self.start_time if goes_on else begin_s
 
     def _process_classic_can_frame(self, line: str, msg_kwargs: dict[str, Any]) -> can.Message:
         return self._read(super()._process_classic_can_frame, line, msg_kwargs)
@@ -163,6 +183,21 @@ class TrcReader(can.TRCReader):
             read_as_utc = datetime(1970, 1, 1) + timedelta(seconds=self._start_time)
             self._start_time = read_as_utc.replace(tzinfo=_zone_of(self._zone)).timestamp()
         return line
+
+    def _parse_line(self, line: str) -> can.Message | None:
+        cells = tuple(line.split(maxsplit=self._num_columns))
+        try:
+            found = self._parse_cols(cells)
+            if found is not None and not found.is_remote_frame and len(found.data) != dlc2len(found.dlc):
+                raise ValueError(f"it does not have {dlc2len(found.dlc)} bytes")
+        except (ValueError, IndexError) as error:
+            found = None
+            if cells:
+                self.file.leave_out("cells are missing" if isinstance(error, IndexError) else str(error))
+        else:
+            if found is None and not _TRC_EVENTS.intersection(cells):
+                self.file.leave_out("neither a frame nor another event")
+        return found
 
 
 def lines_left_out(reader: object) -> str:

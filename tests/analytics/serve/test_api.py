@@ -1,6 +1,7 @@
 """The resources of the API: the same figures as those of the commands, pages, kept answers, the OpenAPI document."""
 
 import re
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -98,6 +99,11 @@ def test_a_run_has_its_steps_units_and_course(api: httpx.Client) -> None:
     assert [(each["repeat"], each["units"]) for each in found["steps"]] == [(1, 3), (2, 3), (3, 3), (4, 3)]
     assert {"RunStarted", "RunEnded"} <= {each["kind"] for each in found["documents"]}
     assert found["verdicts"] == {"OPEN": 3}
+
+
+def test_the_note_on_an_import_has_the_time_of_the_import(api: httpx.Client) -> None:
+    note = next(each for each in got(api, "/api/runs/run-1/course")["notes"] if each["author"] == "import")
+    assert abs(time.time_ns() - note["t_ns"]) < 3600 * 10**9, "and not that of the last sample"
 
 
 def test_runs_come_in_pages_without_loss(api: httpx.Client) -> None:

@@ -218,3 +218,50 @@ def test_the_samples_are_those_of_the_frames(tmp_path: Path) -> None:
     rates = [each for each in batches if each.signal == "rate"]
     assert rates[0].t0_ns == START_NS
     assert [value for batch in rates for value in batch.value_array.tolist()] == [at * 0.01 for at in range(20)]
+
+
+def blocks_of(*blocks: tuple[str, float]) -> str:
+    """An ASC of one trigger block for each time of day and first stamp, of three frames."""
+    lines = []
+    for clock, first_s in blocks:
+        lines.append(f"Begin Triggerblock Sat Nov 21 {clock} pm 2026")
+        lines.append(f"   {first_s:.6f} Start of measurement")
+        lines += [f"   {first_s + at / 100:.6f} 1  100             Rx   d 2 01 00" for at in range(3)]
+        lines.append("End TriggerBlock")
+    return HEAD.format("absolute", EVENTS) + "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("first_s", [0.0, 600.0])
+def test_blocks_of_triggers_are_where_their_frames_were(tmp_path: Path, first_s: float) -> None:
+    """Stamps of the second block, 600 s later, begin anew or go on from the start of the measurement."""
+    (tmp_path / "v.asc").write_text(blocks_of(("06:00:00.000", 0.0), ("06:10:00.000", first_s)))
+    expected = [START_NS + begin * 10**9 + at * 10**7 for begin in (0, 600) for at in range(3)]
+    assert times_ns(tmp_path / "v.asc", "Asia/Shanghai") == expected
+
+
+def test_a_trigger_long_after_the_start_of_the_measurement(tmp_path: Path) -> None:
+    (tmp_path / "v.asc").write_text(blocks_of(("06:10:00.000", 599.5)))
+    assert times_ns(tmp_path / "v.asc", "Asia/Shanghai")[0] == START_NS + 599_500_000_000
+
+
+TRC = ";$FILEVERSION=2.1\n;$STARTTIME=46347.4166666667\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n"
+DAMAGED = {
+    "time": "   3   0,0x5 DT 1 0100 Rx - 2 03 00",
+    "id": "   3   30.0 DT 1 0x#0 Rx - 2 03 00",
+    "byte": "   3   30.0 DT 1 0100 Rx - 2 0 3 00",
+    "length": "   3   30.0 DT 1 0100 Rx - 2 03",
+    "kind": "   3   30.0 D? 1 0100 Rx - 2 03 00",
+    "end": "   3   30.0 DT 1",
+}
+
+
+@pytest.mark.parametrize("line", DAMAGED.values(), ids=DAMAGED)
+def test_a_damaged_line_of_a_trc_costs_that_line(tmp_path: Path, line: str) -> None:
+    lines = [f"   {at}   {at}0.0 DT 1 0100 Rx - 2 0{at} 00" for at in (1, 2, 4, 5)]
+    lines[2:2] = [line, "   3   35.0 ST 1 Rx - 4 00 00 00 00"]
+    (tmp_path / "v.trc").write_text(TRC + "\n".join(lines) + "\n")
+    log = CanLog(tmp_path / "v.trc", "Asia/Shanghai")
+    frames = [t for block in log.blocks() for t in block.t_ns.tolist()]
+    assert len(frames) == 4
+    assert "1 of 9 lines cannot be read and are left out" in log.damage
+    assert line.split()[1] in log.damage

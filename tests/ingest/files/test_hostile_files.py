@@ -148,5 +148,5 @@ def test_frames_that_a_reader_leaves_out_are_reported_as_damage(
     path.write_text("\n".join(lines) + "\n")
     log = CanLog(path)
     assert sum(len(block) for block in log.blocks()) == 2
-    assert "left out what cannot be read: TRCReader: Failed to parse message" in log.damage
+    assert "1 of 4 lines cannot be read and are left out, the first is line 3, '2)': cells are missing" in log.damage
     assert capfd.readouterr() == ("", "")

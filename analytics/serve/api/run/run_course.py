@@ -85,7 +85,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CourseNote(msgspec.Struct, frozen=True, kw_only=True):
-    """A note of a person or of the station; `t_ns` by the station's clock."""
+    """A note of a person or of the station; `t_ns` by the station's clock, of an import by the recorder's."""
 
     t_ns: int
     time: str | None
@@ -286,11 +286,13 @@ def _row(uid: str, of: Any, outcome: str, text: str, text_zh: str) -> CommandRow
 
 
 def _notes(heard: list[Heard]) -> list[CourseNote]:
-    notes = [each.document for each in heard if isinstance(each.document, NoteAdded)]
-    return [
-        CourseNote(t_ns=each.t_ns, time=iso(each.t_ns), author=each.author, text=each.text, unit=each.unit)
-        for each in notes[-_MOST_NOTES:]
-    ]
+    notes = [(each.arrival_ns, each.document) for each in heard if isinstance(each.document, NoteAdded)]
+    found = []
+    for arrival_ns, note in notes[-_MOST_NOTES:]:
+        # that on an import has the time of the last sample, which may be months before
+        t_ns = arrival_ns if note.is_of_import else note.t_ns
+        found.append(CourseNote(t_ns=t_ns, time=iso(t_ns), author=note.author, text=note.text, unit=note.unit))
+    return found
 
 
 def _alerts(call: Call, run: str, units: set[str], heard: list[Heard], last_ns: int | None) -> list[AlertRow]:
