@@ -92,6 +92,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
         "changes": _changes(chart),
         "drift": _plain(chart.drift) | per,
         "drifts": chart.drifts,
+        "drift_chance": chart.drift_chance,
         "is_adjusted": chart.is_adjusted,
     }
 

@@ -16,6 +16,7 @@ from analytics.trends.trend import FALSE_ALARM, Chart, Trend
 from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
 
 _BRIEF_DAYS = 10
+_POSSIBLE = 0.05  # chance up to which a drift that is not significant is reported as a possible one
 
 
 def sentences(trend: Trend) -> list[Words]:
@@ -30,6 +31,7 @@ def sentences(trend: Trend) -> list[Words]:
         _head(trend),
         *_of_products(trend),
         *found,
+        *_possible_drifts(trend),
         *_of_components(trend),
         *_of_capability(trend),
         *_left_out(trend),
@@ -164,6 +166,19 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
             first=moment(series, chart.signals[chart.too_many][0]),
             expected=0.0 if chart.chance is None else chart.chance.expected[chart.too_many - 1],
         )  # fmt: skip
+
+
+def _possible_drifts(trend: Trend) -> Iterator[Words]:
+    """Drifts that are not significant among so many charts, and that noise seldom shows."""
+    for chart in trend.charts:
+        chance, slope = chart.drift_chance, chart.drift
+        if chance is not None and isinstance(slope, Drift) and FALSE_ALARM < chance <= _POSSIBLE and chart.in_control:
+            size = interval(slope.slope, slope.lo, slope.hi, chart.series.unit_of_measure)
+            text = words(
+                "drift_possible", size=size, per=words("per_day" if chart.series.dated else "per_point"),
+                chance=chance, charts=words("one_of_one" if chart.tested == 1 else "of_charts", n=chart.tested),
+            )  # fmt: skip
+            yield _about(trend, [chart.name], text)
 
 
 def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:

@@ -58,6 +58,7 @@ class Chart(NamedTuple):
     averages: EwmaChart | None = None
     # significance; None where there are so many charts that no number of signals would be significant
     chance: ChartChance | None = None
+    tested: int = 1  # charts of the trend that are long enough to show anything
     wild_point: int | None = None  # the most distant point, where it is a significant outlier
     too_many: int | None = None  # the rule that is met significantly more often than by chance
 
@@ -68,6 +69,11 @@ class Chart(NamedTuple):
         if isinstance(self.changes, Changes):
             points += self.changes.points
         return any(not each.lo <= 0.0 <= each.hi for each in points)
+
+    @property
+    def drift_chance(self) -> float | None:
+        """Chance that noise alone shows so strong a drift on any of the charts; None where there is no drift."""
+        return min(1.0, self.drift.chance * self.tested) if isinstance(self.drift, Drift) else None
 
     @property
     def in_control(self) -> bool | None:
@@ -201,7 +207,7 @@ def _chart(part: _Part, tested: int, baseline: int | None, spread: Spread) -> Ch
     # a step gives a slope too; where there are steps, they are reported
     drifts = isinstance(slope, Drift) and slope.chance <= share and not has_steps
     own = (part.name, series, values, part.is_adjusted)
-    chart = Chart(*own, limits, changes, slope, drifts, part.shifts, part.is_unsteady)
+    chart = Chart(*own, limits, changes, slope, drifts, part.shifts, part.is_unsteady, tested=tested)
     if isinstance(limits, NotComputed):
         return chart
     if series.is_magnitude:
