@@ -140,7 +140,7 @@ class _HeaderReader:
     def __init__(self, titles: Sequence[str], options: TableOptions, stamps: Collection[str]) -> None:
         self.columns = Columns()
         self._stamps = stamps
-        self._renames = {}
+        self._renames: dict[str, str] = {}
         for old, new in options.renames:
             found = [title for title in titles if old in {title, _parts(title)[0]}]
             if len(found) != 1:

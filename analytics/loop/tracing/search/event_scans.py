@@ -157,12 +157,12 @@ def _ratios(record: UnitRecord, whitener: Whitener, design: FloatArray, residual
     basis = orthonormal(design)
     back = whitener.adjoint(np.column_stack([residual, basis]))
     ratio = np.zeros(len(record))
-    starts = np.flatnonzero(record.steps == 0)
+    starts: list[int] = np.flatnonzero(record.steps == 0).tolist()
     for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
         if end - first < SHORTEST_RUN_BLOCKS:
             continue
         sums = np.cumsum(back[first:end][::-1], axis=0)[::-1]
-        before = _squared_lengths(whitener, int(first), int(end))
+        before = _squared_lengths(whitener, first, end)
         left_over = before - np.sum(sums[:, 1:] ** 2, axis=1)
         resolved = left_over > 1e-3 * before
         resolved[:EDGE_BLOCKS] = resolved[-EDGE_BLOCKS:] = False
