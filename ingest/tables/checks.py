@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ingest.tables.columns import Columns, TableOptions
 from ingest.tables.rows import BAD_ROWS_KEPT, BadRow, CellBlock, NumberCells, TextCells
 from ingest.tables.steps import cell_text, step_words, with_common_words
-from ingest.tables.times import RunClock, ns_from_index, seconds_text
+from ingest.tables.times import RunClock, ns_from_index, seconds_text, stamp_text
 from stream.batch import IntArray
 from stream.errors import BadInput
 from stream.events import StepWords
@@ -163,15 +163,21 @@ class RowFilter:
         before = dict(zip(rows[late].tolist(), latest[:-1][late].tolist(), strict=True))
 
         def why(row: int) -> BadRow:
-            expected = f"a time after {seconds_text(before[row])} (unit {owner.unit}, run {owner.run})"
-            return self._bad_time(block, row, int(times_ns[row]), expected)
+            last_ns, found_ns = (self.clock.as_written(each) for each in (before[row], int(times_ns[row])))
+            expected = f"a time after {self._time_text(last_ns)} (unit {owner.unit}, run {owner.run})"
+            return self._bad_time(block, row, found_ns, expected)
 
         block.sieve.refuse(rows[late], why)
         return rows[~late]
 
     def _bad_time(self, block: CellBlock, row: int, time_ns: int, expected: str) -> BadRow:
         title = self._columns.time.title if self._columns.time is not None else ""
-        return BadRow(block.place, int(block.numbers[row]), title, seconds_text(time_ns), expected)
+        return BadRow(block.place, int(block.numbers[row]), title, self._time_text(time_ns), expected)
+
+    def _time_text(self, written_ns: int) -> str:
+        """A time as the file writes it; of a stamp its moment in UTC."""
+        time = self._columns.time
+        return stamp_text(written_ns) if time is not None and time.is_stamp else seconds_text(written_ns)
 
     def _stretches(self, rows: IndexArray, words: list[TextCells]) -> list[tuple[int, int, StepWords | None]]:
         codes = [cells.codes[rows] for cells in words]

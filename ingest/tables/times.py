@@ -232,6 +232,16 @@ def seconds_text(ns: int) -> str:
     return f"{'-' if ns < 0 else ''}{digits} s"
 
 
+def stamp_text(ns: int) -> str:
+    """A moment, `ns` nanoseconds UTC, in digits down to its own, for messages.
+
+    >>> stamp_text(1_795_255_200_500_000_000), stamp_text(1_795_255_200_000_000_000)
+    ('2026-11-21T10:00:00.5Z', '2026-11-21T10:00:00Z')
+    """
+    whole, _, fraction = str(np.datetime64(ns, "ns")).partition(".")
+    return f"{whole}.{fraction}".rstrip("0").rstrip(".") + "Z"
+
+
 class RunClock:
     """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides."""
 
@@ -254,6 +264,10 @@ class RunClock:
     def misplaced(self, times_ns: IntArray) -> BoolArray:
         """Which of the times, as written, are of the other kind than the first."""
         return (times_ns < UTC_FROM_NS) if self.is_utc else (times_ns >= UTC_FROM_NS)
+
+    def as_written(self, time_ns: int) -> int:
+        """A time on the run's clock as the file has it."""
+        return time_ns - (self._start_ns or 0)
 
     def place(self, times_ns: IntArray) -> IntArray:
         """Put times, as written, onto the run's clock."""

@@ -1,4 +1,4 @@
-"""The last line of a file that is still being written, a line that names the delimiter, and a column renamed twice."""
+"""Lines of text tables: one that is still being written, one that names the delimiter, times out of order, new names."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -47,3 +47,25 @@ def test_a_column_has_one_new_name(run_command: Command, tmp_path: Path) -> None
     done = run_command("import", "a.csv", "--rename", "a=x", "--rename", "a=y", *PLACE, cwd=tmp_path)
     assert done.code != 0
     assert "--rename 'a': given twice, as 'x' and 'y'" in done.json["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("title", "cells", "said"),
+    [
+        ("time[s]", ["0.5", "0.75", "0.6"], "found '0.6 s', expected a time after 0.75 s"),
+        (
+            "Timestamp",
+            [f"2026-03-01T12:00:0{each}Z" for each in ("0", "1.5", "1")],
+            "found '2026-03-01T12:00:01Z', expected a time after 2026-03-01T12:00:01.5Z",
+        ),
+    ],
+)
+def test_a_time_out_of_order_is_named_as_the_file_has_it(
+    run_command: Command, tmp_path: Path, title: str, cells: list[str], said: str
+) -> None:
+    """And not in seconds from 1970."""
+    (tmp_path / "a.csv").write_text(f"{title},rate[deg/h]\n" + "".join(f"{each},1\n" for each in cells))
+    start = ("--start", "2026-03-01T12:00:00Z") if title == "time[s]" else ()
+    done = run_command("import", "a.csv", "--unit", "U", *start, "--store", "s", cwd=tmp_path)
+    assert done.code == 1
+    assert said in done.err
