@@ -1,4 +1,4 @@
-"""Lines of text tables: one that is still being written, one that names the delimiter, times out of order, new names."""
+"""Lines of text tables: still being written, naming the delimiter, out of order; and columns with new names."""
 
 from collections.abc import Callable
 from pathlib import Path
