@@ -35,7 +35,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., An
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> dict[str, list[Row]]:
     """Apart, since no test of the gate asks for it."""
-    units = {"recorded": partial(visits, is_commanded=False)}
+    units: dict[str, Callable[[], Steps]] = {"recorded": partial(visits, is_commanded=False)}
     return measured(tmp_path_factory.mktemp("recorded"), run_command, units)
 
 
