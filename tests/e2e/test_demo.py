@@ -15,19 +15,28 @@ from ingest.simulator.demo_fleet import ODD_UNIT
 UNITS = [f"FOG-02{n}" for n in range(31, 39)]
 
 
+LENGTHS = pytest.mark.parametrize("demo", [0.1, 0.5], indirect=True)  # hours
+
+
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> tuple[Path, dict[str, Any]]:
+def demo(
+    tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any], request: pytest.FixtureRequest
+) -> tuple[Path, dict[str, Any]]:
     """A short demonstration: its store and its result."""
     folder = tmp_path_factory.mktemp("demo")
-    done = run_command("demo", "--hours", "0.5", "--store", folder / "store", "--json", cwd=folder, timeout_s=300)
+    hours = getattr(request, "param", 0.5)
+    done = run_command("demo", "--hours", hours, "--store", folder / "store", "--json", cwd=folder, timeout_s=300)
     assert done.code == 0, done.err
     return folder / "store", done.json
 
 
+@LENGTHS
+@pytest.mark.in_gate("0.1")
 def test_every_simulated_sample_is_in_the_lake_and_judged(
-    gyrofleet: Callable[..., Any], demo: tuple[Path, Any]
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any], request: pytest.FixtureRequest
 ) -> None:
     store, result = demo
+    seconds = round(3600 * request.node.callspec.params["demo"])
     assert result["simulated"]
     assert [unit["unit"] for unit in result["units"]] == UNITS
     # white noise twice the limit shows in minutes; the others need hours
@@ -38,7 +47,7 @@ def test_every_simulated_sample_is_in_the_lake_and_judged(
         "--store", store, "--json",
     ).json  # fmt: skip
     assert [(row["unit"], row["signal"], row["n"], row["moments"]) for row in rows] == [
-        (unit, signal, n, n) for unit in UNITS for signal, n in (("rate", 360_000), ("temperature", 1800))
+        (unit, signal, n, n) for unit in UNITS for signal, n in (("rate", 200 * seconds), ("temperature", seconds))
     ]
     assert sum(row["n"] for row in rows) == result["samples"]
     stored = gyrofleet(
@@ -53,6 +62,8 @@ def test_every_simulated_sample_is_in_the_lake_and_judged(
     assert Path(result["plot"]).read_bytes().startswith(b"\x89PNG")
 
 
+@LENGTHS
+@pytest.mark.in_gate("0.1")
 def test_the_effect_that_nobody_declared_is_found_in_its_unit_and_in_no_other(demo: tuple[Path, Any]) -> None:
     units = demo[1]["found"]["units"]
     assert sorted(units) == UNITS
@@ -79,6 +90,8 @@ def test_counts_are_kept_and_values_made_from_them(gyrofleet: Callable[..., Any]
     assert row == {"worst": 0.0, "scale": 5e-5}
 
 
+@LENGTHS
+@pytest.mark.in_gate("0.1")
 def test_any_mcap_tool_reads_the_log(demo: tuple[Path, Any]) -> None:
     segment = next(iter(sorted((demo[0] / "log").glob("*.mcap"))))
     with segment.open("rb") as file:
@@ -156,6 +169,8 @@ def test_allan_says_what_is_missing(
     assert all(word in refused.err for word in words), refused.err
 
 
+@LENGTHS
+@pytest.mark.in_gate("0.1")
 def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path) -> None:
     for name, magic in (("a.png", b"\x89PNG"), ("a.svg", b"<?xml")):
         done = gyrofleet("allan", "--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--plot", name)

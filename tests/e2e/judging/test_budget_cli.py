@@ -55,11 +55,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (here / "station.toml").write_text(STATION.format(due="2027-03-31"))
     (here / "old.toml").write_text(STATION.format(due="2025-03-31"))
     (here / "two.toml").write_text(STATION.format(due="2025-03-31") + ANOTHER_TABLE)
-    for run, position, station in (
-        ("up", "IRA_up", "station.toml"), ("east", "IRA_east", "station.toml"), ("old", "IRA_up", "old.toml"),
-        ("two", "IRA_up", "two.toml"),
-        ("plain", "IRA_up", None),
-    ):  # fmt: skip
+    imported(here, ("up", "IRA_up", "station.toml"))
+    return here
+
+
+def imported(here: Path, *runs: tuple[str, str, str | None]) -> None:
+    for run, position, station in runs:
         where = ["--station", here / station] if station else ["--latitude", 40]
         words = [
             "import", here / "still.csv", "--unit", "U1", "--run", run, "--procedure", "static_bias", "--position",
@@ -67,7 +68,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ]  # fmt: skip
         done = CliRunner().invoke(main, [str(word) for word in words])
         assert done.exit_code == 0, done.output
-    return here
+
+
+@pytest.fixture(scope="module")
+def other_runs(folder: Path) -> None:
+    """Those that no test of the gate asks for."""
+    imported(
+        folder, ("east", "IRA_east", "station.toml"), ("old", "IRA_up", "old.toml"), ("two", "IRA_up", "two.toml"),
+        ("plain", "IRA_up", None),
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -91,6 +100,7 @@ def parts(found: dict[str, Any]) -> dict[str, float]:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("other_runs")
 def test_an_upright_axis_sees_level_and_latitude(ask: Ask) -> None:
     found = budget(ask, "up")
     cosine = math.cos(math.radians(40))
@@ -108,6 +118,7 @@ def test_an_upright_axis_sees_level_and_latitude(ask: Ask) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("other_runs")
 def test_an_axis_that_points_east_sees_level_and_north(ask: Ask) -> None:
     own = parts(budget(ask, "east"))
     assert own["north reference"] == pytest.approx(EARTH * math.cos(math.radians(40)) * 180 / math.sqrt(3), rel=1e-6)
@@ -116,6 +127,7 @@ def test_an_axis_that_points_east_sees_level_and_north(ask: Ask) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("other_runs")
 def test_metrics_have_the_figures_of_the_budget(ask: Ask) -> None:
     rows = json.loads(ask("metrics", "--unit", "U1", "--metric", "bias", "--json").stdout)
     for run in ("up", "east"):
@@ -127,6 +139,7 @@ def test_metrics_have_the_figures_of_the_budget(ask: Ask) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("other_runs")
 @pytest.mark.parametrize(
     ("run", "reason"),
     [
@@ -154,6 +167,7 @@ def test_a_given_coverage_factor_and_monte_carlo(ask: Ask) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("other_runs")
 def test_the_table_fits_80_columns_in_both_languages(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     for language, words in (("en", ("levelling", "combined")), ("zh", ("调平", "合成", "扩展不确定度"))):
@@ -164,6 +178,7 @@ def test_the_table_fits_80_columns_in_both_languages(ask: Ask, monkeypatch: pyte
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("other_runs")
 def test_a_value_that_is_not_there_is_said(ask: Ask) -> None:
     done = ask("budget", "--unit", "U1", "--metric", "scale_factor", "--json")
     assert done.exit_code == 1

@@ -37,6 +37,13 @@ def written(path: Path, time_s: FloatArray, **columns: FloatArray) -> Path:
     return path
 
 
+def of_unit(path: Path) -> Path:
+    """The same file with a column that names its unit: files of several units can be imported at once."""
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([f"unit,{head}", *(f"{path.stem},{row}" for row in rows)]) + "\n")
+    return path
+
+
 def rates(n: int, seed: int) -> FloatArray:
     """White noise of 2 deg/h about 5 deg/h and the upright Earth's rate at 39.9 deg."""
     noise: FloatArray = 2.0 * np.random.default_rng(seed).standard_normal(n)
@@ -63,10 +70,8 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
         "LIVE": (hour, rates(3600, 2)), "ONE": (hour[:1], rates(1, 3)), "DEAD": (hour, np.full(3600, 14.6)),
         "FROZE": (hour, frozen), "GAP": (np.append(hour[:60], 3599.0), rates(61, 4)),
     }  # fmt: skip
-    for unit, (time_s, values) in cases.items():
-        path = written(tmp_path / f"{unit}.csv", time_s, rate__deg_h=values)
-        path.write_text(path.read_text().replace("deg_h", "deg/h"))
-        ask("import", path, "--unit", unit, *PLACE, "--position", "IRA_up")
+    paths = [of_unit(written(tmp_path / f"{unit}.csv", at, rate__dph=values)) for unit, (at, values) in cases.items()]
+    ask("import", *paths, *PLACE, "--position", "IRA_up")
     (tmp_path / "limits.toml").write_text(LIMITS)
     ask("limits", "add", tmp_path / "limits.toml")
     answer = ask("verdicts")["verdicts"]
@@ -79,6 +84,9 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
         assert found[unit]["reason"].startswith("the value has no interval")
     stability = {row["unit"]: row["verdict"] for row in answer if row["metric"] == "bias_stability"}
     assert stability == {"LIVE": "PASS", "ONE": "NO_DATA", "DEAD": "NO_DATA", "FROZE": "MARGINAL", "GAP": "MARGINAL"}
+    frozen_of = [row for row in answer if (row["unit"], row["metric"]) == ("FROZE", "bias_stability") and row["value"]]
+    assert frozen_of
+    assert [(row["lo"], row["hi"]) for row in frozen_of] == [(None, None)] * len(frozen_of)
     assert found["GAP"]["reason"] == "61 of 3600 samples of its record are there: a PASS needs nine tenths"
     remarks = {unit: parameters(row)["remark"] or "" for unit, row in found.items()}
     assert "all 3600 samples are alike" in remarks["DEAD"]

@@ -1,15 +1,19 @@
 """Outputs that stand still, answer to no rate, still settle, or hold what no noise model has: what may be claimed."""
 
+import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from tests.e2e.judging.test_doubtful_records import bias_of, parameters, written
+from gyrofleet import main
+from tests.e2e.judging.test_doubtful_records import bias_of, of_unit, parameters, written
 
-Ask = Callable[..., Any]
+Stores = Callable[[str], "Answers"]
 WHERE = ("--start", "2026-10-01T08:00:00+08:00", "--latitude", "39.9")
 LIMITS = """
 revision = "A"
@@ -44,73 +48,133 @@ def scale_file(path: Path, output: Callable[[float, int], Any]) -> Path:
     return path
 
 
-def values(ask: Ask, unit: str, metric: str) -> list[dict[str, Any]]:
-    answer = ask("metrics", "--unit", unit, "--metric", metric)
-    return [dict(row) for row in (answer["metrics"] if isinstance(answer, dict) else answer)]
+Rows = list[dict[str, Any]]
+WHITE_HZ, WHITE = 100.0, 0.06  # deg/sqrt(h)
+FROZEN = (0.0123, 0.0077, -0.0031, 0.0125, 1.0 / 3.0, 1e-9, 12345.678)
+UNITS = {  # a store of these for the gate, one of all others for the long form
+    "gate": ("K0", "Q", "RECTIFIED", "LINE"),
+    "long": (*(f"K{number}" for number in range(1, len(FROZEN))), "DEAD", "WHITE"),
+}
 
 
-LONG = [pytest.param(each, marks=pytest.mark.long) for each in (0.0077, -0.0031, 0.0125, 1.0 / 3.0, 1e-9, 12345.678)]
-
-
-@pytest.mark.parametrize("value", [0.0123, *LONG])
-def test_a_frozen_output_is_frozen_whatever_its_digits(ask: Ask, tmp_path: Path, value: float) -> None:
+def frozen_file(path: Path, value: float) -> Path:
     """Ten minutes at 100 Hz, which are reduced from means of seconds."""
-    path = tmp_path / "k.csv"
     path.write_text("time[s],rate[deg/h]\n" + "".join(f"{at / 100:.2f},{value!r}\n" for at in range(60_000)))
-    ask("import", path, "--unit", "K", *WHERE, "--procedure", "static_bias", "--position", "IRA_up")
-    (tmp_path / "limits.toml").write_text(LIMITS)
-    ask("limits", "add", tmp_path / "limits.toml")
-    answer = ask("verdicts")["verdicts"]
+    return path
+
+
+def noise_file(path: Path, *, is_line: bool) -> Path:
+    """White noise of 0.06 deg/sqrt(h) at 100 Hz, and 18 deg/h at 0.1 Hz in one of the two."""
+    time_s = np.arange(100_000) / WHITE_HZ
+    noise = WHITE * 60.0 * np.sqrt(WHITE_HZ) * np.random.default_rng(2).standard_normal(time_s.size)
+    return written(path, time_s, rate__dph=noise + 18.0 * is_line * np.sin(0.2 * np.pi * time_s))
+
+
+def unresponsive_file(path: Path, *, is_rectified: bool) -> Path:
+    rng = np.random.default_rng(1)
+
+    def output(rate: float, _: int) -> Any:
+        return (0.05 * abs(rate) if is_rectified else 0.1) + 1e-5 * rng.standard_normal(100)
+
+    return scale_file(path, output)
+
+
+def coarse_file(path: Path) -> Path:
+    """Perfectly linear, in steps of 4 mV: 109 ppm of nonlinearity are all quantisation."""
+    return scale_file(path, lambda rate, _: 0.004 * np.round((0.05 * rate + 0.0007) / 0.004))
+
+
+def unit_file(folder: Path, unit: str) -> Path:
+    path = folder / f"{unit}.csv"
+    if unit.startswith("K"):
+        return frozen_file(path, FROZEN[int(unit[1:])])
+    if unit == "Q":
+        return coarse_file(path)
+    if unit in {"LINE", "WHITE"}:
+        return noise_file(path, is_line=unit == "LINE")
+    return unresponsive_file(path, is_rectified=unit == "RECTIFIED")
+
+
+class Answers:
+    """What the commands say of a store in which all units are: each would be evaluated for seconds alone."""
+
+    def __init__(self, folder: Path, units: tuple[str, ...]) -> None:
+        self._store = str(folder / "S")
+        paths = {unit: of_unit(unit_file(folder, unit)) for unit in units}
+        still = [path for unit, path in paths.items() if unit[0] == "K" or unit in {"LINE", "WHITE"}]
+        turned = [path for path in paths.values() if path not in still]
+        self._ask("import", *still, *WHERE, "--procedure", "static_bias", "--position", "IRA_up")
+        self._ask("import", *turned, *WHERE)
+        (folder / "limits.toml").write_text(LIMITS)
+        self._ask("limits", "add", folder / "limits.toml")
+        self._verdicts: Rows = json.loads(self._ask("verdicts"))["verdicts"]
+        self._metrics: Rows = json.loads(self._ask("metrics"))
+
+    def _ask(self, *words: object) -> str:
+        done = CliRunner().invoke(main, [*(str(word) for word in words), "--store", self._store, "--json"])
+        assert done.exit_code == 0, (done.output, done.exception)
+        return done.stdout
+
+    def verdicts(self, unit: str) -> Rows:
+        return [row for row in self._verdicts if row["unit"] == unit]
+
+    def metrics(self, unit: str, metric: str) -> Rows:
+        return [row for row in self._metrics if (row["unit"], row["metric"]) == (unit, metric)]
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Answers]:
+    """The answers of the store in which a unit is."""
+
+    @cache
+    def of(store: str) -> Answers:
+        return Answers(tmp_path_factory.mktemp(store), UNITS[store])
+
+    return lambda unit: of(next(store for store, units in UNITS.items() if unit in units))
+
+
+@pytest.mark.in_gate("K0")
+@pytest.mark.parametrize("unit", [f"K{number}" for number in range(len(FROZEN))])
+def test_a_frozen_output_is_frozen_whatever_its_digits(stores: Stores, unit: str) -> None:
+    answer = stores(unit).verdicts(unit)
     (stability,) = [row for row in answer if row["metric"] == "bias_stability"]
     assert (stability["verdict"], stability["value"]) == ("NO_DATA", None)
     assert "all 60000 samples are alike" in stability["reason"]
-    if abs(value) < 60.0:
-        bias = bias_of(answer, "K")
+    if abs(FROZEN[int(unit[1:])]) < 60.0:
+        bias = bias_of(answer, unit)
         assert (bias["verdict"], bias["lo"], bias["hi"]) == ("MARGINAL", None, None)
 
 
-def test_a_scale_factor_of_a_coarse_output_has_no_interval_of_no_width(ask: Ask, tmp_path: Path) -> None:
-    """Perfectly linear, in steps of 4 mV: 109 ppm of nonlinearity are all quantisation."""
-    path = scale_file(tmp_path / "q.csv", lambda rate, _: 0.004 * np.round((0.05 * rate + 0.0007) / 0.004))
-    ask("import", path, "--unit", "Q", *WHERE)
+def test_a_scale_factor_of_a_coarse_output_has_no_interval_of_no_width(stores: Stores) -> None:
     for metric in ("scale_factor", "scale_factor_nonlinearity", "scale_factor_asymmetry"):
-        rows = [row for row in values(ask, "Q", metric) if row["value"] is not None]
+        rows = [row for row in stores("Q").metrics("Q", metric) if row["value"] is not None]
         assert rows
         for row in rows:
             assert row["lo"] is None or row["hi"] - row["lo"] > 1e-6 * abs(row["value"])
             assert "the output stands still at 22 of 22 rates" in parameters(row)["remark"]
-    (tmp_path / "limits.toml").write_text(LIMITS)
-    ask("limits", "add", tmp_path / "limits.toml")
-    found = [row for row in ask("verdicts")["verdicts"] if row["metric"] == "scale_factor_nonlinearity"]
+    found = [row for row in stores("Q").verdicts("Q") if row["metric"] == "scale_factor_nonlinearity"]
     assert {row["verdict"] for row in found} == {"MARGINAL"}
 
 
-@pytest.mark.parametrize("kind", ["rectified", pytest.param("dead", marks=pytest.mark.long)])
-def test_an_output_that_does_not_depend_on_the_rate_has_no_scale_factor(ask: Ask, tmp_path: Path, kind: str) -> None:
-    rng = np.random.default_rng(1)
-
-    def output(rate: float, _: int) -> Any:
-        return (0.05 * abs(rate) if kind == "rectified" else 0.1) + 1e-5 * rng.standard_normal(100)
-
-    ask("import", scale_file(tmp_path / "d.csv", output), "--unit", "D", *WHERE)
+@pytest.mark.in_gate("RECTIFIED")
+@pytest.mark.parametrize("unit", ["RECTIFIED", "DEAD"])
+def test_an_output_that_does_not_depend_on_the_rate_has_no_scale_factor(stores: Stores, unit: str) -> None:
     for metric in ("scale_factor_nonlinearity", "scale_factor_asymmetry", "fitted_zero"):
-        for row in values(ask, "D", metric):
+        rows = stores(unit).metrics(unit, metric)
+        assert rows
+        for row in rows:
             assert row["value"] is None
             assert "the output does not depend on the rate: K is " in row["reason"]
 
 
-@pytest.mark.parametrize("is_line", [True, pytest.param(False, marks=pytest.mark.long)])
-def test_a_line_in_the_spectrum_gives_no_sure_random_walk(ask: Ask, tmp_path: Path, is_line: bool) -> None:
-    """White noise of 0.06 deg/sqrt(h) at 100 Hz, and 18 deg/h at 0.1 Hz in one of the two."""
-    time_s = np.arange(100_000) / 100.0
-    noise = 0.06 * 60.0 * 10.0 * np.random.default_rng(2).standard_normal(time_s.size)
-    path = written(tmp_path / "s.csv", time_s, rate__dph=noise + 18.0 * is_line * np.sin(0.2 * np.pi * time_s))
-    ask("import", path, "--unit", "S", *WHERE, "--procedure", "static_bias", "--position", "IRA_up")
-    (row,) = values(ask, "S", "angle_random_walk")
+@pytest.mark.in_gate("LINE")
+@pytest.mark.parametrize("unit", ["LINE", "WHITE"])
+def test_a_line_in_the_spectrum_gives_no_sure_random_walk(stores: Stores, unit: str) -> None:
+    (row,) = stores(unit).metrics(unit, "angle_random_walk")
     remark = parameters(row)["remark"]
-    if is_line:
+    if unit == "LINE":
         assert (row["lo"], row["hi"], row["standard_uncertainty"]) == (None, None, None)
         assert "the terms of the noise model do not describe the Allan curve" in remark
     else:
-        assert row["lo"] < 0.06 < row["hi"]
-        assert "noise model" not in remark
+        assert row["lo"] < WHITE < row["hi"]
+        assert "noise model" not in (remark or "")

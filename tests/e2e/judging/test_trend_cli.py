@@ -52,6 +52,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return here
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of three units, for what is refused: the one of 120 takes seconds."""
+    here = tmp_path_factory.mktemp("few")
+    _write(here / "day.csv", {f"FOG-{unit:04}": 2.0 for unit in range(3)}, np.random.default_rng(1))
+    words = ("import", here / "day.csv", "--store", here / "S", "--start", "2026-01-05T08:00:00Z", "--json")
+    done = CliRunner().invoke(main, [str(each) for each in words])
+    assert done.exit_code == 0, done.output
+    return here / "S"
+
+
 @pytest.fixture
 def ask(folder: Path) -> Ask:
     def run(*words: object, code: int = 0) -> Result:
@@ -136,5 +147,7 @@ def test_choices_narrow_the_values(ask: Ask) -> None:
         (("trend", "bias", "--standard", "XYZ"), "GJB2426A"),
     ],
 )
-def test_mistakes_are_told(ask: Ask, words: tuple[str, ...], message: str) -> None:
-    assert message in " ".join(ask(*words, code=1).output.split())
+def test_mistakes_are_told(few: Path, words: tuple[str, ...], message: str) -> None:
+    done = CliRunner(env={**os.environ, "COLUMNS": "200"}).invoke(main, [*words, "--store", str(few)])
+    assert done.exit_code == 1, done.output
+    assert message in " ".join(done.output.split())

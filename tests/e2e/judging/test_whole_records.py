@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stream.batch import FloatArray
-from tests.e2e.judging.test_doubtful_records import parameters, written
+from tests.e2e.judging.test_doubtful_records import of_unit, parameters, written
 
 Ask = Callable[..., Any]
 WHERE = ("--start", "2026-10-01T08:00:00+08:00")
@@ -46,35 +46,38 @@ parameters = {{ earth_rate = "{earth_rate}" }}
 """
 
 
-def of_unit(answer: Any, unit: str) -> dict[str, Any]:
+def bias_of(answer: Any, unit: str) -> dict[str, Any]:
     (row,) = [each for each in answer["verdicts"] if each["unit"] == unit and each["metric"] == "bias"]
     return dict(row)
 
 
-def test_a_pass_needs_most_of_its_record(ask: Ask, tmp_path: Path) -> None:
-    """The step of each is an hour at 10 Hz; of two units samples are missing at random, one falls silent."""
+@pytest.mark.in_gate("1")
+@pytest.mark.parametrize("rate_hz", [1, 10])
+def test_a_pass_needs_most_of_its_record(ask: Ask, tmp_path: Path, rate_hz: int) -> None:
+    """The step of each is an hour; of two units samples are missing at random, one falls silent."""
     rng = np.random.default_rng(1)
-    time_s: FloatArray = np.arange(36_000) / 10.0
+    time_s: FloatArray = np.arange(3600.0 * rate_hz) / rate_hz
     values = 5.0 + 2.0 * rng.standard_normal(time_s.size)
     keep = {
         "WHOLE": np.ones(time_s.size, bool), "GAPS": rng.random(time_s.size) > 0.06,
         "HOLES": rng.random(time_s.size) > 0.3, "DIED": (time_s < 1200.0) | (time_s == time_s[-1]),
     }  # fmt: skip
+    paths = []
     for unit, kept in keep.items():
         kept[[0, -1]] = True
-        path = written(tmp_path / f"{unit}.csv", time_s[kept], rate__dph=values[kept])
-        ask("import", path, "--unit", unit, *WHERE, "--procedure", "static_bias", "--position", "IRA_east_west")
+        paths.append(of_unit(written(tmp_path / f"{unit}.csv", time_s[kept], rate__dph=values[kept])))
+    ask("import", *paths, *WHERE, "--procedure", "static_bias", "--position", "IRA_east_west")
     (tmp_path / "limits.toml").write_text(LIMITS.format(upper=6.0, earth_rate="none"))
     ask("limits", "add", tmp_path / "limits.toml")
     answer = ask("verdicts")
-    found = {unit: of_unit(answer, unit) for unit in keep}
+    found = {unit: bias_of(answer, unit) for unit in keep}
     verdicts = {unit: row["verdict"] for unit, row in found.items()}
     assert verdicts == {"WHOLE": "PASS", "GAPS": "PASS", "HOLES": "MARGINAL", "DIED": "MARGINAL"}
     for unit, kept in keep.items():
         remark = parameters(found[unit])["remark"] or ""
-        assert (f"{kept.sum()} of 36000 samples are there" in remark) == (unit != "WHOLE")
+        assert (f"{kept.sum()} of {time_s.size} samples are there" in remark) == (unit != "WHOLE")
     n = int(keep["DIED"].sum())
-    assert found["DIED"]["reason"] == f"{n} of 36000 samples of its record are there: a PASS needs nine tenths"
+    assert found["DIED"]["reason"] == f"{n} of {time_s.size} samples of its record are there: a PASS needs nine tenths"
 
 
 @pytest.fixture
@@ -133,6 +136,6 @@ def test_a_limit_within_u_of_the_value_is_not_decided(
     """The scatter of the value is 0.005 deg/h, its U 0.12 deg/h."""
     (tmp_path / "limits.toml").write_text(LIMITS.format(upper=2.0 + UP + above, earth_rate="none"))
     measured("limits", "add", tmp_path / "limits.toml")
-    row = of_unit(measured("verdicts"), "V1")
+    row = bias_of(measured("verdicts"), "V1")
     assert row["verdict"] == verdict
     assert row["hi"] - row["value"] == pytest.approx(0.117, rel=0.02)

@@ -210,12 +210,12 @@ def test_a_station_that_does_not_answer_is_told_of_and_does_nothing_later(
 def test_an_abort_stands_while_the_station_waits_for_an_instrument(
     gyrofleet: Gyrofleet, store: Path, slow: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:
-    """For 8 s it takes nothing; a pause would be withdrawn after 5 s."""
+    """For 6 s it takes nothing; a pause would be withdrawn after 5 s."""
     process = spawn(*slow.run("scale_factor", *SHORT))
     run = at_work(store, state, lambda found: found["step"] >= 2)
     with stopped(process):
         waiting = spawn("control", run, "abort", "--reason", "smoke", "--by", "Li", "--store", "S")
-        time.sleep(8.0)
+        time.sleep(6.0)
     out, err = waiting.communicate(timeout=60)
     assert waiting.returncode == 0, (out, err)
     assert "abort done" in out
