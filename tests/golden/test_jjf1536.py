@@ -34,7 +34,7 @@ def rows(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFacto
     """Rows of `gyrofleet metrics --standard "JJF 1536"` of two units; that of the second misses east by 0.5 deg."""
     folder = tmp_path_factory.mktemp("jjf1536")
     for unit, error_deg in (("AHRS-1", 0.0), ("AHRS-2", 0.5)):
-        turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 1.0, 1.0))
+        turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 10.0, 1.0))
         turns(turning, MATRIX, BIASES)
         four_positions(standing, BIASES, heading_error_deg=error_deg)
         rates(rating)

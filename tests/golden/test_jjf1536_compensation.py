@@ -34,7 +34,7 @@ GIVEN = {
 def lab(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a store S: a calibrated unit, the angles of methods.md I, a rest, and another unit without L."""
     folder = tmp_path_factory.mktemp("compensation")
-    turning, standing, rating, given, resting = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 1.0, 1.0, 1.0, 1.0))
+    turning, standing, rating, given, resting = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 10.0, 1.0, 1.0, 1.0))
     turns(turning, MATRIX, BIASES)
     four_positions(standing, BIASES)
     for axis in "XYZ":
@@ -114,12 +114,16 @@ def test_turning_only_the_heading_is_known(lab: Path, run_command: Callable[...,
         assert next(csv.reader(file))[:3] == ["step", "t_ns", "rate_x_deg_per_s"]
 
 
+def test_without_the_run_of_the_biases_each_is_named(lab: Path, run_command: Callable[..., Any]) -> None:
+    one = asked(run_command, lab, "--run", f"rest-{UNIT}", "--calibration", f"K-{UNIT}")
+    assert one.code == 1
+    assert "the bias of X, the bias of Y, the bias of Z" in one.json["error"]["message"]
+
+
+@pytest.mark.long
 def test_what_is_not_calibrated_is_refused_with_all_that_lacks(lab: Path, run_command: Callable[..., Any]) -> None:
     lacking = run_command("attitude", "--unit", "AHRS-8", "--run", "B-AHRS-8", "--store", "S", cwd=lab)
     assert lacking.code == 1
     assert "L_xy, L_xz, L_yx, L_yz, L_zx, L_zy not measured" in lacking.err
-    one = asked(run_command, lab, "--run", f"rest-{UNIT}", "--calibration", f"K-{UNIT}")
-    assert one.code == 1
-    assert "the bias of X, the bias of Y, the bias of Z" in one.json["error"]["message"]
     wrong = asked(run_command, lab, "--run", f"rest-{UNIT}", "--out", "rest.txt")
     assert "ends with .parquet or .csv" in wrong.json["error"]["message"]
