@@ -77,7 +77,7 @@ def test_a_supply_of_two_units_is_one_also_where_one_of_them_changed(filled: Any
     assert of_power().equals(before)
 
 
-@pytest.mark.in_gate("bias_repeatability", "power")
+@pytest.mark.in_gate("power")
 @pytest.mark.parametrize("metric", sorted(metrics()))
 def test_a_metric_alone_is_the_one_among_all(whole: tuple[Store, pa.Table], tmp_path: Path, metric: str) -> None:
     store, every = whole

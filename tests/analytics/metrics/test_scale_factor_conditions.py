@@ -62,6 +62,7 @@ def test_a_temperature_that_moves_with_the_rates_is_named(
             assert (row["remark"] or "").startswith("the temperature moved by 1") is is_named, row["remark"]
 
 
+@pytest.mark.long
 def test_from_a_file_to_the_answer(tmp_path: Path, run_command: Callable[..., Any]) -> None:
     """A table that reports its rate to 0.01 %, in a chamber that warms by 8 degC."""
     rng = np.random.default_rng(2)
