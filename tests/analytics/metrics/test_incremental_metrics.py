@@ -122,11 +122,13 @@ def from_scratch(tested: Any) -> pa.Table:
     return table_of(tested)
 
 
+# which growths come before a question, the units that it evaluates and the runs that it reduces
+Growths = tuple[tuple[tuple[int, ...], list[str], list[str]], ...]
 # of records of one step and of several runs, and of what was entered by hand
 FEW = (
     "bias", "bias_repeatability", "bias_temperature_sensitivity", "scale_factor", "visual_check",
 )  # fmt: skip
-ONE_BY_ONE = (
+ONE_BY_ONE: Growths = (
     ((0,), ["U1", "U2"], ["r1"]),
     ((1,), ["U1"], ["r2"]),
     ((2,), ["U2", "U3"], ["r3"]),
@@ -134,7 +136,11 @@ ONE_BY_ONE = (
     ((4,), ["U2"], []),
     ((5,), ["U3"], ["r1b"]),
 )
-TOGETHER = (((0, 1, 3), ["U1", "U2"], ["r1", "r2", "r4"]), ((4,), ["U2"], []), ((2, 5), ["U2", "U3"], ["r1b", "r3"]))
+TOGETHER: Growths = (
+    ((0, 1, 3), ["U1", "U2"], ["r1", "r2", "r4"]),
+    ((4,), ["U2"], []),
+    ((2, 5), ["U2", "U3"], ["r1b", "r3"]),
+)
 
 
 @pytest.mark.in_gate("few")
@@ -144,7 +150,7 @@ TOGETHER = (((0, 1, 3), ["U1", "U2"], ["r1", "r2", "r4"]), ((4,), ["U2"], []), (
     ids=["few", "6", "1"],
 )
 def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(
-    tested: Any, work: Work, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], growths: Any, each: int
+    tested: Any, work: Work, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], growths: Growths, each: int
 ) -> None:
     """Compared at the end, or after each growth; in the short form few metrics, and growths together."""
     monkeypatch.setattr(kept_metrics, "metrics", lambda: {name: metrics()[name] for name in names})
