@@ -31,14 +31,20 @@ def rates(sheet: Sheet) -> None:
 
 @pytest.fixture(scope="module")
 def rows(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
-    """Rows of `gyrofleet metrics --standard "JJF 1536"` of two units; that of the second misses east by 0.5 deg."""
+    """Rows of `gyrofleet metrics --standard "JJF 1536"` of two units.
+
+    The second one was tested in four positions only, and misses east by 0.5 deg.
+    """
     folder = tmp_path_factory.mktemp("jjf1536")
     for unit, error_deg in (("AHRS-1", 0.0), ("AHRS-2", 0.5)):
-        turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 1.0, 1.0))
+        turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 10.0, 1.0))
         turns(turning, MATRIX, BIASES)
         four_positions(standing, BIASES, heading_error_deg=error_deg)
         rates(rating)
-        for day, (name, sheet) in enumerate({"L": turning, "B": standing, "K": rating}.items(), start=2):
+        sheets = {"L": turning, "B": standing, "K": rating}
+        for day, (name, sheet) in enumerate(sheets.items(), start=2):
+            if error_deg and name != "B":
+                continue
             begun = run_command(
                 "import", sheet.write(folder / f"{name}-{unit}.csv"), "--unit", unit, "--run", f"{name}-{unit}",
                 "--start", f"2026-03-0{day}T09:00:00+08:00", "--latitude", 39.9, "--altitude", 50,

@@ -100,21 +100,23 @@ def _check_run_length(rules: list[int], expected: float, series: int, checks: in
 
 
 # Champ and Woodall 1987, table 1, without a shift: beyond 3 sigma with 2 of 3 beyond 2, with 4 of 5 beyond 1, and both
-@pytest.mark.in_gate("rules3-132.89")
+@pytest.mark.in_gate("rules3-132.89-2000")
+@pytest.mark.parametrize("series", [2_000, 10_000])
 @pytest.mark.parametrize(
     ("rules", "published"), [([1], 370.40), ([1, 5], 225.44), ([1, 6], 166.05), ([1, 5, 6], 132.89)]
 )
-def test_run_lengths_of_rules(rules: list[int], published: float) -> None:
-    _check_run_length(rules, published, 10_000, 6)
+def test_run_lengths_of_rules(rules: list[int], published: float, series: int) -> None:
+    _check_run_length(rules, published, series, 6)
 
 
-@pytest.mark.in_gate("2")
+@pytest.mark.in_gate("2-1000")
+@pytest.mark.parametrize("series", [1000, 3000])
 @pytest.mark.parametrize("rule", [2, 7])
-def test_run_lengths_that_follow_from_coins(rule: int) -> None:
+def test_run_lengths_that_follow_from_coins(rule: int, series: int) -> None:
     """A run of r equal throws comes after 2**r - 1 throws; of r successes after (1 - p**r)/((1 - p) p**r)."""
     within = 1 - 2 * norm.sf(1)
     expected = {2: 2**9 - 1, 7: (1 - within**15) / ((1 - within) * within**15)}[rule]
-    _check_run_length([rule], expected, 3000, 6)
+    _check_run_length([rule], expected, series, 6)
 
 
 def test_capability_of_the_nist_handbook() -> None:

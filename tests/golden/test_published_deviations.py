@@ -58,7 +58,7 @@ def test_sp_1065_thousand_frequencies(kind: Deviation) -> None:
 
 @needs_reference
 @pytest.mark.parametrize("kind", Deviation)
-@pytest.mark.in_gate("hdev", "oadev")
+@pytest.mark.in_gate("hdev")
 def test_stable32_all_taus(kind: Deviation) -> None:
     table = np.loadtxt(REFERENCE / "phasedat" / f"phase_dat_{kind}.txt")
     assert len(table) > 100

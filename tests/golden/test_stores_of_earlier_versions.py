@@ -41,6 +41,7 @@ def test_answers_are_those_of_then(gyrofleet: Command, made: tuple[Path, dict[st
     check(gyrofleet, *made)
 
 
+@pytest.mark.in_gate("schema-2")
 def test_a_lake_built_from_its_log_gives_the_same_answers(
     gyrofleet: Command, made: tuple[Path, dict[str, Any]]
 ) -> None:
@@ -49,6 +50,7 @@ def test_a_lake_built_from_its_log_gives_the_same_answers(
     check(gyrofleet, store, answers)
 
 
+@pytest.mark.in_gate("schema-1")
 def test_more_is_recorded_into_it(gyrofleet: Command, made: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     store, answers = made
     file = tmp_path / "more.csv"

@@ -17,7 +17,7 @@ from tests.laws.estimator_cases import DT_NS, EVERY, FACTORIES, assert_same, fed
 @EVERY
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(data=st.data())
-@pytest.mark.in_gate("allan_deviation", "bias_stability_100s", "bias_stability_raw")
+@pytest.mark.in_gate("allan_deviation", "bias_stability_100s")
 def test_parts_merge_in_any_order_to_one_pass(key: str, data: st.DataObject) -> None:
     values = signal(3000, 4)
     values[1400:1410] = np.nan

@@ -1,29 +1,29 @@
 """Laws that every metric keeps; a new one in the package is found by itself and compared with them.
 
-Units are simulated in the tests of the standards: one that went through everything, one whose tests were cut short,
-and one whose output is in mV and for which no scale factor is known.
+The units are those of `simulated_units`.
 """
 
 import json
 import math
 import re
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import COLUMNS
+from analytics.evaluation.type_b import NO_SENSITIVITY
 from analytics.metric_registry.registry import metrics
-from analytics.specifications.entering import add_specification
 from storage.store import Store
 from stream.quantities import check_unit
-from tests.bench.metric_steps import DAY_NS, Unit, metrics_of, records_of
+from tests.bench.metric_steps import metrics_of
+from tests.laws.simulated_units import OWN, STATED, Rows, Simulated, simulated_units
 
 NAMES = tuple(metrics())
+INFLUENCED = tuple(name for name, metric in metrics().items() if metric.header.influences)
 EVERY = pytest.mark.parametrize("name", NAMES)
 STANDARDS = {"GJB2426A", "JJF2014", "JJF1536", "HIT", "CN102680005"}
 # Named in the standards' own words; what is not among them is one of IEEE 952 or of the separation methods.
@@ -53,42 +53,11 @@ SCALE_FACTORS = {
 }  # fmt: skip
 # Their points are tested inputs, their differences those of the input and the output.
 ON_A_GRID = {"threshold", "resolution"}
-PRODUCT = (
-    '[product."FOG-70"]\nmax_rate_deg_per_s = 100.0\nnonlinearity_ppm = 500.0\nexpected_threshold_deg_per_h = 3.0\n'
-)
-Records = list[dict[str, Any]]
-Rows = list[dict[str, Any]]
-
-
-class Simulated(NamedTuple):
-    """A store that holds a specification only, records of steps, and the metrics of them."""
-
-    store: Store
-    records: Records
-    table: pa.Table
-
-    def rows(self, metric: str, unit: str | None = None) -> Rows:
-        found: Rows = self.table.to_pylist()
-        return [row for row in found if row["metric"] == metric and unit in {None, row["unit"]}]
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
-    store = Store.create(Path(tmp_path_factory.mktemp("laws")) / "store")
-    path = store.folder.with_name("specification.toml")
-    path.write_text(f'revision = "A"\n{PRODUCT}')
-    add_specification(store, path)
-    records = [each | {"product": "FOG-70"} for each in campaign()]
-    return Simulated(store, records, metrics_of(store, records))
-
-
-@cache
-def campaign() -> tuple[dict[str, Any], ...]:
-    rng = np.random.default_rng(20)
-    whole = records_of([Unit("U1")], rng)
-    short = records_of([Unit("U2")], rng, cut=1)
-    scaleless = [each | {"unit_of_measure": "mV"} for each in records_of([Unit("U3")], rng, cut=7)]
-    return (*whole, *short, *scaleless)
+    return simulated_units(Path(tmp_path_factory.mktemp("laws")))
 
 
 def read(row: dict[str, Any]) -> dict[str, Any]:
@@ -166,7 +135,7 @@ def test_a_value_is_missing_just_where_a_reason_says_why(simulated: Simulated, n
 
 @pytest.mark.parametrize("unit", ["U2", "U3"])
 def test_what_was_cut_short_or_has_no_scale_says_so_and_the_others_go_on(simulated: Simulated, unit: str) -> None:
-    reasons = {row["metric"] for row in simulated.table.to_pylist() if row["unit"] == unit and row["reason"]}
+    reasons = {row["metric"] for row in simulated.listed if row["unit"] == unit and row["reason"]}
     asked = {"scale_factor", "misalignment", "bias_acceleration_sensitivity", "bias_shock_change", "range"}
     assert asked <= reasons | ({"scale_factor"} if unit == "U3" else set())
     assert all(row["reason"] is None for row in simulated.rows("bias", "U1"))
@@ -202,7 +171,7 @@ def test_a_row_says_what_it_rests_on(simulated: Simulated, name: str) -> None:
 
 def test_rows_are_distinguished_by_what_they_say(simulated: Simulated) -> None:
     keys = ["metric", "unit", "signal", "run", "parameters", "standard", "clause", "steps"]
-    reported = [tuple(str(row[name]) for name in keys) for row in simulated.table.to_pylist()]
+    reported = [tuple(str(row[name]) for name in keys) for row in simulated.listed]
     assert len(reported) == len(set(reported))
 
 
@@ -210,46 +179,37 @@ def comparable(table: pa.Table) -> list[tuple[str, ...]]:
     return sorted(tuple(repr(value) for value in row.values()) for row in table.to_pylist())
 
 
-def test_the_order_of_the_records_does_not_matter(simulated: Simulated) -> None:
-    order = np.random.default_rng(1).permutation(len(simulated.records))
-    table = metrics_of(simulated.store, [simulated.records[i] for i in order])
-    assert comparable(table) == comparable(simulated.table)
-
-
-def test_a_unit_has_the_same_values_without_the_others(simulated: Simulated) -> None:
-    alone = metrics_of(simulated.store, [each for each in simulated.records if each["unit"] == "U1"])
-    of_unit = simulated.table.filter(pa.compute.equal(simulated.table["unit"], "U1"))
-    assert comparable(alone) == comparable(of_unit)
-
-
-def test_names_of_units_do_not_matter(simulated: Simulated) -> None:
-    names = {"U1": "Ünit'; drop table x; --", "U2": "光纤 2", "U3": 'A"3'}
-    renamed = metrics_of(simulated.store, [each | {"unit": names[each["unit"]]} for each in simulated.records])
+@pytest.mark.in_gate("all of it")
+@pytest.mark.parametrize(
+    ("is_shuffled", "is_renamed", "left"),
+    [(True, False, OWN), (False, True, OWN), (False, False, ("U1",)), (True, True, ("U1", "U3"))],
+    ids=["order", "names", "alone", "all of it"],
+)
+def test_neither_the_order_of_records_nor_names_nor_other_units_matter(
+    simulated: Simulated, is_shuffled: bool, is_renamed: bool, left: tuple[str, ...]
+) -> None:
+    names = {"U1": "Ünit'; drop table x; --", "U2": "光纤 2", "U3": 'A"3'} if is_renamed else {}
+    records = [each | {"unit": names.get(each["unit"], each["unit"])} for each in simulated.records]
+    records = [each for each, own in zip(records, simulated.records, strict=True) if own["unit"] in left]
+    if is_shuffled:
+        records = [records[i] for i in np.random.default_rng(1).permutation(len(records))]
     back = {new: old for old, new in names.items()}
-    rows = [row | {"unit": back[row["unit"]]} for row in renamed.to_pylist()]
-    assert comparable(pa.Table.from_pylist(rows, schema=COLUMNS)) == comparable(simulated.table)
+    rows = [
+        row | {"unit": back.get(row["unit"], row["unit"])} for row in metrics_of(simulated.store, records).to_pylist()
+    ]
+    expected = simulated.table.filter(pa.compute.is_in(simulated.table["unit"], pa.array(left)))
+    assert comparable(pa.Table.from_pylist(rows, schema=COLUMNS)) == comparable(expected)
 
 
-def scaled(records: Records, factor: float) -> Records:
-    """Records of an output that is so many times as large; powers of 2 are exact."""
-    linear = ("mean", "sd", "standard_uncertainty", "sd_1s", "sd_10s", "sd_100s")
-    square = ("white", "flicker", "walk")
+def paired(simulated: Simulated, name: str) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Rows of a unit, and of a changed output of it."""
 
-    def times(each: dict[str, Any], names: tuple[str, ...], by: float) -> dict[str, Any]:
-        return {name: None if each[name] is None else each[name] * by for name in names}
-
-    return [each | times(each, linear, factor) | times(each, square, factor**2) for each in records]
-
-
-def paired(simulated: Simulated, factor: float, records: Records) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Rows of a unit, and of an output that is so many times as large."""
-
-    def rows(records: Records) -> Rows:
-        found: Rows = metrics_of(simulated.store, records).to_pylist()
+    def rows(unit: str) -> Rows:
+        found = simulated.rows_of_other(unit)
         found = [row for row in found if row["value"] is not None and row["metric"] not in ON_A_GRID]
         return sorted(found, key=lambda row: [str(row[name]) for name in ("metric", "run", "standard", "steps")])
 
-    yield from zip(rows(records), rows(scaled(records, factor)), strict=True)
+    yield from zip(rows(f"{name}, plain"), rows(f"{name}, changed"), strict=True)
 
 
 def metrics_scaled(
@@ -266,48 +226,47 @@ def metrics_scaled(
     return seen
 
 
-def is_scale_factor(record: dict[str, Any]) -> bool:
-    return "scale_factor" in record["procedure"]
-
-
-def of_whole_unit(simulated: Simulated) -> Records:
-    """The unit that went through everything; the Earth's rate, which is not scaled, is not known."""
-    return [each | {"latitude_deg": None} for each in simulated.records if each["unit"] == "U1"]
-
-
 def test_an_output_twice_as_large_doubles_what_is_an_output_and_leaves_what_is_relative(simulated: Simulated) -> None:
     def factor_of(row: dict[str, Any]) -> float:
         is_output = row["unit_of_measure"].startswith(("deg/h", "deg/sqrt(h)"))
         return 2.0 if is_output or row["metric"] in DOUBLED else 1.0
 
-    without = [each for each in of_whole_unit(simulated) if not is_scale_factor(each)]
-    assert len(metrics_scaled(paired(simulated, 2.0, without), factor_of)) > 10
+    assert len(metrics_scaled(paired(simulated, "doubled"), factor_of)) > 10
 
 
 def test_a_scale_factor_that_was_measured_before_leaves_only_itself_to_be_scaled(simulated: Simulated) -> None:
-    times = ("t_start_ns", "t_from_ns", "t_to_ns")
-    later = [
-        each if is_scale_factor(each) else each | {name: each[name] + 100 * DAY_NS for name in times}
-        for each in of_whole_unit(simulated)
-    ]
-    found = metrics_scaled(paired(simulated, 1.25, later), lambda row: 1.25 if row["metric"] in SCALE_FACTORS else 1.0)
+    pairs = paired(simulated, "calibrated")
+    found = metrics_scaled(pairs, lambda row: 1.25 if row["metric"] in SCALE_FACTORS else 1.0)
     assert len(found) > 15
 
 
 def test_a_reversed_output_reverses_what_has_a_sign_and_nothing_else(simulated: Simulated) -> None:
     signed = {"bias", "polarity"}
-    whole = [each for each in of_whole_unit(simulated) if each["procedure"] in {"static_bias", "polarity"}]
 
-    def rows(records: Records) -> Rows:
-        found: Rows = metrics_of(simulated.store, records).to_pylist()
+    def rows(unit: str) -> Rows:
+        found = simulated.rows_of_other(unit)
         return sorted(
             found, key=lambda row: [str(row[name]) for name in ("metric", "run", "standard", "parameters", "steps")]
         )
 
     # what a parameter says of the rates differs by its sign: polarity has one row
-    plain, reverse = rows(whole), rows([each | {"mean": -each["mean"]} for each in whole])
+    plain, reverse = rows("reversed, plain"), rows("reversed, changed")
     assert len(plain) == len(reverse) > 50
     for before, after in zip(plain, reverse, strict=True):
         factor = -1.0 if before["metric"] in signed else 1.0
         if before["value"] is not None:
             assert after["value"] == pytest.approx(before["value"] * factor, rel=1e-9), before
+
+
+@pytest.mark.parametrize("name", INFLUENCED)
+def test_a_value_has_u_where_every_standard_is_stated(simulated: Simulated, name: str) -> None:
+    """Where the station states every quantity, each value has U, or says what is lacking."""
+    for row in simulated.rows_of_other(STATED):
+        if row["metric"] != name or row["value"] is None:
+            continue
+        assert NO_SENSITIVITY not in (row["uncertainty_reason"] or ""), row
+        assert (row["U"] is None) == (row["uncertainty_reason"] is not None), row
+        if row["U"] is not None:
+            combined = math.hypot(row["u_type_a"], row["u_type_b"])
+            assert math.isclose(row["U"], row["k"] * combined, rel_tol=1e-12)
+            assert row["k"] >= 2.0 - 1e-9

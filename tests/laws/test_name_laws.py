@@ -250,20 +250,26 @@ def test_tables_name_every_unit(ask: Run) -> None:
     assert [name for name in KEPT if name not in shown] == []
 
 
-def test_an_audit_is_text_in_spreadsheets(ask: Run, store: Path) -> None:
-    for name in ("=1+1", "-rf", "O'Brien\";--", "<svg-onload=alert(1)>"):
-        path = store.parent / "audit.csv"
-        ask("audit", "--unit", name, "--csv", path)
-        cells = [cell for row in csv.reader(path.read_text("utf-8-sig").splitlines()) for cell in row]
-        assert [cell for cell in cells if csv_text(cell) != cell] == []
+@pytest.mark.in_gate("=1+1")
+@pytest.mark.parametrize("name", ["=1+1", "-rf", "O'Brien\";--", "<svg-onload=alert(1)>"])
+def test_an_audit_is_text_in_spreadsheets(ask: Run, store: Path, name: str) -> None:
+    path = store.parent / "audit.csv"
+    ask("audit", "--unit", name, "--csv", path)
+    cells = [cell for row in csv.reader(path.read_text("utf-8-sig").splitlines()) for cell in row]
+    assert [cell for cell in cells if csv_text(cell) != cell] == []
 
 
-def test_a_picture_of_any_name_is_where_it_was_asked_for(ask: Run, store: Path) -> None:
-    for name in ("a..%2f..%2fetc", "<svg-onload=alert(1)>", "--help", "{0.__class__}"):
-        before = set(store.parent.iterdir())
-        ask("allan", f"--unit={name}", f"--run={name}", "--signal", "rate", "--plot", store.parent / "plot.svg")
-        assert set(store.parent.iterdir()) - before <= {store.parent / "plot.svg"}
-        assert "<svg-onload" not in (store.parent / "plot.svg").read_text()
+@pytest.mark.in_gate("path", "markup")
+@pytest.mark.parametrize(
+    "name",
+    ["a..%2f..%2fetc", "<svg-onload=alert(1)>", "--help", "{0.__class__}"],
+    ids=["path", "markup", "option", "template"],
+)
+def test_a_picture_of_any_name_is_where_it_was_asked_for(ask: Run, store: Path, name: str) -> None:
+    before = set(store.parent.iterdir())
+    ask("allan", f"--unit={name}", f"--run={name}", "--signal", "rate", "--plot", store.parent / "plot.svg")
+    assert set(store.parent.iterdir()) - before <= {store.parent / "plot.svg"}
+    assert "<svg-onload" not in (store.parent / "plot.svg").read_text()
 
 
 def test_iceberg_has_no_name_in_a_path(ask: Run, store: Path) -> None:
@@ -286,12 +292,15 @@ def pages(store: Path, command_server: CommandServer) -> Iterator[httpx.Client]:
 
 
 PAGES = ("/units", "/runs", "/units/{}", "/runs/{}", "/signals/{}/{}/rate", "/events?run={}", "/diagnosis/{}")
-MARKUP = ("<svg-onload=alert(1)>", "&lt;b&gt;", '"};alert(1)', "{{7-7}}", "{%x%}", "=1+1", 'a"b')
+# a path, an option, a quote with a query, a template, a parameter, and what Unicode may compose
+ODDEST = ("a..%2f..%2fetc", "--help", "O'Brien\";--", "{0.__class__}", "&lt;b&gt;", "a\u0301")
+MARKUP = ("<svg-onload=alert(1)>", '"};alert(1)', "&lt;b&gt;", "{{7-7}}", "{%x%}", "=1+1", 'a"b')
 
 
+@pytest.mark.parametrize("names", [MARKUP[:2], pytest.param(MARKUP[2:], marks=pytest.mark.long)], ids=["two", "others"])
 @pytest.mark.parametrize("path", PAGES)
-def test_a_page_shows_names_as_text(pages: httpx.Client, path: str) -> None:
-    for name in MARKUP if "{}" in path else MARKUP[:1]:
+def test_a_page_shows_names_as_text(pages: httpx.Client, path: str, names: tuple[str, ...]) -> None:
+    for name in names if "{}" in path else names[:1]:
         answer = pages.get(path.format(*[quote(name, safe="")] * 2), headers={"Accept": "text/html"})
         assert answer.status_code == 200, (path, name, answer.text[-300:])
         assert "<svg-onload" not in answer.text
@@ -299,8 +308,9 @@ def test_a_page_shows_names_as_text(pages: httpx.Client, path: str) -> None:
         assert answer.headers["content-security-policy"]
 
 
-def test_the_api_gives_every_name_as_it_is(pages: httpx.Client) -> None:
-    for name in KEPT:
+@pytest.mark.parametrize("names", [ODDEST, pytest.param(KEPT, marks=pytest.mark.long)], ids=["oddest", "every"])
+def test_the_api_gives_every_name_as_it_is(pages: httpx.Client, names: tuple[str, ...]) -> None:
+    for name in names:
         quoted = quote(name, safe="")
         found = pages.get(f"/api/units/{quoted}")
         assert (found.status_code, found.headers["content-type"]) == (200, "application/json")

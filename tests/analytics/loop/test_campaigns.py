@@ -23,7 +23,7 @@ def test_nothing_is_invented(misspecified: str) -> None:
     assert line["found"] == []
 
 
-@pytest.mark.in_gate("stale_input_rate")
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["gravity_product_is", "thermal_lag", "scale_factor_warm_up", "table_angle_harmonic_2", "stale_input_rate"]
 )
@@ -39,6 +39,7 @@ def test_a_threshold_is_found_though_nothing_else_is_left() -> None:
     assert line["outcome"] in RIGHT, line
 
 
+@pytest.mark.long
 def test_two_effects_are_told_apart() -> None:
     line = traced(Case("two", "vibration_squared + scale_factor_cubic", 14.0, 3000))
     assert line["outcome"] in RIGHT, line

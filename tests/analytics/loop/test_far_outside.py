@@ -93,6 +93,7 @@ def test_what_lasts_longer_than_a_second_stays(tested: TestedUnits) -> None:
     np.testing.assert_array_equal(reduction.runs[0].n, 300)
 
 
+@pytest.mark.in_gate("degF-1.8-32.0--999.0")
 @pytest.mark.parametrize(
     ("unit_of_measure", "scale", "zero", "fill"), [("degC", 1.0, 0.0, -999.0), ("degF", 1.8, 32.0, -999.0)]
 )

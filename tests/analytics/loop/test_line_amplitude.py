@@ -11,7 +11,7 @@ AMPLITUDE_DEG_PER_H, FREQUENCY_HZ = 14.4, 0.013  # blocks of 30 s leave sin(pi f
 
 
 @pytest.mark.parametrize("block", ["30s", "10s"])
-@pytest.mark.in_gate("10s")
+@pytest.mark.in_gate("30s")
 def test_the_amplitude_does_not_depend_on_the_blocks(
     run_command: Callable[..., Any], tmp_path: Path, block: str
 ) -> None:

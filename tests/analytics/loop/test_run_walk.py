@@ -28,6 +28,7 @@ def test_a_bias_that_walks_from_run_to_run_is_not_called_ageing(seed: int) -> No
     assert line["verdict"] not in ("effect_found", "confounded"), line
 
 
+@pytest.mark.long
 def test_ageing_is_named() -> None:
     line = traced(Case("planted", "ageing", 10.0, 2000))
     assert line["outcome"] in RIGHT, line

@@ -41,6 +41,7 @@ def runs_of(seed: int, error: str) -> list[RunBlocks]:
     return found
 
 
+@pytest.mark.in_gate("0")
 @pytest.mark.parametrize("seed", range(4))
 def test_two_independent_effects_of_the_same_strength_are_no_rivals(seed: int) -> None:
     """Each has about the evidence of the other; none explains what the other does."""
@@ -52,6 +53,7 @@ def test_two_independent_effects_of_the_same_strength_are_no_rivals(seed: int) -
         assert abs(size.value - truth[each.name]) < 4 * (size.hi - size.lo) / (2 * 1.96)
 
 
+@pytest.mark.in_gate("third degree")
 @pytest.mark.parametrize(
     ("error", "truth"),
     [
@@ -59,6 +61,7 @@ def test_two_independent_effects_of_the_same_strength_are_no_rivals(seed: int) -
         ("0.02*T + 3e-4*T**2 + 6e-6*T**3",
          {"temperature": 0.02, "temperature_squared": 3e-4, "temperature_cubed": 6e-6}),
     ],
+    ids=["second degree", "third degree"],
 )  # fmt: skip
 def test_a_polynomial_of_temperature_is_named_by_its_terms(error: str, truth: dict[str, float]) -> None:
     found = diagnose(runs_of(7, error), ErrorModel.parse("rate = bias"))

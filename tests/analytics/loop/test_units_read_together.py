@@ -53,20 +53,29 @@ def singly(catalog: Catalog, units: Sequence[str], **options: Any) -> Iterator[R
             yield error
 
 
-@pytest.mark.parametrize("options", [{}, {"runs": ["r1"]}, {"block_s": 0.8}, {"until_ns": START_NS + 1800 * SECOND_NS}])
-@pytest.mark.in_gate("options0")
-def test_units_read_together_are_those_read_singly(tested: TestedUnits, options: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("units", "options"),
+    [
+        (("FAST", "SLOW", "ODD", "NONE"), {}), (UNITS, {}), (UNITS, {"runs": ["r1"]}), (UNITS, {"block_s": 0.8}),
+        (UNITS, {"until_ns": START_NS + 1800 * SECOND_NS}),
+    ],
+    ids=["few", "all", "of a run", "other blocks", "until"],
+)  # fmt: skip
+@pytest.mark.in_gate("few")
+def test_units_read_together_are_those_read_singly(
+    tested: TestedUnits, units: tuple[str, ...], options: dict[str, Any]
+) -> None:
     fleet(tested)
     with tested.catalog() as catalog:
-        alone = list(singly(catalog, UNITS, **options))
-        together = list(BlockReducer(catalog, "rate", **options).reduce_each(UNITS))
+        alone = list(singly(catalog, units, **options))
+        together = list(BlockReducer(catalog, "rate", **options).reduce_each(units))
     assert [outcome(each) for each in together] == [outcome(each) for each in alone]
-    by_unit = dict(zip(UNITS, alone, strict=True))
+    by_unit = dict(zip(units, alone, strict=True))
     assert isinstance(by_unit["NONE"], NotFound)
     assert isinstance(by_unit["FAST"], Reduction)
     if not options:
         assert isinstance(by_unit["ODD"], BadInput)
-        assert sum(isinstance(each, Reduction) for each in alone) == 5
+        assert sum(isinstance(each, Reduction) for each in alone) == len(units) - 2
         assert isinstance(by_unit["SLOW"], Reduction)
         assert set(by_unit["SLOW"].runs[0].channels) >= {"supply_voltage", "table_rate"}
 
@@ -98,7 +107,11 @@ def test_few_statements_read_many_units_and_large_units_are_read_by_themselves(
     assert each >= 2 * together - 1  # the single readings of the station are read once in any case
 
 
-def test_one_that_cannot_be_read_leaves_the_others(tested: TestedUnits, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.in_gate("two")
+@pytest.mark.parametrize("units", [("FAST", "WILD"), UNITS], ids=["two", "all"])
+def test_one_that_cannot_be_read_leaves_the_others(
+    tested: TestedUnits, monkeypatch: pytest.MonkeyPatch, units: tuple[str, ...]
+) -> None:
     """Whatever of a unit breaks the common statement, each is then read by itself."""
     fleet(tested)
 
@@ -109,6 +122,7 @@ def test_one_that_cannot_be_read_leaves_the_others(tested: TestedUnits, monkeypa
 
     monkeypatch.setattr(block_reducer, "block_means", broken)
     with tested.catalog() as catalog:
-        found = dict(zip(UNITS, BlockReducer(catalog, "rate").reduce_each(UNITS), strict=True))
+        found = dict(zip(units, BlockReducer(catalog, "rate").reduce_each(units), strict=True))
     assert "WILD" in str(found["WILD"])
-    assert [unit for unit, each in found.items() if isinstance(each, Reduction)] == ["FAST", "SLOW", "LATE", "LAST"]
+    read = [unit for unit, each in found.items() if isinstance(each, Reduction)]
+    assert read == [unit for unit in ("FAST", "SLOW", "LATE", "LAST") if unit in units]

@@ -53,6 +53,7 @@ def test_static_records_are_those_of_the_samples(tested: Any) -> None:
     assert len(averaged) == 8
 
 
+@pytest.mark.in_gate("count-LSB")
 @pytest.mark.parametrize(("nominal", "output"), [("count", "LSB"), ("LSB", "count"), ("LSB", "LSB")])
 def test_a_nominal_scale_factor_in_counts_holds_for_both_names_of_the_unit(
     tested: Any, nominal: str, output: str

@@ -49,7 +49,7 @@ LEAST, MOST = 0.885, 1.0
         (0.0, 1.0, 1.0, 0.1, 1.6), (2.0, 1.0, 60.0, 1.0, 2.6),
     ],
 )  # fmt: skip
-@pytest.mark.in_gate("0.0-1.0-0.3-0.1-1.6", "0.0-2.0-20.0-1.0-1.7", "0.0-2.0-5.0-1.0-1.6")
+@pytest.mark.in_gate("0.0-2.0-20.0-1.0-1.7")
 def test_the_interval_of_a_mean_holds_it_and_is_no_wider_than_needed(
     white: float, deviation: float, time_s: float, interval_s: float, widest: float
 ) -> None:
@@ -64,7 +64,7 @@ def test_the_interval_of_a_mean_holds_it_and_is_no_wider_than_needed(
 @pytest.mark.parametrize(
     ("white", "deviation", "time_s"), [(1.0, 0.0, 1.0), (0.0, 2.0, 5.0), (2.0, 1.0, 20.0), (2.0, 1.0, 60.0)]
 )
-@pytest.mark.in_gate("0.0-2.0-5.0", "1.0-0.0-1.0")
+@pytest.mark.in_gate("0.0-2.0-5.0")
 def test_the_bounds_of_a_deviation_hold_that_of_such_records(white: float, deviation: float, time_s: float) -> None:
     found = records(2, white, deviation, time_s, 1.0)
     for sd, freedom in (

@@ -32,22 +32,27 @@ def write_counts(folder: Path, interval_s: float) -> None:
             writer.writerow([f"{at * interval_s:.1f}", counts])
 
 
-@pytest.mark.parametrize(("interval_s", "is_remarked"), [(1.0, False), (2.0, True)])
+@pytest.mark.in_gate("both")
+@pytest.mark.parametrize("intervals_s", [(1.0,), (2.0,), (1.0, 2.0)], ids=["same", "other", "both"])
 def test_a_scale_factor_of_another_interval_is_remarked_on(
-    run_command: Callable[..., Any], tmp_path: Path, interval_s: float, is_remarked: bool
+    run_command: Callable[..., Any], tmp_path: Path, intervals_s: tuple[float, ...]
 ) -> None:
-    write_counts(tmp_path, interval_s)
-    at = ("--unit", "C-1", "--latitude", "39.9", "--store", "s")
-    for words in (
-        ("scale.csv", *at, "--start", "2026-03-02T09:00:00+08:00"),
-        ("bias.csv", *at, "--start", "2026-03-02T13:00:00+08:00", "--procedure", "static_bias", "--position", "IRA_up"),
-    ):
-        done = run_command("import", *words, cwd=tmp_path)
-        assert done.code == 0, done.err
+    """Of a unit whose record at rest has samples of another interval, and of no other."""
+    for interval_s in intervals_s:
+        unit = f"C-{interval_s:.0f}"
+        write_counts(tmp_path, interval_s)
+        at = ("--unit", unit, "--latitude", "39.9", "--store", "s")
+        rest = ("--procedure", "static_bias", "--position", "IRA_up")
+        for name, *words in (
+            ("scale", "--start", "2026-03-02T09:00:00+08:00"),
+            ("bias", "--start", "2026-03-02T13:00:00+08:00", *rest),
+        ):
+            done = run_command("import", f"{name}.csv", *at, "--run", f"{name}-{unit}", *words, cwd=tmp_path)
+            assert done.code == 0, done.err
     rows = run_command("metrics", "--metric", "bias", "--store", "s", "--json", cwd=tmp_path).json
     rows = [row for row in rows if row["value"] is not None]
-    assert rows
+    assert {row["unit"] for row in rows} == {f"C-{interval_s:.0f}" for interval_s in intervals_s}
     for row in rows:
         remark = row["parameters"]["remark"] or ""
-        assert ("measured with samples of 1 s, these are of 2 s" in remark) is is_remarked, row
-        assert row["parameters"]["scale_factor"] == "measured in run scale"
+        assert ("measured with samples of 1 s, these are of 2 s" in remark) is (row["unit"] == "C-2"), row
+        assert row["parameters"]["scale_factor"] == f"measured in run scale-{row['unit']}"

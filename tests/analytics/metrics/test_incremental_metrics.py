@@ -8,9 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.evaluation import evaluation
+from analytics.evaluation import evaluation, kept_metrics
 from analytics.evaluation.kept_check import kept_findings
 from analytics.evaluation.selection import Selection, selected
+from analytics.metric_registry.registry import metrics
 from analytics.step_records import step_table
 from analytics.step_records.reduction import reduce_runs
 from analytics.step_records.step_table import write_kept
@@ -121,23 +122,47 @@ def from_scratch(tested: Any) -> pa.Table:
     return table_of(tested)
 
 
-@pytest.mark.parametrize("each", [6, pytest.param(1, marks=pytest.mark.long)])
-def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(tested: Any, work: Work, each: int) -> None:
-    """Compared at the end; in the long form after each growth."""
-    expected = [
-        (["U1", "U2"], ["r1"]),
-        (["U1"], ["r2"]),
-        (["U2", "U3"], ["r3"]),
-        (["U1"], ["r4"]),
-        (["U2"], []),
-        (["U3"], ["r1b"]),
-    ]
-    for number, (grow, changed) in enumerate(zip(Bench(tested).grown(), expected, strict=True), start=1):
-        grow()
+# which growths come before a question, the units that it evaluates and the runs that it reduces
+Growths = tuple[tuple[tuple[int, ...], list[str], list[str]], ...]
+# of records of one step and of several runs, and of what was entered by hand
+FEW = (
+    "bias", "bias_repeatability", "bias_temperature_sensitivity", "scale_factor", "visual_check",
+)  # fmt: skip
+ONE_BY_ONE: Growths = (
+    ((0,), ["U1", "U2"], ["r1"]),
+    ((1,), ["U1"], ["r2"]),
+    ((2,), ["U2", "U3"], ["r3"]),
+    ((3,), ["U1"], ["r4"]),
+    ((4,), ["U2"], []),
+    ((5,), ["U3"], ["r1b"]),
+)
+TOGETHER: Growths = (
+    ((0, 1, 3), ["U1", "U2"], ["r1", "r2", "r4"]),
+    ((4,), ["U2"], []),
+    ((2, 5), ["U2", "U3"], ["r1b", "r3"]),
+)
+
+
+@pytest.mark.in_gate("few")
+@pytest.mark.parametrize(
+    ("names", "growths", "each"),
+    [(FEW, TOGETHER, 3), (tuple(metrics()), ONE_BY_ONE, 6), (tuple(metrics()), ONE_BY_ONE, 1)],
+    ids=["few", "6", "1"],
+)
+def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(
+    tested: Any, work: Work, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], growths: Growths, each: int
+) -> None:
+    """Compared at the end, or after each growth; in the short form few metrics, and growths together."""
+    monkeypatch.setattr(kept_metrics, "metrics", lambda: {name: metrics()[name] for name in names})
+    grown = Bench(tested).grown()
+    for number, (places, *changed) in enumerate(growths, start=1):
+        for place in places:
+            grown[place]()
         found = table_of(tested)
-        assert work.done() == changed
+        assert work.done() == tuple(changed)
         if number % each:
             continue
+        assert set(found["metric"].to_pylist()) <= set(names)
         kept = {path.name: path.read_bytes() for path in (tested.store.folder / "metrics").iterdir()}
         assert found.equals(from_scratch(tested))
         work.done()

@@ -77,7 +77,7 @@ def test_a_supply_of_two_units_is_one_also_where_one_of_them_changed(filled: Any
     assert of_power().equals(before)
 
 
-@pytest.mark.in_gate("bias", "bias_repeatability", "scale_factor", "power")
+@pytest.mark.in_gate("power")
 @pytest.mark.parametrize("metric", sorted(metrics()))
 def test_a_metric_alone_is_the_one_among_all(whole: tuple[Store, pa.Table], tmp_path: Path, metric: str) -> None:
     store, every = whole
@@ -87,7 +87,7 @@ def test_a_metric_alone_is_the_one_among_all(whole: tuple[Store, pa.Table], tmp_
         assert catalog.table("from unit_metrics").equals(expected)
 
 
-def test_rows_are_sorted_by_all_keys_also_where_the_first_ones_are_equal(filled: Any) -> None:
+def test_rows_are_sorted_by_all_keys_also_where_the_first_ones_are_equal(tmp_path: Path) -> None:
     rng = np.random.default_rng(21)
     n = 3000
 
@@ -103,7 +103,7 @@ def test_rows_are_sorted_by_all_keys_also_where_the_first_ones_are_equal(filled:
         "value": rng.normal(size=n),
     }  # fmt: skip
     rows = pa.table({field.name: pa.array(columns.get(field.name, [None] * n), field.type) for field in COLUMNS})
-    with filled.catalog() as catalog, catalog.suspended_layers():
+    with Catalog(Store.create(tmp_path / "store")) as catalog, catalog.suspended_layers():
         found = in_order(catalog, rows)
         statement = "select * from given_rows order by {}, value"
         keys = (

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stream.batch import FloatArray
 from stream.estimators.noise.normalised_random_walk import NormalisedRandomWalk, angle_random_walk_normalised
 from stream.events import NoiseFitted
 from tests.analytics.conftest import START_NS
@@ -18,7 +19,8 @@ def coefficient(value: float, *, observable: bool = True) -> dict[str, Any]:
             "reason": reason}  # fmt: skip
 
 
-def test_noise_coefficients(tested: Any) -> None:
+def fill(tested: Any) -> FloatArray:
+    """Two units, of one of which a fit is stored; the fast samples of that one."""
     rng = np.random.default_rng(15)
     white = rng.normal(0, 6.0, HOUR)
     fast = rng.normal(0, 6.0, 12_000)
@@ -32,7 +34,11 @@ def test_noise_coefficients(tested: Any) -> None:
     tested.run("r2", procedure="random_walk")
     tested.step("r2", "U1", fast, t0_ns=START_NS, dt_ns=5_000_000, procedure="random_walk")
     tested.step("r2", "U2", fast[::2], t0_ns=START_NS, dt_ns=10_000_000, procedure="random_walk")
+    return fast
 
+
+def test_noise_coefficients(tested: Any) -> None:
+    fast = fill(tested)
     walks = tested.metric("angle_random_walk")
     fitted = one(walks, unit="U1", method="allan")
     assert [fitted[name] for name in ("value", "lo", "hi", "record")] == [2.0, 1.8, 2.2, "run"]
@@ -51,9 +57,14 @@ def test_noise_coefficients(tested: Any) -> None:
     assert short["hi"] == exact(alone.coefficient.hi)
     assert "less than 0.01 s" in one(walks, unit="U2", method="normalised")["reason"]
 
-    assert one(tested.metric("bias_instability"), unit="U1")["value"] == 3.0
     ramp = tested.metric("rate_ramp")
     assert one(ramp, unit="U1")["reason"] == "not observable in this record: at most 9 deg/h"
     assert "no noise fit is stored" in one(ramp, unit="U2")["reason"]
+
+
+@pytest.mark.long
+def test_each_coefficient_of_a_stored_fit_is_a_metric(tested: Any) -> None:
+    fill(tested)
+    assert one(tested.metric("bias_instability"), unit="U1")["value"] == 3.0
     assert one(tested.metric("quantization_noise"), unit="U1")["lo"] == 0.9
     assert one(tested.metric("rate_random_walk"), unit="U1")["value"] is None

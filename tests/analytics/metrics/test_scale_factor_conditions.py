@@ -13,13 +13,18 @@ from tests.analytics.metrics.rate_table import BOTH, RATES, Table, by_standard, 
 METRICS = ("scale_factor", "scale_factor_nonlinearity", "scale_factor_asymmetry")
 
 
-def test_measured_rates_in_the_column_of_commands_are_symmetric(tested: Any, table: Callable[..., Table]) -> None:
+@pytest.mark.parametrize("metrics", [METRICS[:1], pytest.param(METRICS[1:], marks=pytest.mark.long)])
+def test_measured_rates_in_the_column_of_commands_are_symmetric(
+    tested: Any, table: Callable[..., Table], metrics: tuple[str, ...]
+) -> None:
     jitter = 1 + 2e-4 * np.random.default_rng(3).uniform(-1, 1, len(BOTH))
     rate, mean = table(gyro=cubic, unit="V").rates((np.array(BOTH) * jitter).tolist(), procedure="scale_factor")
-    for metric in METRICS:
-        assert {row["standard"]: row["reason"] for row in tested.metric(metric)} == {"GJB2426A": None, "JJF2014": None}
-    found = by_standard(tested.metric("scale_factor"))["GJB2426A"]
-    assert found["value"] == pytest.approx(np.polyfit(rate[1:-1], mean[1:-1], 1)[0], rel=1e-9)
+    for metric in metrics:
+        found = by_standard(tested.metric(metric))
+        assert {standard: row["reason"] for standard, row in found.items()} == {"GJB2426A": None, "JJF2014": None}
+        if metric == "scale_factor":
+            line = np.polyfit(rate[1:-1], mean[1:-1], 1)
+            assert found["GJB2426A"]["value"] == pytest.approx(line[0], rel=1e-9)
 
 
 def test_a_rate_measured_twice_with_jitter_is_one_rate(tested: Any, table: Callable[..., Table]) -> None:
@@ -29,23 +34,35 @@ def test_a_rate_measured_twice_with_jitter_is_one_rate(tested: Any, table: Calla
     assert reason.startswith("6 rates measured forwards and 6 backwards, 11 in each direction are asked for")
 
 
-@pytest.mark.parametrize(("moved_degc", "is_named"), [(0.5, False), (12.0, True)])
-def test_a_temperature_that_moves_with_the_rates_is_named(tested: Any, moved_degc: float, is_named: bool) -> None:
+@pytest.mark.in_gate("both")
+@pytest.mark.parametrize(
+    ("moved_degc", "metrics"),
+    [((0.5,), METRICS), ((12.0,), METRICS), ((0.5, 12.0), METRICS[2:])],
+    ids=["little", "much", "both"],
+)
+def test_a_temperature_that_moves_with_the_rates_is_named(
+    tested: Any, moved_degc: tuple[float, ...], metrics: tuple[str, ...]
+) -> None:
     """From the largest negative rate to the largest positive one: the line takes the change of the zero into K."""
-    rng = np.random.default_rng(1)
     rates = [0.0, *sorted(BOTH), 0.0]
-    t_ns = START_NS
-    for number, rate in enumerate(rates):
-        degc = 20 + moved_degc * number / (len(rates) - 1)
-        values = rate + 0.01 * (degc - 20) + 1e-3 * rng.standard_normal(100)
-        signals = {"rate": (values, "deg/s"), "temperature": (np.full(10, degc), "degC")}
-        words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
-        t_ns = tested.step("r1", "U1", signals, t0_ns=t_ns, **words)
-    for metric in METRICS:
-        for row in tested.metric(metric):
+    for moved in moved_degc:
+        rng = np.random.default_rng(1)
+        t_ns = START_NS
+        for number, rate in enumerate(rates):
+            degc = 20 + moved * number / (len(rates) - 1)
+            values = rate + 0.01 * (degc - 20) + 1e-3 * rng.standard_normal(100)
+            signals = {"rate": (values, "deg/s"), "temperature": (np.full(10, degc), "degC")}
+            words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
+            t_ns = tested.step("r1", f"U{moved}", signals, t0_ns=t_ns, **words)
+    for metric in metrics:
+        found = tested.metric(metric)
+        assert {row["unit"] for row in found} == {f"U{moved}" for moved in moved_degc}
+        for row in found:
+            is_named = row["unit"] == "U12.0"
             assert (row["remark"] or "").startswith("the temperature moved by 1") is is_named, row["remark"]
 
 
+@pytest.mark.long
 def test_from_a_file_to_the_answer(tmp_path: Path, run_command: Callable[..., Any]) -> None:
     """A table that reports its rate to 0.01 %, in a chamber that warms by 8 degC."""
     rng = np.random.default_rng(2)
