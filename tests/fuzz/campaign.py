@@ -152,7 +152,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="Time for each format.")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--guided", action="store_true", help="Coverage chooses what is mutated further.")
-    parser.add_argument("--gate", action="store_true", help="As the gate does it: few inputs of each format.")
+    parser.add_argument(
+        "--gate", type=int, const=1, nargs="?", metavar="N", help="Few inputs of each format, or an Nth of these."
+    )
     parser.add_argument("--keep", type=Path, help="Folder for inputs that show something.")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -162,7 +164,7 @@ def main() -> None:
     results = []
     for name in arguments.names or known:
         form = known[name]
-        most = form.gate_inputs if arguments.gate else None
+        most = None if arguments.gate is None else -(-form.gate_inputs // arguments.gate)
         if arguments.guided:
             result = tried_guided(name, arguments)
         else:
