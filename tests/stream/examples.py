@@ -15,8 +15,8 @@ def examples(
     def decorate(body: Callable[..., None]) -> Callable[[int], None]:
         @pytest.mark.parametrize("examples", [gate, pytest.param(full, marks=pytest.mark.long)])
         def test(examples: int) -> None:
-            tried: Callable[[], None] = given(*strategies, **named)(body)
-            settings(max_examples=examples, deadline=None, derandomize=derandomize)(tried)()
+            over: Any = given
+            settings(max_examples=examples, deadline=None, derandomize=derandomize)(over(*strategies, **named)(body))()
 
         for name in ("__module__", "__name__", "__qualname__", "__doc__"):
             setattr(test, name, getattr(body, name))

@@ -62,11 +62,13 @@ def test_what_was_verified_is_compared_and_what_came_since_is_read(store: Store,
     assert both(store, newer)[0].compared == whole.segments
 
 
-@pytest.mark.parametrize("bytes_each", [1, pytest.param(3, marks=pytest.mark.long)])
-def test_any_changed_byte_of_an_attested_segment_is_found(store: Store, key: SigningKey, bytes_each: int) -> None:
+@pytest.mark.parametrize(("segments", "bytes_each"), [(2, 1), pytest.param(ATTESTED, 3, marks=pytest.mark.long)])
+def test_any_changed_byte_of_an_attested_segment_is_found(
+    store: Store, key: SigningKey, segments: int, bytes_each: int
+) -> None:
     path = verified_and_attested(store, key).path
     rng = np.random.default_rng(7)
-    for segment in sorted(store.log.glob("*.mcap")) * bytes_each:
+    for segment in sorted(store.log.glob("*.mcap"))[:segments] * bytes_each:
         content = segment.read_bytes()
         changed = bytearray(content)
         changed[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
@@ -103,6 +105,7 @@ def losses(found: Verification) -> list[str]:
     return [each.kind for each in found.findings if each.severity == "loss"]
 
 
+@pytest.mark.long
 def test_numbers_are_followed_over_the_attestation(store: Store, key: SigningKey) -> None:
     path = verified_and_attested(store, key).path
     fill(store, MORE[:1])
@@ -111,6 +114,7 @@ def test_numbers_are_followed_over_the_attestation(store: Store, key: SigningKey
     assert losses(both(store, path)[0]) == ["numbers_missing"]
 
 
+@pytest.mark.long
 def test_a_missing_segment_is_found(store: Store, key: SigningKey) -> None:
     path = verified_and_attested(store, key).path
     min(store.log.glob("*.mcap")).unlink()
@@ -169,7 +173,8 @@ def test_attestations_that_prove_no_verification_are_refused(store: Store, key: 
     assert newest_verified_state(store, "0" * 16) is None
 
 
-def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("named", [("last",), pytest.param(("kept.json", "last"), marks=pytest.mark.long)])
+def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any], named: tuple[str, ...]) -> None:
     words = ("--store", "S", "--key", "mine.pem")
     checked = ("verify", "--store", "S", "--since")
     assert "`gyrofleet attest --verify --store S` makes one" in gyrofleet(*checked, "last").err
@@ -178,7 +183,7 @@ def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]) -
     fill(store, MORE)
     mend(store)
     segments = len(list(store.log.glob("*.mcap")))
-    for since in ("kept.json", "last"):
+    for since in named:
         found = gyrofleet(*checked, since, "--json")
         assert (found.code, found.json["compared"], found.json["segments"]) == (0, ATTESTED, segments), found.err
     shown = gyrofleet(*checked, "last", "--signed-by", signed.json["signed_by"]).out
