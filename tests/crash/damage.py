@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -43,13 +44,13 @@ BATCHES = 25
 UNITS = 3
 
 
-def make(folder: Path) -> None:
+def make(folder: Path, segments: int = SEGMENTS) -> None:
     """A store with some segments of some chunks each, their lake, and two checkpoints."""
     store = Store.create(folder)
     bus = LocalBus()
     rng = np.random.default_rng(1)
     seq = 0
-    for segment in range(SEGMENTS):
+    for segment in range(segments):
         with (
             Recorder(store, bus_ := LocalBus(), EventLog(store), sync_interval_s=0.001, builds_lake=False),
             DurablePublisher(bus_) as publisher,
@@ -158,22 +159,17 @@ def judge(store: Store, kind: str, path: Path, all_samples: int, least: int) -> 
     return None
 
 
-def main() -> None:
-    """Run the trials and say what came of them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true")
-    arguments = parser.parse_args()
-    rng = random.Random(arguments.seed)
+def trials(count: int, seed: int, segments: int = SEGMENTS) -> dict[str, Any]:
+    """Damage so often a store of so many segments; what came of it."""
+    rng = random.Random(seed)
     wrong: list[str] = []
     done: Counter[str] = Counter()
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as temporary:
         whole = Path(temporary) / "whole"
-        make(whole)
+        make(whole, segments)
         all_samples = samples_in(Store.open(whole))[0]
-        for number in range(arguments.count):
+        for number in range(count):
             folder = Path(temporary) / "store"
             shutil.rmtree(folder, ignore_errors=True)
             shutil.copytree(whole, folder)
@@ -191,9 +187,19 @@ def main() -> None:
             if failure is not None:
                 wrong.append(f"trial {number}, {kind}, {path.relative_to(folder)}, {reported}: {failure}")
                 print(wrong[-1], file=sys.stderr)
-    seconds = round(time.monotonic() - began)
-    result = {"trials": arguments.count, "by_kind": done, "wrong": wrong, "seconds": seconds}
-    text = f"{arguments.count} damages {dict(done)} in {seconds} s: {len(wrong)} treated wrongly"
+    return {"trials": count, "by_kind": done, "wrong": wrong, "seconds": round(time.monotonic() - began)}
+
+
+def main() -> None:
+    """Run the trials and say what came of them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    result = trials(arguments.count, arguments.seed)
+    wrong = result["wrong"]
+    text = f"{arguments.count} damages {dict(result['by_kind'])} in {result['seconds']} s: {len(wrong)} treated wrongly"
     print(json.dumps(result) if arguments.json else text)
     sys.exit(1 if wrong else 0)
 

@@ -87,8 +87,10 @@ class Plant:
 class Trial:
     """A plant, a fleet store, and what was found wrong in it."""
 
-    def __init__(self, folder: Path, start: Start, seed: int) -> None:
+    def __init__(self, folder: Path, start: Start, seed: int, *, is_quick: bool) -> None:
         self.plant, self._start = Plant(folder, start, seed), start
+        # how long a pass takes, s, and until when the fault strikes: well before
+        self._lasts_s, self._strikes_s = ((0.8, 1.5), 0.4) if is_quick else ((1.5, 3.0), 1.2)
         self.fleet = FleetStore.create(folder / "fleet")
         self.rng = random.Random(seed)
         self.wrong: list[str] = []
@@ -104,13 +106,13 @@ class Trial:
         line = f"tcp/127.0.0.1:{relay.port}"
         if fault == "twice":
             self.plant.serve("second server")
-        # a second's worth passes at once: what is missing takes 1.5 to 3 s more, and the fault strikes meanwhile
-        slow = ("--no-lake", "--bandwidth", str(self._missing_bytes() / self.rng.uniform(2.5, 4.0)))
+        # a second's worth passes at once: what is missing takes longer, and the fault strikes meanwhile
+        slow = ("--no-lake", "--bandwidth", str(self._missing_bytes() / (1.0 + self.rng.uniform(*self._lasts_s))))
         passes = [self.receive(self.plant.misordered if fault == "misordered" else line, *slow)]
         if fault == "twice":
             passes.append(self.receive(line, *slow))
         self._wait_for_bytes(passes[0])
-        time.sleep(self.rng.uniform(0.0, 1.2))
+        time.sleep(self.rng.uniform(0.0, self._strikes_s))
         if fault == "kill_receiver":
             self.counts["struck"] += passes[0].poll() is None
             passes[0].send_signal(signal.SIGKILL)
@@ -193,9 +195,9 @@ def _lines(path: Path) -> list[bytes]:
     return path.read_bytes().splitlines() if path.exists() else []
 
 
-def trial(folder: Path, faults: int, seed: int, start: Start) -> dict[str, Any]:
+def trial(folder: Path, faults: int, seed: int, start: Start, *, is_quick: bool = False) -> dict[str, Any]:
     """So many faults, all kinds equally often, in random order."""
-    found = Trial(folder, start, seed)
+    found = Trial(folder, start, seed, is_quick=is_quick)
     kinds = [kind for _ in range(-(-faults // len(FAULTS))) for kind in found.rng.sample(FAULTS, len(FAULTS))]
     found.plant.record(3)
     with ExitStack() as stack:

@@ -7,11 +7,23 @@ from pathlib import Path
 
 import pytest
 
+from tests.crash.damage import trials
 
-@pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.long)])
-def test_damage_at_any_place_is_found_and_mended(count: int) -> None:
+SEED = 20261121
+
+
+def test_damage_at_any_place_is_found_and_mended() -> None:
+    """Once in each kind of file, in a store of two segments and in this process."""
+    result = trials(6, SEED, segments=2)
+    assert (result["trials"], result["wrong"]) == (6, [])
+    assert len(result["by_kind"]) == 6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [6, 60])
+def test_damage_at_any_place_of_a_longer_store_is_found_and_mended(count: int) -> None:
     done = subprocess.run(
-        [sys.executable, Path(__file__).with_name("damage.py"), "--count", str(count), "--seed", "20261121", "--json"],
+        [sys.executable, Path(__file__).with_name("damage.py"), "--count", str(count), "--seed", str(SEED), "--json"],
         capture_output=True,
         text=True,
         timeout=300,

@@ -11,7 +11,12 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize(("count", "how"), [(5000, ()), (2000, ("--process",))], ids=["in this process", "over Zenoh"])
+@pytest.mark.parametrize(
+    ("count", "how"),
+    [(1000, ()), (500, ("--process",)), (5000, ()), (2000, ("--process",))],
+    ids=["in this process", "over Zenoh", "more in this process", "more over Zenoh"],
+)
+@pytest.mark.in_gate("in this process", "over Zenoh")
 def test_what_is_malformed_is_kept_aside_and_hinders_nobody(count: int, how: tuple[str, ...]) -> None:
     command = [sys.executable, "-m", "tests.crash.fuzz", "--count", str(count), "--oversize", "1", *how]
     done = subprocess.run(

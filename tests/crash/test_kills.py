@@ -8,12 +8,12 @@ from tests.crash.killed_station import Shape, start_program
 from tests.crash.kills import trial
 from tests.forked_commands import CommandServer
 
-# runs of a seventh of the samples, and kills three times as often: few runs are enough for all of them
-SHORT = Shape(hours=0.15, rate_hz=500.0, kill_s=0.5)
+# runs of a sixteenth of the samples, and kills five times as often: few runs are enough for all of them
+SHORT = Shape(hours=0.15, rate_hz=200.0, kill_s=0.3)
 
 
 @pytest.mark.parametrize(
-    ("kills", "samples", "shape"), [(5, 500_000, SHORT), pytest.param(20, 3_000_000, Shape(), marks=pytest.mark.long)]
+    ("kills", "samples", "shape"), [(5, 200_000, SHORT), pytest.param(20, 3_000_000, Shape(), marks=pytest.mark.long)]
 )
 def test_killed_at_any_moment_every_role_goes_on_and_nothing_is_lost_or_there_twice(
     tmp_path: Path, command_server: CommandServer, kills: int, samples: int, shape: Shape

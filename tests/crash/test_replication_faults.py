@@ -12,7 +12,9 @@ from tests.forked_commands import CommandServer
 def test_under_faults_each_segment_arrives_once_and_verified(
     tmp_path: Path, command_server: CommandServer, faults: int
 ) -> None:
-    found = trial(tmp_path, faults, 20261125, command_server.start if faults == 5 else start_program)
+    is_short = faults == 5
+    start = command_server.start if is_short else start_program
+    found = trial(tmp_path, faults, 20261125, start, is_quick=is_short)
     assert found["wrong"] == []
     assert (found["lost"], found["doubled"], found["unverified"]) == (0, 0, 0)
     assert found["samples"] == 40_000 * found["segments"] >= 40_000 * faults

@@ -26,6 +26,7 @@ from tests.fuzz.trial import Finding, Trial, Watch, limit_memory
 FOUND = Path(__file__).parent / "found"
 _MOST_CORPUS = 400
 _KILL_S = 60.0
+_LEAST_NEW = 3
 
 
 class Campaign:
@@ -146,13 +147,21 @@ def tried_guided(name: str, arguments: argparse.Namespace) -> Any:
         return found
 
 
+def in_gate(form: Format, part: int) -> int:
+    """Inputs of a short campaign: one in `part` of the format's, but some that are new beside what was found."""
+    found = sum(1 for _ in (FOUND / form.name).glob("*"))
+    return max(-(-form.gate_inputs // part), found + _LEAST_NEW)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="FORMAT")
     parser.add_argument("--seconds", type=float, default=60.0, help="Time for each format.")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--guided", action="store_true", help="Coverage chooses what is mutated further.")
-    parser.add_argument("--gate", action="store_true", help="As the gate does it: few inputs of each format.")
+    parser.add_argument(
+        "--gate", type=int, const=1, nargs="?", metavar="N", help="Few inputs of each format, or an Nth of these."
+    )
     parser.add_argument("--keep", type=Path, help="Folder for inputs that show something.")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -162,7 +171,7 @@ def main() -> None:
     results = []
     for name in arguments.names or known:
         form = known[name]
-        most = form.gate_inputs if arguments.gate else None
+        most = None if arguments.gate is None else in_gate(form, arguments.gate)
         if arguments.guided:
             result = tried_guided(name, arguments)
         else:

@@ -32,7 +32,7 @@ class Format:
     changes : bool
         Whether reading changes what is in the folder, which is then made again for each input.
     gate_inputs : int
-        Inputs in the gate.
+        Inputs of a short campaign; the gate has a part of them.
     hang_s : float
         Seconds after which reading counts as a hang.
     """

@@ -32,13 +32,14 @@ def campaign(*arguments: str, timeout_s: float) -> list[dict[str, Any]]:
     return results
 
 
-def test_what_is_nearly_right_is_refused_in_a_sentence() -> None:
+@pytest.mark.parametrize("part", [5, pytest.param(1, marks=pytest.mark.long)])  # one in so many inputs
+def test_what_is_nearly_right_is_refused_in_a_sentence(part: int) -> None:
     """Also what earlier campaigns have found (`found`), of which no line may be left out."""
-    results = campaign("--gate", "--seed", "20261125", timeout_s=300)
+    results = campaign("--gate", str(part), "--seed", "20261125", timeout_s=300)
     assert [each["format"] for each in results] == list(NAMES)
     for each in results:
         assert each["findings"] == {}
-        assert each["inputs"] >= formats()[each["format"]].gate_inputs, each
+        assert each["inputs"] >= formats()[each["format"]].gate_inputs / part, each
 
 
 @pytest.mark.long
@@ -79,7 +80,7 @@ READINGS = {
     "print('x')": "printed x",
     "raise BadInput('no')": "nameless",
     "raise BadInput(f'{path}: no')": "None",
-    "bytes([1]) * (700 << 20)": "memory",
+    "bytes([1]) * (560 << 20)": "memory",
 }
 
 
@@ -97,7 +98,7 @@ watch = Watch()
 for number, reading in enumerate({list(READINGS)!r}):
     def read(path):
         exec(reading)
-    hang_s = {{"while": 2.0, "threa": 0.1}}.get(reading[:5], 40.0)  # on a busy machine, memory takes its time too
+    hang_s = {{"while": 0.3, "threa": 0.03}}.get(reading[:5], 40.0)  # on a busy machine, memory takes its time too
     form = Format("x", lambda _: [b"x"], read, mutated_bytes, "x.bin", hang_s=hang_s)
     found = Trial(form, Path(sys.argv[1]) / str(number), watch).judge(b"x")
     print(found.mark if found else None)

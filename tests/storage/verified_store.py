@@ -1,5 +1,6 @@
 """A store of recorded batches for the tests of verification and recovery."""
 
+from collections.abc import Callable
 from pathlib import Path
 from uuid import UUID
 
@@ -31,6 +32,37 @@ def fill(store: Store, batches: range) -> None:
         for i in batches:
             publisher.send_batch(KEY, batch(i))
             publisher.drain()
+
+
+_KEPT: dict[tuple[object, ...], dict[str, tuple[int, bytes | None]]] = {}
+
+
+def filled(folder: Path, *segments: range, then: Callable[[Store], None] = lambda _: None) -> Store:
+    """A store with a segment for each range of batches, after `then`.
+
+    It is recorded once for each name of the folder, and written again from what is kept of that: its copies have one
+    identity.
+    """
+    key = (folder.name, segments, then)
+    if key not in _KEPT:
+        store = Store.create(folder)
+        for batches in segments:
+            fill(store, batches)
+        then(store)
+        _KEPT[key] = {
+            str(path.relative_to(folder)): (path.stat().st_mode & 0o777, path.read_bytes() if path.is_file() else None)
+            for path in sorted(folder.rglob("*"))
+        }
+        return store
+    folder.mkdir(parents=True)
+    for name, (mode, content) in _KEPT[key].items():
+        path = folder / name
+        if content is None:
+            path.mkdir()
+        else:
+            path.write_bytes(content)
+        path.chmod(mode)
+    return Store.open(folder)
 
 
 def damage_last_chunk(segment: Path) -> None:

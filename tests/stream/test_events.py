@@ -4,7 +4,7 @@ import typing
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stream import events
@@ -66,8 +66,10 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
     return st.builds(kind, **fields, **nested.get(kind, {}))
 
 
+@pytest.mark.parametrize("examples", [10, pytest.param(100, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_a_document_decodes_to_itself(kind: type) -> None:
+def test_a_document_decodes_to_itself(kind: type, examples: int) -> None:
+    @settings(max_examples=examples)
     @given(of(kind), st.integers(0, 2**62))
     def check(document: AnyDocument, seq: int) -> None:
         message = events.decode_event(events.encode_event(document, "e", seq))

@@ -10,7 +10,6 @@ import can
 import can.interfaces
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.can.bus.bus import CanBusOptions
@@ -18,6 +17,7 @@ from ingest.can.bus.columns import ReceiveClock, kernel_columns, message_columns
 from ingest.can.bus.interface import SocketIntake
 from ingest.can.frames import EXTENDED
 from ingest.station_clock import StationClock
+from tests.stream.examples import examples
 
 MakeBench = Callable[..., Any]
 Until = Callable[..., None]
@@ -36,8 +36,9 @@ def messages(draw: st.DrawFn) -> can.Message:
     )
 
 
-@given(st.lists(messages(), max_size=12), st.sampled_from([8, 64]), st.lists(st.integers(0, 11), max_size=2))
-@settings(max_examples=100, deadline=None)
+@examples(
+    25, 100, st.lists(messages(), max_size=12), st.sampled_from([8, 64]), st.lists(st.integers(0, 11), max_size=2)
+)
 def test_columns_hold_what_the_messages_hold(given_: list[can.Message], most_bytes: int, spoilt: list[int]) -> None:
     for i in {i for i in spoilt if i < len(given_)}:
         given_[i].data = None  # type: ignore[assignment]

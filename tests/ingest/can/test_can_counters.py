@@ -9,17 +9,20 @@ from hypothesis import strategies as st
 
 from ingest.can.counters import FrameCounter
 from ingest.can.forward_times import ForwardTimes
+from tests.stream.examples import examples
 
 INTERVAL_NS = 1_000_000
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
-@given(
+@examples(
+    40,
+    200,
     modulus=st.sampled_from([4, 16, 256]),
     steps=st.lists(st.integers(1, 700), min_size=1, max_size=60),
     cuts=st.lists(st.integers(0, 60), max_size=4),
     first=st.integers(0, 255),
     seed=st.integers(0, 2**32 - 1),
+    derandomize=True,
 )
 def test_numbers_survive_loss_jitter_and_cutting(
     modulus: int, steps: list[int], cuts: list[int], first: int, seed: int

@@ -56,7 +56,7 @@ def frame(slot: int, counter: int) -> can.Message:
 
 @pytest.mark.parametrize("off_s", [0.3, 10.0, 200.0])
 @pytest.mark.parametrize("first", [0, 20_000, 60_000])
-@pytest.mark.in_gate("0-0.3", "0-10.0", "20000-10.0", "60000-200.0")
+@pytest.mark.in_gate("0-0.3", "60000-200.0")
 def test_a_log_with_power_cycles_has_every_sample_at_its_time(bench: Path, first: int, off_s: float) -> None:
     slots = [np.arange(3000), 3000 + round(off_s / INTERVAL_S) + np.arange(4000)]
     with can.Logger(bench / "bench.blf") as logger:

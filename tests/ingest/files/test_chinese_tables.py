@@ -29,7 +29,9 @@ def write(path: Path, titles: list[str], rows: list[list[str]] = ROWS, encoding:
         ("采样时间（秒）,角速率（度/小时）,温度（摄氏度）,电压（伏）", "gb18030", "角速率"),
         ("time[s],角速率[°/h],温度[degC],电压[V]", "gbk", "角速率"),
     ],
+    ids=["GBK", "full width", "words", "brackets"],
 )
+@pytest.mark.in_gate("full width", "words")
 def test_titles_and_encodings(
     titles: str, encoding: str, named: str, tmp_path: Path, gyrofleet: Callable[..., Any]
 ) -> None:

@@ -12,6 +12,10 @@ import pytest
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile
 from ingest.tables.grid import Sampling, SamplingGrid
+from storage.sql.catalog import Catalog
+from storage.store import Store
+
+ADVISED = ("--rename", "time[s]=", "--sample-rate", "100")
 
 
 def sampling(times_ns: np.ndarray[tuple[int], np.dtype[np.int64]], piece: int = 4096) -> Sampling:
@@ -36,15 +40,21 @@ def test_floats_of_32_bits_keep_their_interval_and_are_said(gyrofleet: Callable[
     assert remark.startswith("warning: column 'time[s]' is written in steps of 0.0078125 s")
     assert file["signals"][0]["irregular"]
     assert file["signals"][0]["sample_interval_s"] == pytest.approx(0.01, rel=1e-5)
-    (row,) = gyrofleet("sql", "select sample_interval_s, samples from signals", "--json").json
-    assert row == {"sample_interval_s": pytest.approx(0.01, rel=1e-5), "samples": 20_000}
+    with Catalog(Store.open(tmp_path / "gyrofleet-data")) as catalog:
+        assert catalog.rows("select sample_interval_s, samples from signals") == [
+            (pytest.approx(0.01, rel=1e-5), 20_000)
+        ]
     refused = gyrofleet("allan", "--unit", "U1", "--signal", "rate")
     assert refused.code != 0, "the times show no grid, and no losses may be made of them"
     assert "--resample" in refused.err
 
-    advised = ("--rename", "time[s]=", "--sample-rate", "100")
-    assert f"--rename 'time[s]=' {' '.join(advised[2:])}" in remark
-    evenly = gyrofleet("import", path, "--unit", "U2", "--run", "even", *advised, "--json").json
+    assert f"--rename 'time[s]=' {' '.join(ADVISED[2:])}" in remark
+
+
+@pytest.mark.long
+def test_floats_of_32_bits_are_even_as_is_advised(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
+    path = float32_file(tmp_path / "a.parquet", 80_000.0, 20_000)
+    evenly = gyrofleet("import", path, "--unit", "U2", "--run", "even", *ADVISED, "--json").json
     assert not evenly["files"][0]["signals"][0]["irregular"]
     curve = gyrofleet("allan", "--unit", "U2", "--signal", "rate", "--json").json
     assert curve["samples"] == 20_000
@@ -94,7 +104,7 @@ def test_rounding_is_found_beside_losses() -> None:
     assert found.dt_ns == pytest.approx(1e9 / 60, rel=1e-4)
 
 
-@pytest.mark.parametrize("digits", [0, 1])
+@pytest.mark.parametrize("digits", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_repeated_times_say_their_cause_and_what_to_do(
     digits: int, gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -104,9 +114,8 @@ def test_repeated_times_say_their_cause_and_what_to_do(
     refused = gyrofleet("import", path, "--unit", "U1")
     assert refused.code != 0
     assert "of its 3000 rows have the time of the row before: column 'time[s]' is written with too few" in refused.err
-    advised = ("--rename", "time[s]=", "--sample-rate", "100")
     assert "--rename 'time[s]=' --sample-rate RATE_HZ" in refused.err
-    assert gyrofleet("import", path, "--unit", "U1", *advised, "--json").json["files"][0]["signals"][0]["added"] == 3000
+    assert gyrofleet("import", path, "--unit", "U1", *ADVISED, "--json").json["files"][0]["signals"][0]["added"] == 3000
 
 
 def test_a_few_repeated_rows_are_to_be_corrected(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
@@ -117,7 +126,8 @@ def test_a_few_repeated_rows_are_to_be_corrected(gyrofleet: Callable[..., Any], 
     assert "10 rows do not keep the import contract; correct the file, or leave them out with --skip-bad" in refused.err
 
 
-@pytest.mark.parametrize("jitter", [0.15, pytest.param(0.3, marks=pytest.mark.long), 0.4])  # of an interval
+@pytest.mark.parametrize("jitter", [0.15, 0.3, 0.4])  # of an interval
+@pytest.mark.in_gate("0.4")
 def test_times_about_a_grid_give_its_interval_and_no_second_is_missing(
     gyrofleet: Callable[..., Any], tmp_path: Path, jitter: float
 ) -> None:

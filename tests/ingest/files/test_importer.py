@@ -48,7 +48,7 @@ class PowerLoss(Exception):
     """Stands for the moment at which the process ends."""
 
 
-@pytest.mark.in_gate("StepEnded", "RunStarted")
+@pytest.mark.in_gate("StepEnded")
 @pytest.mark.parametrize("kind", ["RunStarted", "StepStarted", "StepEnded", "NoteAdded", "RunEnded"])
 def test_an_import_that_broke_off_is_completed(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
@@ -72,7 +72,7 @@ def test_an_import_that_broke_off_is_completed(
     assert outcome(folder) == [("completed", 5000), (2, 2)]
 
 
-@pytest.mark.parametrize("digits", [6, 3])
+@pytest.mark.parametrize("digits", [pytest.param(6, marks=pytest.mark.long), 3])
 def test_irregular_samples_with_fewer_digits_are_not_there_twice(tmp_path: Path, digits: int) -> None:
     rng = np.random.default_rng(5)
     times, values = np.cumsum(rng.exponential(0.1, 500)) + 0.01 * np.arange(500), rng.normal(0, 1, 500)

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ingest.tables.columns import TableOptions, read_header
@@ -16,6 +16,7 @@ from ingest.tables.file import TableFile
 from ingest.tables.rows import BadRow, BadRows, CellBlock
 from stream.errors import BadInput
 from stream.identity import NAME_RULE
+from tests.stream.examples import examples
 
 Tool = Callable[..., Any]
 G1 = TableOptions(unit="G1")
@@ -174,20 +175,20 @@ def content(blocks: list[CellBlock]) -> dict[int, object]:
     return lines
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(LINES, st.sampled_from(["\n", "\r\n"]), st.integers(1, 200))
-def test_fast_and_slow_paths_agree(tmp_path: Path, lines: list[str], line_end: str, block_bytes: int) -> None:
+@examples(60, 300, LINES, st.sampled_from(["\n", "\r\n"]), st.integers(1, 200))
+def test_fast_and_slow_paths_agree(lines: list[str], line_end: str, block_bytes: int) -> None:
     titles = ["time[s]", "rate[deg/s]", "unit"]
-    path = tmp_path / "a.csv"
-    path.write_bytes(line_end.join([",".join(titles), "0,0,A", *lines]).encode())
-    columns = read_header(path, titles, TableOptions())
-    whole, pieces = CsvTable(path), CsvTable(path, block_bytes)
-    for table in (whole, pieces):
-        table.bind(columns)
-    slow = whole._lines.read(path.read_bytes().partition(b"\n")[2] + b"\n", 2, 1.0)
-    expected = content([slow])
-    assert content(list(whole.blocks())) == expected
-    assert content(list(pieces.blocks())) == expected
+    with TemporaryDirectory() as name:
+        path = Path(name) / "a.csv"
+        path.write_bytes(line_end.join([",".join(titles), "0,0,A", *lines]).encode())
+        columns = read_header(path, titles, TableOptions())
+        whole, pieces = CsvTable(path), CsvTable(path, block_bytes)
+        for table in (whole, pieces):
+            table.bind(columns)
+        slow = whole._lines.read(path.read_bytes().partition(b"\n")[2] + b"\n", 2, 1.0)
+        expected = content([slow])
+        assert content(list(whole.blocks())) == expected
+        assert content(list(pieces.blocks())) == expected
 
 
 def test_the_fast_path_is_taken_where_nothing_is_wrong(write: Tool, monkeypatch: pytest.MonkeyPatch) -> None:

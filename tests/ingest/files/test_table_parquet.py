@@ -145,6 +145,7 @@ def test_text_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("block_rows", [1, 7, 64, 10**6])
 @pytest.mark.parametrize("group_rows", [5, 10**6])
+@pytest.mark.in_gate("5-7", "1000000-64")
 def test_block_size_changes_nothing(
     tmp_path: Path, deliver: Tool, by_signal: Tool, monkeypatch: pytest.MonkeyPatch, block_rows: int, group_rows: int
 ) -> None:

@@ -18,22 +18,35 @@ NAMES = (
 )
 
 
-def write(folder: Path, unit: str, signal: str, interval_s: float = 0.1) -> str:
+def write(folder: Path, unit: str, signal: str, interval_s: float = 0.1) -> None:
     rng = np.random.default_rng(len(unit) + ord(unit[0]))
     rows = [f"{i * interval_s:.1f},{unit},R-9,{value:.4f}" for i, value in enumerate(rng.normal(0, 1, 200))]
     (folder / f"{unit}.csv").write_text("\n".join([f"time[s],unit,run,{signal}", *rows]) + "\n")
-    return f"{unit}.csv"
 
 
-@pytest.mark.parametrize("together", [False, True])
-def test_each_file_of_a_run_brings_its_units(run_command: Callable[..., Any], tmp_path: Path, together: bool) -> None:
-    files = [write(tmp_path, unit, "rate[deg/s]") for unit in ("A", "B")]
-    files += [write(tmp_path, "chamber", "temperature[degC]", 5.0), write(tmp_path, "table", "table_rate[deg/s]")]
-    files += [write(tmp_path, "C", "output[count]")]
-    for group in [files] if together else [[each] for each in (*files, "B.csv")]:
-        assert run_command("import", *group, "--store", "s", cwd=tmp_path).code == 0
-    found = run_command("sql", "select unit from units order by 1", "--store", "s", "--json", cwd=tmp_path).json
-    assert [row["unit"] for row in found] == ["A", "B", "C"]
+@pytest.mark.parametrize(
+    "imports",
+    [
+        ["A", "table", "chamber C"],
+        pytest.param(["A", "B", "chamber", "table", "C", "B"], marks=pytest.mark.long),
+        pytest.param(["A B chamber table C"], marks=pytest.mark.long),
+    ],
+    ids=["few", "each", "together"],
+)
+def test_each_file_of_a_run_brings_its_units(
+    run_command: Callable[..., Any], tmp_path: Path, imports: list[str]
+) -> None:
+    for unit in ("A", "B"):
+        write(tmp_path, unit, "rate[deg/s]")
+    write(tmp_path, "chamber", "temperature[degC]", 5.0)
+    write(tmp_path, "table", "table_rate[deg/s]")
+    write(tmp_path, "C", "output[count]")
+    for names in imports:
+        files = [f"{name}.csv" for name in names.split()]
+        assert run_command("import", *files, "--store", "s", cwd=tmp_path).code == 0
+    with Catalog(Store.open(tmp_path / "s")) as catalog:
+        found = catalog.rows("select unit from units order by 1")
+    assert [unit for (unit,) in found] == sorted({"A", "B", "C"} & set(" ".join(imports).split()))
 
 
 def test_files_and_tables_know_instruments_by_the_same_names(tmp_path: Path) -> None:

@@ -121,9 +121,10 @@ def test_samples_do_not_depend_on_the_sizes_of_the_blocks(blocks: list[int]) -> 
     assert parts.samples(1).first == sum(blocks)
 
 
-def test_one_sample_at_a_time_is_the_same_too() -> None:
+@pytest.mark.parametrize("count", [600, pytest.param(3000, marks=pytest.mark.long)])
+def test_one_sample_at_a_time_is_the_same_too(count: int) -> None:
     parts = gyro()
-    assert joined([parts.samples(1) for _ in range(3000)]) == joined([gyro().samples(3000)])
+    assert joined([parts.samples(1) for _ in range(count)]) == joined([gyro().samples(count)])
 
 
 def test_another_start_is_the_same_at_the_same_environment() -> None:

@@ -65,13 +65,14 @@ CASES: dict[str, tuple[Noise, Callable[[FloatArray], FloatArray]]] = {
 }
 
 
+@pytest.mark.parametrize("records", [1, pytest.param(4, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", list(CASES))
-def test_each_noise_alone_has_its_allan_curve(name: str) -> None:
+def test_each_noise_alone_has_its_allan_curve(name: str, records: int) -> None:
     noise, curve = CASES[name]
     tau_s = np.array([0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0, 100.0])
     if name == "B":
         tau_s = tau_s[1:]  # below 0.5 s the bank of processes is not flat
-    n, records = 500_000, 4
+    n = 500_000
     squares = [allan_deviation(rate_deg_per_h(noise, n, 0.01, seed), 0.01, tau_s) ** 2 for seed in range(records)]
     measured = np.sqrt(np.mean(squares, axis=0))
     # counts of 3.6e-4 deg/h: white, a tenth of a percent at most beside the least of these; flicker within 2 %

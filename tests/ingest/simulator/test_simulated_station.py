@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.simulator.bench import CourseClient, CourseDevice
@@ -22,6 +21,7 @@ from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.scpi.tables import SimulatedRateTable
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
+from tests.stream.examples import examples
 
 SECOND = 10**9
 PLAN = parse_plan(
@@ -88,8 +88,7 @@ def played(
     return frames, reported
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.lists(st.floats(0.0, END_S), max_size=30))
+@examples(8, 40, st.lists(st.floats(0.0, END_S), max_size=30))
 def test_frames_are_the_same_however_time_is_cut(ticks_s: list[float]) -> None:
     at_once, told_at_once = played([])
     frames, reported = played(ticks_s)

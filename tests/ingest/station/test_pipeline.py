@@ -39,8 +39,9 @@ def batch(i: int) -> SampleBatch:
     )
 
 
+@pytest.mark.parametrize("batches", [100, pytest.param(500, marks=pytest.mark.long)])
 def test_a_slow_estimator_throttles_its_source_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batches: int
 ) -> None:
     monkeypatch.setattr(worker_module, "_ROOM_BYTES", 100_000)
     monkeypatch.setattr(
@@ -49,16 +50,16 @@ def test_a_slow_estimator_throttles_its_source_and_loses_nothing(
         lambda *args, **kwargs: EstimationWorker(*args, **kwargs, estimators={"slow": lambda: SlowEstimator(1.0)}),
     )
     with EmbeddedPipeline(tmp_path / "store", "test", estimate_every_s=10.0) as pipeline:
-        for i in range(500):
+        for i in range(batches):
             pipeline.send_batch(KEY, batch(i))
-        pipeline.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=500 * 10**10))
+        pipeline.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=batches * 10**10))
         pipeline.finish()
     assert pipeline.worker.counts.lost == 0
-    assert pipeline.worker.counts.samples == 500_000
+    assert pipeline.worker.counts.samples == 1000 * batches
     with Catalog(pipeline.store) as catalog:
-        assert catalog.rows("select count(*), count(distinct t_ns) from samples") == [(500_000, 500_000)]
+        assert catalog.rows("select count(*), count(distinct t_ns) from samples") == [(1000 * batches, 1000 * batches)]
         assert catalog.rows("select count(*) from estimates where final") == [(1,)]
-        assert catalog.rows("select count(*) from estimates where not final")[0][0] >= 499
+        assert catalog.rows("select count(*) from estimates where not final")[0][0] >= batches - 1
 
 
 def test_a_worker_that_cannot_follow_leaves_out_counts_and_keeps_living(monkeypatch: pytest.MonkeyPatch) -> None:

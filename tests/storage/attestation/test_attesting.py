@@ -15,15 +15,16 @@ from storage.check.recover import recover
 from storage.recording.store_status import store_status
 from storage.store import Store
 from stream.errors import StoreError
-from tests.storage.verified_store import damage_last_chunk, fill
+from tests.storage.verified_store import damage_last_chunk, filled
+
+
+def mend(store: Store) -> None:
+    list(recover(store))
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    store = Store.create(tmp_path / "S")
-    fill(store, range(4))
-    list(recover(store))
-    return store
+    return filled(tmp_path / "S", range(4), then=mend)
 
 
 def test_an_unsound_store_is_a_trouble_until_it_is_sound(store: Store, key: SigningKey) -> None:

@@ -17,7 +17,7 @@ from storage.check.verify import verify
 from storage.store import Store
 from stream.errors import BadInput, StoreError
 from tests.storage.attestation.time_stamp_authority import MOMENT, Authority, serving
-from tests.storage.verified_store import fill
+from tests.storage.verified_store import filled
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +34,7 @@ def honest(authority: Authority) -> Authority:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    store = Store.create(tmp_path / "S")
-    fill(store, range(2))
-    return store
+    return filled(tmp_path / "S", range(2))
 
 
 @pytest.fixture

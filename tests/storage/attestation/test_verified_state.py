@@ -20,19 +20,16 @@ from storage.manifests.log import read_log_manifest, rewrite_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.errors import StoreError
-from tests.storage.verified_store import damage_last_chunk, fill
+from tests.storage.verified_store import damage_last_chunk, fill, filled
 
-ATTESTED = 6
+ATTESTED = 4
+MORE = range(2 * ATTESTED, 2 * ATTESTED + 2)
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     """Segments with two messages each, and their lake."""
-    store = Store.create(tmp_path / "S")
-    for number in range(ATTESTED):
-        fill(store, range(2 * number, 2 * number + 2))
-    mend(store)
-    return store
+    return filled(tmp_path / "S", *(range(2 * number, 2 * number + 2) for number in range(ATTESTED)), then=mend)
 
 
 def mend(store: Store) -> None:
@@ -57,18 +54,21 @@ def both(store: Store, path: Path) -> tuple[Verification, Verification]:
 def test_what_was_verified_is_compared_and_what_came_since_is_read(store: Store, key: SigningKey) -> None:
     path = verified_and_attested(store, key).path
     assert both(store, path)[0].compared == ATTESTED
-    fill(store, range(12, 14))
+    fill(store, MORE)
     mend(store)
     since, whole = both(store, path)
-    assert (since.segments - since.compared, since.samples) == (whole.segments - ATTESTED, 1400)
+    assert (since.segments - since.compared, since.samples) == (whole.segments - ATTESTED, 100 * MORE.stop)
     newer = verified_and_attested(store, key).path
     assert both(store, newer)[0].compared == whole.segments
 
 
-def test_any_changed_byte_of_an_attested_segment_is_found(store: Store, key: SigningKey) -> None:
+@pytest.mark.parametrize(("segments", "bytes_each"), [(2, 1), pytest.param(ATTESTED, 3, marks=pytest.mark.long)])
+def test_any_changed_byte_of_an_attested_segment_is_found(
+    store: Store, key: SigningKey, segments: int, bytes_each: int
+) -> None:
     path = verified_and_attested(store, key).path
     rng = np.random.default_rng(7)
-    for segment in sorted(store.log.glob("*.mcap")):
+    for segment in sorted(store.log.glob("*.mcap"))[:segments] * bytes_each:
         content = segment.read_bytes()
         changed = bytearray(content)
         changed[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
@@ -105,14 +105,16 @@ def losses(found: Verification) -> list[str]:
     return [each.kind for each in found.findings if each.severity == "loss"]
 
 
+@pytest.mark.long
 def test_numbers_are_followed_over_the_attestation(store: Store, key: SigningKey) -> None:
     path = verified_and_attested(store, key).path
-    fill(store, range(12, 13))
+    fill(store, MORE[:1])
     assert losses(both(store, path)[0]) == []
-    lose(store, 13)
+    lose(store, MORE[1])
     assert losses(both(store, path)[0]) == ["numbers_missing"]
 
 
+@pytest.mark.long
 def test_a_missing_segment_is_found(store: Store, key: SigningKey) -> None:
     path = verified_and_attested(store, key).path
     min(store.log.glob("*.mcap")).unlink()
@@ -139,13 +141,13 @@ def test_a_loss_that_was_documented_before_stays_explained(store: Store, key: Si
     since = verify(store, since=verified_state(store, path))[0]
     assert since.is_sound
     assert since.compared == since.segments
-    lose(store, 12)  # to explain it, the documents of the first are read as well
+    lose(store, MORE[0])  # to explain it, the documents of the first are read as well
     assert losses(both(store, path)[0]) == ["numbers_missing"]
 
 
 def test_segments_sealed_between_verification_and_signature_are_read(store: Store, key: SigningKey) -> None:
     verified = dict(verify(store)[1].entries)
-    fill(store, range(12, 14))
+    fill(store, MORE)
     mend(store)
     kept = attest(store, key, verified=verified)
     unverified = kept.attestation.stated.unverified
@@ -171,16 +173,17 @@ def test_attestations_that_prove_no_verification_are_refused(store: Store, key: 
     assert newest_verified_state(store, "0" * 16) is None
 
 
-def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("named", [("last",), pytest.param(("kept.json", "last"), marks=pytest.mark.long)])
+def test_commands(store: Store, tmp_path: Path, gyrofleet: Callable[..., Any], named: tuple[str, ...]) -> None:
     words = ("--store", "S", "--key", "mine.pem")
     checked = ("verify", "--store", "S", "--since")
     assert "`gyrofleet attest --verify --store S` makes one" in gyrofleet(*checked, "last").err
     signed = gyrofleet("attest", *words, "--verify", "--out", "kept.json", "--json")
     assert (signed.code, signed.json["unverified"]) == (0, 0), signed.err
-    fill(store, range(12, 14))
-    assert gyrofleet("recover", "--store", "S").code == 0
+    fill(store, MORE)
+    mend(store)
     segments = len(list(store.log.glob("*.mcap")))
-    for since in ("kept.json", "last"):
+    for since in named:
         found = gyrofleet(*checked, since, "--json")
         assert (found.code, found.json["compared"], found.json["segments"]) == (0, ATTESTED, segments), found.err
     shown = gyrofleet(*checked, "last", "--signed-by", signed.json["signed_by"]).out

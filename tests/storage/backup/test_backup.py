@@ -25,7 +25,7 @@ from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
 from stream.errors import BadInput, StoreError
 from stream.transport.bus import LocalBus
-from tests.storage.verified_store import KEY, batch, damage_last_chunk, fill
+from tests.storage.verified_store import KEY, batch, damage_last_chunk, fill, filled
 
 COUNTS = "select unit, count(*) as n, sum(counts) as total from samples group by unit order by unit"
 
@@ -33,9 +33,10 @@ COUNTS = "select unit, count(*) as n, sum(counts) as total from samples group by
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     """A store of three segments that are in the lake, with files that no segment has."""
-    store = Store.create(tmp_path / "S")
-    for number in range(3):
-        fill(store, range(2 * number, 2 * number + 2))
+    return filled(tmp_path / "S", range(2), range(2, 4), range(4, 6), then=complete)
+
+
+def complete(store: Store) -> None:
     list(build_missing(store))
     (store.folder / "certificates").mkdir()
     (store.folder / "certificates" / "C-1.pdf").write_bytes(b"%PDF")
@@ -46,7 +47,6 @@ def store(tmp_path: Path) -> Store:
         database.execute("create table alert (text)")
         database.execute("insert into alert values ('chamber off its set-point')")
         database.commit()
-    return store
 
 
 def counts(store: Store) -> list[dict[str, Any]]:

@@ -26,27 +26,29 @@ from storage.lake.rebuild import rebuild
 from storage.sql.catalog import Catalog
 from storage.store import Store
 store = Store.open(Path(sys.argv[1]))
-if sys.argv[2] == "rebuild":
-    list(rebuild(store))
-else:
-    with builder_lock(store):
-        list(build_missing(store))  # merges the parts of finished days
-with Catalog(store) as catalog:
-    print(json.dumps({
-        "channels": catalog.rows("select unit, samples, messages from internal.lake_channel_parts order by t_first_ns"),
-        "samples": catalog.rows("select count(*), sum(value) from samples"),
-        "parts": sorted(part.columns for part in catalog.parts),
-        "problems": [str(each) for each in verify(store)[0].findings],
-    }))
+for step in ("build", "rebuild"):
+    if step == "rebuild":
+        list(rebuild(store))
+    else:
+        with builder_lock(store):
+            list(build_missing(store))  # merges the parts of finished days
+    with Catalog(store) as catalog:
+        channels = "select unit, samples, messages from internal.lake_channel_parts order by t_first_ns"
+        print(json.dumps({
+            "channels": catalog.rows(channels),
+            "samples": catalog.rows("select count(*), sum(value) from samples"),
+            "parts": sorted(part.columns for part in catalog.parts),
+            "problems": [str(each) for each in verify(store)[0].findings],
+        }))
 """
 
 
-def later(store: Store, what: str) -> dict[str, list[Any]]:
-    command = [sys.executable, "-c", LATER, str(store.folder), what]
+def later(store: Store) -> list[dict[str, list[Any]]]:
+    """What the later version finds after it has built, and after it has rebuilt."""
+    command = [sys.executable, "-c", LATER, str(store.folder)]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
-    found: dict[str, list[Any]] = json.loads(answer.stdout)
-    return found
+    return [json.loads(line) for line in answer.stdout.splitlines()]
 
 
 def test_parts_that_were_built_before_have_null_in_an_added_column_until_the_lake_is_rebuilt(days: Filler) -> None:
@@ -58,12 +60,11 @@ def test_parts_that_were_built_before_have_null_in_an_added_column_until_the_lak
     days.counts("rate", noon_ns + 10**10, 500)
     days.seal()
     days.release()
-    found = later(days.store, "build")
+    found, rebuilt = later(days.store)
     assert found["parts"] == [1, 1, 1, 2], "parts of one day merge, those of two versions do not"
     assert [row[2] for row in found["channels"]] == [None] * 6 + [2]
     assert found["samples"][0][0] == before[0] + 1500
     assert found["problems"] == []
-    rebuilt = later(days.store, "rebuild")
     assert set(rebuilt["parts"]) == {2}
     assert all(row[2] is not None for row in rebuilt["channels"])
     assert rebuilt["samples"] == found["samples"]

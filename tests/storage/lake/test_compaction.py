@@ -139,8 +139,10 @@ def test_a_damaged_part_is_passed_over(days: Filler) -> None:
     assert [len(part.segments) for part in read_manifest(store).parts] == [4, 1, 1, 1, 1, 4]
 
 
+@pytest.mark.parametrize("steps", [("hull",), ("write_part", "hull", "part_writers")], ids=["one", "every"])
+@pytest.mark.in_gate("one")
 def test_compaction_killed_at_every_step_leaves_a_sound_lake(
-    days: Filler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    days: Filler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: tuple[str, ...]
 ) -> None:
     """A kill is an exception that nothing catches: what is on disk then is what a killed process leaves."""
     days.build()
@@ -153,7 +155,7 @@ def test_compaction_killed_at_every_step_leaves_a_sound_lake(
     def die(*_: object, **__: object) -> None:
         raise Killed
 
-    for number, name in enumerate(("write_part", "hull", "part_writers")):
+    for number, name in enumerate(steps):
         with monkeypatch.context() as patched, builder_lock(store), pytest.raises(Killed):
             patched.setattr(compaction, name, die)
             list(compact(Lake(store), now_ns=LATER_NS))

@@ -22,11 +22,10 @@ from tests.storage.conftest import START_NS, Filler
 
 
 def test_the_service_builds_what_is_sealed_while_it_runs(
-    filler: Filler, command_line: Callable[..., list[str]], gyrofleet: Callable[..., Outcome]
+    filler: Filler, spawn: Callable[..., "subprocess.Popen[str]"], gyrofleet: Callable[..., Outcome]
 ) -> None:
     store = filler.store
-    command = command_line("lake", "--store", store.folder, "--json")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = spawn("lake", "--store", store.folder, "--json")
     try:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["event"] == "building"

@@ -20,6 +20,7 @@ from storage.lake.rows_by_channel import rows_by_channel
 from storage.manifests.lake import read_manifest
 from tests.storage.conftest import Filler
 from tests.storage.lake.exported_views import LATER_NS
+from tests.stream.examples import examples
 
 Row = tuple[int, int, int]
 KEY = ("channel", "bucket")
@@ -57,8 +58,7 @@ def read(folder: Path, count: int, group_rows: int, most_waiting: int) -> list[l
     ]
 
 
-@settings(deadline=None)
-@given(FILES, st.integers(1, 8))
+@examples(25, 100, FILES, st.integers(1, 8))
 def test_rows_are_in_order_and_tables_end_between_channels(
     files: list[list[list[tuple[int, int]]]], group_rows: int
 ) -> None:
@@ -86,8 +86,7 @@ def test_no_row_is_lost_where_few_may_wait(
         assert [row[:2] for row in table] == sorted(row[:2] for row in table)
 
 
-@settings(deadline=None)
-@given(FILES, st.integers(1, 8), st.integers(1, 20))
+@examples(25, 100, FILES, st.integers(1, 8), st.integers(1, 20))
 def test_what_was_sorted_piece_by_piece_is_in_order_the_next_time(
     files: list[list[list[tuple[int, int]]]], group_rows: int, most_waiting: int
 ) -> None:

@@ -11,7 +11,7 @@ from storage.log.misplaced import misplaced_segments
 from storage.segments.disk import sha256_of
 from storage.sql.catalog import Catalog
 from storage.store import Store
-from tests.storage.verified_store import fill, kinds
+from tests.storage.verified_store import fill, filled, kinds
 
 RENAMED = {"3": "9"}
 SWAPPED = {"2": "3", "3": "2"}
@@ -21,6 +21,10 @@ TWO = {"2": "7", "3": "8"}
 
 def name(number: str) -> str:
     return f"{int(number):08}.mcap"
+
+
+def of_different_sizes(folder: Path) -> Store:
+    return filled(folder, range(10), range(10, 24), range(24, 43))
 
 
 def move(store: Store, names: Mapping[str, str]) -> None:
@@ -40,12 +44,11 @@ def hashes(folder: Path) -> dict[str, str]:
     return {path.name: sha256_of(path) for path in folder.glob("*.mcap")}
 
 
-@pytest.mark.parametrize("is_built_before", [True, pytest.param(False, marks=pytest.mark.long)])
-@pytest.mark.parametrize("names", [RENAMED, SWAPPED, AROUND, pytest.param(TWO, marks=pytest.mark.long)])
+@pytest.mark.parametrize("is_built_before", [True, False])
+@pytest.mark.parametrize("names", [RENAMED, SWAPPED, AROUND, TWO], ids=["renamed", "swapped", "around", "two"])
+@pytest.mark.in_gate("around-True")
 def test_what_was_renamed_gets_its_name_back(tmp_path: Path, names: Mapping[str, str], is_built_before: bool) -> None:
-    store = Store.create(tmp_path / "store")
-    for first, last in ((0, 10), (10, 24), (24, 43)):  # of different sizes
-        fill(store, range(first, last))
+    store = of_different_sizes(tmp_path / "store")
     samples = 100 * (10 + 14 + 19)
     before = hashes(store.log)
     if is_built_before:
@@ -99,9 +102,7 @@ def test_segments_of_equal_size_get_their_names_back(tmp_path: Path) -> None:
 
 
 def test_another_file_under_the_name_of_a_segment_costs_nothing(tmp_path: Path) -> None:
-    store = Store.create(tmp_path / "store")
-    for first, last in ((0, 10), (10, 24), (24, 43)):
-        fill(store, range(first, last))
+    store = of_different_sizes(tmp_path / "store")
     before = hashes(store.log)
     move(store, {"2": "7"})
     (store.log / name("2")).write_bytes((store.log / name("3")).read_bytes()[:-100])

@@ -24,24 +24,23 @@ from storage.store import Store
 from storage.upkeep.retention import Rule, apply_rule
 from stream.errors import StoreError
 from stream.events import StoreNoted, decode_event
-from tests.storage.verified_store import KEY, damage_last_chunk, fill, kinds
+from tests.storage.verified_store import KEY, damage_last_chunk, filled, kinds
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     """Three segments of 1000 samples each, and their lake."""
-    store = Store.create(tmp_path / "store")
-    for segment in range(3):
-        fill(store, range(10 * segment, 10 * segment + 10))
-    return store
+    return filled(tmp_path / "store", range(10), range(10, 20), range(20, 30))
 
 
 class Killed(BaseException):
     """As a kill ends a process, but that this one goes on."""
 
 
-@pytest.mark.in_gate("00000002.mcap-4")
-@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.in_gate("00000002.mcap-11")
+@pytest.mark.parametrize(
+    "every", [11, pytest.param(4, marks=pytest.mark.long), pytest.param(1, marks=pytest.mark.long)]
+)
 @pytest.mark.parametrize("victim", ["00000002.mcap", "00000003.mcap"])
 def test_recover_that_is_killed_anywhere_says_the_loss_once(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str, every: int

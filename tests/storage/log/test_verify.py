@@ -21,16 +21,13 @@ from stream.errors import StoreError
 from stream.events import RunEnded, StreamTotal
 from stream.identity import event_key
 from stream.transport.bus import LocalBus
-from tests.storage.verified_store import KEY, PLACE, batch, fill, kinds
+from tests.storage.verified_store import KEY, PLACE, batch, fill, filled, kinds
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     """Three segments of 1000 samples each, and their lake."""
-    store = Store.create(tmp_path / "store")
-    for segment in range(3):
-        fill(store, range(10 * segment, 10 * segment + 10))
-    return store
+    return filled(tmp_path / "store", range(10), range(10, 20), range(20, 30))
 
 
 def test_a_sound_store_is_said_to_be_so(store: Store, gyrofleet: Callable[..., Any]) -> None:
@@ -148,7 +145,7 @@ def test_the_number_is_not_given_again_where_only_the_lake_knows_it(store: Store
     assert [path.name for path in store.log.glob("*.mcap")] == ["00000004.mcap"]
 
 
-@pytest.mark.parametrize("how", ["folder", "files"])
+@pytest.mark.parametrize("how", ["folder", pytest.param("files", marks=pytest.mark.long)])
 def test_a_log_that_has_gone_is_damage_until_the_log_says_so(store: Store, how: str) -> None:
     shutil.rmtree(store.log)
     if how == "files":

@@ -13,7 +13,7 @@ from tests.storage.object_lake.faulty_proxy import FaultyProxy
 _PREFIXES = count()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def object_store_port() -> Iterator[int]:
     from moto.server import ThreadedMotoServer
 

@@ -81,7 +81,7 @@ def test_a_full_disk_pauses_recording_and_room_lets_it_go_on(tmp_path: Path) -> 
     assert noted(store) == ["disk_low", "recording_paused"]
 
 
-@pytest.mark.parametrize("errors", [1, 3])
+@pytest.mark.parametrize("errors", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_a_write_error_costs_a_segment_and_nothing_else(tmp_path: Path, errors: int) -> None:
     store = Store.create(tmp_path)
     bus = LocalBus()

@@ -70,7 +70,8 @@ def test_a_station_adds_nothing_to_the_run_of_another(tmp_path: Path, endpoint: 
         HeldClaim(RecorderClient(first), [("U7", "night")], "an import", station="c1").close()
 
 
-@pytest.mark.parametrize("request_id", ["", "a/**/b#?", "x" * 65, "a b"])
+@pytest.mark.parametrize("request_id", ["", "a/**/b#?", "x" * 65, "a b"], ids=["empty", "pattern", "long", "space"])
+@pytest.mark.in_gate("pattern")
 def test_a_request_that_cannot_be_answered_stops_no_answer(tmp_path: Path, endpoint: str, request_id: str) -> None:
     site, store = tmp_path / "site", Store.create(tmp_path / "store")
     make_site(site)

@@ -16,15 +16,12 @@ from storage.replication.service import Pass, Replication
 from storage.replication.sources.folder_source import FolderSource
 from storage.replication.sources.source import SegmentSource, SourceGone
 from storage.store import Store
-from tests.storage.verified_store import fill
+from tests.storage.verified_store import filled
 
 
 def plant(folder: Path, segments: int = 4) -> Store:
     """The store of a plant with so many segments, each of two batches."""
-    store = Store.create(folder)
-    for number in range(segments):
-        fill(store, range(2 * number, 2 * number + 2))
-    return store
+    return filled(folder, *(range(2 * number, 2 * number + 2) for number in range(segments)))
 
 
 def received(source: SegmentSource, fleet: FleetStore) -> Progress:

@@ -16,6 +16,7 @@ from stream.wire import samples_pb2
 from stream.wire.batches import decode_batch, encode_batch, read_wire_batch
 from stream.wire.count_planes import join_planes, residuals_of
 from stream.wire.count_residuals import join_counts, split_counts
+from tests.stream.examples import examples
 
 near_borders = st.sampled_from([1 << 6, 1 << 7, 1 << 15, 1 << 23, 1 << 31]).flatmap(
     lambda border: st.sampled_from([border - 1, border, border + 1, -border, -border - 1, -border + 1])
@@ -25,8 +26,7 @@ counts = st.one_of(st.integers(-(2**31), 2**31 - 1), st.integers(-200, 200), nea
 )
 
 
-@given(hnp.arrays(np.int32, st.integers(1, 40), elements=counts))
-@settings(deadline=None)
+@examples(30, 100, hnp.arrays(np.int32, st.integers(1, 40), elements=counts))
 def test_any_counts_come_back_from_as_few_bytes_as_hold_them(sent: npt.NDArray[np.int32]) -> None:
     residuals = split_counts(sent)
     assert np.array_equal(join_counts(residuals, len(sent)), sent)

@@ -11,13 +11,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from stream.delivery import spool as spool_module
 from stream.delivery.spool import Spool, SpooledMessage, SpoolError, SpoolFull, held_messages
 from stream.delivery.spool_frames import encode_frame, parse_frames
 from stream.wire.acknowledgement import StreamId
+from tests.stream.examples import examples
 
 A, B = StreamId("gyrofleet/p/b/A/rate", "a" * 32), StreamId("gyrofleet/p/b/B/rate", "b" * 32)
 QUIET_S = 3600.0  # no background step comes in between
@@ -48,8 +49,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
-@given(steps)
+@examples(30, 150, steps)
 def test_whatever_comes_every_message_stays_until_it_is_acknowledged(taken: list[Step]) -> None:
     streams = (A, B)
     appended: dict[StreamId, list[bytes]] = {A: [], B: []}
@@ -162,9 +162,10 @@ while True:
 """
 
 
-def test_a_process_that_is_killed_leaves_everything_that_append_returned_for(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kills", [1, pytest.param(4, marks=pytest.mark.long)])
+def test_a_process_that_is_killed_leaves_everything_that_append_returned_for(tmp_path: Path, kills: int) -> None:
     rng = random.Random(8)
-    for _ in range(4):
+    for _ in range(kills):
         process = subprocess.Popen(
             [sys.executable, "-c", APPEND, str(tmp_path)], stdout=subprocess.PIPE, text=True, start_new_session=True
         )

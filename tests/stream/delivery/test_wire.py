@@ -17,6 +17,7 @@ from stream.errors import BadInput, NewerSchema, WireError
 from stream.events import EVENT_SCHEMA, NoteAdded, decode_event, encode_event
 from stream.wire import samples_pb2
 from stream.wire.batches import SAMPLE_SCHEMA, decode_batch, encode_batch
+from tests.stream.examples import examples
 
 names = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)
 seconds = 10**9
@@ -47,8 +48,7 @@ def batches(draw: st.DrawFn) -> SampleBatch:
     )
 
 
-@given(batches())
-@settings(deadline=None)
+@examples(30, 100, batches())
 def test_any_batch_decodes_to_itself(batch: SampleBatch) -> None:
     assert decode_batch(encode_batch(batch)) == batch
 
@@ -61,8 +61,7 @@ def test_random_bytes_are_a_named_error(payload: bytes) -> None:
             decode(payload)
 
 
-@given(batches(), st.data())
-@settings(max_examples=300, deadline=None)
+@examples(50, 300, batches(), st.data())
 def test_a_damaged_batch_is_a_batch_or_a_named_error(batch: SampleBatch, data: st.DataObject) -> None:
     payload = bytearray(encode_batch(batch))
     at = data.draw(st.integers(0, len(payload) - 1))

@@ -5,12 +5,12 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.estimators.block_means import BlockMeans
+from tests.stream.examples import examples
 
 RNG = np.random.default_rng(3)
 N = 2000
@@ -39,8 +39,7 @@ def means(block_s: float, batches: list[SampleBatch]) -> tuple[list[int], list[f
     )
 
 
-@given(st.lists(st.integers(1, N - 1), max_size=8), st.sampled_from([0.05, 0.1, 0.5, 1.0]))
-@settings(deadline=None)  # the first compiles
+@examples(20, 100, st.lists(st.integers(1, N - 1), max_size=8), st.sampled_from([0.05, 0.1, 0.5, 1.0]))
 def test_the_cut_does_not_matter_and_the_means_are_right(cuts: list[int], block_s: float) -> None:
     times_ns, values = means(block_s, cut(cuts))
     block = (TIMES_NS - TIMES_NS[0]) // round(block_s * 1e9)

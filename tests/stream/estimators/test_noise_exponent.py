@@ -79,7 +79,7 @@ def true_variance(noise: str, factor: int) -> float:
     return {"quantisation": 3.0 / factor**2, "white": 1.0 / factor, "walk": (2 * factor**2 + 1) / (6 * factor)}[noise]
 
 
-@pytest.mark.parametrize("per_octave", [1, 2, 4, 8])
+@pytest.mark.parametrize("per_octave", [1, 2, *(pytest.param(more, marks=pytest.mark.long) for more in (4, 8))])
 @pytest.mark.parametrize("alpha", NOISE_EXPONENTS)
 def test_exact_power_laws_are_named(alpha: int, per_octave: int) -> None:
     samples = 1 << 20

@@ -21,10 +21,10 @@ from tests.stream.allan_curves import (
     point,
     simulated_curve,
 )
+from tests.stream.examples import examples
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
-@given(factors=st.tuples(*[POSITIVE] * 5), per_octave=st.sampled_from([1, 2, 4]))
+@examples(6, 25, factors=st.tuples(*[POSITIVE] * 5), per_octave=st.sampled_from([1, 2, 4]), derandomize=True)
 def test_an_exact_curve_gives_its_coefficients_back(factors: tuple[float, ...], per_octave: int) -> None:
     truth = tuple(a * b for a, b in zip(DAY, factors, strict=True))
     fit = fit_noise(exact_curve(truth, per_octave=per_octave))

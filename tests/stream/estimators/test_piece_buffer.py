@@ -27,6 +27,7 @@ from stream.wire.batches import encode_batch, read_wire_batch
 from stream.worker.estimation import Estimation
 from stream.worker.piece_buffer import PIECE_SAMPLES, PieceBuffer
 from stream.worker.signal_analysis import SignalAnalysis, SignalState, new_estimators
+from tests.stream.examples import examples
 
 DT_NS = 10**7
 PLACE = Place("plant", "bench")
@@ -133,8 +134,7 @@ def documents(
     return by_uid, found
 
 
-@given(signals(), st.data())
-@settings(max_examples=12, deadline=None)
+@examples(4, 12, signals(), st.data())
 def test_documents_do_not_depend_on_how_batches_were_cut(signal: list[Stretch], data: st.DataObject) -> None:
     every_ns = data.draw(st.sampled_from([7 * 10**9 + 1, 20 * 10**9]))
     once, _ = documents(signal, data, every_ns, stops=False)

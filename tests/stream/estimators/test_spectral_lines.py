@@ -38,18 +38,7 @@ def assert_at_least(hits: int, trials: int, share: float) -> None:
     assert scipy.stats.binom.cdf(hits, trials, share) > 1e-4, f"{hits} of {trials}, at least {share:.0%} expected"
 
 
-@pytest.mark.in_gate(
-    "0.5-100000.0-1-90.0",
-    "0.5-100000.0-4-30.0",
-    "0.0-100000.0-1-90.0",
-    "0.25-100000.0-1-90.0",
-    "0.5-3.0-4-30.0",
-    "0.25-1.0-1-90.0",
-    "0.25-30.0-1-90.0",
-    "0.5-100000.0-40-6.0",
-    "0.0-3.0-1-90.0",
-    "0.0-3.0-4-30.0",
-)
+@pytest.mark.in_gate("0.0-3.0-4-30.0", "0.25-30.0-1-90.0", "0.25-1.0-1-90.0", "0.5-100000.0-40-6.0")
 @pytest.mark.parametrize(("segments", "weakest"), [(1, 90.0), (4, 30.0), (40, 6.0), (200, 2.0)])
 @pytest.mark.parametrize("times_stronger", [1.0, 3.0, 30.0, 1e5])
 @pytest.mark.parametrize("off_bin", [0.0, 0.25, 0.5])

@@ -1,6 +1,7 @@
 """A worker's checkpoint: written whole, refused when damaged, gone on from to the last bit."""
 
 import time
+from functools import cache
 from pathlib import Path
 from uuid import UUID
 
@@ -8,6 +9,7 @@ import pytest
 
 from stream.delivery.publisher import DurablePublisher
 from stream.errors import CheckpointDamaged, EstimatorError
+from stream.events import AnyDocument
 from stream.transport.bus import LocalBus
 from stream.wire.batches import encode_batch
 from stream.worker.checkpoint import CHECKPOINT_VERSION, Checkpoint, generations, read_checkpoint, write_checkpoint
@@ -15,8 +17,13 @@ from stream.worker.worker import EstimationWorker
 from tests.stream.worker_runs import KEY, STARTS, MemoryLog, batch, run, sorted_documents
 
 
+@cache
+def undisturbed() -> list[AnyDocument]:
+    return run(None, [STARTS])[0]
+
+
 def test_lives_that_end_anywhere_give_the_documents_of_one(tmp_path: Path) -> None:
-    whole, _ = run(None, [STARTS])
+    whole = undisturbed()
     assert len(whole) > 50
     broken, workers = run(tmp_path / "c", [STARTS[:30], STARTS[30:31], STARTS[31:100], STARTS[100:]])
     assert sorted_documents(broken) == sorted_documents(whole)
@@ -24,7 +31,7 @@ def test_lives_that_end_anywhere_give_the_documents_of_one(tmp_path: Path) -> No
 
 
 def test_what_came_while_nobody_listened_is_read_in_the_log(tmp_path: Path) -> None:
-    whole, _ = run(None, [STARTS])
+    whole = undisturbed()
     deaf = frozenset(STARTS[20:25] + STARTS[119:])
     broken, workers = run(tmp_path / "c", [STARTS[:70], STARTS[70:]], deaf=deaf)
     assert sorted_documents(broken) == sorted_documents(whole)
@@ -33,7 +40,7 @@ def test_what_came_while_nobody_listened_is_read_in_the_log(tmp_path: Path) -> N
 
 
 def test_a_run_whose_first_samples_came_only_to_the_log_is_begun_at_its_beginning(tmp_path: Path) -> None:
-    whole, _ = run(None, [STARTS])
+    whole = undisturbed()
     found, (worker,) = run(tmp_path / "c", [STARTS], deaf=frozenset(STARTS[:3]))
     assert sorted_documents(found) == sorted_documents(whole)
     assert worker.counts.lost == 0
@@ -68,7 +75,7 @@ def test_a_checkpoint_of_a_newer_gyrofleet_is_left_alone(tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize("both", [False, True])
 def test_of_a_damaged_checkpoint_the_one_before_or_the_log_gives_the_same_documents(tmp_path: Path, both: bool) -> None:
-    whole, _ = run(None, [STARTS])
+    whole = undisturbed()
     path = tmp_path / "c"
 
     def damage() -> None:
@@ -111,7 +118,7 @@ def test_a_checkpoint_of_another_store_is_not_gone_on_from(tmp_path: Path) -> No
     write_checkpoint(path, Checkpoint("another", [(KEY, UUID(int=1).hex, 30_000)], [], [], []))
     found, (worker,) = run(path, [STARTS])
     assert not worker.resumed
-    whole, _ = run(None, [STARTS])
+    whole = undisturbed()
     assert sorted_documents(found) == sorted_documents(whole)
 
 
