@@ -1,12 +1,18 @@
 """A store with a calibrated gyro, made of files by code of its own, and the order of its certificate."""
 
 import csv
+import fcntl
+import json
+import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from tests.analytics.certificate.keys import write_key
 
 UNIT = "G-0042"
 RATES_DEG_PER_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 75, 100)
@@ -66,10 +72,83 @@ clock = { U = 1.0, k = 2.0, unit = "ppm" }
 """
 
 
+SPECIFICATION = """
+name = "VG-20"
+revision = "A"
+valid_from = 2026-01-01
+[[limit]]
+metric = "scale_factor"
+lower = 0.999
+upper = 1.001
+unit_of_measure = "1"
+decision_rule = "guarded_acceptance"
+[[limit]]
+metric = "bias"
+parameters = { earth_rate = "removed" }
+lower = -0.5
+upper = 0.5
+unit_of_measure = "deg/h"
+[[limit]]
+metric = "angle_random_walk"
+signal = "another"
+upper = 1.0
+unit_of_measure = "deg/sqrt(h)"
+"""
+ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
+
+
+def _made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that the first of the processes of pytest makes; nobody changes it."""
+    base = factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"certificate_{name}"
+    with folder.with_suffix(".lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "made").exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of a try that failed
+            folder.mkdir()
+            make(folder)
+            (folder / "made").touch()
+    return folder
+
+
 @pytest.fixture(scope="session")
-def laboratory(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
+def _measured(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
+    return _made_once(tmp_path_factory, "laboratory", lambda folder: _measure(folder, run_command))
+
+
+@pytest.fixture(scope="session")
+def laboratory(_measured: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the store ``lab`` (one gyro: scale factor and bias), and the files it is made of."""
-    folder = tmp_path_factory.mktemp("laboratory")
+    return Path(shutil.copytree(_measured, tmp_path_factory.mktemp("laboratory") / "copy"))
+
+
+@pytest.fixture(scope="session")
+def certified(
+    _measured: Path, tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]
+) -> tuple[Path, dict[str, Any]]:
+    """Such a folder with a certificate ``signed.pdf`` that states the conformity with limits, and what the command
+    answered; to be copied by whoever changes it or runs commands there."""
+
+    def make(folder: Path) -> None:
+        shutil.copytree(_measured, folder, dirs_exist_ok=True)
+        (folder / "made").unlink()
+        write_key(folder)
+        (folder / "limits.toml").write_text(SPECIFICATION)
+        order = f'traceability = "all to NIM"\n{ORDER}\n[conformity]\nspecification = "VG-20"\n'
+        (folder / "order.toml").write_text(order, encoding="utf-8")
+        words = ("limits", "add", "limits.toml", "--reason", "first", "--by", "Li", "--store", "lab")
+        entered = run_command(*words, cwd=folder)
+        assert entered.code == 0, entered.err
+        signing = ("--out", "signed.pdf", "--lang", "en", "--key", "key.p12", "--key-passphrase", "open")
+        done = run_command(*ORDERED, *signing, cwd=folder)
+        assert done.code == 0, done.err
+        (folder / "answer.json").write_text(done.out)
+
+    folder = _made_once(tmp_path_factory, "certified", make)
+    return folder, json.loads((folder / "answer.json").read_text())
+
+
+def _measure(folder: Path, run_command: Callable[..., Any]) -> None:
     rng = np.random.default_rng(2014)
     with (folder / "scale.csv").open("w", newline="") as file:
         writer = csv.writer(file)
@@ -94,4 +173,5 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[.
     ):  # fmt: skip
         done = run_command(*words, cwd=folder)
         assert done.code == 0, done.err
-    return folder
+    # kept in the store: copies of it need not compute the metrics again
+    assert run_command("metrics", "--store", "lab", "--json", cwd=folder).code == 0

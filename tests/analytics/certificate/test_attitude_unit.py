@@ -31,7 +31,20 @@ MORE = 'mounting = { U = 5.0, k = 2.0, unit = "arcsec" }\n'
 @pytest.fixture(scope="module")
 def lab(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a store `lab` of one calibrated unit, and another measured with a table that was out of date."""
-    folder = tmp_path_factory.mktemp("attitude_lab")
+    return calibrated(run_command, tmp_path_factory.mktemp("attitude_lab"), {UNIT: "KLB", "AHRS-4": "L"})
+
+
+@pytest.fixture(scope="module", params=["B", pytest.param("KLB", marks=pytest.mark.long)])
+def sampled_slowly(
+    request: pytest.FixtureRequest, run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Such a folder with the unit alone, and in the gate only with the sheet that is sampled once a second."""
+    if request.param == "KLB":
+        return Path(request.getfixturevalue("lab"))
+    return calibrated(run_command, tmp_path_factory.mktemp("attitude_slow"), {UNIT: request.param})
+
+
+def calibrated(run_command: Callable[..., Any], folder: Path, units: dict[str, str]) -> Path:
     rng = np.random.default_rng(1536)
     turning, standing, rating = (Sheet(ANGLES, WORDS, dt_s=dt_s) for dt_s in (0.1, 1.0, 1.0))
     turns(turning, MATRIX, BIASES)
@@ -50,7 +63,8 @@ def lab(run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactor
     (folder / "order.toml").write_text(stated, encoding="utf-8")
     (folder / "nobody.toml").write_text(stated.partition("[people]")[0], encoding="utf-8")
     sheets = {"K": rating, "L": turning, "B": standing}
-    for unit, names, station in ((UNIT, "KLB", "station.toml"), ("AHRS-4", "L", "old.toml")):
+    for unit, names in units.items():
+        station = "station.toml" if unit == UNIT else "old.toml"
         for day, name in enumerate(names, start=2):
             done = run_command(
                 "import", sheets[name].write(folder / f"{name}.csv"), "--unit", unit, "--run", f"{name}-{unit}",
@@ -88,8 +102,8 @@ def test_every_item_of_clause_8_and_every_row_of_annex_c_is_printed(
     assert is_archivable(lab / f"{language}.pdf")
 
 
-def test_deviations_that_the_order_denies_make_a_draft(lab: Path, run_command: Callable[..., Any]) -> None:
-    answer = written(run_command, lab, "none.toml", "denied.pdf")
+def test_deviations_that_the_order_denies_make_a_draft(sampled_slowly: Path, run_command: Callable[..., Any]) -> None:
+    answer = written(run_command, sampled_slowly, "none.toml", "denied.pdf")
     assert answer["is_draft"]
     assert any("samples/s: 7.2.1 asks for at least 10" in each for each in answer["deviations"])
     (missing,) = answer["missing"]

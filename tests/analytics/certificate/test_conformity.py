@@ -9,56 +9,23 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from tests.analytics.certificate.conftest import ORDER, UNIT
+from tests.analytics.certificate.conftest import ORDER, ORDERED, UNIT
 from tests.analytics.certificate.pdf_checks import pages_of
 
 DCC = {"dcc": "https://ptb.de/dcc"}
-SPECIFICATION = """
-name = "VG-20"
-revision = "A"
-valid_from = 2026-01-01
-[[limit]]
-metric = "scale_factor"
-lower = 0.999
-upper = 1.001
-unit_of_measure = "1"
-decision_rule = "guarded_acceptance"
-[[limit]]
-metric = "bias"
-parameters = { earth_rate = "removed" }
-lower = -0.5
-upper = 0.5
-unit_of_measure = "deg/h"
-[[limit]]
-metric = "angle_random_walk"
-signal = "another"
-upper = 1.0
-unit_of_measure = "deg/sqrt(h)"
-"""
 
 
 @pytest.fixture(scope="module")
 def judged(
-    laboratory: Path, run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+    certified: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, dict[str, Any]]:
     """A certificate with a statement of conformity, and what the command answered."""
-    folder = tmp_path_factory.mktemp("judged") / "copy"
-    shutil.copytree(laboratory, folder)
-    (folder / "limits.toml").write_text(SPECIFICATION)
-    done = run_command("limits", "add", "limits.toml", "--store", "lab", cwd=folder)
-    assert done.code == 0, done.err
-    (folder / "order.toml").write_text(f'{ORDER}\n[conformity]\nspecification = "VG-20"\n', encoding="utf-8")
-    done = run_command(*ASKED, "--out", "c.pdf", cwd=folder)
-    assert done.code == 0, done.err
-    return folder, done.json
+    return Path(shutil.copytree(certified[0], tmp_path_factory.mktemp("judged") / "copy")), certified[1]
 
 
 def printed(pdf: Path) -> str:
     """All text without white space, which a PDF does not keep."""
     return "".join("".join(pages_of(pdf)).split())
-
-
-ASKED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
 
 
 def test_outcome_limits_and_decision_rule_are_stated(
@@ -69,28 +36,30 @@ def test_outcome_limits_and_decision_rule_are_stated(
     given = run_command("verdicts", "--unit", UNIT, "--store", "lab", "--json", cwd=folder).json["verdicts"]
     of = {row["metric"]: row for row in given if row["specification"] == "VG-20" and row["value"] is not None}
     assert (of["scale_factor"]["verdict"], of["bias"]["verdict"]) == ("PASS", "FAIL")
-    text = printed(folder / "c.pdf")
+    text = printed(folder / "signed.pdf")
     assert "VG-20,A" in text
     assert "0.999...1.001:conforms" in text
     assert f"guardband{of['scale_factor']['guard']:.3g}" in text
     assert "guardedacceptance(JCGM106,8.3.2)" in text
     assert "-0.5...0.5°/h:doesnotconform" in text
     assert "angle_random_walk" in text.partition("Notjudgedhere")[2]
+    assert "alltoNIM" in text, "the order states the traceability"
 
 
 def test_the_digital_certificate_has_it(judged: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = judged
-    root = ET.fromstring((folder / "c.xml").read_bytes())
+    root = ET.fromstring((folder / "signed.xml").read_bytes())
     found = [each.findtext("dcc:conformity", "", DCC) for each in root.iterfind(".//dcc:statement", DCC)]
     assert sorted(each for each in found if each) == ["fail", "pass"]
 
 
+@pytest.mark.long  # in the gate among other faults of an order
 def test_a_specification_that_judges_nothing_makes_a_draft(
     judged: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
 ) -> None:
     folder, _ = judged
     (folder / "other.toml").write_text(f'{ORDER}\n[conformity]\nspecification = "VG-21"\n', encoding="utf-8")
-    words = [each if each != "order.toml" else "other.toml" for each in ASKED]
+    words = [each if each != "order.toml" else "other.toml" for each in ORDERED]
     done = run_command(*words, "--out", "d.pdf", cwd=folder)
     assert done.json["is_draft"]
     assert any("VG-21" in each for each in done.json["missing"])
@@ -103,13 +72,14 @@ def test_without_agreed_interval_none_is_recommended_and_none_ends(
     folder = tmp_path / "copy"
     shutil.copytree(laboratory, folder)
     (folder / "order.toml").write_text(ORDER.replace("valid_months = 12\n", ""), encoding="utf-8")
-    done = run_command(*ASKED, "--out", "c.pdf", cwd=folder)
+    done = run_command(*ORDERED, "--out", "c.pdf", cwd=folder)
     assert (done.code, done.json["valid_until"]) == (0, None), done.err
     assert "Recommended" not in printed(folder / "c.pdf")
     found = run_command("certificate", "verify", "c.pdf", "--store", "lab", "--json", cwd=folder)
     assert (found.code, found.json["valid"], found.json["valid_until"]) == (0, True, None)
 
 
+@pytest.mark.long  # in the gate among other faults of an order
 def test_traceability_is_asked_for(laboratory: Path, run_command: Callable[..., Any], tmp_path: Path) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(laboratory, folder)
@@ -121,9 +91,9 @@ def test_traceability_is_asked_for(laboratory: Path, run_command: Callable[..., 
             f"2026-03-02T{at}:00:00+08:00", "--store", "lab", cwd=folder,
         )  # fmt: skip
         assert done.code == 0, done.err
-    lacking = run_command(*ASKED, "--out", "c.pdf", cwd=folder).json
+    lacking = run_command(*ORDERED, "--out", "c.pdf", cwd=folder).json
     assert [each for each in lacking["missing"] if "traceab" in each] != [], lacking
     assert "rate table" in json.dumps(lacking["missing"])
     (folder / "order.toml").write_text('traceability = "all to NIM"\n' + ORDER, encoding="utf-8")
-    assert not run_command(*ASKED, "--out", "c.pdf", cwd=folder).json["is_draft"]
+    assert not run_command(*ORDERED, "--out", "c.pdf", cwd=folder).json["is_draft"]
     assert "alltoNIM" in printed(folder / "c.pdf")

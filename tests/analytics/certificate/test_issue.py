@@ -4,6 +4,7 @@ import datetime as dt
 import hashlib
 import shutil
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -15,10 +16,11 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from cryptography.hazmat.primitives.serialization import pkcs12
 from cryptography.x509.oid import NameOID
+from pypdf import PdfWriter
 
 from analytics.certificate.document.signature import check_signature, sign
+from analytics.certificate.kept_files import certificate_findings
 from analytics.certificate.record import file_of, read_certificates
 from storage.attestation.attestation import kept_attestations, read_attestation
 from storage.attestation.signing_key import create_key, default_key
@@ -27,11 +29,11 @@ from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
 from stream.events import CertificateIssued
-from tests.analytics.certificate.conftest import UNIT
+from tests.analytics.certificate.conftest import ORDERED, UNIT
+from tests.analytics.certificate.keys import write_key
 from tests.analytics.certificate.pdf_checks import pages_of
 
 DCC = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
-ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +53,30 @@ def verified(run_command: Callable[..., Any], folder: Path, name: str) -> tuple[
     return done.code, done.json
 
 
-def test_a_whole_certificate_is_issued_genuine_and_valid(
-    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
-) -> None:
-    folder, answer = issued
+@pytest.fixture(params=["signed", pytest.param("unsigned", marks=pytest.mark.long)])
+def whole(request: pytest.FixtureRequest) -> tuple[Path, dict[str, Any], str]:
+    """A folder with a whole certificate, what the command answered, and the name of the certificate."""
+    folder, answer = request.getfixturevalue("certified" if request.param == "signed" else "issued")
+    return folder, answer, "signed" if request.param == "signed" else "first"
+
+
+def test_a_whole_certificate_is_issued_and_kept(whole: tuple[Path, dict[str, Any], str]) -> None:
+    folder, answer, name = whole
     assert answer["missing"] == []
     assert not answer["is_draft"]
     assert answer["number"] == f"GYL-{dt.datetime.now(dt.UTC).year}-0001"
     assert answer["valid_until"] == "2027-03-01"
+    kept = folder / "lab" / "certificates" / f"{answer['number']}.pdf"
+    assert kept.read_bytes() == (folder / f"{name}.pdf").read_bytes()
+
+
+@pytest.mark.long  # the gate verifies a signed one
+def test_a_whole_certificate_is_genuine_and_valid(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    folder, answer = issued
     code, found = verified(run_command, folder, "first.pdf")
     assert (code, found["genuine"], found["number"]) == (0, True, answer["number"])
-    kept = folder / "lab" / "certificates" / f"{answer['number']}.pdf"
-    assert kept.read_bytes() == (folder / "first.pdf").read_bytes()
 
 
 @pytest.mark.long
@@ -76,13 +90,13 @@ def test_one_changed_byte_is_noticed(issued: tuple[Path, dict[str, Any]], run_co
 
 
 def test_the_digital_certificate_has_the_results_with_u_and_k(
-    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+    whole: tuple[Path, dict[str, Any], str], laboratory: Path, run_command: Callable[..., Any]
 ) -> None:
-    folder, answer = issued
-    root = ET.parse(folder / "first.xml").getroot()
+    folder, answer, name = whole
+    root = ET.parse(folder / f"{name}.xml").getroot()
     assert root.findtext(".//dcc:uniqueIdentifier", namespaces=DCC) == answer["number"]
     assert root.findtext(".//dcc:item//dcc:value", namespaces=DCC) == UNIT
-    rows = run_command("metrics", "--annex-a", UNIT, "--store", "lab", "--json", cwd=folder).json["rows"]
+    rows = run_command("metrics", "--annex-a", UNIT, "--store", "lab", "--json", cwd=laboratory).json["rows"]
     values = [each["value"] for row in rows for each in row["results"]]
     quantities = root.findall(".//dcc:result//dcc:quantity", DCC)
     assert len(quantities) == len(values)
@@ -123,9 +137,10 @@ def test_a_new_one_on_the_same_runs_has_to_supersede(
     assert [each["by"] for each in audit if each["kind"] == "CertificateIssued"] == ["Chen Gang"] * 2
 
 
-def test_a_document_without_the_seal_of_the_store_is_no_certificate(issued: tuple[Path, dict[str, Any]]) -> None:
-    folder, _ = issued
-    store = Store.open(folder / "lab")
+def test_a_document_without_the_seal_of_the_store_is_no_certificate(
+    certified: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    store = Store.open(Path(shutil.copytree(certified[0] / "lab", tmp_path / "lab")))
     with Catalog(store) as catalog:
         own = read_certificates(store, catalog).issued[0]
     assert forgery(store, own) is None
@@ -136,31 +151,13 @@ def test_a_document_without_the_seal_of_the_store_is_no_certificate(issued: tupl
     assert isinstance(own, CertificateIssued)
 
 
-def key(folder: Path) -> tuple[Path, Path]:
-    """A key with its certificate as PKCS #12 (passphrase ``open``), and the certificate as PEM."""
-    private = rsa.generate_private_key(public_exponent=65537, key_size=2048)
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "Gyro Calibration Laboratory")])
-    now = dt.datetime.now(dt.UTC)
-    usage = x509.KeyUsage(
-        digital_signature=True, content_commitment=True, key_encipherment=False, data_encipherment=False,
-        key_agreement=False, key_cert_sign=False, crl_sign=False, encipher_only=False, decipher_only=False,
-    )  # fmt: skip
-    certificate = (
-        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(private.public_key())
-        .serial_number(1).not_valid_before(now - dt.timedelta(days=1)).not_valid_after(now + dt.timedelta(days=30))
-        .add_extension(usage, critical=True).sign(private, hashes.SHA256())
-    )  # fmt: skip
-    content = pkcs12.serialize_key_and_certificates(
-        b"lab", private, certificate, None, serialization.BestAvailableEncryption(b"open")
-    )
-    (folder / "key.p12").write_bytes(content)
-    (folder / "root.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-    return folder / "key.p12", folder / "root.pem"
-
-
-def test_a_signature_holds_until_a_byte_is_changed(issued: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    pdf = (issued[0] / "first.pdf").read_bytes()
-    private, root = key(tmp_path)
+def test_a_signature_holds_until_a_byte_is_changed(tmp_path: Path) -> None:
+    written = BytesIO()
+    writer = PdfWriter()
+    writer.add_blank_page(595, 842)
+    writer.write(written)
+    pdf = written.getvalue()
+    private, root = write_key(tmp_path)
     assert check_signature(pdf, None) is None
     with pytest.raises(BadInput, match="another passphrase"):
         sign(pdf, private, "wrong", reason="issue")
@@ -269,12 +266,12 @@ def test_results_are_of_the_records_and_not_of_what_was_kept_or_changed(
 
 
 def test_verify_finds_kept_files_that_are_changed_missing_or_never_issued(
-    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], tmp_path: Path
+    certified: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], tmp_path: Path
 ) -> None:
-    folder, answer = issued
+    folder, answer = certified
     shutil.copytree(folder / "lab", tmp_path / "lab")
     kept = tmp_path / "lab" / "certificates"
-    assert run_command("verify", "--store", "lab", "--json", cwd=tmp_path).json["findings"] == []
+    assert certificate_findings(Store.open(tmp_path / "lab")) == []
     pdf, xml = kept / f"{answer['number']}.pdf", kept / f"{answer['number']}.xml"
     pdf.write_bytes(pdf.read_bytes() + b"\n")
     xml.unlink()
@@ -286,3 +283,10 @@ def test_verify_finds_kept_files_that_are_changed_missing_or_never_issued(
         ("certificate_changed", pdf.name), ("certificate_missing", xml.name),
         ("certificate_not_issued", "GYL-2026-0999.pdf"),
     }  # fmt: skip
+
+
+@pytest.mark.long
+def test_verify_finds_nothing_in_a_store_with_a_certificate(
+    issued: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
+) -> None:
+    assert run_command("verify", "--store", "lab", "--json", cwd=issued[0]).json["findings"] == []

@@ -11,33 +11,18 @@ import pytest
 
 from storage.specifications.chain import read_chain
 from storage.store import Store
-from tests.analytics.certificate.conftest import UNIT
-from tests.analytics.certificate.test_issue import ORDERED, key
+from tests.analytics.certificate.conftest import ORDERED, UNIT
+from tests.analytics.certificate.keys import write_key
 from tests.analytics.serve.conftest import TOKEN, start
 from tests.forked_commands import CommandServer
 
 
 @pytest.fixture(scope="module")
 def signed(
-    laboratory: Path, run_command: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+    certified: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, dict[str, Any]]:
-    """A copy of the store with a signed certificate, after a try with another passphrase."""
-    folder = tmp_path_factory.mktemp("signed") / "copy"
-    shutil.copytree(laboratory, folder)
-    key(folder)
-    (folder / "gyro.toml").write_text(
-        'revision = "A"\n[[limit]]\nmetric = "bias"\nupper = 5.0\nunit_of_measure = "deg/h"\n'
-    )
-    entered = run_command("limits", "add", "gyro.toml", "--reason", "first", "--by", "Li", "--store", "lab", cwd=folder)
-    assert entered.code == 0, entered.err
-    words = (*ORDERED, "--out", "signed.pdf", "--lang", "en", "--key", "key.p12")
-    wrong = run_command(*words, "--key-passphrase", "shut", cwd=folder)
-    assert wrong.code == 1
-    assert "another passphrase" in wrong.json["error"]["message"]
-    assert not (folder / "signed.pdf").exists()
-    done = run_command(*words, "--key-passphrase", "open", cwd=folder)
-    assert done.code == 0, done.err
-    return folder, done.json
+    """A copy of the store with a signed certificate."""
+    return Path(shutil.copytree(certified[0], tmp_path_factory.mktemp("signed") / "copy")), certified[1]
 
 
 def verified(run_command: Callable[..., Any], folder: Path, name: str, *more: str) -> tuple[int, dict[str, Any]]:
@@ -46,16 +31,26 @@ def verified(run_command: Callable[..., Any], folder: Path, name: str, *more: st
 
 
 @pytest.mark.long
-def test_a_wrong_passphrase_takes_no_number(signed: tuple[Path, dict[str, Any]]) -> None:
-    assert signed[1]["number"].endswith("-0001")
+def test_a_wrong_passphrase_takes_no_number(laboratory: Path, run_command: Callable[..., Any], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(laboratory, tmp_path / "copy"))
+    write_key(folder)
+    words = (*ORDERED, "--out", "signed.pdf", "--lang", "en", "--key", "key.p12")
+    wrong = run_command(*words, "--key-passphrase", "shut", cwd=folder)
+    assert wrong.code == 1
+    assert "another passphrase" in wrong.json["error"]["message"]
+    assert not (folder / "signed.pdf").exists()
+    done = run_command(*words, "--key-passphrase", "open", cwd=folder)
+    assert done.code == 0, done.err
+    assert done.json["number"].endswith("-0001")
 
 
 def test_a_signed_one_is_genuine_and_trusted_by_its_root(
     signed: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
 ) -> None:
-    folder, _ = signed
+    folder, answer = signed
     code, found = verified(run_command, folder, "signed.pdf", "--trust", "root.pem")
     assert (code, found["genuine"], found["valid"], found["changed"]) == (0, True, True, [])
+    assert found["number"] == answer["number"]
     assert (found["signature"]["intact"], found["signature"]["trusted"]) == (True, True)
     content = bytearray((folder / "signed.pdf").read_bytes())
     content[len(content) // 3] ^= 1

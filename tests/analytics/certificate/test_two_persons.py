@@ -9,11 +9,9 @@ from typing import Any
 import pytest
 
 from stream.security.rights import Role
-from tests.analytics.certificate.conftest import UNIT
+from tests.analytics.certificate.conftest import ORDERED, UNIT
 from tests.analytics.certificate.pdf_checks import pages_of
 from tests.secured_sites import make_site
-
-ORDERED = ("certificate", "--unit", UNIT, "--standard", "JJF2014", "--order", "order.toml", "--store", "lab", "--json")
 
 LEAD, CHIEF = ("--security", "site/approver/lead"), ("--security", "site/approver/chief")
 

@@ -41,6 +41,7 @@ def test_units_are_found_by_a_part_of_the_name(api: httpx.Client) -> None:
     assert got(api, "/api/units", lot="none")["count"] == 0
 
 
+@pytest.mark.long  # in the gate of a smaller store, see test_months_of_files
 def test_a_unit_has_the_figures_of_the_commands(api: httpx.Client, served: Served, run_command: Run) -> None:
     found = got(api, "/api/units/FOG-0001")
     told = run_command("metrics", "--unit", "FOG-0001", "--store", "S", "--json", cwd=served.folder).json

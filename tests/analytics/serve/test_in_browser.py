@@ -24,7 +24,6 @@ PAGES = (
     "/", "/runs", "/runs/run-1", "/units", "/units/FOG-0001", SIGNAL, "/trends?metric=bias", "/verdicts", "/diagnosis",
     "/sql", "/events", "/work", "/store",
 )  # fmt: skip
-_IN_GATE = ("/units/FOG-0001", SIGNAL)
 # pixels of the curve in the uppermost fifth of the plot
 PIXELS = """(() => {
   const canvas = document.querySelector('#signal-plot canvas'), over = document.querySelector('#signal-plot .u-over');
@@ -216,11 +215,10 @@ def test_paper_is_light(window: Browser, served: Served) -> None:
     window.emulate("light")
 
 
+@pytest.mark.in_gate("/units/FOG-0001-dark-zh", f"{SIGNAL}-light-en")
 @pytest.mark.parametrize("lang", ["en", "zh"])
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize(
-    "page", [*_IN_GATE, *(pytest.param(page, marks=pytest.mark.long) for page in PAGES if page not in _IN_GATE)]
-)
+@pytest.mark.parametrize("page", PAGES)
 def test_axe_finds_nothing(window: Browser, served: Served, page: str, theme: str, lang: str) -> None:
     window.emulate(theme)
     window.open(f"{served.url}{page}{'&' if '?' in page else '?'}lang={lang}")

@@ -122,6 +122,19 @@ def test_the_page_says_what_its_yield_is_of(months: httpx.Client) -> None:
     assert "/verdicts?run=A1" in run
 
 
+def test_a_unit_has_the_figures_of_the_commands(
+    months: httpx.Client, run_command: Callable[..., Any], served_at: Path
+) -> None:
+    found = _asked(months, "/api/units/A2")
+    told = run_command("metrics", "--unit", "A2", "--store", served_at, "--json", cwd=served_at).json
+    keys = ("metric", "signal", "run", "value", "lo", "hi", "unit_of_measure", "reason")
+    assert [{key: row[key] for key in keys} for row in found["metrics"]] == [
+        {key: row[key] for key in keys} for row in told
+    ]
+    assert [row["metric"] for row in found["verdicts"]] == ["bias"]
+    assert (found["verdict"]["verdict"], [each["run"] for each in found["runs"]]) == ("PASS", ["A2_2026-01"])
+
+
 def test_the_command_gives_the_same_yield(
     months: httpx.Client, run_command: Callable[..., Any], served_at: Path
 ) -> None:
@@ -129,6 +142,11 @@ def test_the_command_gives_the_same_yield(
     found = json.loads(done.out)
     assert found["yield"] == _asked(months, "/api/yield?by=month&product=B")["groups"]
     assert [row["failed"] for row in found["pareto"]] == [1]
+
+
+def test_the_command_says_why_it_gives_none(
+    months: httpx.Client, run_command: Callable[..., Any], served_at: Path
+) -> None:
     refused = run_command("verdicts", "--product", "B", "--store", served_at, cwd=served_at)
     assert refused.code != 0
     assert "give --by as well" in refused.err
@@ -136,6 +154,12 @@ def test_the_command_gives_the_same_yield(
     assert unknown.code != 0
     assert "nothing was judged of product 'b'" in unknown.err
     assert "B" in unknown.err.partition("'b'")[2]
+
+
+@pytest.mark.long
+def test_the_command_says_that_a_group_is_empty_and_speaks_chinese(
+    months: httpx.Client, run_command: Callable[..., Any], served_at: Path
+) -> None:
     none = run_command("verdicts", "--by", "all", "--since", "2026-05-01", "--store", served_at, cwd=served_at)
     assert "nothing was judged in this group" in none.err
     chinese = run_command("verdicts", "--by", "lot", "--lang", "zh", "--store", served_at, cwd=served_at)

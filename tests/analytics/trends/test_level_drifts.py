@@ -27,8 +27,9 @@ def weekly_lots(rng: np.random.Generator, slope: float, *, heavy: bool = False) 
     return replace(series, t_ns=START_NS + lot.astype(np.int64) * WEEK_NS + (np.arange(n) % PER_LOT) * 10**9)
 
 
+@pytest.mark.in_gate("200-True")
 @pytest.mark.parametrize("heavy", [False, True])
-@pytest.mark.parametrize("trials", [200, pytest.param(2000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("trials", [200, 2000])
 def test_noise_shows_no_drift_more_often_than_is_promised(trials: int, *, heavy: bool) -> None:
     rng = np.random.default_rng(20261129)
     found = sum(bool(level_drifts(weekly_lots(rng, 0.0, heavy=heavy))) for _ in range(trials))

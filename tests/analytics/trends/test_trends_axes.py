@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from analytics.plots.picture import Label
 from analytics.serve.api.trend.trend_pictures import chart_picture
@@ -45,17 +46,20 @@ def test_axes_of_a_unit_are_no_units() -> None:
     assert found.cpk == cpk_index(found.cpk.value, 24)
 
 
-def test_units_on_both_stations_are_counted_by_unit() -> None:
-    rng = np.random.default_rng(3)
-    for common, counted in (
-        (1, "only 1 unit there was"),
+@pytest.mark.parametrize(
+    ("common", "counted"),
+    [
+        pytest.param(1, "only 1 unit there was", marks=pytest.mark.long),
         (2, "only 2 units there were"),
         (4, "4 units measured on both"),
-    ):
-        number = np.r_[np.repeat(np.arange(10), 6), np.repeat(np.arange(common), 6)]
-        station = np.r_[np.zeros(60, int), np.ones(6 * common, int)]
-        value = 5.0 + rng.normal(0, 0.02, number.size) + rng.normal(0, 0.05, 10)[number] + 0.3 * station
-        assert counted in english(trend_of(series_of(value, number, station=station), by="station"))
+    ],
+)
+def test_units_on_both_stations_are_counted_by_unit(common: int, counted: str) -> None:
+    rng = np.random.default_rng([3, common])
+    number = np.r_[np.repeat(np.arange(10), 6), np.repeat(np.arange(common), 6)]
+    station = np.r_[np.zeros(60, int), np.ones(6 * common, int)]
+    value = 5.0 + rng.normal(0, 0.02, number.size) + rng.normal(0, 0.05, 10)[number] + 0.3 * station
+    assert counted in english(trend_of(series_of(value, number, station=station), by="station"))
 
 
 def test_three_axes_of_one_unit_are_no_three_units_on_both() -> None:

@@ -83,8 +83,8 @@ def test_a_dearer_price_makes_alarms_rarer(series: int) -> None:
     assert often >= binom.ppf(0.001, series, 0.04)  # it is not idle either
 
 
-@pytest.mark.in_gate("30-0.0-0.5-100", "90-0.8-0.8-50")
-@pytest.mark.parametrize("series", [50, 100, 200])
+@pytest.mark.in_gate("30-0.0-0.5-40", "90-0.8-0.8-20")
+@pytest.mark.parametrize("series", [20, 40, 50, 100, 200])
 @pytest.mark.parametrize(
     ("n", "correlation", "least"), [(30, 0.0, 0.5), (30, 0.8, 0.7), (90, 0.0, 0.95), (90, 0.8, 0.8)]
 )

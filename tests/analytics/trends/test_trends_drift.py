@@ -9,11 +9,12 @@ from analytics.trends.wander import Noise, simulated
 from analytics.trends.words import NotComputed
 
 
-@pytest.mark.in_gate("0.9-0.91")
+@pytest.mark.in_gate("0.9-0.91-150")
+@pytest.mark.parametrize("trials", [150, 700])
 @pytest.mark.parametrize(("correlation", "least"), [(0.0, 0.95), (0.6, 0.94), (0.9, 0.91)])
-def test_slope_is_covered_though_neighbours_resemble_each_other(correlation: float, least: float) -> None:
+def test_slope_is_covered_though_neighbours_resemble_each_other(correlation: float, least: float, trials: int) -> None:
     rng = np.random.default_rng([20260718, round(10 * correlation)])
-    trials, n = 700, 30
+    n = 30
     noise = rng.standard_normal((trials, n))
     noise[:, 0] /= np.sqrt(1 - correlation**2)
     for at in range(1, n):

@@ -51,7 +51,8 @@ def compared(series: MetricSeries) -> GroupComparison:
     return found
 
 
-@pytest.mark.parametrize("trials", [30, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.in_gate("10")
+@pytest.mark.parametrize("trials", [10, 30, 100])
 def test_station_offset_is_found_and_covered(trials: int) -> None:
     rng = np.random.default_rng(20260721)
     covered = found = pairs = 0

@@ -36,19 +36,21 @@ def _english(trend: Trend) -> str:
     return "\n".join(each.en for each in found)
 
 
-def test_a_station_with_an_offset_is_named_and_sized(reported: Reported) -> None:
+# the interval of 75 pairs alone is 4 * 0.02 sqrt(2 / 75) = 0.013 wide
+@pytest.mark.parametrize("units", [150, pytest.param(300, marks=pytest.mark.long)])
+def test_a_station_with_an_offset_is_named_and_sized(reported: Reported, units: int) -> None:
     rng = np.random.default_rng(20260741)
-    own = rng.normal(0, 0.1, 300)
+    own = rng.normal(0, 0.1, units)
     rows = [
         {"unit": f"U{unit:03}", "station": "AB"[station], "lot": f"L{unit % 6 // 2}",
          "value": 5 + own[unit] + 0.05 * station + rng.normal(0, 0.02)}
-        for unit, station in [(u, u % 2) for u in range(300)] + [(u, 1 - u % 2) for u in range(150)]
+        for unit, station in [(u, u % 2) for u in range(units)] + [(u, 1 - u % 2) for u in range(units // 2)]
     ]  # fmt: skip
     trend = trend_of(read_series(reported(rows), "bias"))
     said = _english(trend)
     assert "Station B gives values 0.0" in said
     assert "higher than station A" in said
-    assert "the 150 units measured on both show 0.0" in said
+    assert f"the {units // 2} units measured on both show 0.0" in said
     assert "it is the station, not its units" in said
     assert "Lot " not in said
     (station,) = (each for each in document(trend)["differences"] if each["group"] == "station")
@@ -208,8 +210,13 @@ def test_products_in_one_chart_are_named_and_each_has_a_chart_of_its_own(reporte
     assert not any("products" in each.en for each in sentences(trend_of(of_one)))
 
 
+@pytest.mark.parametrize(
+    "groups",
+    [("fixture",), pytest.param((None, "product", "lot", "fixture"), marks=pytest.mark.long)],
+    ids=["one", "all"],
+)
 def test_a_product_is_no_fixture_and_each_has_the_capability_by_its_own_limits(
-    reported: Reported, store: Store, tmp_path: Path
+    reported: Reported, store: Store, tmp_path: Path, groups: tuple[Any, ...]
 ) -> None:
     path = tmp_path / "two.toml"
     entry = '[[limit]]\nmetric = "bias"\nproduct = "{}"\nlower = {}\nupper = {}\nunit_of_measure = "deg/h"\n'
@@ -225,7 +232,7 @@ def test_a_product_is_no_fixture_and_each_has_the_capability_by_its_own_limits(
         for i in range(80)
     ]  # fmt: skip
     series = read_series(reported(rows), "bias")
-    for by in (None, "product", "lot", "fixture"):
+    for by in groups:
         limits_of = partial(specified_limits, store)
         trend = trend_of(series, by=by, specification=specified_limits(store, series), limits_of=limits_of)
         text = _english(trend)

@@ -42,11 +42,15 @@ def test_a_wandering_station_is_no_plain_shift_but_is_said_to_wander() -> None:
     assert "wander from session to session" in said
 
 
-def test_a_shift_is_found_dated_and_covered() -> None:
+# at least 0.75 of 24 series is what a share of 0.92 gives but once in a thousand times; so for the fewer of the gate
+@pytest.mark.parametrize(
+    ("series", "least"), [(8, int(binom.ppf(0.001, 8, 0.92))), pytest.param(24, 18, marks=pytest.mark.long)]
+)
+def test_a_shift_is_found_dated_and_covered(series: int, least: int) -> None:
     plan = Plan(shift=0.12, stations=2)
-    found = counted(plan, 24, seed=4)
-    assert found.anything == 24
-    assert found.found >= 18
+    found = counted(plan, series, seed=4)
+    assert found.anything == series
+    assert found.found >= least
     assert found.dated >= binom.ppf(0.001, found.found, 0.9)
     assert not is_outside(plan, found, 1)
 

@@ -1,6 +1,7 @@
 """What is entered later changes no verdict given before, unless a person asks for that."""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,16 @@ from storage.store import Store
 from stream.errors import BadInput
 from stream.security.actor import Actor
 from tests.analytics.conftest import START_NS, TestedUnits
+from tests.analytics.verdicts.few_metrics import computing
 from tests.analytics.verdicts.specification_documents import Specify, entered, limit
 
 SECOND_NS = 10**9
+
+
+@pytest.fixture
+def few_metrics() -> Iterator[None]:
+    with computing("bias", "bias_stability_averaged"):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +40,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tested.mount("r1", "U1", product="X")
     values = np.random.default_rng(3).normal(1.5, 0.5, 4000)
     tested.step("r1", "U1", values, t0_ns=START_NS, dt_ns=SECOND_NS, procedure="static_bias", step="static")
-    with tested.catalog() as catalog:
+    with computing("bias"), tested.catalog() as catalog:
         catalog.fill()
     tested.release()
     return folder
@@ -54,6 +62,7 @@ PASSED = [("bias", "A", "PASS"), ("unit", None, "PASS")]
 FAILED = [("bias", "B", "FAIL"), ("unit", None, "FAIL")]
 
 
+@pytest.mark.usefixtures("few_metrics")
 @pytest.mark.in_gate("valid_from = 2030-01-01")
 @pytest.mark.parametrize("head", ["valid_from = 2030-01-01", "valid_from = 2025-01-01\nvalid_until = 2025-12-31"])
 def test_a_later_revision_changes_no_verdict_given_before(measured_store: Store, specify: Specify, head: str) -> None:
@@ -87,6 +96,7 @@ def test_what_holds_now_judges_what_was_recorded_before_where_that_is_asked_for(
     assert judged(measured_store) == PASSED
 
 
+@pytest.mark.usefixtures("few_metrics")
 def test_a_run_recorded_after_a_revision_is_judged_by_it(store: Store, specify: Specify) -> None:
     specify(store, "A", limit(2.0))
     specify(store, "B", limit(1.0, "valid_from = 2025-01-01"))

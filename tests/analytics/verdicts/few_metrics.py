@@ -1,0 +1,17 @@
+"""Catalogues that compute a few metrics."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from analytics.evaluation import kept_metrics
+
+
+@contextmanager
+def computing(*wanted: str) -> Iterator[None]:
+    """Catalogues compute these metrics alone, a tenth of the time; all are computed by the long tests."""
+    compute = kept_metrics.unit_metrics
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kept_metrics, "unit_metrics", lambda catalog, progress: compute(catalog, progress, wanted))
+        yield
