@@ -1,10 +1,11 @@
 """Every gate, from nothing but Python 3.11: ``python3 tests/check.py``.
 
 Makes ``.venv-check`` and installs there the wheel that it builds, as users do. Runs ruff, and pytest beside nothing of
-the checkout but its tests and documents, so that only the wheel can be imported; mypy, import-linter and the build of
-the documentation run while tests wait. Files of tests are in memory where there is room. With ``--all``, they are on
-the disk, the pages of the documentation are written and not only checked, the long forms of the tests run as well, and
-some against the lowest versions of the libraries. The folders ``.venv-*`` may be deleted.
+the checkout but its tests and documents, so that only the wheel can be imported. Examples in docstrings come first;
+mypy, import-linter and the build of the documentation run while tests wait. Files of tests are in memory where there
+is room. With ``--all``, they are on the disk, the pages of the documentation are written and not only checked, the
+long forms of the tests run as well, and some against the lowest versions of the libraries. The folders ``.venv-*`` may
+be deleted.
 """
 
 import argparse
@@ -33,7 +34,7 @@ LOWEST = (
 )
 # more than there are processors: many tests wait for processes of their own
 PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
-PACKAGES = ("--pyargs", "stream", "storage", "ingest", "analytics")
+EXAMPLES = (("ingest", "analytics"), ("stream", "storage"))
 
 # tests make stores by the thousand, and what is recorded is synced
 MEMORY = Path("/dev/shm")
@@ -109,13 +110,13 @@ def development_requirements() -> list[str]:
     return [requirement for requirement in group if not requirement.startswith("gyrofleet")]
 
 
-def check_meanwhile(log: Path, *commands: Command, cwd: Path = ROOT) -> int:
-    """Run commands one after the other in the time that others leave; their output goes to a file."""
+def check_meanwhile(log: Path, *commands: Command, cwd: Path = ROOT, niceness: int = 10) -> int:
+    """Run commands one after the other, by default in the time that others leave; their output goes to a file."""
     with log.open("w") as file:
         for command in commands:
             file.write(f"\n$ {' '.join(map(str, command))}\n")
             file.flush()
-            if code := exit_code(("nice", "-n", "10", *command), cwd=cwd, output=file):
+            if code := exit_code(("nice", "-n", str(niceness), *command), cwd=cwd, output=file):
                 file.write(f"failed with exit code {code}\n")
                 return code
     return 0
@@ -158,24 +159,26 @@ def main() -> None:
         install(bin_, f"{wheel}[{extras}]", *development_requirements())
         run(bin_ / "ruff", "check", ".")
         run(bin_ / "ruff", "format", "--check", ".")
-        logs = [there / "sources.txt", there / "documents.txt", there / "examples.txt"]
+        logs = [there / f"{name}.txt" for name in ("sources", "documents", *map("-".join, EXAMPLES))]
         meanwhile = [pool.submit(check_meanwhile, logs[0], (bin_ / "mypy",), (bin_ / "lint-imports",))]
         project = beside_the_wheel(there)
         pytest = (bin_ / "python", "-m", "pytest")
-        # once, else each of the parallel processes would compile the tests and what they call
+        # once, else each of the parallel processes would compile the tests, and the machine code that they call
         collecting = (*pytest, "--collect-only", "tests")
-        collected = pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)
+        before = [pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)]
+        # examples in the docstrings, many in one process: each of several would import all modules to collect them
+        examples = [(log, (*pytest, "-q", "--pyargs", *names)) for log, names in zip(logs[2:], EXAMPLES, strict=True)]
+        before += [pool.submit(check_meanwhile, *examples[0], cwd=project, niceness=0)]
         run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
-        collected.result()
+        before += [pool.submit(check_meanwhile, *examples[1], cwd=project, niceness=0)]
+        _, *of_examples = (each.result() for each in before)
         # runs the notebook; a warning, as of a link that leads nowhere, fails, also where no pages are written
         builder = "html" if everything else "dummy"
         sphinx = (bin_ / "sphinx-build", "-b", builder, "-q", "-W", "--keep-going", "docs", f"docs/_build/{builder}")
         meanwhile.append(pool.submit(check_meanwhile, logs[1], sphinx))
-        # examples in the docstrings, in one process: each of several would import all modules to collect them
-        meanwhile.append(pool.submit(check_meanwhile, logs[2], (*pytest, "-q", *PACKAGES), cwd=project))
         testing = (*pytest, *PARALLEL, *chosen, "tests")
         print(f"\n$ {' '.join(map(str, testing))}", flush=True)
-        codes = [exit_code(testing, cwd=project, temporary=there), *(each.result() for each in meanwhile)]
+        codes = [exit_code(testing, cwd=project, temporary=there), *of_examples, *(each.result() for each in meanwhile)]
         for log in logs:
             print(log.read_text(), flush=True)
         if any(codes):

@@ -2,9 +2,7 @@
 
 import json
 import math
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,22 +16,12 @@ from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.document import document
 from analytics.trends.report import sentences, stands_out
 from analytics.trends.series import Choice, MetricSeries, Variant, read_series
-from analytics.trends.trend import Trend, trend_of
+from analytics.trends.trend import trend_of
 from analytics.trends.words import NotComputed
 from storage.store import Store
 from stream.errors import BadInput
 from stream.terminal.console import json_text
-from tests.analytics.trends.reported_values import HOUR_NS, START_NS, Reported
-
-
-def _rows(values: np.ndarray, **words: Any) -> list[dict[str, Any]]:
-    return [{"unit": f"U{at:03}", "value": float(value), "station": "A", **words} for at, value in enumerate(values)]
-
-
-def _english(trend: Trend) -> str:
-    found = sentences(trend)
-    assert all(each.zh and not any("{" in text for text in each) for each in found)
-    return "\n".join(each.en for each in found)
+from tests.analytics.trends.reported_values import HOUR_NS, START_NS, Reported, english, one_each
 
 
 # the interval of 75 pairs alone is 4 * 0.02 sqrt(2 / 75) = 0.013 wide
@@ -47,7 +35,7 @@ def test_a_station_with_an_offset_is_named_and_sized(reported: Reported, units: 
         for unit, station in [(u, u % 2) for u in range(units)] + [(u, 1 - u % 2) for u in range(units // 2)]
     ]  # fmt: skip
     trend = trend_of(read_series(reported(rows), "bias"))
-    said = _english(trend)
+    said = english(trend)
     assert "Station B gives values 0.0" in said
     assert "higher than station A" in said
     assert f"the {units // 2} units measured on both show 0.0" in said
@@ -68,7 +56,7 @@ def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported)
         {"unit": f"U{at:03}", "station": "AB"[at % 2], "lot": "KL"[at % 2], "value": rng.normal(0.5 * (at % 2), 0.1)}
         for at in range(80)
     ]
-    said = _english(trend_of(read_series(reported(rows), "bias")))
+    said = english(trend_of(read_series(reported(rows), "bias")))
     assert "cannot be distinguished from lot" in said
     assert said.count("cannot be distinguished") == 1
 
@@ -77,8 +65,8 @@ def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported)
 def test_a_change_is_dated_and_the_process_has_no_capability(reported: Reported) -> None:
     values = np.random.default_rng(20260743).normal(0, 1, 100)
     values[60:] += 3
-    trend = trend_of(read_series(reported(_rows(values)), "bias"), specification=SpecifiedLimits(-8, 8, "fog-A"))
-    said = _english(trend)
+    trend = trend_of(read_series(reported(one_each(values)), "bias"), specification=SpecifiedLimits(-8, 8, "fog-A"))
+    said = english(trend)
     assert "The level changes by" in said
     assert "2026-01-03 12:00" in said
     assert "no capability: the process is not in control (its level changes" in said.replace("No cap", "no cap")
@@ -94,7 +82,7 @@ def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capabilit
         for at in range(60) for station in "AB"
     ]  # fmt: skip
     trend = trend_of(read_series(reported(rows), "bias"), by="station", specification=SpecifiedLimits(-8, 8, "fog-A"))
-    said = _english(trend)
+    said = english(trend)
     assert "Station A: Cp " in said
     assert "Station B: no capability: the process is not in control (its level changes" in said
     chinese = "\n".join(each.zh for each in sentences(trend))
@@ -111,7 +99,7 @@ def test_a_unit_that_drifts_is_named_among_others(reported: Reported) -> None:
         for day in range(40) for unit in range(12)
     ]  # fmt: skip
     trend = trend_of(read_series(reported(rows), "bias"), by="unit")
-    said = _english(trend)
+    said = english(trend)
     assert "Unit U07: it drifts by 0.0" in said
     assert "per day" in said
     assert [chart.name for chart in trend.charts if chart.in_control is False] == ["U07"]
@@ -121,11 +109,11 @@ def test_a_unit_that_drifts_is_named_among_others(reported: Reported) -> None:
 def test_a_wild_point_stands_with_its_chance_and_a_deviation_has_no_limit_below_zero(reported: Reported) -> None:
     values = np.abs(np.random.default_rng(20260747).normal(0.05, 0.02, 40))
     values[20] = 0.6
-    catalog = reported(_rows(values, metric="bias_stability"))
+    catalog = reported(one_each(values, metric="bias_stability"))
     trend = trend_of(read_series(catalog, "bias_stability", Choice()))
     rest = np.delete(values, 20)
     t = (values[20] - rest.mean()) / (rest.std(ddof=1) * np.sqrt(40 / 39))  # Grubbs by the studentized deleted residual
-    assert f"with a probability of {min(1.0, 80 * student.sf(t, 38)):.2g} at most (Grubbs)" in _english(trend)
+    assert f"with a probability of {min(1.0, 80 * student.sf(t, 38)):.2g} at most (Grubbs)" in english(trend)
     (chart,) = trend.charts
     assert not isinstance(chart.limits, NotComputed)
     assert chart.limits.centre < 3 * chart.limits.sigma
@@ -156,7 +144,7 @@ def test_nothing_stands_out_in_noise(trials: int) -> None:
 @pytest.mark.long
 def test_nothing_is_said_so_and_capability_follows(reported: Reported, store: Store, tmp_path: Path) -> None:
     values = np.random.default_rng(20260746).normal(0.2, 0.1, 120)
-    series = read_series(reported(_rows(values, product="FOG-70", lot="L1")), "bias")
+    series = read_series(reported(one_each(values, product="FOG-70", lot="L1")), "bias")
     path = tmp_path / "fog.toml"
     path.write_text(
         'revision = "A"\n[[limit]]\nmetric = "bias"\nupper = 1e-4\nlower = -1e-4\nunit_of_measure = "deg/s"\n'
@@ -166,102 +154,13 @@ def test_nothing_is_said_so_and_capability_follows(reported: Reported, store: St
     assert limits.source == "fog-A"
     assert [limits.lower, limits.upper] == pytest.approx([-0.36, 0.36])
     trend = trend_of(series, specification=limits)
-    said = _english(trend)
+    said = english(trend)
     assert "Nothing stands out" in said
     assert "Cpk" in said
     assert "fog-A" in said
     (found,) = trend.capabilities
     assert isinstance(found, Capability)
     assert found.cpk.value == pytest.approx((0.36 - values.mean()) / 3 / values.std(ddof=1))
-
-
-@pytest.mark.long
-def test_products_with_different_limits_have_none_in_common(reported: Reported, store: Store, tmp_path: Path) -> None:
-    rows = _rows(np.random.default_rng(1).normal(size=30))
-    for at, row in enumerate(rows):
-        row["product"] = ("P", "Q")[at % 2]
-    series = read_series(reported(rows), "bias")
-    assert specified_limits(store, series) == SpecifiedLimits()
-    path = tmp_path / "two.toml"
-    text = '[[limit]]\nmetric = "bias"\nupper = {}\nunit_of_measure = "deg/h"\nproduct = "{}"\n'
-    path.write_text('revision = "A"\n' + text.format(1.0, "P") + text.format(2.0, "Q"))
-    add_specification(store, path)
-    limits = specified_limits(store, series)
-    assert limits.why_not is not None
-    assert "--product" in limits.why_not.en
-    one = read_series(reported(rows), "bias", Choice(product="Q"))
-    assert specified_limits(store, one).upper == 2.0
-
-
-def test_products_in_one_chart_are_named_and_each_has_a_chart_of_its_own(reported: Reported) -> None:
-    rng = np.random.default_rng(5)
-    rows = [
-        {"unit": f"U{i:02}", "product": "AB"[i % 3 == 0], "value": rng.normal(10.0 * (i % 3 == 0), 1.0)}
-        for i in range(60)
-    ]
-    series = read_series(reported(rows), "bias")
-    mixed = sentences(trend_of(series))
-    assert "of 2 products (A: 40, B: 20)" in mixed[1].en
-    assert "2 种产品型号（A: 40、B: 20）" in mixed[1].zh
-    by_product = trend_of(series, by="product")
-    assert [(chart.name, chart.series.value.size) for chart in by_product.charts] == [("A", 40), ("B", 20)]
-    assert not any("products" in each.en for each in sentences(by_product))
-    of_one = read_series(reported(rows), "bias", Choice(product="A"))
-    assert not any("products" in each.en for each in sentences(trend_of(of_one)))
-
-
-@pytest.mark.parametrize(
-    "groups",
-    [("fixture",), pytest.param((None, "product", "lot", "fixture"), marks=pytest.mark.long)],
-    ids=["one", "all"],
-)
-def test_a_product_is_no_fixture_and_each_has_the_capability_by_its_own_limits(
-    reported: Reported, store: Store, tmp_path: Path, groups: tuple[Any, ...]
-) -> None:
-    path = tmp_path / "two.toml"
-    entry = '[[limit]]\nmetric = "bias"\nproduct = "{}"\nlower = {}\nupper = {}\nunit_of_measure = "deg/h"\n'
-    path.write_text('revision = "A"\n' + entry.format("X", -6, 10) + entry.format("Y", 4, 20))
-    add_specification(store, path)
-    rng = np.random.default_rng(11)
-    # as in production: each product has lots and a fixture of its own
-    rows = [
-        {
-            "unit": f"U{i:02}", "product": "XY"[i % 2], "lot": f"L{i % 4}", "fixture": f"F{i % 2}", "station": "A",
-            "value": rng.normal(2.0 + 10.0 * (i % 2), 1.0),
-        }
-        for i in range(80)
-    ]  # fmt: skip
-    series = read_series(reported(rows), "bias")
-    for by in groups:
-        limits_of = partial(specified_limits, store)
-        trend = trend_of(series, by=by, specification=specified_limits(store, series), limits_of=limits_of)
-        text = _english(trend)
-        assert "than fixture" not in text, (by, text)
-        assert "than the other" not in text, (by, text)
-        assert not any(each.value > 2.0 for each in trend.components.values()), (by, trend.components)
-    by_product = trend_of(series, by="product", specification=specified_limits(store, series), limits_of=limits_of)
-    for found, (lower, upper) in zip(by_product.capabilities, ((-6.0, 10.0), (4.0, 20.0)), strict=True):
-        assert isinstance(found, Capability)
-        assert (found.lower, found.upper) == (lower, upper)
-    assert "Product X: Cp" in _english(by_product)
-    assert "各取该处每个产品的首个值" in sentences(by_product)[0].zh
-    assert document(by_product)["charts"][1]["specification"]["lower"] == 4.0
-    plot_trend(by_product, tmp_path / "both.svg")
-
-
-def test_a_fixture_that_both_products_share_is_compared_within_each(reported: Reported) -> None:
-    rng = np.random.default_rng(12)
-    rows = [
-        {
-            "unit": f"U{i:02}", "product": "XY"[i % 2], "fixture": f"F{i // 2 % 2}", "station": "A",
-            "value": rng.normal(2.0 + 10.0 * (i % 2) + 3.0 * (i // 2 % 2), 1.0),
-        }
-        for i in range(80)
-    ]  # fmt: skip
-    (fixture,) = trend_of(read_series(reported(rows), "bias")).comparison.differences  # type: ignore[union-attr]
-    assert fixture.group == "fixture"
-    assert fixture.effect.lo < 3.0 < fixture.effect.hi
-    assert fixture.adjusted < 1e-6
 
 
 def test_a_point_beyond_three_sigma_is_counted_where_nothing_stands_out(reported: Reported) -> None:
@@ -276,8 +175,8 @@ def test_a_point_beyond_three_sigma_is_counted_where_nothing_stands_out(reported
 
 
 def test_few_values_without_a_date(reported: Reported) -> None:
-    trend = trend_of(read_series(reported(_rows(np.arange(4.0), dated=False)), "bias"))
-    said = _english(trend)
+    trend = trend_of(read_series(reported(one_each(np.arange(4.0), dated=False)), "bias"))
+    said = english(trend)
     assert "too little to judge" in said
     assert "4 points, a chart's limits need 8" in said
     assert "dates of some runs are not known" in said
@@ -287,7 +186,7 @@ def test_few_values_without_a_date(reported: Reported) -> None:
 def test_the_document_is_json_and_complete(reported: Reported) -> None:
     values = np.random.default_rng(20260747).normal(0, 1, 50)
     values[30] = 30.0
-    found = json.loads(json_text(document(trend_of(read_series(reported(_rows(values)), "bias")))))
+    found = json.loads(json_text(document(trend_of(read_series(reported(one_each(values)), "bias")))))
     (chart,) = found["charts"]
     assert len(chart["points"]) == 50
     assert chart["points"][30]["rules"][0] == 1
@@ -307,7 +206,7 @@ def test_the_document_is_json_and_complete(reported: Reported) -> None:
 def test_pictures(reported: Reported, tmp_path: Path, by: str | None, suffix: str) -> None:
     values = np.random.default_rng(20260748).normal(0, 1, 40)
     values[25:] += 4
-    rows = _rows(values)
+    rows = one_each(values)
     for at, row in enumerate(rows):
         row |= {"unit": f"U{at % 10}", "station": f"S{at % 2}"}
     trend = trend_of(read_series(reported(rows), "bias"), by=by, specification=SpecifiedLimits(-5, 9, "fog-A"))
@@ -320,6 +219,6 @@ def test_pictures(reported: Reported, tmp_path: Path, by: str | None, suffix: st
 
 
 def test_a_picture_has_its_suffix(reported: Reported, tmp_path: Path) -> None:
-    trend = trend_of(read_series(reported(_rows(np.arange(9.0))), "bias"))
+    trend = trend_of(read_series(reported(one_each(np.arange(9.0))), "bias"))
     with pytest.raises(BadInput, match=r"\.png or \.svg"):
         plot_trend(trend, tmp_path / "trend.pdf")
