@@ -220,12 +220,12 @@ def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     gyrofleet("import", path, "--unit", "U1", "--units", units)
     other = gyrofleet("import", path, "--unit", "U2", "--units", units, "--json").json
     assert (other["units_not_listed"], other["units_without_samples"]) == (["U2"], ["U1"])
-    assert [(row["unit"], row["lot"]) for row in gyrofleet(*query).json] == [("U1", "L8")]
+    assert [(row["unit"], row["lot"]) for row in gyrofleet(*query).json] == [("U1", "L8"), ("U2", None)]
     assert samples(gyrofleet) == 8000
 
     units.write_text("serial,product,lot,fixture\nU1,FOG-70,L7,plate 2\n")
     gyrofleet("import", path, "--unit", "U1", "--units", units)
-    assert [row["lot"] for row in gyrofleet(*query).json] == ["L7"], "what was said first is said again"
+    assert [row["lot"] for row in gyrofleet(*query).json] == ["L7", None], "what was said first is said again"
     log = fingerprint(tmp_path / "gyrofleet-data" / "log")
     gyrofleet("import", path, "--unit", "U1", "--units", units)
     assert fingerprint(tmp_path / "gyrofleet-data" / "log") == log
