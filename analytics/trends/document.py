@@ -93,6 +93,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
         "drift": _plain(chart.drift) | per,
         "drifts": chart.drifts,
         "drift_chance": chart.drift_chance,
+        "drift_is_by_chance": chart.drift_is_by_chance,
         "is_adjusted": chart.is_adjusted,
     }
 

@@ -152,9 +152,8 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
                 before=moment(series, change.first - 1), after=moment(series, change.last),
                 here=f"{series.unit[change.at]}, {moment(series, change.at)}",
             )  # fmt: skip
-    if chart.drifts and isinstance(chart.drift, Drift):
-        size = interval(chart.drift.slope, chart.drift.lo, chart.drift.hi, unit)
-        yield words("drift", size=size, per=words("per_day" if series.dated else "per_point"))
+    if chart.drifts:
+        yield words("drift", **_drift_parts(chart))
     if isinstance(chart.limits, NotComputed):
         return
     if chart.wild_point is not None:
@@ -171,14 +170,20 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
 def _possible_drifts(trend: Trend) -> Iterator[Words]:
     """Drifts that are not significant among so many charts, and that noise seldom shows."""
     for chart in trend.charts:
-        chance, slope = chart.drift_chance, chart.drift
-        if chance is not None and isinstance(slope, Drift) and FALSE_ALARM < chance <= _POSSIBLE and chart.in_control:
-            size = interval(slope.slope, slope.lo, slope.hi, chart.series.unit_of_measure)
-            text = words(
-                "drift_possible", size=size, per=words("per_day" if chart.series.dated else "per_point"),
-                chance=chance, charts=words("one_of_one" if chart.tested == 1 else "of_charts", n=chart.tested),
-            )  # fmt: skip
+        chance = chart.drift_chance
+        if chance is not None and chart.drift_is_by_chance and chance <= _POSSIBLE and chart.in_control:
+            charts = words("one_of_one" if chart.tested == 1 else "of_charts", n=chart.tested)
+            text = words("drift_possible", chance=chance, charts=charts, **_drift_parts(chart))
             yield _about(trend, [chart.name], text)
+
+
+def _drift_parts(chart: Chart) -> dict[str, Words]:
+    """The slope of a chart and what it is per."""
+    assert isinstance(chart.drift, Drift)
+    return {
+        "size": interval(chart.drift.slope, chart.drift.lo, chart.drift.hi, chart.series.unit_of_measure),
+        "per": words("per_day" if chart.series.dated else "per_point"),
+    }
 
 
 def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:

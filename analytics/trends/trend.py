@@ -76,6 +76,11 @@ class Chart(NamedTuple):
         return min(1.0, self.drift.chance * self.tested) if isinstance(self.drift, Drift) else None
 
     @property
+    def drift_is_by_chance(self) -> bool:
+        """Whether noise alone shows so strong a drift too often for it to be significant."""
+        return self.drift_chance is not None and self.drift_chance > FALSE_ALARM
+
+    @property
     def in_control(self) -> bool | None:
         """Whether nothing is significant; None where there are too few points."""
         if isinstance(self.limits, NotComputed):

@@ -25,6 +25,7 @@ def test_what_is_said_of_a_drift_follows_its_chance(reported: Reported, per_day:
     assert chart.drift_chance is not None
     bounds = {"": (0.05, 1.0), "may drift": (FALSE_ALARM, 0.05), "it drifts": (0.0, FALSE_ALARM)}[expected]
     assert bounds[0] < chart.drift_chance <= bounds[1]
+    assert chart.drift_is_by_chance == (expected != "it drifts")
     english, chinese = ("\n".join(each[at] for each in sentences(trend)) for at in (0, 1))
     assert ("Unit U07: it may drift, by" in english) == (expected == "may drift")
     assert ("Unit U07: it drifts by" in english) == (expected == "it drifts")

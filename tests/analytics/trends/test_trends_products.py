@@ -11,6 +11,7 @@ from analytics.plots.trend_plot import plot_trend
 from analytics.specifications.entering import add_specification
 from analytics.trends.charts.capability import Capability, SpecifiedLimits, specified_limits
 from analytics.trends.document import document
+from analytics.trends.groups.between_stations import GroupComparison
 from analytics.trends.report import sentences
 from analytics.trends.series import Choice, read_series
 from analytics.trends.trend import trend_of
@@ -101,7 +102,9 @@ def test_a_fixture_that_both_products_share_is_compared_within_each(reported: Re
         }
         for i in range(80)
     ]  # fmt: skip
-    (fixture,) = trend_of(read_series(reported(rows), "bias")).comparison.differences  # type: ignore[union-attr]
+    comparison = trend_of(read_series(reported(rows), "bias")).comparison
+    assert isinstance(comparison, GroupComparison)
+    (fixture,) = comparison.differences
     assert fixture.group == "fixture"
     assert fixture.effect.lo < 3.0 < fixture.effect.hi
     assert fixture.adjusted < 1e-6

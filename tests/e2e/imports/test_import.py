@@ -225,7 +225,7 @@ def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
 
     units.write_text("serial,product,lot,fixture\nU1,FOG-70,L7,plate 2\n")
     gyrofleet("import", path, "--unit", "U1", "--units", units)
-    assert [row["lot"] for row in gyrofleet(*query).json] == ["L7", None], "what was said first is said again"
+    assert [row["lot"] for row in gyrofleet(*query).json] == ["L7", None], "the first lot is entered again"
     log = fingerprint(tmp_path / "gyrofleet-data" / "log")
     gyrofleet("import", path, "--unit", "U1", "--units", units)
     assert fingerprint(tmp_path / "gyrofleet-data" / "log") == log

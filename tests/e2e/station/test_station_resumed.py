@@ -65,7 +65,7 @@ def test_killed_at_any_moment_nothing_is_there_twice_and_nothing_is_forgotten(
     resumed = [
         json.loads(row["document"]) for row in kept.rows("select document from events where kind = 'RunResumed'")
     ]
-    # killed right at the start, before it was said that it began, it begins once again
+    # a run that is killed before its start is recorded starts again
     assert len(resumed) in ({2} if kills == 2 else {2, 3})
     assert all(each["gap_ns"] > 0 for each in resumed)
     assert reported["gap_s"] in [each["gap_ns"] / 1e9 for each in resumed]
