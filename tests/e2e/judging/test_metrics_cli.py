@@ -236,6 +236,13 @@ def test_verdicts_by_unit_and_by_station(specified: Ask) -> None:
     assert "FOG-0002" in shown
 
 
+@pytest.mark.long
+def test_verdicts_of_all_units_fail_where_one_does_and_speak_chinese(specified: Ask) -> None:
+    specified("verdicts", "--fail-on-fail", code=3)
+    assert "不合格: 零偏" in specified("verdicts", "--lang", "zh").stdout
+    assert "FOG-0002" in specified("verdicts", "--unit", "FOG-0002").stdout
+
+
 def test_specifications_are_listed_shown_and_refused(specified: Ask, folder: Path) -> None:
     assert "are there already" in specified("limits", "add", folder / "spec.toml").stdout
     (listed,) = json.loads(specified("limits", "list", "--json").stdout)

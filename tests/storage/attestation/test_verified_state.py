@@ -22,7 +22,7 @@ from storage.store import Store
 from stream.errors import StoreError
 from tests.storage.verified_store import damage_last_chunk, fill, filled
 
-ATTESTED = 4
+ATTESTED = 6
 MORE = range(2 * ATTESTED, 2 * ATTESTED + 2)
 
 
