@@ -21,7 +21,8 @@ from stream.closing import Closing
 # what many requests ask, read from the files once
 _PARTS = """
 create table internal.served_parts as
-  select channel, unit, signal, run, is_kept, filename, samples, t_first_ns, t_last_ns from internal.lake_channel_parts
+  select channel, unit, signal, run, is_kept, filename, samples, t_first_ns, t_last_ns, is_counts, scale, "offset"
+  from internal.lake_channel_parts
 """
 SERVED = {
     "served_signals": "select * from signals",

@@ -108,6 +108,8 @@ class Catalog(Closing):
         self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
         # a process without a file of its own, as of multiprocessing, would draw a bar into the output of a command
         self._connection.execute("set timezone = 'UTC'; set enable_progress_bar = false; create schema internal")
+        # a statement on samples of one unit would spend most of its time on footers
+        self._connection.execute("set parquet_metadata_cache = true")
         self._deferred = DeferredDefinitions(self._run_definition)
         self._tables = PutTables(
             self._connection, self._execute, self._deferred, known_tables, is_in_memory=file is None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import duckdb
 import pyarrow as pa
 
-from storage.lake.tables import damaged, open_table
+from storage.lake.footers import Footer, Footers, open_local_table
 from storage.manifests.lake import read_manifest
 from storage.manifests.part import Part
 from storage.store import Store
@@ -44,8 +44,8 @@ class LakeSource(Protocol):
     def bring(self, paths: Iterable[str]) -> None:
         """Prepare to read small files, of which all are needed soon."""
 
-    def open_table(self, path: str) -> "pq.ParquetFile":
-        """A table with page checksums; StoreError if it is damaged."""
+    def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
+        """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
 
 
 class LocalLake:
@@ -66,9 +66,9 @@ class LocalLake:
     def bring(self, paths: Iterable[str]) -> None:
         """Nothing to do."""
 
-    def open_table(self, path: str) -> "pq.ParquetFile":
-        """A table with page checksums; StoreError if it is damaged."""
-        return open_table(Path(path))
+    def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
+        """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
+        return open_local_table(Path(path))
 
 
 class RangeLake:
@@ -82,6 +82,7 @@ class RangeLake:
     ) -> None:  # fmt: skip
         self.parts = tuple(parts)
         self._read, self._bring = read, bring
+        self._footers = Footers()
         self._bytes = {f"{part.name}/{name}": file.bytes for part in parts for name, file in part.files.items()}
 
     def path(self, part: str, file: str) -> str:
@@ -121,14 +122,10 @@ class RangeLake:
         """Fetch small files, several at a time."""
         self._bring([self.name(path) for path in paths])
 
-    def open_table(self, path: str) -> "pq.ParquetFile":
-        """A table with page checksums; StoreError if it is damaged."""
-        import pyarrow.parquet as pq
-
-        try:
-            return pq.ParquetFile(pa.PythonFile(self.open(path), mode="r"), page_checksum_verification=True)
-        except (pa.ArrowException, OSError) as error:
-            raise damaged(Path(self.name(path)), error) from error
+    def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
+        """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
+        name = self.name(path)
+        return self._footers.open_table(name, Path(name), lambda: pa.PythonFile(self.open(path), mode="r"))
 
     def open(self, path: str) -> "_RangeFile":
         """A file, to read."""

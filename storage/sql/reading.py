@@ -1,18 +1,20 @@
 """Samples of one signal from the lake in the order of time: all of them, or an error."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 from uuid import UUID
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from storage.lake.tables import SAMPLES_FILE, damaged
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers, rows_with
+from storage.sql.lake_source import LakeSource
 from storage.store import Store
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
@@ -126,13 +128,13 @@ def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.Re
 
 def _part_rows(catalog: Catalog, path: str, channel: int, column: str) -> Iterator[pa.RecordBatch]:
     columns = ["base", "above"] if column == "counts" else ["value"]
-    with catalog.source.open_table(path) as file:
-        bounds = [file.metadata.row_group(i).column(0).statistics for i in range(file.num_row_groups)]
-        own = [i for i, each in enumerate(bounds) if each is not None and each.min <= channel <= each.max]
+    file, footer = catalog.source.open_table(path)
+    with file:
+        own = footer.groups_with(channel)
         try:
-            for is_shared, numbers in itertools.groupby(own, key=lambda i: bounds[i].min != bounds[i].max):
+            for is_shared, groups in itertools.groupby(own, key=lambda each: each[1]):
                 extra = ["channel"] if is_shared else []
-                for batch in file.iter_batches(_ROWS, list(numbers), [*extra, "seq", "t_ns", *columns]):
+                for batch in file.iter_batches(_ROWS, [i for i, _ in groups], [*extra, "seq", "t_ns", *columns]):
                     rows = rows_with(batch, "channel", channel) if is_shared else batch
                     data = rows.column(columns[0])
                     if column == "counts":
@@ -143,6 +145,26 @@ def _part_rows(catalog: Catalog, path: str, channel: int, column: str) -> Iterat
                     yield pa.RecordBatch.from_arrays(numbered, ["seq", "t_ns", column])
         except (pa.ArrowException, OSError) as error:
             raise damaged(Path(path), error) from error
+
+
+def rows_between(
+    source: LakeSource, path: str, channel: int, column: str, between: tuple[int, int], columns: Sequence[str]
+) -> tuple[npt.NDArray[Any], ...]:
+    """Columns of the rows of a channel in a file of the lake whose `column` is in a half-open range.
+
+    Nulls are NaN. As `column`, statistics of the file need to have it.
+    """
+    file, footer = source.open_table(path)
+    first, stop = between
+    names = list(dict.fromkeys(["channel", column, *columns]))
+    with file:
+        try:
+            rows = file.read_row_groups(footer.groups_between(channel, column, first, stop), names, use_threads=False)
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(Path(path), error) from error
+    found = {name: numbers(rows.column(name)) for name in names}
+    inside = (found["channel"] == channel) & (found[column] >= first) & (found[column] < stop)
+    return tuple(found[name][inside] for name in columns)
 
 
 def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int) -> NotFound:

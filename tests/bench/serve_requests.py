@@ -1,4 +1,4 @@
-"""CPU of a server by kind of request: ``python -m tests.bench.serve_requests [--offer 5] [--seconds 8] [--json]``.
+"""CPU of a server by kind of request: ``python -m tests.bench.serve_requests [--offer 5] [--seconds 8] [--settle 40]``.
 
 A source offers samples of 1,000 signals to `gyrofleet record`, and `gyrofleet serve` follows. For some seconds nobody
 asks; then one client asks for each kind of the viewers' requests in turn (see `serve_viewers`), of another unit each
@@ -86,13 +86,16 @@ def asked(client: httpx.Client, meter: Meter, paths: list[str], seconds: float) 
     return {"requests": len(took_ms), "cpu_ms": cpu_ms, "ms": statistics.median(took_ms), "cores": cores}
 
 
-def measured(url: str, meter: Meter, seconds: float, kinds: dict[str, list[str]]) -> dict[str, Any]:
+def measured(
+    url: str, meter: Meter, seconds: float, kinds: dict[str, list[str]], settle_s: float = 0.0
+) -> dict[str, Any]:
     """Cores while nobody asks, and of each kind of request cores and CPU for one."""
     headers = {"Authorization": f"Bearer {TOKEN}", "Accept": "text/html, application/json;q=0.9"}
     with httpx.Client(base_url=url, headers=headers, timeout=30.0) as client:
         for path, *_ in kinds.values():  # once before, so that no first time counts
             while client.get(path.format(unit=f"U{SIGNALS - 1}")).status_code == 404:  # it has not begun to send
                 time.sleep(0.5)
+        time.sleep(settle_s)
         found = {name: asked(client, meter, paths, seconds) for name, paths in kinds.items()}
     time.sleep(12.0)  # the views are no longer wanted
     meter.cores()
@@ -100,7 +103,7 @@ def measured(url: str, meter: Meter, seconds: float, kinds: dict[str, list[str]]
     return {"nobody": meter.cores(), "kinds": found}
 
 
-def run(folder: Path, seconds: float, offer_per_s: float, only: list[str]) -> dict[str, Any]:
+def run(folder: Path, seconds: float, offer_per_s: float, only: list[str], settle_s: float) -> dict[str, Any]:
     """Recorder, source and server; the server's CPU."""
     endpoint, store = free_endpoint(), folder / "store"
     program = str(Path(sys.executable).with_name("gyrofleet"))
@@ -114,9 +117,10 @@ def run(folder: Path, seconds: float, offer_per_s: float, only: list[str]) -> di
     url = json.loads(line(serving))["url"]
     kinds = {name: [path] for name, path in VISITS if not only or name in only}
     kinds[_ALL] = [path for path, *_ in kinds.values()]
-    sending = role("source", endpoint, BATCH, SIGNALS, 35.0 + seconds * (len(kinds) + 1), offer_per_s)
+    lasts_s = 35.0 + settle_s + seconds * (len(kinds) + 1)
+    sending = role("source", endpoint, BATCH, SIGNALS, lasts_s, offer_per_s)
     try:
-        return measured(url, Meter(serving), seconds, kinds)
+        return measured(url, Meter(serving), seconds, kinds, settle_s)
     finally:
         for each in (sending, serving, recorder):
             each.send_signal(signal.SIGTERM)
@@ -127,12 +131,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--offer", type=float, default=5.0, help="million samples a second")
     parser.add_argument("--seconds", type=float, default=8.0, help="of each kind of request")
+    parser.add_argument("--settle", type=float, default=0.0, help="seconds that are sent before the first is asked for")
     parser.add_argument("--only", nargs="*", default=[], help="kinds of requests, as: unit allan")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="gyrofleet-requests-"))
     try:
-        found = run(folder, options.seconds, options.offer * 1e6, options.only)
+        found = run(folder, options.seconds, options.offer * 1e6, options.only, options.settle)
     finally:
         shutil.rmtree(folder)
     if options.json:

@@ -10,18 +10,20 @@ import msgspec
 import numpy as np
 
 from analytics.serve.api.operation import Call, get
+from analytics.serve.api.query.buckets import NO_BUCKETS, Buckets, samples_in_order
 from analytics.serve.api.query.signal_gaps import exact_gaps
 from analytics.serve.api.rows import dictionaries, iso, moment
 from analytics.serve.live.tail import LiveSamples
 from storage.lake.tables import SAMPLES_FILE
-from storage.sql.catalog import Catalog
-from storage.sql.reading import find_signal
+from storage.sql.lake_source import LakeSource
+from storage.sql.reading import find_signal, rows_between
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 
 _NS = 10**9
 _MOST_RAW = 6_000_000
 _GAP_INTERVALS = 1.5
+_ROLLUP = ("bucket", "n", "mean", "lo", "hi")
 _ABOUT = """
 select s.unit_of_measure, s.irregular, t_first_ns, t_last_ns, sample_interval_s,
   coalesce(r.date_known, true) as date_known
@@ -29,25 +31,8 @@ from internal.served_signals s left join internal.served_runs r using (run)
 where s.unit = $unit and s.signal = $signal and s.run = $run
 """
 _PARTS = """
-select channel, is_kept, filename, samples, t_first_ns, t_last_ns from internal.served_parts
-where unit = $unit and signal = $signal and run = $run order by t_first_ns
-"""
-_OF_ROLLUP = """
-select bucket - (bucket % {k} + {k}) % {k} as slot, sum(n)::bigint as n, sum(n * mean) / sum(n) as mean, min(lo) as lo,
-  max(hi) as hi
-from internal.lake_rollup_{seconds}s
-where filename in ({files}) and channel in ({channels}) and bucket >= $first and bucket < $stop
-group by slot order by slot
-"""
-_VALUE = """
-select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value
-from read_parquet([{files}]) s join internal.lake_channels c using (channel)
-where s.channel in ({channels}) and s.t_ns >= $first and s.t_ns < $stop
-"""
-_OF_SAMPLES = """
-select t_ns - (t_ns % {width} + {width}) % {width} as slot, count(*) as n, avg(value) as mean, min(value) as lo,
-  max(value) as hi
-from ({values}) group by slot order by slot
+select channel, is_kept, filename, samples, t_first_ns, t_last_ns, is_counts, scale, "offset"
+from internal.served_parts where unit = $unit and signal = $signal and run = $run order by t_first_ns
 """
 
 
@@ -129,24 +114,6 @@ class _Stretch:
         """Their values, shape (n,)."""
         return np.empty(0) if self.live is None else self.live.values
 
-    def live_buckets(self, width_ns: int, first_ns: int, stop_ns: int) -> list[dict[str, Any]]:
-        """Their buckets, of those from `first_ns` to before `stop_ns`."""
-        inside = (self.live_times >= first_ns) & (self.live_times < stop_ns)
-        if not inside.any():
-            return []
-        times, values = self.live_times[inside], self.live_values[inside]
-        slots, of = np.unique(times // width_ns * width_ns, return_inverse=True)
-        order = np.argsort(of, kind="stable")
-        begins = np.searchsorted(of[order], np.arange(slots.size))
-        ordered, counts = values[order], np.bincount(of)
-        least, most = np.minimum.reduceat(ordered, begins), np.maximum.reduceat(ordered, begins)
-        means = np.add.reduceat(ordered, begins) / counts
-        columns = (each.tolist() for each in (slots, counts, means, least, most))
-        return [
-            {"slot": slot, "n": n, "mean": mean, "lo": lo, "hi": hi}
-            for slot, n, mean, lo, hi in zip(*columns, strict=True)
-        ]
-
     @property
     def width_ns(self) -> int:
         """Length of a bucket so that no more than `points` touch the stretch."""
@@ -203,8 +170,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     ]
     interval_s = float(about["sample_interval_s"])
     stretch = _Stretch(first_ns, stop_ns, asked.points, parts, live)
-    source, bucket_ns, rows, note = _buckets(views, stretch)
-    t_ns = [int(row["slot"]) for row in rows]
+    source, bucket_ns, buckets, note = _buckets(views.source, stretch)
+    t_ns = buckets.slot.tolist()
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
     within = max(first_ns, about["t_first_ns"]), min(stop_ns, about["t_last_ns"] + 1)
     longest_ns = max(bucket_ns, 0 if about["irregular"] else _GAP_INTERVALS * interval_s * _NS)
@@ -218,10 +185,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     return SignalBuckets(
         **of, unit_of_measure=about["unit_of_measure"], source=source, bucket_ns=bucket_ns, from_ns=first_ns,
         to_ns=stop_ns, covers_from_ns=min(first_ns, ends[0]), covers_to_ns=max(stop_ns, ends[1]), t_ns=t_ns,
-        min=[row["lo"] for row in rows], max=[row["hi"] for row in rows],
-        mean=[row["mean"] for row in rows], n=[int(row["n"]) for row in rows],
-        gaps=gaps,
-        samples=sum(int(row["n"]) for row in rows), sample_interval_s=interval_s, date_known=about["date_known"],
+        min=buckets.lo.tolist(), max=buckets.hi.tolist(), mean=buckets.mean.tolist(), n=buckets.n.tolist(), gaps=gaps,
+        samples=int(buckets.n.sum()), sample_interval_s=interval_s, date_known=about["date_known"],
         first_ns=about["t_first_ns"], last_ns=about["t_last_ns"], first=iso(about["t_first_ns"]),
         last=iso(about["t_last_ns"]), note=note, is_live=live is not None,
     )  # fmt: skip
@@ -241,66 +206,45 @@ def _about(found: list[dict[str, Any]], live: LiveSamples | None) -> dict[str, A
     return about
 
 
-def _buckets(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]], str | None]:
-    """Source, length and rows of the buckets, and a note where raw samples are missing."""
+def _buckets(source: LakeSource, of: _Stretch) -> tuple[str, int, Buckets, str | None]:
+    """Source, length and the buckets, and a note where raw samples are missing."""
     if not of.parts and not of.live_times.size:
-        return "samples", 0, [], None
+        return "samples", 0, NO_BUCKETS, None
     note = None
     if of.width_ns < _NS and of.raw_samples <= _MOST_RAW:
         if of.is_raw:
-            return *_of_samples(views, of), None
+            return *_of_samples(source, of), None
         note = "raw samples of this stretch were dropped to make room: buckets of 1 s are the finest that is kept"
     seconds = 10 if of.width_ns >= 10 * _NS else 1
     k = max(-(-of.width_ns // (seconds * _NS)), 1)
-    unit_ns = seconds * _NS
-    rows: list[dict[str, Any]] = []
-    if of.parts:
-        files = of.files(f"rollup_{seconds}s.parquet")
-        sql = _OF_ROLLUP.format(k=k, seconds=seconds, files=files, channels=of.channels)
-        bounds = {"first": of.first_ns // unit_ns // k * k, "stop": -(-of.stop_ns // unit_ns // k) * k + k}
-        rows = [row | {"slot": row["slot"] * unit_ns} for row in dictionaries(views, sql, bounds)]
-    width = k * unit_ns
+    width = k * seconds * _NS
     # whole buckets, also where the stretch begins or ends in one
-    whole = _together(rows, of.live_buckets(width, of.first_ns // width * width, -(-of.stop_ns // width) * width))
-    asked = [row for row in whole if row["slot"] < of.stop_ns and row["slot"] + width > of.first_ns]
-    return f"rollup_{seconds}s", width, asked, note
+    first, stop = of.first_ns // width * width, -(-of.stop_ns // width) * width
+    name = f"rollup_{seconds}s"
+    slots = first // (seconds * _NS), stop // (seconds * _NS)
+    found = []
+    for part in of.parts:
+        path = str(Path(part["filename"]).with_name(f"{name}.parquet"))
+        bucket, *columns = rows_between(source, path, part["channel"], "bucket", slots, _ROLLUP)
+        found.append(Buckets.of_rows(bucket // k * width, *columns))
+    live = Buckets.of_samples(of.live_times, of.live_values, width).between(first, stop)
+    return name, width, Buckets.together([*found, live]), note
 
 
-def _of_samples(views: Catalog, of: _Stretch) -> tuple[str, int, list[dict[str, Any]]]:
-    width, first, stop = of.width_ns, of.first_ns, of.stop_ns
-    rows: list[dict[str, Any]] = []
-    if of.parts:
-        values = _VALUE.format(files=of.files(SAMPLES_FILE), channels=of.channels)
-        bounds = {"first": first, "stop": stop}
-        rows = dictionaries(views, _OF_SAMPLES.format(width=width, values=values), bounds)
-    rows = _together(rows, of.live_buckets(width, first, stop))
-    if sum(row["n"] for row in rows) > of.points:
-        return "raw", width, rows
-    single: list[tuple[int, float]] = []
-    if of.parts:
-        single = [(row["t_ns"], row["value"]) for row in dictionaries(views, values, bounds)]
-    inside = (of.live_times >= of.first_ns) & (of.live_times < of.stop_ns)
-    single += zip(of.live_times[inside].tolist(), of.live_values[inside].tolist(), strict=True)
-    same = (
-        {"slot": t_ns, "n": 1, "mean": value} | dict.fromkeys(("lo", "hi"), value)
-        for t_ns, value in sorted(single, key=lambda each: each[0])
-    )
-    return "samples", 0, list(same)
-
-
-def _together(rows: list[dict[str, Any]], live: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Buckets of the lake and of what it does not have yet, one of each slot, in order."""
-    slots: dict[int, dict[str, Any]] = {row["slot"]: row for row in rows}
-    for row in live:
-        before = slots.get(row["slot"])
-        if before is None:
-            slots[row["slot"]] = dict(row)
-            continue
-        n = before["n"] + row["n"]
-        mean = (before["n"] * before["mean"] + row["n"] * row["mean"]) / n
-        lo, hi = min(before["lo"], row["lo"]), max(before["hi"], row["hi"])
-        slots[row["slot"]] = {"slot": row["slot"], "n": n, "mean": mean, "lo": lo, "hi": hi}
-    return [slots[slot] for slot in sorted(slots)]
+def _of_samples(source: LakeSource, of: _Stretch) -> tuple[str, int, Buckets]:
+    found = [(of.live_times, of.live_values)]
+    for part in of.parts:
+        path = str(Path(part["filename"]).with_name(SAMPLES_FILE))
+        columns = ("t_ns", "base", "above") if part["is_counts"] else ("t_ns", "value")
+        t_ns, *data = rows_between(source, path, part["channel"], "t_ns", (of.first_ns, of.stop_ns), columns)
+        value = (data[0] + data[1]) * part["scale"] + part["offset"] if part["is_counts"] else data[0]
+        found.append((t_ns, value))
+    t_ns, values = samples_in_order(found)
+    inside = (t_ns >= of.first_ns) & (t_ns < of.stop_ns)
+    t_ns, values = t_ns[inside], values[inside]
+    if t_ns.size > of.points:
+        return "raw", of.width_ns, Buckets.of_samples(t_ns, values, of.width_ns)
+    return "samples", 0, Buckets(t_ns, np.ones(t_ns.size, np.int64), values, values, values)
 
 
 def _gaps(t_ns: Sequence[int], bucket_ns: int, longest_ns: float, within: tuple[int, int]) -> list[tuple[int, int]]:
