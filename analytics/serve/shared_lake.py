@@ -242,6 +242,7 @@ class SharedLake(Closing):
             for name, statement in SERVED.items():
                 catalog.define(f"create table internal.{name} as {statement}")
             catalog.define(_PARTS)
+            catalog.define("create or replace view signals as from internal.served_signals")
         except BaseException:
             catalog.close()
             raise

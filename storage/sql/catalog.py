@@ -17,6 +17,7 @@ import pyarrow as pa
 from storage.findings import Finding
 from storage.lake.tables import COLUMNS_VERSION, TABLES
 from storage.manifests.part import Part
+from storage.sql.columns import rows_of
 from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.lake_source import LakeSource, source_of
 from storage.sql.live import LiveTables
@@ -292,15 +293,19 @@ class Catalog(Closing):
 
         Several threads may ask at once: each has a cursor of its own, since a connection at work refuses other calls.
         """
-        self._fill(sql)
         try:
-            cursor = self._connection.cursor()
-            kind = one_statement(cursor, sql).type
-            if kind not in _READING:
-                raise refused(kind.name)
-            return cursor.sql(sql, params=parameters).to_arrow_reader(rows)
+            return self._reading_cursor(sql).sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise _failed(error) from error
+
+    def _reading_cursor(self, sql: str) -> duckdb.DuckDBPyConnection:
+        """A cursor for one of the project's own statements, which reads."""
+        self._fill(sql)
+        cursor = self._connection.cursor()
+        kind = one_statement(cursor, sql).type
+        if kind not in _READING:
+            raise refused(kind.name)
+        return cursor
 
     def prepare(self, sql: str) -> tuple[str, ...]:
         """Check a user's statement, and make the tables that it names; returns notes on what of the log they lack."""
@@ -369,7 +374,15 @@ class Catalog(Closing):
 
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
         """All rows of a statement's result."""
-        return [tuple(row.values()) for batch in self.batches(sql, parameters) for row in batch.to_pylist()]
+        return self.named_rows(sql, parameters)[1]
+
+    def named_rows(self, sql: str, parameters: object = None) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Names of the columns of a statement's result and all rows; it is planned once, a reader's twice."""
+        try:
+            with self._reading_cursor(sql) as cursor:
+                return rows_of(cursor, sql, parameters)
+        except (duckdb.Error, OSError) as error:
+            raise _failed(error) from error
 
     def close(self) -> None:
         """Close the connection."""
@@ -390,7 +403,7 @@ def _quoted(texts: Iterable[str]) -> str:
     return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
 
 
-def _failed(error: duckdb.Error) -> QueryError:
+def _failed(error: Exception) -> QueryError:
     reason = plain_message(error)
     if "disabled by configuration" in reason:
         reason += "; only the store is read here, import other data first"

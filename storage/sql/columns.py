@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import duckdb
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -59,3 +60,14 @@ def distinct_pairs(table: pa.Table, one: str, other: str) -> list[tuple[str, str
     firsts, seconds = left.dictionary.to_pylist(), right.dictionary.to_pylist()
     codes = np.unique(numbers(left.indices).astype(np.int64) * len(seconds) + numbers(right.indices))
     return [(firsts[code // len(seconds)], seconds[code % len(seconds)]) for code in codes.tolist()]
+
+
+def rows_of(cursor: duckdb.DuckDBPyConnection, sql: str, parameters: object) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """Names of the columns of a statement's result and all rows.
+
+    >>> with duckdb.connect() as connection:
+    ...     rows_of(connection, "select 1 as a, null as b where $x", {"x": True})
+    (['a', 'b'], [(1, None)])
+    """
+    cursor.execute(sql, parameters)
+    return [str(column[0]) for column in cursor.description or ()], cursor.fetchall()

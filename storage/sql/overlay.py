@@ -11,6 +11,7 @@ import duckdb
 import pyarrow as pa
 
 from storage.lake.tables import TABLES
+from storage.sql.columns import rows_of
 from storage.sql.deferred import DeferredDefinitions, words_of
 from storage.sql.sandbox.guard import plain_message
 from storage.sql.views import defer_views
@@ -115,7 +116,17 @@ class Overlay(Closing):
 
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
         """All rows of a statement's result."""
-        return [tuple(row.values()) for batch in self.batches(sql, parameters) for row in batch.to_pylist()]
+        return self.named_rows(sql, parameters)[1]
+
+    def named_rows(self, sql: str, parameters: object = None) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Names of the columns of a statement's result and all rows."""
+        try:
+            with self._defining:
+                self._deferred.define(words_of(sql))
+            with self._cursor() as cursor:
+                return rows_of(cursor, sql, parameters)
+        except (duckdb.Error, OSError) as error:
+            raise QueryError(plain_message(error)) from error
 
     def close(self) -> None:
         """Leave the catalogue as it was."""

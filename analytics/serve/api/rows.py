@@ -28,6 +28,9 @@ class Views(Protocol):
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
         """All rows of a statement's result."""
 
+    def named_rows(self, sql: str, parameters: object = None) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Names of the columns of a statement's result and all rows."""
+
 
 class Paged(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A page of a long list: `limit` rows, those after the key `after`, which the page before it names."""
@@ -38,7 +41,8 @@ class Paged(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 def dictionaries(catalog: Views, sql: str, parameters: object = None) -> list[dict[str, Any]]:
     """Rows of a statement as dictionaries."""
-    return [row for batch in catalog.batches(sql, parameters) for row in batch.to_pylist()]
+    names, rows = catalog.named_rows(sql, parameters)
+    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def page_of(rows: Sequence[Row], limit: int) -> tuple[list[Row], bool]:

@@ -44,6 +44,10 @@ class FreshViews(Closing):
         """All rows of a statement's result."""
         return self._views.rows(sql, parameters)
 
+    def named_rows(self, sql: str, parameters: object = None) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Names of the columns of a statement's result and all rows."""
+        return self._views.named_rows(sql, parameters)
+
     def close(self) -> None:
         """Leave the lake."""
         self._leases.close()
