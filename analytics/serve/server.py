@@ -38,7 +38,7 @@ _KEEP_ALIVE_S = 20
 _BACKLOG = 512
 _SAME_S = 1.0
 # the recorder of the same machine goes first
-_NICER = 5
+_NICER = 1
 # Python's 5 ms let a request wait that long at each step beside a thread that computes
 _SWITCH_S = 0.0005
 # collections of reference cycles, of which requests leave few, hold up all threads: 11 % of the time by default

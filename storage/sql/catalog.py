@@ -34,6 +34,7 @@ STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue:
 
 _ALWAYS_READ = {"channels"}
 _OF_CHANNELS = ("samples", "rollup_1s", "rollup_10s")
+_MOST_KNOWN = 1000  # statements
 _SMALL_BYTES = 8 << 20  # of a lake that one thread reads as soon as several
 Progress = Callable[[int, int], None]
 
@@ -127,6 +128,7 @@ class Catalog(Closing):
             self._attach(f"internal.lake_channels_{name}", "channels", own)
         self._live = LiveTables.beyond(store, self.parts, self._connection) if live else None
         self._has_views = False
+        self._known_to_read: set[str] = set()  # statements that were asked before
         self._folders_of_runs: dict[str, list[str]] | None = None
         if self._live is None:
             self._add_views()
@@ -302,9 +304,13 @@ class Catalog(Closing):
         """A cursor for one of the project's own statements, which reads."""
         self._fill(sql)
         cursor = self._connection.cursor()
+        if sql in self._known_to_read:
+            return cursor
         kind = one_statement(cursor, sql).type
         if kind not in _READING:
             raise refused(kind.name)
+        if len(self._known_to_read) < _MOST_KNOWN:
+            self._known_to_read.add(sql)
         return cursor
 
     def prepare(self, sql: str) -> tuple[str, ...]:
