@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 ROW_GROUP = 1_000_000
 # who asks for one channel reads its row groups whole, as do a hundred channels' rollups of some minutes
-_ROLLUP_ROWS = 32_768
+_ROLLUP_ROWS = 16_384
 # a row group costs 0.3 ms and kilobytes of memory: channels of few samples share one
 _SMALL_ROWS, _SHARED_ROWS = 4096, 65_536
 

@@ -59,7 +59,7 @@ def test_a_part_has_rollups_in_row_groups_of_few_channels(tmp_path: Path) -> Non
     with part_writers(tmp_path) as writer:
         writer("rollup_1s").write_all([table])
     _, footer = open_local_table(tmp_path / "rollup_1s.parquet")
-    assert footer.groups == -(-table.num_rows // 32_768) > 1
+    assert footer.groups == -(-table.num_rows // 16_384) > 1
     channel = table.column("channel")[0].as_py()
     assert [group for group, _ in footer.groups_with(channel)] == [0]
 
