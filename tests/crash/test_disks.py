@@ -46,6 +46,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", folder], check=True)
 
 
+@pytest.mark.long  # in the gate: `test_recorder_disk.py`
 def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
     gyrofleet: Callable[..., Any], start: Start, endpoint: str, small_disk: Path, tmp_path: Path
 ) -> None:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
     [(1000, ()), (500, ("--process",)), (5000, ()), (2000, ("--process",))],
     ids=["in this process", "over Zenoh", "more in this process", "more over Zenoh"],
 )
-@pytest.mark.in_gate("in this process", "over Zenoh")
+@pytest.mark.in_gate("in this process")
 def test_what_is_malformed_is_kept_aside_and_hinders_nobody(count: int, how: tuple[str, ...]) -> None:
     command = [sys.executable, "-m", "tests.crash.fuzz", "--count", str(count), "--oversize", "1", *how]
     done = subprocess.run(

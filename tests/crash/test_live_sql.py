@@ -59,6 +59,7 @@ def recorder(start: Callable[..., Any], endpoint: str, *options: object) -> Any:
     return service
 
 
+@pytest.mark.long  # in the gate: `storage/sql/test_live.py`
 def test_what_is_acknowledged_is_in_sql(
     start: Callable[..., Any], gyrofleet: Callable[..., Any], endpoint: str, tmp_path: Path
 ) -> None:

@@ -23,6 +23,7 @@ def following(process: "subprocess.Popen[str]") -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 def test_a_served_plant_is_followed_and_the_status_says_so(
     tmp_path: Path, gyrofleet: Command, spawn: Spawn, endpoint: str
 ) -> None:

@@ -10,6 +10,7 @@ from analytics.serve.api.operation import Call
 from analytics.serve.pages.frame.language import LANGUAGES
 from analytics.serve.pages.frame.page import shown
 from analytics.serve.pages.frame.zones import common_zone, zoned
+from stream.errors import BadInput
 
 _SHOWN_CHARACTERS = 400
 
@@ -18,15 +19,21 @@ _SHOWN_CHARACTERS = 400
 def events(call: Call, asked: api.EventsAsked) -> dict[str, Any]:
     """The documents."""
     zone = common_zone(call)
-    found = api.list_events(
-        call, msgspec.structs.replace(asked, from_=zoned(asked.from_, zone), to=zoned(asked.to, zone))
-    )
+    wrong = None
+    try:
+        between = {"from_": zoned(asked.from_, zone), "to": zoned(asked.to, zone)}
+        found = api.list_events(call, msgspec.structs.replace(asked, **between))
+    except BadInput as error:
+        if not (asked.from_ or asked.to):
+            raise
+        wrong = str(error)  # the form stays, with what was typed
+        found = api.list_events(call, msgspec.structs.replace(asked, from_=None, to=None))
     next_page = None if found.next is None else found.next.removeprefix("/api")
     rows = [
         (row, {language: shortened(summary(row.document, language)) for language in LANGUAGES}, _text(row.document))
         for row in found.events
     ]
-    return {"found": found, "rows": rows, "next": next_page, "data": f"/api{call.url}"}
+    return {"found": found, "rows": rows, "next": next_page, "data": f"/api{call.url}", "wrong": wrong}
 
 
 def _text(document: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ from analytics.serve.api.query import signals as api
 from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.pages.frame.page import shown
 from analytics.serve.pages.frame.zones import common_zone, typed, zone_of_run, zoned
+from stream.errors import BadInput
 from stream.quantities import report_unit
 
 _TABLE_POINTS = 100
@@ -41,9 +42,15 @@ class SignalPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
     """A stretch of a signal."""
     zone = zone_of_run(call, call.path["run"]) or common_zone(call)
-    first, last = zoned(asked.from_, zone), zoned(asked.to, zone)
-    few = api.SignalAsked(from_=first, to=last, points=_TABLE_POINTS)
-    found = api.signal(call, few)
+    whole = api.SignalAsked(points=_TABLE_POINTS)
+    wrong = None
+    try:
+        first, last = zoned(asked.from_, zone), zoned(asked.to, zone)
+        few = api.SignalAsked(from_=first, to=last, points=_TABLE_POINTS)
+        found = api.signal(call, few)
+    except BadInput as error:  # the form stays, with what was typed
+        first, last, few, wrong = None, None, whole, str(error)
+        found = api.signal(call, few)
     of = (found.unit, found.run, found.signal)
     others = _others(call, found)
     chosen = _chosen(asked.beside, others, found)
@@ -59,8 +66,9 @@ def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
         "data": link("api", "signals", *of, points=1000, **{"from": first, "to": last}),
         "allan_data": link("api", "allan", *of),
         "zone": zone,
-        "from_typed": typed(found.from_ns, zone) if first else "",
-        "to_typed": typed(found.to_ns, zone) if last else "",
+        "from_typed": typed(found.from_ns, zone) if first else (asked.from_ or "") if wrong else "",
+        "to_typed": typed(found.to_ns, zone) if last else (asked.to or "") if wrong else "",
+        "wrong": wrong,
     }
 
 

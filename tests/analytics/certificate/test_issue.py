@@ -234,6 +234,7 @@ def test_no_two_numbers_have_one_file() -> None:
     assert {path.parent for path in paths} == {Path("lab/certificates")}
 
 
+@pytest.mark.long
 def test_results_are_of_the_records_and_not_of_what_was_kept_or_changed(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

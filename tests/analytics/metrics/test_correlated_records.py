@@ -77,6 +77,7 @@ def test_the_bounds_of_a_deviation_hold_that_of_such_records(white: float, devia
         assert np.mean((low <= truth) & (truth <= high)) >= 0.86  # 0.90 is the least that was found; binomial, 1e-2
 
 
+@pytest.mark.long
 def test_markov_noise_alone_is_no_angle_random_walk(run_command: Callable[..., Any], tmp_path: Path) -> None:
     """Its white part is nothing: it had been 1e-112 deg/sqrt(h) with a tight interval, and a PASS."""
     rng = np.random.default_rng(9)

@@ -137,6 +137,36 @@ def test_times_are_typed_in_the_zone_of_the_page(api: httpx.Client) -> None:
     assert api.get("/events", params=typed).status_code == 200
 
 
+@pytest.mark.parametrize(
+    ("typed", "why"),
+    [
+        ({"from": "noon"}, "from 'noon'"),
+        ({"from": "2026-11-21 10:03", "to": "2026-11-21 10:02"}, "ends (2026-11-21T10:02:00+00:00) before it begins"),
+    ],
+)
+def test_a_stretch_that_cannot_be_shown_keeps_the_form_and_what_was_typed(
+    api: httpx.Client, typed: dict[str, str], why: str
+) -> None:
+    answer = api.get("/signals/FOG-0001/run-1/rate", params=typed)
+    text = unescape(answer.text)
+    assert answer.status_code == 200
+    assert "This stretch cannot be shown" in text
+    assert why in text
+    assert 'data-asked="all"' in text
+    assert f'data-from="{START_NS}"' in text
+    for value in typed.values():
+        assert f'value="{value}"' in text
+
+
+def test_events_between_times_that_are_none_are_all_of_them(api: httpx.Client) -> None:
+    answer = api.get("/events", params={"from": "noon", "kind": "RunStarted"})
+    text = unescape(answer.text)
+    assert answer.status_code == 200
+    assert "These times are left out: from 'noon'" in text
+    assert 'value="noon"' in text
+    assert "run-1" in text
+
+
 def test_a_statement_is_answered_without_scripts(served: Served) -> None:
     with served.browser("vera") as browser:
         fields = {"sql": "select 6 * 7 as answer, '<b>' as text", "csrf": browser.csrf}

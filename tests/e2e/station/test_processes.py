@@ -76,6 +76,7 @@ def listening_addresses(pid: int) -> set[str]:
     return found
 
 
+@pytest.mark.long  # in the gate: `crash/test_kills.py`
 def test_recorder_estimator_and_source_as_processes(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
 ) -> None:

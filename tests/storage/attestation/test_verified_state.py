@@ -134,6 +134,7 @@ def test_a_verified_segment_that_is_not_listed_any_more_is_missed(store: Store, 
     assert since.compared == 0
 
 
+@pytest.mark.long
 def test_a_loss_that_was_documented_before_stays_explained(store: Store, key: SigningKey) -> None:
     damage_last_chunk(sorted(store.log.glob("*.mcap"))[2])
     mend(store)
@@ -145,6 +146,7 @@ def test_a_loss_that_was_documented_before_stays_explained(store: Store, key: Si
     assert losses(both(store, path)[0]) == ["numbers_missing"]
 
 
+@pytest.mark.long
 def test_segments_sealed_between_verification_and_signature_are_read(store: Store, key: SigningKey) -> None:
     verified = dict(verify(store)[1].entries)
     fill(store, MORE)

@@ -146,6 +146,7 @@ def test_a_file_that_is_not_as_the_manifest_says_is_named(filled: Filler, tmp_pa
     assert other.exists()
 
 
+@pytest.mark.long
 def test_the_command(filled: Filler, tmp_path: Path, gyrofleet: Callable[..., Outcome]) -> None:
     arguments = ("export-iceberg", "--store", filled.store.folder, "--warehouse", tmp_path / "W W")
     first = gyrofleet(*arguments, "--json")

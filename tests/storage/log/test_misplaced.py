@@ -79,6 +79,7 @@ def test_a_copy_of_a_sound_segment_is_not_misplaced(tmp_path: Path) -> None:
     assert misplaced_segments(store) == {}
 
 
+@pytest.mark.long
 def test_segments_of_equal_size_get_their_names_back(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "store")
     by_size: dict[int, str] = {}
