@@ -160,8 +160,10 @@ def front_door() -> NoReturn:
 
     Libraries are not unloaded: a library's thread that still runs then aborts the process (exit code -6).
     """
+    from stream.no_pandas import hide_pandas
     from stream.terminal.console import output_is_closed
 
+    hide_pandas()
     for stream in (sys.stdout, sys.stderr):  # a terminal without a degree sign shows a question mark
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower() != "utf-8":
             stream.reconfigure(errors="replace")

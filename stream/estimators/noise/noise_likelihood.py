@@ -6,6 +6,7 @@ import numpy as np
 
 from stream.batch import FloatArray
 from stream.estimators.noise.noise_kernel import descend, deviance, least_deviances, weighted_least_squares
+from stream.estimators.noise.root_between import root_between
 
 _ROOT_TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9
@@ -167,18 +168,17 @@ class CurveLikelihood:
 
     def bounds(self, theta: FloatArray, allowed: float, which: int) -> tuple[float, float]:
         """Where the deviance, the other coefficients free, rises to `allowed` on either side of its minimum theta."""
-        from scipy.optimize import brentq
 
         def excess(at: float) -> float:
             return self.minimum_at(theta, which, at) - allowed
 
         lo, best = 0.0, float(theta[which])
         if best > 0.0 and excess(0.0) > 0.0:
-            lo = float(brentq(excess, 0.0, best, xtol=1e-15, rtol=_ROOT_TOLERANCE))
+            lo = root_between(excess, 0.0, best, absolute=1e-15, relative=_ROOT_TOLERANCE)
         below, above = best, max(1.5 * best, 1e-3)
         while excess(above) < 0.0:
             below, above = above, 2.0 * above
-        return lo, float(brentq(excess, below, above, xtol=1e-15, rtol=_ROOT_TOLERANCE))
+        return lo, root_between(excess, below, above, absolute=1e-15, relative=_ROOT_TOLERANCE)
 
 
 def deviance_quantile(confidence: float) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 
 from stream.batch import FloatArray
 from stream.estimators.noise.noise_likelihood import CurveLikelihood
+from stream.estimators.noise.root_between import root_between
 
 SIGNIFICANCE = 0.05
 REACHES = (0.0, 4.0, 16.0, 64.0, 1024.0)
@@ -49,8 +50,6 @@ def misfit_chance(likelihood: CurveLikelihood) -> float:
 
 
 def _admitting(likelihood: CurveLikelihood, shape: FloatArray, alike: FloatArray) -> CurveLikelihood:
-    from scipy.optimize import brentq
-
     def widened(logarithm: float) -> CurveLikelihood:
         return likelihood.widened(np.exp(logarithm) * shape / np.mean(shape), alike)
 
@@ -64,4 +63,4 @@ def _admitting(likelihood: CurveLikelihood, shape: FloatArray, alike: FloatArray
         return widened(least)
     if surplus(most) >= 0.0:
         return widened(most)
-    return widened(float(brentq(surplus, least, most, xtol=_TOLERANCE)))
+    return widened(root_between(surplus, least, most, absolute=_TOLERANCE))
