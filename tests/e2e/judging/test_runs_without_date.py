@@ -19,6 +19,7 @@ unit_of_measure = "deg/h"
 """
 
 
+@pytest.mark.long
 def test_a_value_that_no_revision_judges_keeps_its_unit_from_passing(
     run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -33,9 +33,10 @@ class Buckets(NamedTuple):
         starts = np.flatnonzero(np.concatenate([[True], slot[1:] != slot[:-1]]))
         if starts.size == slot.size:
             return cls(slot, n, mean, lo, hi)
-        with np.errstate(over="ignore"):  # sums beyond 1e308 are infinite
-            counts = np.add.reduceat(n, starts)
-            means = np.add.reduceat(n * mean, starts) / counts
+        counts = np.add.reduceat(n, starts)
+        lengths = np.diff(starts, append=slot.size)
+        # shares instead of sums, which are infinite where values are beyond 1e308 together
+        means = np.add.reduceat(n / np.repeat(counts, lengths) * mean, starts)
         return cls(slot[starts], counts, means, np.minimum.reduceat(lo, starts), np.maximum.reduceat(hi, starts))
 
     @classmethod

@@ -52,8 +52,8 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
     `bucket_ns` is 0. Buckets of rollups are whole: the first may begin before the stretch and the last end after it;
     all of them together, and `samples`, are of `covers_from_ns` to `covers_to_ns`. Others have samples of the stretch
     only. Every sample is in its bucket's min and max. `gaps` are stretches within the record and what was asked that
-    have no samples and are longer than 1.5 intervals and than a bucket, also where the stretch begins or ends in one;
-    the first 50 are from the last sample before to the first after it.
+    have no samples for longer than 1.5 intervals and leave a whole bucket empty, also where the stretch begins or ends
+    in one; the first 50 are from the last sample before to the first after it. Fewer points hide shorter ones.
     Values are in `unit_of_measure`. `is_live`: some samples have not come to the lake yet, so that the record probably
     goes on.
     """

@@ -6,6 +6,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Literal
 
+from markupsafe import Markup, escape
 from starlette.requests import Request
 
 from analytics.event_words import kind_name
@@ -61,6 +62,8 @@ class Texts:
         ('试验', '3 more')
         """
         text = _texts()[key][self._at]
+        if any(isinstance(each, Markup) for each in parts.values()):  # the others are text
+            return escape(text).format(**parts)
         return text.format(**parts) if parts else text
 
     def either(self, en: str, zh: str) -> str:

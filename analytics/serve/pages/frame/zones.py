@@ -57,19 +57,31 @@ def zoned(text: str | None, name: str) -> str | None:
 
     >>> zoned("2026-11-21 18:00", "Asia/Shanghai"), zoned("2026-11-21T10:00:00Z", "Asia/Shanghai"), zoned("noon", "UTC")
     ('2026-11-21T18:00:00+08:00', '2026-11-21T10:00:00Z', 'noon')
+
+    With the name of the zone behind it, as pages show moments, it is the same:
+
+    >>> zoned("2026-11-21 18:00:00 Asia/Shanghai", "Asia/Shanghai"), zoned("2026-11-21 10:00 UTC", "Asia/Shanghai")
+    ('2026-11-21T18:00:00+08:00', '2026-11-21T10:00:00+00:00')
     """
+    text = (text or "").strip()
+    if not text:
+        return None
+    if text.endswith((f" {name}", f" {DEFAULT}")):
+        text, _, name = text.rpartition(" ")
     try:
-        moment = datetime.fromisoformat((text or "").strip())
+        moment = datetime.fromisoformat(text)
     except ValueError:
         return text
-    if moment.tzinfo is not None or (text or "").isdecimal():
+    if moment.tzinfo is not None or text.isdecimal():
         return text
+    beyond = text[26:29] if text[19:20] == "." and len(text) > 26 else ""  # Python's moments end at microseconds
     early, late = (moment.replace(tzinfo=_zone(name), fold=fold) for fold in (0, 1))
     if early.utcoffset() != late.utcoffset():
         is_twice = early.astimezone(UTC) < late.astimezone(UTC)
         what = "is there twice, as clocks are set back" if is_twice else "is skipped, as clocks are set forward"
         raise BadInput(f"{text} in {name} {what}: add {early.isoformat()[-6:]} or {late.isoformat()[-6:]}")
-    return early.isoformat()
+    whole = early.isoformat()
+    return whole[:26] + beyond + whole[26:] if beyond else whole
 
 
 def typed(t_ns: int, name: str) -> str:
