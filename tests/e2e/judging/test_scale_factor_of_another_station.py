@@ -91,6 +91,7 @@ def test_the_rate_of_the_table_enters_where_the_scale_factor_was_measured(
     assert "T-1" in json.dumps(budget)
 
 
+@pytest.mark.long
 def test_a_table_that_had_expired_there_leaves_the_bias_without_an_uncertainty(
     tmp_path: Path, gyrofleet: Callable[..., Any]
 ) -> None:
