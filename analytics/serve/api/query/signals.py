@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -96,13 +97,22 @@ class SignalBuckets(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class _Stretch:
-    """What is asked of a record, and where it lies."""
+    """What is asked of a record, and the parts of the lake that have it."""
 
     first_ns: int
     stop_ns: int
     points: int
-    parts: list[dict[str, Any]]
+    all_parts: list[dict[str, Any]]
     live: LiveSamples | None = None
+
+    def parts_between(self, first_ns: int, stop_ns: int) -> list[dict[str, Any]]:
+        """Those with samples in a stretch."""
+        return [part for part in self.all_parts if part["t_last_ns"] >= first_ns and part["t_first_ns"] < stop_ns]
+
+    @cached_property
+    def parts(self) -> list[dict[str, Any]]:
+        """Those with samples of what is asked."""
+        return self.parts_between(self.first_ns, self.stop_ns)
 
     @property
     def live_times(self) -> IntArray:
@@ -163,13 +173,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     if stop_ns <= first_ns:
         begin, end = asked.from_ or f"the first sample, {iso(first_ns)}", asked.to or f"the last, {iso(stop_ns - 1)}"
         raise BadInput(f"the stretch ends ({end}) before it begins ({begin})")
-    parts = [
-        part
-        for part in dictionaries(views, _PARTS, of)
-        if part["t_last_ns"] >= first_ns and part["t_first_ns"] < stop_ns
-    ]
     interval_s = float(about["sample_interval_s"])
-    stretch = _Stretch(first_ns, stop_ns, asked.points, parts, live)
+    stretch = _Stretch(first_ns, stop_ns, asked.points, dictionaries(views, _PARTS, of), live)
     source, bucket_ns, buckets, note = _buckets(views.source, stretch)
     t_ns = buckets.slot.tolist()
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
@@ -223,7 +228,7 @@ def _buckets(source: LakeSource, of: _Stretch) -> tuple[str, int, Buckets, str |
     name = f"rollup_{seconds}s"
     slots = first // (seconds * _NS), stop // (seconds * _NS)
     found = []
-    for part in of.parts:
+    for part in of.parts_between(first, stop):
         path = str(Path(part["filename"]).with_name(f"{name}.parquet"))
         bucket, *columns = rows_between(source, path, part["channel"], "bucket", slots, _ROLLUP)
         found.append(Buckets.of_rows(bucket // k * width, *columns))
