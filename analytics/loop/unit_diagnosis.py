@@ -294,6 +294,7 @@ def _pooled(
         declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
         holdout=held_out,
         left_out={unit: data.left_out for unit, data in units.items()},
+        turn_on_is_declared={unit: data.turn_on_is_declared for unit, data in units.items()},
         processes=processes,
         spread=spread,
         on_progress=on_progress,

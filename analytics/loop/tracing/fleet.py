@@ -81,6 +81,7 @@ def diagnose_fleet(
     declared_noise: Mapping[str, ModelNoise] | None = None,
     holdout: Mapping[str, Sequence[str]] | None = None,
     left_out: Mapping[str, Sequence[LeftOut]] | None = None,
+    turn_on_is_declared: Mapping[str, bool] | None = None,
     seed: int = 0,
     processes: int = 1,
     spread: Spread | None = None,
@@ -90,13 +91,14 @@ def diagnose_fleet(
 
     Each unit has its own coefficients of the declared model; the effects to test are by default all whose channels are
     recorded in all units. The units alone are traced by several `processes`, or by `spread`. For `declared_noise`,
-    `holdout` and `left_out`, by unit, see `diagnose`.
+    `holdout`, `left_out` and `turn_on_is_declared`, by unit, see `diagnose`; all units together are searched as if the
+    turn-on scatter were declared, since evidence from the biases of few runs is calibrated for single units only.
     """
-    noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
+    noises, held_out, losses, declared = declared_noise or {}, holdout or {}, left_out or {}, turn_on_is_declared or {}
     asked = [
         Asked(
             runs, model, effects=effects, declared_noise=noises.get(unit), holdout=held_out.get(unit),
-            left_out=losses.get(unit, ()), seed=seed,
+            left_out=losses.get(unit, ()), seed=seed, turn_on_is_declared=declared.get(unit),
         )
         for unit, runs in units.items()
     ]  # fmt: skip
