@@ -60,15 +60,21 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def sentence(self) -> Bilingual:
         """What is left to explain."""
+        estimate = f"{self.value:.0%}"
+        if self.lo is not None and self.hi is not None:
+            estimate += f", 95 %: {self.lo:.0%} … {self.hi:.0%}"
+        if self.value > 0 and not self.is_significant:
+            return Bilingual(
+                f"what a black box explains of the error from the recorded channels is not significant ({estimate}; "
+                f"p = {self.p_value:.2g}, below {MOST_P_VALUE:g} is asked for)",
+                f"黑箱回归由所记录的通道解释的误差不显著（{estimate}；p = {self.p_value:.2g}，须小于{MOST_P_VALUE:g}）",
+            )
         if not self.is_significant:
             return Bilingual(
                 "a black box explains no more of the error from the recorded channels",
                 "黑箱回归未能由所记录的通道再解释误差",
             )
         names, seconds = list(self.channels), f"{self.averaging_s:g} s"
-        estimate = f"{self.value:.0%}"
-        if self.lo is not None and self.hi is not None:
-            estimate += f", 95 %: {self.lo:.0%} … {self.hi:.0%}"
         if not self.at_least > 0:
             return Bilingual(
                 f"the error follows a function of {', '.join(names)}, learned from others (p = {self.p_value:.2g}), "

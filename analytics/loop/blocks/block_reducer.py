@@ -15,7 +15,14 @@ from analytics.loop.blocks.join import ChannelJoiner
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.outliers import RateSeries
 from analytics.loop.blocks.pieces import Grid, SignalKey
-from analytics.loop.blocks.record_checks import check_channels, check_labels, check_runs, clock_offsets
+from analytics.loop.blocks.record_checks import (
+    check_channels,
+    check_labels,
+    check_runs,
+    clock_offsets,
+    copied_runs,
+    copies_left_out,
+)
 from analytics.loop.blocks.reduction_notes import LEAST_SHARE, Note
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
@@ -172,8 +179,12 @@ class BlockReducer:
             raise NotFound(
                 f"unit {unit}, signal {self.signal}: no block is left: {'; '.join(note.text for note in notes)}"
             )
+        left_out = left_out_of(runs)
+        if copies := copied_runs(blocks):
+            left_out = (*left_out, copies_left_out(copies, len({each.run for each in blocks})))
+            blocks = [each for each in blocks if each.run not in copies]
         notes += [*notes_on.no_scatter(blocks), *check_runs(blocks), *check_channels(blocks), *check_labels(blocks)]
-        return Reduction(tuple(blocks), tuple(notes), left_out_of(runs))
+        return Reduction(tuple(blocks), tuple(notes), left_out)
 
     def _check_blocks(self, unit: str, records: Mapping[str, RecordedSignal]) -> None:
         """Refuse blocks that are too short for the records."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks, stands_still
 from storage.sql.catalog import Catalog
@@ -31,7 +32,7 @@ _FEWEST_FOR_RATIO = 10
 
 
 def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
-    """Notes on runs in which the signal stands still, and on runs that are copies of others."""
+    """Notes on runs in which the signal stands still."""
     notes = []
     still = [run.run for run in runs if len(run) > 1 and stands_still(run.value)]
     if still:
@@ -41,21 +42,33 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
             f"信号{runs[0].signal}{where.zh}从不变化，输出失效或卡死：用--run略去这些试验",
         )
         notes.append(Note("still", text, runs=tuple(still), is_limit=True))
-    first: dict[bytes, str] = {}
-    same = [
-        (earlier, run.run)
-        for run in runs
-        if len(run) >= _FEWEST_FOR_COPY and run.run not in still
-        if (earlier := first.setdefault(run.value.tobytes(), run.run)) != run.run
-    ]
-    if same:
-        listed = ", ".join(f"{one} and {other}" for one, other in same[:3]) + (", ..." if len(same) > 3 else "")
-        text = Bilingual(
-            f"runs have the same samples ({listed}) and do not confirm each other; exclude one of each with --run",
-            f"试验的采样相同（{listed}）：不能互相证实；用--run各略去一次",
-        )
-        notes.append(Note("same_samples", text, is_limit=True))
     return notes
+
+
+def copied_runs(runs: Sequence[RunBlocks]) -> dict[str, str]:
+    """Runs with the samples of an earlier one, and that one: one measurement under several names."""
+    first: dict[bytes, str] = {}
+    found = {
+        run.run: earlier
+        for run in runs
+        if len(run) >= _FEWEST_FOR_COPY and not stands_still(run.value)
+        if (earlier := first.setdefault(run.value.tobytes(), run.run)) != run.run
+    }
+    return {run: earlier for run, earlier in found.items() if run not in found.values()}
+
+
+def copies_left_out(copies: Mapping[str, str], runs: int) -> LeftOut:
+    """Copied runs, of so many, that are left out."""
+    listed = ", ".join(f"{run} of {earlier}" for run, earlier in list(copies.items())[:3])
+    listed += ", ..." if len(copies) > 3 else ""
+    return LeftOut(
+        Bilingual("the runs", "试验"),
+        len(copies) / runs,
+        Bilingual(
+            f"they are copies, sample for sample ({listed}), and would confirm each other",
+            f"采样逐点相同的副本（{listed}），不能互相证实",
+        ),
+    )
 
 
 def check_channels(runs: Sequence[RunBlocks]) -> list[Note]:

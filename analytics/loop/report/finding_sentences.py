@@ -36,6 +36,8 @@ _ZH_VERDICTS = {
     ModelVerdict.UNEXPLAINED: "未解释",
     ModelVerdict.NOT_ENOUGH_DATA: "数据不足",
 }
+_PRESENT = 0.5  # probability from which on a unit is counted among those with a common effect
+_MOST_NAMED = 8
 _ABSENT = 0.05  # probability below which a unit is named as one without a common effect
 
 
@@ -133,26 +135,44 @@ def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
         en = f"The {units} units have no missing effect in common that repeats in their runs."
         return words.of(en, f"{units}个产品合并分析未见可重现的共同缺项。")
     effects = words.of("; and ", "；以及").join(_common(each, fleet, words) for each in fleet.effects)
+    if any(_showing(fleet.by_unit.get(each.name, ())) < units for each in fleet.effects):
+        en = f"In {units} units pooled, not all of which show it, the declared model lacks: {effects}."
+        return words.of(en, f"{units}个产品合并分析（并非每个产品均有），已声明模型缺少：{effects}。")
     return words.of(
         f"The declared model lacks, in {units} units together: {effects}.",
         f"{units}个产品合并分析，已声明模型缺少：{effects}。",
     )
 
 
+def _showing(rows: Sequence[UnitCoefficient]) -> int:
+    """How many units have a common effect rather than not."""
+    return sum(each.presence >= _PRESENT for each in rows)
+
+
 def _common(found: FoundEffect, fleet: FleetDiagnosis, words: Wording) -> str:
-    text = f"{words.effect(found)}{words.of(': ', '：')}{words.coefficient(found)}"
+    rows = fleet.by_unit.get(found.name, ())
+    showing = _showing(rows)
+    if showing < len(rows):
+        named = words.listed([each.unit for each in rows if each.presence >= _PRESENT][:_MOST_NAMED])
+        named += words.of(", ...", "……") if showing > _MOST_NAMED else ""
+        text = words.effect(found) + words.of(
+            f", shown by {showing} of {len(rows)} units{f' ({named})' if named else ''}; the mean over all of them is ",
+            f"，{len(rows)}个产品中{showing}个有此效应{f'（{named}）' if named else ''}；全部产品的平均为",
+        )
+    else:
+        text = f"{words.effect(found)}{words.of(': ', '：')}"
+    text += words.coefficient(found)
     if found.confounded:
         others = words.listed([words.effect(other) for other in found.confounded], ("or", "或"))
         text += words.of(f", which these data cannot separate from {others}", f"（现有数据无法与{others}区分）")
-    rows = fleet.by_unit.get(found.name, ())
     differing = words.listed([each.unit for each in rows if each.differs])
-    if rows and all(each.differs for each in rows):
+    if showing == len(rows) and rows and all(each.differs for each in rows):
         text += words.of(", which differs from unit to unit", "（各产品不一致）")
-    elif differing:
+    elif showing == len(rows) and differing:
         text += words.of(f"; {differing} differs from the others", f"（{differing}与其他产品不同）")
     without = words.listed([each.unit for each in rows if each.presence < _ABSENT])
     if without:
-        text += words.of(f"; {without} probably has none of it", f"（{without}很可能没有该效应）")
+        text += words.of(f"; probably none of it in {without}", f"（{without}很可能没有该效应）")
     if (over := fleet.over_units.get(found.name)) is not None:
         bounds = f"{number(over.spread_lo)} … {number(over.spread_hi)}"
         text += words.of(

@@ -7,7 +7,7 @@ import pytest
 
 from analytics.commands.closed_loop.diagnose import noise_of
 from analytics.loop.blocks.block_reducer import BlockReducer
-from analytics.loop.blocks.record_checks import check_runs
+from analytics.loop.blocks.record_checks import check_runs, copied_runs, copies_left_out
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.base import number
 from analytics.loop.model.error_model import ErrorModel
@@ -80,15 +80,29 @@ def test_too_little_beside_the_runs_held_out_is_said() -> None:
     assert found.missing[0].startswith("without the held-out runs: 5 blocks")
 
 
-def test_dead_runs_and_copies_are_noted() -> None:
+def test_dead_runs_are_noted_and_copies_left_out() -> None:
     runs = noisy_runs(4)
     assert check_runs(runs) == []
-    runs += [one_run(4, runs[1].value), one_run(5, np.zeros(BLOCKS))]
-    reported = {note.what: note for note in check_runs(runs)}
-    assert set(reported) == {"still", "same_samples"}
-    assert reported["still"].runs == ("r5",)
-    assert "r1 and r4" in reported["same_samples"].text
-    assert all(note.is_limit for note in reported.values())
+    assert copied_runs(runs) == {}
+    runs += [one_run(4, runs[1].value), one_run(5, np.zeros(BLOCKS)), one_run(6, runs[1].value)]
+    (still,) = check_runs(runs)
+    assert (still.what, still.runs, still.is_limit) == ("still", ("r5",), True)
+    copies = copied_runs(runs)
+    assert copies == {"r4": "r1", "r6": "r1"}
+    why = "they are copies, sample for sample (r4 of r1, r6 of r1), and would confirm each other"
+    assert str(copies_left_out(copies, len(runs)).sentence) == f"29% of the runs left out: {why}"
+
+
+def test_one_file_under_several_names_is_one_run(tested: TestedUnits) -> None:
+    rng = np.random.default_rng(6)
+    values = rng.normal(0.0, 1.0, (2, 6000))
+    for name, rates in (("r1", values[0]), ("r2", values[1]), ("r3", values[0]), ("r4", values[0])):
+        tested.run(name)
+        tested.samples(name, "U1", "rate", rates, t0_ns=START_NS, dt_ns=10**8, unit_of_measure="deg/h")
+    with tested.catalog() as catalog:
+        reduced = BlockReducer(catalog, "rate").reduce("U1")
+    assert sorted(run.run for run in reduced.runs) == ["r1", "r2"]
+    assert [(each.share, "r3 of r1, r4 of r1" in str(each.why)) for each in reduced.left_out] == [(0.5, True)]
 
 
 @pytest.mark.long
