@@ -1,6 +1,7 @@
 """Samples of one signal, in pieces of any size, cut into batches of equal size."""
 
-from collections.abc import Iterator
+import heapq
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 from uuid import UUID
@@ -55,6 +56,14 @@ def usual_batch_samples(dt_ns: int) -> int:
 def splits_at_gaps(sampling: Sampling) -> bool:
     """Whether a signal has few enough gaps to end a batch at each."""
     return sampling.gaps * SAMPLES_PER_GAP <= sampling.samples
+
+
+def by_time(signals: Sequence[Iterator[SampleBatch]]) -> Iterator[SampleBatch]:
+    """Batches of several signals by the time of their first sample, each signal in its own order.
+
+    Who compares signals while they come, as a live compensation, would wait for one that is hours behind another.
+    """
+    return heapq.merge(*signals, key=lambda batch: batch.t0_ns)
 
 
 class Batcher:

@@ -11,7 +11,7 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps, usual_batch_samples
+from ingest.tables.batches import Batcher, SignalHead, by_time, splits_at_gaps, usual_batch_samples
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
@@ -173,13 +173,15 @@ class TableFile:
                     yield from _flushed(mine)
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 yield from filter(None, tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns))
+                pushed = []
                 for name, cells in good.signals.items():
                     times_ns, data = _samples(good.times_ns[begin:end], cells.at(slice(begin, end)))
                     if keep is not None and len(times_ns):
                         kept = keep(*good.owner, name, times_ns)
                         times_ns, data = times_ns[kept], data[kept]
                     if len(times_ns):
-                        yield from mine[name].push(times_ns, data.astype(np.int32) if counts[name] else data)
+                        pushed.append(mine[name].push(times_ns, data.astype(np.int32) if counts[name] else data))
+                yield from by_time(pushed)
         for owner, mine in batchers.items():
             yield from _flushed(mine)
             yield from filter(None, [tracker.close(*owner)])
@@ -274,5 +276,4 @@ def _are_int32(values: FloatArray) -> bool:
 
 
 def _flushed(batchers: dict[str, Batcher]) -> Iterator[SampleBatch]:
-    for batcher in batchers.values():
-        yield from batcher.flush()
+    yield from by_time([batcher.flush() for batcher in batchers.values()])

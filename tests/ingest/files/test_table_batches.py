@@ -1,13 +1,16 @@
 """Sampling and batches: nothing lost, whatever the pieces."""
 
+from pathlib import Path
 from uuid import UUID
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ingest.tables.batches import Batcher, SignalHead
+from ingest.tables.file import TableFile, TableOptions
 from ingest.tables.grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
 from stream.batch import IntArray, SampleBatch
 
@@ -90,3 +93,20 @@ def test_a_batch_does_not_keep_the_block_alive_nor_share_it() -> None:
     values[:] = 9.0
     assert batch.value_array.sum() == 0.0
     assert batch.value_array.flags.writeable
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_signals_of_a_file_come_side_by_side(tmp_path: Path, suffix: str) -> None:
+    seconds = np.arange(9000)
+    table = pl.DataFrame({"time[s]": seconds, "rate[deg/h]": seconds / 7, "temperature[degC]": 20 + seconds / 500})
+    path = tmp_path / f"run.{suffix}"
+    table.write_csv(path) if suffix == "csv" else table.write_parquet(path)
+    options = TableOptions(unit="G1", run="r")
+    batches = list(TableFile(path, options).batches(lambda unit, run: UUID(int=1)))
+    found = [each for each in batches if isinstance(each, SampleBatch)]
+    assert len(found) == 18
+    reached = dict.fromkeys(("rate", "temperature"), 0)
+    for batch in found:
+        assert batch.seq == reached[batch.signal]
+        reached[batch.signal] = batch.next_seq
+        assert abs(reached["rate"] - reached["temperature"]) <= 1000  # a batch
