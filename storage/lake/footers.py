@@ -5,17 +5,19 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
 
-from storage.lake.tables import damaged
+from storage.lake.tables import damaged, footer_digest
 from stream.batch import IntArray
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
+# what a damaged file makes of pyarrow
+UNREADABLE = (pa.ArrowException, OSError, ValueError)
 _MOST_GROUPS = 16_384  # about 50 MB
 _NOTHING = (1, 0)  # least and greatest value of a row group without any
 
@@ -66,10 +68,17 @@ class Footers:
         self._groups = 0
         self._lock = threading.Lock()
 
-    def open_table(self, version: Hashable, path: Path, file: Callable[[], Any]) -> "tuple[pq.ParquetFile, Footer]":
+    def open_table(
+        self, version: Hashable, path: Path, source: Callable[[], Any], binary: Callable[[], BinaryIO], digest: str
+    ) -> "tuple[pq.ParquetFile, Footer]":
         """A table, to read with page checksums, and its footer; StoreError if it is damaged.
 
-        `version` is another one when the file is another one, `file` gives what pyarrow opens.
+        Parameters
+        ----------
+        version: Another one when the file is another one.
+        source: Gives what pyarrow opens.
+        binary: Opens the file, to check its footer before pyarrow reads it, which may end the process.
+        digest: Of its footer; empty if it is not known.
         """
         import pyarrow.parquet as pq  # SQL reads tables without it
 
@@ -79,9 +88,13 @@ class Footers:
                 self._kept.move_to_end(version)
         metadata = None if known is None else known.metadata
         try:
-            table = pq.ParquetFile(file(), metadata=metadata, page_checksum_verification=True)
+            if known is None and digest:
+                with binary() as file:
+                    if footer_digest(file) != digest:
+                        raise OSError("its footer is not the one that was written")
+            table = pq.ParquetFile(source(), metadata=metadata, page_checksum_verification=True)
             footer = Footer(table.metadata) if known is None else known
-        except (pa.ArrowException, OSError) as error:
+        except UNREADABLE as error:
             raise damaged(path, error) from error
         if known is None:
             self._keep(version, footer)
@@ -101,11 +114,11 @@ class Footers:
 _of_disk = Footers()
 
 
-def open_local_table(path: Path) -> "tuple[pq.ParquetFile, Footer]":
+def open_local_table(path: Path, digest: str = "") -> "tuple[pq.ParquetFile, Footer]":
     """A table of a lake on the disk and its footer, which is parsed once as long as the file stays as it is."""
     try:
         status = path.stat()
     except OSError as error:
         raise damaged(path, error) from error
     version = (os.fspath(path), status.st_ino, status.st_size, status.st_mtime_ns)
-    return _of_disk.open_table(version, path, lambda: path)
+    return _of_disk.open_table(version, path, lambda: path, lambda: path.open("rb"), digest)

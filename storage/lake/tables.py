@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import pyarrow as pa
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
 ROW_GROUP = 1_000_000
+_DIGEST_DIGITS = 16  # enough against accidents
 # who asks for one channel reads its row groups whole, as do a hundred channels' rollups of some minutes
 _ROLLUP_ROWS = 16_384
 # a row group costs 0.3 ms and kilobytes of memory: channels of few samples share one
@@ -105,6 +106,7 @@ class _HashingFile:
     """A file for pyarrow that hashes what is written."""
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._file = path.open("wb")
         self._hash = hashlib.sha256()
         self._bytes = 0
@@ -132,7 +134,9 @@ class _HashingFile:
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
-        return PartFile(bytes=self._bytes, rows=rows, sha256=self._hash.hexdigest())
+        with self._path.open("rb") as written:
+            footer = footer_digest(written)
+        return PartFile(bytes=self._bytes, rows=rows, sha256=self._hash.hexdigest(), footer=footer)
 
     def abandon(self) -> None:
         with suppress(OSError):  # the disk is full
@@ -224,6 +228,17 @@ def open_table(path: Path) -> "pq.ParquetFile":
         return pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError) as error:
         raise damaged(path, error) from error
+
+
+def footer_digest(file: BinaryIO) -> str:
+    """Digest of the footer of a Parquet file, which has no checksum of its own; OSError or ValueError if it has none.
+
+    Its statistics say which row groups are read: damaged ones would leave rows out in silence.
+    """
+    file.seek(-8, os.SEEK_END)
+    length = int.from_bytes(file.read(4), "little")
+    file.seek(-8 - length, os.SEEK_END)
+    return hashlib.sha256(file.read()).hexdigest()[:_DIGEST_DIGITS]
 
 
 def damaged(path: Path, error: Exception) -> StoreError:

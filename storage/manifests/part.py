@@ -27,12 +27,13 @@ _NAME = re.compile(r"\w[\w.-]*")
 _NAMES = re.compile(r"\w[\w.-]*(?:\n\w[\w.-]*)*")
 
 
-class PartFile(msgspec.Struct, frozen=True):
-    """A file of a part."""
+class PartFile(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A file of a part; `footer` is a digest of its footer, empty in parts of an older gyrofleet."""
 
     bytes: int
     rows: int
     sha256: str
+    footer: str = ""
 
 
 class DroppedRows(msgspec.Struct, frozen=True):

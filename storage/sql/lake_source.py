@@ -3,8 +3,9 @@
 import io
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol, cast
 
 import duckdb
 import pyarrow as pa
@@ -55,6 +56,7 @@ class LocalLake:
         self._folder = store.lake.resolve()
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self.root = str(self._folder)
+        self._digests = _digests_of(self.parts)
 
     def path(self, part: str, file: str) -> str:
         """Path of a file."""
@@ -68,7 +70,8 @@ class LocalLake:
 
     def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
         """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
-        return open_local_table(Path(path))
+        whole = Path(path)
+        return open_local_table(whole, self._digests.get(f"{whole.parent.name}/{whole.name}", ""))
 
 
 class RangeLake:
@@ -84,6 +87,7 @@ class RangeLake:
         self._read, self._bring = read, bring
         self._footers = Footers()
         self._bytes = {f"{part.name}/{name}": file.bytes for part in parts for name, file in part.files.items()}
+        self._digests = _digests_of(parts)
 
     def path(self, part: str, file: str) -> str:
         """Path of a file."""
@@ -125,7 +129,11 @@ class RangeLake:
     def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
         """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
         name = self.name(path)
-        return self._footers.open_table(name, Path(name), lambda: pa.PythonFile(self.open(path), mode="r"))
+        binary = partial(self.open, path)
+        return self._footers.open_table(
+            name, Path(name), lambda: pa.PythonFile(binary(), mode="r"), lambda: cast("BinaryIO", binary()),
+            self._digests.get(name, ""),
+        )  # fmt: skip
 
     def open(self, path: str) -> "_RangeFile":
         """A file, to read."""
@@ -137,6 +145,11 @@ class RangeLake:
     def name(self, path: str) -> str:
         """``PART/FILE`` of a path."""
         return path.removeprefix(self.root)
+
+
+def _digests_of(parts: Iterable[Part]) -> dict[str, str]:
+    """Digests of the footers of files ``PART/FILE``, where they are known."""
+    return {f"{part.name}/{name}": file.footer for part in parts for name, file in part.files.items() if file.footer}
 
 
 class _RangeFile(io.RawIOBase):

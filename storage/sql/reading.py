@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from storage.lake.footers import UNREADABLE
 from storage.lake.tables import SAMPLES_FILE, damaged
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers, rows_with
@@ -143,7 +144,7 @@ def _part_rows(catalog: Catalog, path: str, channel: int, column: str) -> Iterat
                         data = pc.add(data, rows.column("above"))
                     numbered = [rows.column("seq"), rows.column("t_ns"), data]
                     yield pa.RecordBatch.from_arrays(numbered, ["seq", "t_ns", column])
-        except (pa.ArrowException, OSError) as error:
+        except UNREADABLE as error:
             raise damaged(Path(path), error) from error
 
 
@@ -160,7 +161,7 @@ def rows_between(
     with file:
         try:
             rows = file.read_row_groups(footer.groups_between(channel, column, first, stop), names, use_threads=False)
-        except (pa.ArrowException, OSError) as error:
+        except UNREADABLE as error:
             raise damaged(Path(path), error) from error
     found = {name: numbers(rows.column(name)) for name in names}
     inside = (found["channel"] == channel) & (found[column] >= first) & (found[column] < stop)

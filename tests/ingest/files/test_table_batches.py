@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ingest.tables.batches import Batcher, SignalHead
-from ingest.tables.file import TableFile, TableOptions
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
 from ingest.tables.grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
 from stream.batch import IntArray, SampleBatch
 

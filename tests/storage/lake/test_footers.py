@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 import duckdb
 import numpy as np
@@ -11,10 +12,15 @@ import pytest
 
 from storage.lake.footers import Footers, open_local_table
 from storage.lake.tables import ROLLUP_COLUMNS, part_writers
+from storage.manifests.part import Part
 from storage.sql.lake_source import LocalLake
 from storage.sql.reading import rows_between
 from storage.store import Store
 from stream.errors import StoreError
+
+
+def _opened(path: Path) -> BinaryIO:
+    return path.open("rb")
 
 
 @pytest.fixture
@@ -99,9 +105,32 @@ def test_no_more_footers_are_kept_than_there_is_room_for(tmp_path: Path) -> None
     for number, path in enumerate(paths):
         pq.write_table(rollups(number, channels=2, most=41), path, row_group_size=1)
     for path in (*paths, *paths):
-        table, footer = kept.open_table(path, path, partial(Path, path))
+        table, footer = kept.open_table(path, path, partial(Path, path), partial(_opened, path), "")
         assert table.num_row_groups == footer.groups > 0
         opened += footer.groups
         assert kept._groups <= 100
         assert kept._groups == sum(each.groups for each in kept._kept.values())
     assert opened > 100
+
+
+@pytest.mark.parametrize("places", [60, pytest.param(None, marks=pytest.mark.long)])
+def test_no_changed_byte_of_a_footer_leaves_rows_out(tmp_path: Path, places: int | None) -> None:
+    store = Store.create(tmp_path / "store")
+    folder = store.lake / "00000001"
+    folder.mkdir(parents=True)
+    table = rollups(9, channels=12, most=40)
+    with part_writers(folder) as writer:
+        file = writer("rollup_1s").write_all([table])
+    parts = [Part(name="00000001", segments=("a",), files={"rollup_1s.parquet": file}, samples=1)]
+    path = folder / "rollup_1s.parquet"
+    content = path.read_bytes()
+    length = int.from_bytes(content[-8:-4], "little")
+    assert file.footer
+    channel = table.column("channel")[0].as_py()
+    rng = np.random.default_rng(4)
+    for at in rng.choice(length + 8, length + 8 if places is None else places, replace=False):
+        damage = bytearray(content)
+        damage[-1 - at] ^= 1 << rng.integers(8)
+        path.write_bytes(damage)
+        with pytest.raises(StoreError, match=r"rollup_1s\.parquet cannot be read"):
+            rows_between(LocalLake(store, parts), str(path), channel, "bucket", (0, 10_000), ("bucket", "n"))

@@ -203,7 +203,7 @@ def _about(found: list[dict[str, Any]], live: LiveSamples | None) -> dict[str, A
         return found[0]
     about: dict[str, Any] = found[0] if found else {
         "unit_of_measure": live.unit_of_measure, "irregular": live.irregular, "date_known": True,
-        "sample_interval_s": live.sample_interval_s, "t_first_ns": 2**63 - 1, "t_last_ns": 0,
+        "sample_interval_s": live.sample_interval_s, "t_first_ns": 2**63 - 1, "t_last_ns": -(2**63),
     }  # fmt: skip
     if live.t_ns.size:
         first_ns, last_ns = int(live.t_ns.min()), int(live.t_ns.max())
