@@ -13,6 +13,19 @@ from stream.batch import FloatArray
 from stream.decoding import decode_json
 from stream.errors import BadInput
 
+# names that people give to channels in their own language
+_ALSO_NAMED = {"温度": "temperature", "temp": "temperature", "电压": "supply_voltage", "供电电压": "supply_voltage"}
+
+
+def _remedy(channel: str, recorded: Collection[str]) -> str:
+    """What to do about a channel that is missing; names differ by their letters alone, or are of another language.
+
+    >>> _remedy("temperature", ["Temperature"]), _remedy("supply_voltage", ["temperature"])
+    ('import Temperature under that name (--rename Temperature=temperature)', 'record it')
+    """
+    alike = [name for name in sorted(recorded) if channel in {name.lower(), _ALSO_NAMED.get(name.lower())}]
+    return f"import {alike[0]} under that name (--rename {alike[0]}={channel})" if alike else "record it"
+
 
 class ModelNoise(msgspec.Struct, frozen=True, omit_defaults=True):
     """Noise of a signal in its result unit u and hours; for deg/h the units in parentheses."""
@@ -45,7 +58,8 @@ class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
         if missing:
             raise BadInput(
                 f"run {run.run}, unit {run.unit}: term {self} of the error model needs channel {', '.join(missing)}; "
-                f"the run has {', '.join(sorted(run.channels)) or 'none'}: record it, or remove the term"
+                f"the run has {', '.join(sorted(run.channels)) or 'none'}: "
+                f"{_remedy(missing[0], run.channels)}, or remove the term"
             )
         if not self.is_shaped():
             names = ", ".join(f"{parameter.name}=..." for parameter in found.parameters)

@@ -107,6 +107,9 @@ def test_a_missing_channel_is_told(cycled: RunBlocks) -> None:
     model = ErrorModel.parse("bias + supply_current + temperature")
     with pytest.raises(BadInput, match=r"run r1, unit FOG-1: term .*supply_current.* needs channel supply_current"):
         model.columns(cycled)
+    channels = {"温度" if name == "temperature" else name: each for name, each in cycled.channels.items()}
+    with pytest.raises(BadInput, match=r"import 温度 under that name \(--rename 温度=temperature\), or"):
+        ErrorModel.parse("bias + temperature").columns(replace(cycled, channels=channels))
 
 
 def test_prediction_and_residual_are_the_sum_of_the_columns(cycled: RunBlocks) -> None:
