@@ -93,6 +93,17 @@ def test_dead_runs_are_noted_and_copies_left_out() -> None:
     assert str(copies_left_out(copies, len(runs)).sentence) == f"29% of the runs left out: {why}"
 
 
+def test_a_declared_term_that_hardly_varies_is_named_with_what_it_costs() -> None:
+    rng = np.random.default_rng(8)
+    runs = noisy_runs()
+    assert not any("hardly varies" in str(each) for each in diagnose(runs, MODEL).limits)
+    level = [Channel(20.0 + 2e-3 * rng.normal(size=BLOCKS), np.full(BLOCKS, 0.01), "degC") for _ in runs]
+    flat = [replace(run, channels={"temperature": each}) for run, each in zip(runs, level, strict=True)]
+    (said,) = [str(each) for each in diagnose(flat, MODEL).limits if "hardly varies" in str(each)]
+    assert "term temperature of the declared model" in said
+    assert "deg/h/degC, and beside it the bias is uncertain by" in said
+
+
 def test_one_file_under_several_names_is_one_run(tested: TestedUnits) -> None:
     rng = np.random.default_rng(6)
     values = rng.normal(0.0, 1.0, (2, 6000))

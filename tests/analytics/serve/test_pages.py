@@ -133,6 +133,8 @@ def test_times_are_typed_in_the_zone_of_the_page(api: httpx.Client) -> None:
     assert 'value="2026-11-21 10:03:00.500000"' in text
     seconds = int(START_NS // 10**9) + 120
     assert f'data-from="{seconds}000000000" data-to="{seconds + 60}500000000"' in text
+    close = api.get(path, params={"from": "2026-11-21 10:02:00", "to": "2026-11-21 10:02:00.5"}).text
+    assert ">2026-11-21 10:02:00.1 <" in close  # samples that are closer than a second differ in the table
     assert "they reach from <time" in api.get(path).text
     assert "&lt;time" not in text + api.get(path).text
     shown = {"from": "2026-11-21 10:02:00 UTC", "to": " "}  # as the page shows moments

@@ -9,6 +9,7 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.model_text import BIAS
 from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES, Case
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.result.holdout import ErrorTable, HeldOutAnswer, Holdout, HoldoutSlope
@@ -24,6 +25,8 @@ COPY = 1 - 1e-9  # correlation above which channels are copies, perhaps in other
 DERIVED_PAIRS = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"day", "time_since_power_on"})})
 """Pairs of which one is derived from the other if it is not recorded; the reduction reports it."""
 _MOST_NAMED = 3
+_COLLINEAR = 1e-6  # length of what a column adds to the others, over its own
+_MUCH_INFLATED = 1e4  # variance by what it is where the columns are orthogonal: the column adds a hundredth
 _PLATEAU = 6  # blocks before and after a step in which the channel has to be constant
 _NO_NOISE = Bilingual(
     "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
@@ -179,7 +182,7 @@ def undetermined_terms(case: Case, labels: Sequence[str]) -> tuple[Bilingual, ..
     for label, column in zip(labels, case.training.design.T, strict=True):
         length = float(np.linalg.norm(column))
         rest = column - basis @ (basis.T @ column)
-        if length == 0 or np.linalg.norm(rest) < 1e-6 * length:
+        if length == 0 or np.linalg.norm(rest) < _COLLINEAR * length:
             blind.append(label)
         else:
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
@@ -197,6 +200,29 @@ def undetermined_terms(case: Case, labels: Sequence[str]) -> tuple[Bilingual, ..
         )
         for label in blind
     )
+
+
+def weak_terms(case: Case, model: ErrorModel) -> list[Bilingual]:
+    """Declared terms that hardly vary beside the others, and whose coefficient may be 0: what they do to the bias."""
+    design, covariance, labels = case.training.design, np.asarray(model.covariance), model.labels()
+    if BIAS not in labels or covariance.shape != (len(labels),) * 2:
+        return []
+    scaled = design / np.where((length := np.linalg.norm(design, axis=0)) > 0, length, 1.0)
+    inflation = np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=_COLLINEAR**2, hermitian=True))
+    errors = np.sqrt(np.diag(covariance))
+    units = model.units or ("",) * len(labels)
+    bias = f"{errors[labels.index(BIAS)]:.2g} {units[labels.index(BIAS)]}"
+    return [
+        Bilingual(
+            f"term {label} of the declared model hardly varies in the fitted runs: its coefficient is {value:.3g} ± "
+            f"{error:.2g} {unit}, and beside it the bias is uncertain by {bias}: measure runs that excite it, or "
+            "remove the term",
+            f"声明模型的{label}项在所拟合的试验中几乎不变：系数为{value:.3g} ± {error:.2g} {unit}，"
+            f"致使零偏不确定度为{bias}：请测量激励该项的试验，或去掉该项",
+        )
+        for label, value, error, unit, by in zip(labels, model.coefficients, errors, units, inflation, strict=True)
+        if label != BIAS and by > _MUCH_INFLATED and abs(value) < 2.0 * error
+    ]
 
 
 def differing_caveats(joint: JointFit, model: ErrorModel) -> list[Bilingual]:

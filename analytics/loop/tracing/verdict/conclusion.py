@@ -21,7 +21,13 @@ from analytics.loop.tracing.search.effect_search import Search, provisional
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
 from analytics.loop.tracing.verdict.adequacy import detection_limits
-from analytics.loop.tracing.verdict.caveats import caveats, differing_caveats, undetermined_terms, unexplained_error
+from analytics.loop.tracing.verdict.caveats import (
+    caveats,
+    differing_caveats,
+    undetermined_terms,
+    unexplained_error,
+    weak_terms,
+)
 from analytics.loop.tracing.verdict.effect_findings import (
     AGEING,
     findings,
@@ -98,7 +104,7 @@ def conclude(
         within_run=case.replication == "within_run",
     )
     unsteady = differing_caveats(kept.joint, declared_model)
-    remarks += unsteady
+    remarks += unsteady + weak_terms(case, declared_model)
     unexplained = (unexplained_error(error) if case.held_out else None) or (unsteady[0] if unsteady else None)
     # turn-on scatter explains neither an error within runs nor an undetermined term
     is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)

@@ -152,16 +152,24 @@ def _parameters_of(row: dict[str, Any]) -> dict[str, Any]:
     return given
 
 
+_TO_SECONDS = len("2026-11-21 18:00:00")
 _JOINED, _TIME, _SHOWN = Markup(""), Markup('<time datetime="'), Markup('">')
 _ZONE, _END = Markup(' <span class="zone">'), Markup("</span></time>")
 
 
 @jinja2.pass_context
-def moment(context: jinja2.runtime.Context, t_ns: int | None, zone: str | None = None) -> Markup:
-    """A moment in a time zone, by default that of the page, as an element that has it in UTC for programs."""
+def moment(
+    context: jinja2.runtime.Context, t_ns: int | None, zone: str | None = None, *, exact: bool = False
+) -> Markup:
+    """A moment in a time zone, by default that of the page, as an element that has it in UTC for programs.
+
+    To the second, or `exact`: with all its digits.
+    """
     if t_ns is None:
         return Markup("")
     text, named = local(t_ns, zone or str(context["zone"]))
+    if exact and (rest := t_ns % 10**9):
+        text = f"{text[:_TO_SECONDS]}.{rest:09d}".rstrip("0") + text[_TO_SECONDS:]
     # joined: `Markup.format` takes far longer, and a page has hundreds of moments
     return _JOINED.join((_TIME, str(iso(t_ns)), _SHOWN, text, _ZONE, named, _END))
 
