@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # what a damaged file makes of pyarrow
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
-_MOST_GROUPS = 16_384  # about 50 MB
+_MOST_GROUPS = 16_384  # 75 MB of tables with seven columns
 _NOTHING = (1, 0)  # least and greatest value of a row group without any
 
 

@@ -48,13 +48,12 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
 def copied_runs(runs: Sequence[RunBlocks]) -> dict[str, str]:
     """Runs with the samples of an earlier one, and that one: one measurement under several names."""
     first: dict[bytes, str] = {}
-    found = {
+    return {
         run.run: earlier
         for run in runs
         if len(run) >= _FEWEST_FOR_COPY and not stands_still(run.value)
         if (earlier := first.setdefault(run.value.tobytes(), run.run)) != run.run
     }
-    return {run: earlier for run, earlier in found.items() if run not in found.values()}
 
 
 def copies_left_out(copies: Mapping[str, str], runs: int) -> LeftOut:
