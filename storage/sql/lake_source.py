@@ -3,16 +3,16 @@
 import io
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Protocol, cast
 
 import duckdb
 import pyarrow as pa
 
-from storage.lake.footers import Footer, Footers, open_local_table
 from storage.manifests.lake import read_manifest
 from storage.manifests.part import Part
+from storage.sql.footers import Footer, Footers, open_local_table
 from storage.store import Store
 from stream.errors import StoreError
 
@@ -56,7 +56,10 @@ class LocalLake:
         self._folder = store.lake.resolve()
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self.root = str(self._folder)
-        self._digests = _digests_of(self.parts)
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        return _digests_of(self.parts)
 
     def path(self, part: str, file: str) -> str:
         """Path of a file."""
@@ -87,7 +90,10 @@ class RangeLake:
         self._read, self._bring = read, bring
         self._footers = Footers()
         self._bytes = {f"{part.name}/{name}": file.bytes for part in parts for name, file in part.files.items()}
-        self._digests = _digests_of(parts)
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        return _digests_of(self.parts)
 
     def path(self, part: str, file: str) -> str:
         """Path of a file."""

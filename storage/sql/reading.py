@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from storage.lake.footers import UNREADABLE
 from storage.lake.tables import SAMPLES_FILE, damaged
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers, rows_with
+from storage.sql.footers import UNREADABLE
 from storage.sql.lake_source import LakeSource
 from storage.store import Store
 from stream.batch import FloatArray, IntArray, SampleBatch
@@ -131,8 +131,8 @@ def _part_rows(catalog: Catalog, path: str, channel: int, column: str) -> Iterat
     columns = ["base", "above"] if column == "counts" else ["value"]
     file, footer = catalog.source.open_table(path)
     with file:
-        own = footer.groups_with(channel)
         try:
+            own = footer.groups_with(channel)
             for is_shared, groups in itertools.groupby(own, key=lambda each: each[1]):
                 extra = ["channel"] if is_shared else []
                 for batch in file.iter_batches(_ROWS, [i for i, _ in groups], [*extra, "seq", "t_ns", *columns]):

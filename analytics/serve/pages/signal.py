@@ -42,14 +42,13 @@ class SignalPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 def signal(call: Call, asked: SignalPageAsked) -> dict[str, Any]:
     """A stretch of a signal."""
     zone = zone_of_run(call, call.path["run"]) or common_zone(call)
-    whole = api.SignalAsked(points=_TABLE_POINTS)
     wrong = None
     try:
         first, last = zoned(asked.from_, zone), zoned(asked.to, zone)
         few = api.SignalAsked(from_=first, to=last, points=_TABLE_POINTS)
         found = api.signal(call, few)
     except BadInput as error:  # the form stays, with what was typed
-        first, last, few, wrong = None, None, whole, str(error)
+        first, last, few, wrong = None, None, api.SignalAsked(points=_TABLE_POINTS), str(error)
         found = api.signal(call, few)
     of = (found.unit, found.run, found.signal)
     others = _others(call, found)

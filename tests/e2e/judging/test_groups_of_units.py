@@ -44,7 +44,6 @@ def rows_of(answer: Any) -> list[dict[str, Any]]:
     return list(answer["rows"] if isinstance(answer, dict) and "rows" in answer else answer)
 
 
-@pytest.mark.long
 def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
     """Five units, one of a product without limits; one is tested again, without the list of units."""
     serials = [f"G{at}" for at in range(5)]

@@ -52,7 +52,6 @@ def connected(site: Path, who: str, endpoint: str) -> ZenohBus:
             time.sleep(0.05)
 
 
-@pytest.mark.long
 def test_an_import_lets_those_of_the_site_read_and_nobody_write(
     site: Path, tmp_path: Path, spawn: Spawn, gyrofleet: Callable[..., Any], endpoint: str
 ) -> None:

@@ -58,6 +58,11 @@ def zoned(text: str | None, name: str) -> str | None:
     >>> zoned("2026-11-21 18:00", "Asia/Shanghai"), zoned("2026-11-21T10:00:00Z", "Asia/Shanghai"), zoned("noon", "UTC")
     ('2026-11-21T18:00:00+08:00', '2026-11-21T10:00:00Z', 'noon')
 
+    All digits are kept:
+
+    >>> zoned("2026-11-21 10:00:00.000000001", "UTC")
+    '2026-11-21T10:00:00.000000001+00:00'
+
     With the name of the zone behind it, as pages show moments, it is the same:
 
     >>> zoned("2026-11-21 18:00:00 Asia/Shanghai", "Asia/Shanghai"), zoned("2026-11-21 10:00 UTC", "Asia/Shanghai")
@@ -80,8 +85,10 @@ def zoned(text: str | None, name: str) -> str | None:
         is_twice = early.astimezone(UTC) < late.astimezone(UTC)
         what = "is there twice, as clocks are set back" if is_twice else "is skipped, as clocks are set forward"
         raise BadInput(f"{text} in {name} {what}: add {early.isoformat()[-6:]} or {late.isoformat()[-6:]}")
-    whole = early.isoformat()
-    return whole[:26] + beyond + whole[26:] if beyond else whole
+    if not beyond:
+        return early.isoformat()
+    whole = early.isoformat(timespec="microseconds")
+    return whole[:26] + beyond + whole[26:]
 
 
 def typed(t_ns: int, name: str) -> str:

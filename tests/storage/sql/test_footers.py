@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from storage.lake.footers import Footers, open_local_table
 from storage.lake.tables import ROLLUP_COLUMNS, part_writers
 from storage.manifests.part import Part
+from storage.sql.footers import Footers, open_local_table
 from storage.sql.lake_source import LocalLake
 from storage.sql.reading import rows_between
 from storage.store import Store
