@@ -10,6 +10,7 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
 from analytics.loop.blocks.left_out import GRAVE, LeftOut
+from analytics.loop.blocks.record_checks import copied_elsewhere, copied_runs, copies_left_out
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.step_channels import position_numbers
@@ -112,7 +113,26 @@ def reduce_units(
     failed = {unit: str(error) for unit, error in found.errors.items()}
     if not found.units:
         raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
-    return ReducedUnits(found.units, found.models, failed)
+    units_apart, copies = _without_copies(found.units)
+    return ReducedUnits(units_apart, found.models, failed | copies)
+
+
+def _without_copies(units: Mapping[str, ReducedUnit]) -> tuple[dict[str, ReducedUnit], dict[str, str]]:
+    """Units without runs that another unit before them has as well, and why units that have no other are left out."""
+    copies = copied_runs(run for each in units.values() for run in each.runs)
+    kept: dict[str, ReducedUnit] = {}
+    failed: dict[str, str] = {}
+    for unit, each in units.items():
+        runs = tuple(run for run in each.runs if (unit, run.run) not in copies)
+        own = {name: of for name, of in copies.items() if name[0] == unit}
+        left_out = copies_left_out(own, len(each.runs)) if own else None
+        if not runs and left_out is not None:
+            failed[unit] = left_out.sentence
+            continue
+        notes = (*each.notes, *copied_elsewhere(copies, unit))
+        losses = each.left_out if left_out is None else (*each.left_out, left_out)
+        kept[unit] = replace(each, runs=runs, notes=notes, left_out=losses)
+    return kept, failed
 
 
 def read_units(

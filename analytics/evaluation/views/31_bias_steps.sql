@@ -30,7 +30,8 @@ select *,
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
     case when abs(chamber_temperature - temperature_command) > 3 then
       format('the chamber was at {:.1f} degC, {:.1f} were commanded', chamber_temperature, temperature_command) end,
-    case when temperature_moved > 10 then format('the temperature moved by about {:.0f} degC', temperature_moved) end,
+    case when temperature_moved > 10 then format('the temperature moved: its standard deviation of {:.1f} degC is that '
+      || 'of a ramp over {:.0f} degC', temperature_moved / sqrt(12), temperature_moved) end,
     case when covered < 1 then n || ' of ' || expected || ' samples are there, as of '
       || round(covered_s)::bigint || ' s of ' || round(duration_s)::bigint || ' s' end,
     case when covered_s < 3590 then

@@ -182,7 +182,7 @@ class BlockReducer:
         left_out = left_out_of(runs)
         if copies := copied_runs(blocks):
             left_out = (*left_out, copies_left_out(copies, len({each.run for each in blocks})))
-            blocks = [each for each in blocks if each.run not in copies]
+            blocks = [each for each in blocks if (each.unit, each.run) not in copies]
         notes += [*notes_on.no_scatter(blocks), *check_runs(blocks), *check_channels(blocks), *check_labels(blocks)]
         return Reduction(tuple(blocks), tuple(notes), left_out)
 

@@ -1,7 +1,7 @@
 """Checks of a record: stuck signals, copies, channels that are constant, missing, mislabelled or on another clock."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.quantities import conversion, is_angular_rate
 
+RunName = tuple[str, str]
+"""A unit and one of its runs."""
 _COPY = 1.0 - 1e-9
 _BY_NATURE = frozenset({"day", "time_since_power_on", "input_rate", "table_rate", "position"})
 _DERIVED = frozenset({"table_acceleration", "position", "gravity_i", "day"})
@@ -29,6 +31,8 @@ _MISTAKES = {
 _NEAR = 0.02
 _FOLLOWS = 0.95
 _FEWEST_FOR_RATIO = 10
+_STILL_SHARE, _MOST_ALIKE = 0.2, 0.1
+_ROUNDING = 1e-12
 
 
 def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
@@ -45,29 +49,53 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
     return notes
 
 
-def copied_runs(runs: Sequence[RunBlocks]) -> dict[str, str]:
+def copied_runs(runs: Iterable[RunBlocks]) -> dict[RunName, RunName]:
     """Runs with the samples of an earlier one, and that one: one measurement under several names."""
-    first: dict[bytes, str] = {}
+    first: dict[bytes, RunName] = {}
     return {
-        run.run: earlier
+        (run.unit, run.run): earlier
         for run in runs
         if len(run) >= _FEWEST_FOR_COPY and not stands_still(run.value)
-        if (earlier := first.setdefault(run.value.tobytes(), run.run)) != run.run
+        if (earlier := first.setdefault(run.value.tobytes(), (run.unit, run.run))) != (run.unit, run.run)
     }
 
 
-def copies_left_out(copies: Mapping[str, str], runs: int) -> LeftOut:
-    """Copied runs, of so many, that are left out."""
-    listed = ", ".join(f"{run} of {earlier}" for run, earlier in list(copies.items())[:3])
-    listed += ", ..." if len(copies) > 3 else ""
+def copies_left_out(copies: Mapping[RunName, RunName], runs: int) -> LeftOut:
+    """Copied runs of one unit, of so many, that are left out."""
+    pairs = list(copies.items())[:3]
+    listed = Bilingual(
+        ", ".join(f"{run} of {_named(unit, *of)}" for (unit, run), of in pairs),
+        "、".join(f"{run}为{_named(unit, *of).zh}的副本" for (unit, run), of in pairs),
+    )
+    more = Bilingual(", ...", "等") if len(copies) > len(pairs) else Bilingual("", "")
     return LeftOut(
         Bilingual("the runs", "试验"),
         len(copies) / runs,
         Bilingual(
-            f"they are copies, sample for sample ({listed}), and would confirm each other",
-            f"采样逐点相同的副本（{listed}），不能互相证实",
+            f"they are copies, sample for sample ({listed}{more}), and would confirm each other",
+            f"采样逐点相同（{listed.zh}{more.zh}），不能互相证实",
         ),
     )
+
+
+def _named(unit: str, other: str, run: str) -> Bilingual:
+    return Bilingual(run, run) if unit == other else Bilingual(f"{run} of unit {other}", f"产品{other}的{run}")
+
+
+def copied_elsewhere(copies: Mapping[RunName, RunName], unit: str) -> list[Note]:
+    """Note runs of a unit that stand under the names of other units as well."""
+    found = [(of[1], own) for own, of in copies.items() if of[0] == unit != own[0]]
+    if not found:
+        return []
+    listed = ", ".join(f"run {run} as {own[1]} of unit {own[0]}" for run, own in found[:3])
+    listed_zh = "、".join(f"试验{run}即产品{own[0]}的{own[1]}" for run, own in found[:3])
+    more = len(found) > 3
+    text = Bilingual(
+        f"{listed}{', ...' if more else ''}: the same samples under the names of several units, one at most right "
+        "one; they count here",
+        f"{listed_zh}{'等' if more else ''}：同一采样记在多个产品名下，至多一个正确；此处计入",
+    )
+    return [Note("copied_elsewhere", text, runs=tuple(run for run, _ in found), is_limit=True)]
 
 
 def check_channels(runs: Sequence[RunBlocks]) -> list[Note]:
@@ -101,6 +129,8 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> Iterator[Note]:
             f"通道{name}从不变化：与它相关的效应无法与零偏区分",
         )
         yield Note("constant", text, name, tuple(run.run for run in having))
+    elif name not in _BY_NATURE:
+        yield from _check_stopped(having, name)
     units = sorted({run.channels[name].unit_of_measure for run in having})
     if len(units) > 1:
         text = Bilingual(
@@ -114,6 +144,36 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> Iterator[Note]:
             f"通道{name}的单位为{units[0]}：系数按每{units[0]}计",
         )
         yield Note("counts", text, name)
+
+
+def _check_stopped(having: Sequence[RunBlocks], name: str) -> Iterator[Note]:
+    """Note a channel that has one value over a long part of a run, and changes from block to block elsewhere."""
+    longest: dict[str, int] = {}
+    pairs = alike = 0
+    for run in having:
+        mean = run.mean(name)
+        same = np.abs(np.diff(mean)) <= _ROUNDING * np.abs(mean[1:])
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+        lengths = edges[1::2] - edges[::2]
+        longest[run.run] = int(lengths.max(initial=0))
+        pairs += len(same) - longest[run.run]
+        alike += int(same.sum()) - longest[run.run]
+    if alike > _MOST_ALIKE * pairs:
+        return
+    stopped = {
+        run.run: longest[run.run] / len(run)
+        for run in having
+        if longest[run.run] >= max(_FEWEST_FOR_COPY, _STILL_SHARE * len(run))
+    }
+    if stopped:
+        where, share = in_runs(stopped, len(having)), max(stopped.values())
+        text = Bilingual(
+            f"channel {name} keeps one value for up to {share:.0%} of a run {where}, and changes from block to block "
+            "elsewhere: if its sensor had stopped there, its coefficients are wrong; exclude such runs with --run",
+            f"{where.zh}，通道{name}在至多{share:.0%}的时间内保持同一数值，其余时间逐块变化：若传感器当时停滞，"
+            "其系数有误；用--run略去这些试验",
+        )
+        yield Note("stopped", text, name, tuple(stopped), is_limit=True)
 
 
 def _is_constant(having: Sequence[RunBlocks], name: str) -> bool:

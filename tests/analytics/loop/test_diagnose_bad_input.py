@@ -15,10 +15,10 @@ from analytics.loop.model.model_text import parse_model
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from analytics.loop.unit_diagnosis import diagnose_units
-from analytics.loop.unit_reduction import Question
+from analytics.loop.unit_reduction import Question, reduce_units
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
-from tests.analytics.conftest import TestedUnits
+from tests.analytics.conftest import SECOND_NS, TestedUnits
 
 MODEL = ErrorModel.parse("rate = bias + temperature")
 BLOCKS = 120
@@ -88,7 +88,8 @@ def test_dead_runs_are_noted_and_copies_left_out() -> None:
     (still,) = check_runs(runs)
     assert (still.what, still.runs, still.is_limit) == ("still", ("r5",), True)
     copies = copied_runs(runs)
-    assert copies == {"r4": "r1", "r6": "r1"}
+    unit = runs[0].unit
+    assert copies == {(unit, "r4"): (unit, "r1"), (unit, "r6"): (unit, "r1")}
     why = "they are copies, sample for sample (r4 of r1, r6 of r1), and would confirm each other"
     assert str(copies_left_out(copies, len(runs)).sentence) == f"29% of the runs left out: {why}"
 
@@ -114,6 +115,30 @@ def test_one_file_under_several_names_is_one_run(tested: TestedUnits) -> None:
         reduced = BlockReducer(catalog, "rate").reduce("U1")
     assert sorted(run.run for run in reduced.runs) == ["r1", "r2"]
     assert [(each.share, "r3 of r1, r4 of r1" in str(each.why)) for each in reduced.left_out] == [(0.5, True)]
+
+
+def test_a_measurement_under_the_names_of_two_units_counts_once(tested: TestedUnits) -> None:
+    rng = np.random.default_rng(6)
+    own = rng.normal(0.0, 1.0, (5, 1200))
+    recorded = {"U1": (own[0], own[1]), "U2": (own[2], own[0]), "U3": (own[1], own[0])}
+    for place in (0, 1):
+        tested.run(f"r{place}")
+        for unit, runs in recorded.items():
+            tested.samples(f"r{place}", unit, "rate", runs[place], t0_ns=START_NS, dt_ns=SECOND_NS)
+    with tested.catalog() as catalog:
+        read = reduce_units(catalog, ["U1", "U2", "U3"], Question("rate = bias"))
+    assert {unit: [run.run for run in each.runs] for unit, each in read.units.items()} == {
+        "U1": ["r0", "r1"],
+        "U2": ["r0"],
+    }
+    (lost,) = read.units["U2"].left_out
+    assert str(lost.sentence).startswith(
+        "50% of the runs left out: they are copies, sample for sample (r1 of r0 of unit U1)"
+    )
+    assert "r0 of r1 of unit U1" in read.failed["U3"]
+    (note,) = [each for each in read.units["U1"].notes if each.what == "copied_elsewhere"]
+    assert "run r0 as r1 of unit U2" in note.text
+    assert note.is_limit
 
 
 @pytest.mark.long

@@ -158,3 +158,20 @@ def test_rates_that_are_polled_too_seldom_forbid_to_say_that_nothing_is_missing(
     assert "left out: the reference rate changes within them faster than its readings show" in first
     (advice,) = [note.text for note in traced.data.notes if note.what == "unresolved"]
     assert "record it more often than once in 30 s, or as means" in advice
+
+
+@pytest.mark.parametrize(("resolution", "share"), [(1e-3, 0.5), (1e-3, 0.1), (1.0, 0.5)])
+def test_a_thermometer_that_stops_for_half_a_run_is_reported(
+    tested: TestedUnits, resolution: float, share: float
+) -> None:
+    rng = np.random.default_rng(8)
+    time_s = np.arange(float(N_SAMPLES))
+    for run in ("r1", "r2"):
+        degrees = 25.0 + 0.001 * time_s + rng.normal(0.0, 0.01, N_SAMPLES)
+        if run == "r2":
+            degrees[: int(share * N_SAMPLES)] = degrees[0]
+        degrees = resolution * np.round(degrees / resolution)
+        one_hertz(tested, run, rate=(rng.normal(0.0, 1.0, N_SAMPLES), "deg/h"), temperature=(degrees, "degC"))
+    expected = ["in 1 of 2 runs (r2)"] if (resolution, share) == (1e-3, 0.5) else []
+    # a thermometer of 1 degC stands still by its resolution, and a tenth of a run is no long stretch
+    assert [text.partition(" of a run ")[2].partition(",")[0] for text in reported(tested, "stopped")] == expected
