@@ -129,7 +129,7 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> Iterator[Note]:
             f"通道{name}从不变化：与它相关的效应无法与零偏区分",
         )
         yield Note("constant", text, name, tuple(run.run for run in having))
-    elif name not in _BY_NATURE:
+    elif name not in _BY_NATURE | _DERIVED:
         yield from _check_stopped(having, name)
     units = sorted({run.channels[name].unit_of_measure for run in having})
     if len(units) > 1:
@@ -158,7 +158,7 @@ def _check_stopped(having: Sequence[RunBlocks], name: str) -> Iterator[Note]:
         longest[run.run] = int(lengths.max(initial=0))
         pairs += len(same) - longest[run.run]
         alike += int(same.sum()) - longest[run.run]
-    if alike > _MOST_ALIKE * pairs:
+    if alike >= _MOST_ALIKE * pairs:
         return
     stopped = {
         run.run: longest[run.run] / len(run)
