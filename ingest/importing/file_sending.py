@@ -4,7 +4,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
@@ -12,6 +12,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 
 from ingest.can.summary import CanCounts, CanSummary
+from ingest.importing.repeated_files import ImportedFile, note_of_import
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.importing.tested_units import tested_units
 from ingest.measurement_standards import DETAIL
@@ -117,6 +118,7 @@ class FileSending:
             self._of.setdefault(signal.run, []).append(signal)
         self.runs = sorted(self._of)  # that it has samples of
         self._sent: Counter[_Name] = Counter()
+        self._is_sent = False
 
     def join(self, group: SendingGroup) -> None:
         """Join files of the same command; raises BadInput if only one of them has a date for the same run."""
@@ -167,12 +169,20 @@ class FileSending:
             names = [(each.unit, run, each.signal) for each in signals]
             if any(self._common[name] for name in names) or not all(self._held[name] for name in names):
                 continue
-            if self._started(run, self._content()).uid in self._known_uids:
+            if self._started(run, self._content).uid in self._known_uids:
                 raise BadInput(
                     f"{self.path}: run {run} has this very file at other times; what is stored stays, and its rows "
                     "would be there twice. With another --start or --time-zone, import it as another run: --run NAME"
                 )
 
+    @property
+    def content(self) -> ImportedFile | None:
+        """Its content and names; None if nothing of it was sent."""
+        if not self._is_sent:
+            return None
+        return ImportedFile(self._content, tuple(sorted({unit for unit, _ in self.owners})), tuple(self.runs))
+
+    @cached_property
     def _content(self) -> str:
         """SHA-256 of the file."""
         with self.path.open("rb") as file:
@@ -184,7 +194,7 @@ class FileSending:
         is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
         if is_all_there and not self._summary.steps and not open_runs and not self._entries and not self._about:
             return
-        content = self._content()
+        content, self._is_sent = self._content, True
         epochs = {owner: self._epoch(content, *owner) for owner in self.owners}
         send = partial(sender.send_event, event_key(self._place))
         for run in self._of:
@@ -248,14 +258,17 @@ class FileSending:
             f"acknowledged, look at {where}"
         )
 
-    def result(self, in_lake: Counter[_Name] | None, seconds: float, recovered: tuple[str, ...] = ()) -> FileImport:
+    def result(
+        self, in_lake: Counter[_Name] | None, seconds: float, recovered: tuple[str, ...] = (),
+        warnings: tuple[str, ...] = (),
+    ) -> FileImport:  # fmt: skip
         """Result for the file."""
         summary = self._summary
         return FileImport(
             file=str(self.path), rows=summary.rows, bad_row_count=summary.bad_rows, bad_rows=summary.bad,
             steps=summary.steps, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
-            counted=summary.counted, damage=summary.damage, remarks=summary.remarks,
+            counted=summary.counted, damage=summary.damage, remarks=(*warnings, *summary.remarks),
             frames=summary.frames if isinstance(summary, CanSummary) else None,
         )  # fmt: skip
 
@@ -316,13 +329,14 @@ class FileSending:
 
     def _note(self, run: str, content: str) -> NoteAdded:
         added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of[run])
-        text = f"imported {self.path.name} (sha256 {content}): {added} samples"
+        units = sorted({signal.unit for signal in self._of[run]})
+        text = note_of_import(self.path.name, content, units, added)
         if self._summary.bad_rows:
             text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"
         for remark in filter(None, (self._summary.damage, *self._summary.remarks)):
             text += f"; {remark}"
         t_ns = self._last_ns(run)
-        uid = _uid("noted", run, content, str(self._common.total()), str(t_ns))
+        uid = _uid("noted", run, content, str(self._common.total()), str(t_ns), *units)
         return NoteAdded(run=run, t_ns=t_ns, uid=uid, text=text, author="import")
 
     def _ended(self, run: str, epochs: dict[tuple[str, str], UUID]) -> RunEnded:

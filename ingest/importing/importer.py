@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, SendingGroup, counted
+from ingest.importing.repeated_files import repeated_files
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
 from storage.recording.client import HeldClaim, RecorderClient
@@ -92,17 +93,21 @@ def _sent_embedded(
 
     with Catalog(pipeline.store) as catalog:
         in_lake = counted(CatalogKnowledge(catalog), group, str(pipeline.store.log))
-    yield from _results(group, in_lake, began, recovered)
+        sent = {each.path: content for each in group if (content := each.content) is not None}
+        warnings = dict(zip(sent, repeated_files(catalog, list(sent.values())), strict=True))
+    yield from _results(group, in_lake, began, recovered, warnings)
 
 
 def _results(
-    group: Sequence[FileSending], in_lake: Counter[tuple[str, str, str]], began: float, recovered: tuple[str, ...] = ()
-) -> Iterator[FileImport]:
+    group: Sequence[FileSending], in_lake: Counter[tuple[str, str, str]], began: float, recovered: tuple[str, ...] = (),
+    warnings: Mapping[Path, str | None] = MappingProxyType({}),
+) -> Iterator[FileImport]:  # fmt: skip
     """Result of each file; the time that all took together is divided among them."""
     sent_s = sum(each.spent_s - each.checking_s for each in group)
     shared_s = (time.monotonic() - began - sent_s) / len(group)
     for number, sending in enumerate(group):
-        yield sending.result(in_lake, sending.spent_s + shared_s, recovered if number == 0 else ())
+        own = () if (warning := warnings.get(sending.path)) is None else (warning,)
+        yield sending.result(in_lake, sending.spent_s + shared_s, recovered if number == 0 else (), own)
 
 
 def _sent_to_recorder(

@@ -1,0 +1,28 @@
+"""A file that comes again under another name is imported with a warning; the same command again is not."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def write(path: Path, seed: int) -> None:
+    rows = [f"{i},{value:.4f}" for i, value in enumerate(np.random.default_rng(seed).normal(0, 1, 200))]
+    path.write_text("\n".join(["time[s],rate[deg/h]", *rows]) + "\n")
+
+
+def test_content_that_is_stored_under_another_name_is_warned_of(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    def warnings(*arguments: str) -> list[str]:
+        done = run_command("import", *arguments, "--store", "s", "--json", cwd=tmp_path)
+        assert done.code == 0
+        remarks = [remark for each in done.json["files"] for remark in each["remarks"] if "very content" in remark]
+        return [remark.partition("content as ")[2].partition(" too")[0] for remark in remarks]
+
+    write(tmp_path / "one.csv", 1)
+    write(tmp_path / "two.csv", 2)
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "one.csv").read_bytes())
+    assert warnings("one.csv", "two.csv", "--unit", "A") == []
+    assert warnings("one.csv", "two.csv", "--unit", "A") == []
+    assert warnings("copy.csv", "--unit", "B", "--run", "one") == ["unit A, run one (one.csv)"]
+    assert warnings("two.csv", "copy.csv", "--unit", "A") == ["unit A, run one (one.csv), unit B, run one (copy.csv)"]
