@@ -15,19 +15,22 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
 
     JJF 2014 subtracts no rest, so its F0 is the bias; GJB and JJF 1536 subtract F_r = (F_s + F_e)/2. F0/K is, to first
     order, a weighted sum of the outputs with the weights (d_j - c_j F0/K)/K. Its uncertainty allows for a zero that
-    drifts during the test (`zero_uncertainty`).
+    drifts during the test (`zero_uncertainty`). Where the axis points down and the table's rate is counted against it
+    (K < 0), the sign is that of the axis.
     """
     for row in catalog.reader(sql).read_all().to_pylist():
         subtracts = row["standard"] != "JJF2014"
         zero = _zero(row, subtracts=subtracts)
         found = None if zero is None or not math.isfinite(zero) else _uncertainty(row, zero, subtracts=subtracts)
+        is_turned = row["k"] is not None and row["k"] < 0 and str(row["position"] or "").endswith("_down")
+        sign = -3600.0 if is_turned else 3600.0
         parameters = {
             "temperature": None if row["temperature"] is None else round(row["temperature"], 2),
             "output": None if zero is None else zero * row["k"], "output_unit": row["output_unit"],
         }  # fmt: skip
         yield row | {
             "parameters": row["words"] | parameters,
-            "value": None if zero is None else zero * 3600,
+            "value": None if zero is None else sign * zero,
             "standard_uncertainty": None if found is None else found.value * 3600,
             "freedom": None if found is None else found.freedom,
         }

@@ -189,6 +189,14 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         notes().print(f"warning: unit {named(row, 'unit')}: {reason}", soft_wrap=True)
 
 
+def _conformity(row: dict[str, Any], language: str) -> str:
+    """The probability of conformity, marked where nothing but the scatter of the value is in it."""
+    if row["conformity"] is None:
+        return ""
+    of = {"en": " (type A)", "zh": "（A类）"}[language] if row["conformity_of"] == "type A only" else ""
+    return f"{row['conformity']:.1%}{of}"
+
+
 def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
     from analytics.evaluation.table import reason_of
 
@@ -238,7 +246,7 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
             of_plant + _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
             f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language),
-            "" if row["conformity"] is None else f"{row['conformity']:.1%}", row["standard"], label,
+            _conformity(row, language), row["standard"], label,
             reason_of(row, language) if row["reason"] else "",
         )  # fmt: skip
     return table

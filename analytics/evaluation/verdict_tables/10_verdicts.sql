@@ -191,7 +191,10 @@ with candidate as materialized (
       case when upper is null then 1.0 else student_cdf((upper - v) / v_u, coalesce(v_nu, 1e9)) end
       - case when lower is null then 0.0 else student_cdf((lower - v) / v_u, coalesce(v_nu, 1e9)) end
     end as conformity,
-    case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of
+    case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of,
+    -- a standard out of date makes no value better than it was while that was valid
+    case when v_u_expanded is null then nullif(regexp_extract(uncertainty_reason,
+      'the calibration of ' || '.+' || ' ended on ' || '[0-9-]+'), '') end as expired
   from guarded
 ), lasted as (                          -- how long the records are of values whose limits ask for it
   select g.row, g.limit_id, coalesce(any_value((g.parameters->>'$.duration_s')::double),
@@ -204,6 +207,7 @@ with candidate as materialized (
     b.record_s is not null and coalesce(r.record, 0) < 0.99 * b.record_s as is_short,
     case
       when is_short and by_value = 'PASS' and d.outcome is distinct from 'FAIL' then 'MARGINAL'
+      when expired is not null and by_value = 'PASS' and d.outcome is distinct from 'FAIL' then 'MARGINAL'
       when d.outcome is null and by_value = 'PASS' and l.n is not null then 'MARGINAL'
       when d.outcome is null then by_value
       when d.outcome = 'PASS' and by_value = 'FAIL' or d.outcome = 'FAIL' and by_value = 'PASS' then 'MARGINAL'
@@ -229,6 +233,9 @@ with candidate as materialized (
       when is_short and by_value = 'PASS' and verdict = 'MARGINAL' then
         coalesce('its record lasts ' || printf('%.4g', record) || ' s', 'the length of its record is not known')
         || ', the limit asks for ' || printf('%.4g', record_s) || ' s: measure longer'
+      when expired is not null and by_value in ('PASS', 'FAIL')
+        then expired || ', so that nothing states how far off it measures: have it calibrated and measure again, or '
+          || 'give its new certificate with --restate'
       when early = verdict then early_reason
       when early is not null then early || ' was ' || early_reason || '; the value says ' || by_value || ': test it again'
       when v is null and value is null then reason

@@ -14,14 +14,16 @@ BIAS = 50.3  # deg/h of input
 HOUR = 36_000
 
 
-def turned(tested: TestedUnits, measure: str, per_deg_per_s: float, k: float = K) -> int:
+def turned(
+    tested: TestedUnits, measure: str, per_deg_per_s: float, k: float = K, *, zero: float = 0.0, **words: Any
+) -> int:
     """A scale factor is measured; returns when that ended."""
     tested.run("rates")
     t_ns = START_NS
     for rate in (0.0, *(sign * rate for rate in RATES for sign in (1, -1)), 0.0):
         t_ns = tested.step(
-            "rates", "U1", np.full(20, per_deg_per_s * k * rate), t0_ns=t_ns, unit_of_measure=measure,
-            procedure="scale_factor", rate_command_deg_per_s=rate,
+            "rates", "U1", np.full(20, per_deg_per_s * k * rate + zero), t0_ns=t_ns, unit_of_measure=measure,
+            procedure="scale_factor", rate_command_deg_per_s=rate, **words,
         )  # fmt: skip
     return t_ns
 
@@ -48,6 +50,20 @@ def test_a_bias_is_of_the_input_whatever_the_output_is_in(
     assert bias["value"] == pytest.approx(BIAS, abs=0.03)
     assert bias["scale_factor"] == "measured in run rates"
     assert only(tested.metric("bias_stability"), run="still")["value"] == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize("sign", [pytest.param(1, marks=pytest.mark.long), -1])
+def test_an_axis_that_points_down_has_a_zero_and_a_scale_factor_of_its_own(tested: TestedUnits, sign: int) -> None:
+    # sign -1: the table counts its rate against the axis
+    zero = BIAS / 3600 * K * 20.0
+    t_ns = turned(tested, "mV", sign * 20.0, zero=zero, position="IRA_down")
+    at_rest(tested, "mV", 20.0, t_ns)
+    found = only(tested.metric("fitted_zero"), standard="JJF2014")
+    assert found["value"] == pytest.approx(BIAS, rel=1e-9)
+    assert found["output"] == pytest.approx(zero, rel=1e-9)
+    bias = only(tested.metric("bias"), run="still", earth_rate="none")
+    assert bias["value"] == pytest.approx(BIAS, abs=0.03)
+    assert bias["scale_factor"] == "measured in run rates"
 
 
 @pytest.mark.long

@@ -158,6 +158,30 @@ def test_what_is_not_stated_or_out_of_date_is_no_zero(ask: Ask, run: str, reason
     assert all(row["u_type_a"] > 0 for row in rows)
 
 
+LIMITS = """
+name = "data-sheet"
+revision = "A"
+[[limit]]
+metric = "bias"
+parameters = { earth_rate = "none" }
+lower = 10.0
+upper = 30.0
+unit_of_measure = "deg/h"
+"""
+
+
+def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_path: Path) -> None:
+    imported(folder, ("old", "IRA_up", "old.toml"))
+    (tmp_path / "limits.toml").write_text(LIMITS)
+    assert ask("limits", "add", tmp_path / "limits.toml", "--reason", "first").exit_code == 0
+    rows = json.loads(ask("verdicts", "--unit", "U1", "--json").stdout)["verdicts"]
+    found = {row["run"]: row for row in rows}
+    assert found["up"]["verdict"] == "PASS"
+    assert (found["old"]["verdict"], found["old"]["conformity_of"]) == ("MARGINAL", "type A only")
+    assert "RT-17, certificate LL-2026-0117 ended on 2025-03-31, so that nothing states" in found["old"]["reason"]
+    assert "(type A)" in ask("verdicts", "--unit", "U1").stdout
+
+
 def test_a_given_coverage_factor_and_monte_carlo(ask: Ask) -> None:
     found = budget(ask, "up", "--k", 2, "--monte-carlo")
     assert found["k"] == 2

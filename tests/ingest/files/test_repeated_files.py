@@ -12,7 +12,9 @@ def write(path: Path, seed: int) -> None:
     path.write_text("\n".join(["time[s],rate[deg/h]", *rows]) + "\n")
 
 
-def test_content_that_is_stored_under_another_name_is_warned_of(run_command: Callable[..., Any], tmp_path: Path) -> None:
+def test_content_that_is_stored_under_another_name_is_warned_of(
+    run_command: Callable[..., Any], tmp_path: Path
+) -> None:
     def warnings(*arguments: str) -> list[str]:
         done = run_command("import", *arguments, "--store", "s", "--json", cwd=tmp_path)
         assert done.code == 0
