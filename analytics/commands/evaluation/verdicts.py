@@ -170,9 +170,11 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         if without := sum(row["no_data"] for row in shares):
             of = sum(row["units"] for row in shares)
             text = f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
-            console.print(
-                text if language == "en" else f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
-            )
+            zh = f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
+            if by != "all":
+                text += f"; a unit counts in each {by} in which it was measured"
+                zh += f"；产品在其测量过的每个{_ZH[by]}中各计一次"
+            console.print(text if language == "en" else zh)
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
         if with_values:

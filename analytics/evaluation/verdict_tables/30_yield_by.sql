@@ -1,8 +1,11 @@
--- Where units that no limit applies to were measured, or were to be.
+-- Where units without any verdict but NO_DATA were measured, or were to be.
 create or replace view internal.unlimited_units as
-select unit, run, product, lot, station, fixture, day, t_start_ns as t_ns from unit_runs anti join verdicts using (unit)
+with judged as (
+  select distinct unit from verdicts where verdict <> 'NO_DATA'
+)
+select unit, run, product, lot, station, fixture, day, t_start_ns as t_ns from unit_runs anti join judged using (unit)
 union all
-select unit, run, product, lot, station, fixture, day, t_ns from internal.judged_units anti join verdicts using (unit)
+select unit, run, product, lot, station, fixture, day, t_ns from internal.judged_units anti join judged using (unit)
 where lack is not null;
 
 create or replace macro internal.week_of(day) as strftime(day, '%G-W%V');
@@ -38,7 +41,7 @@ where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
 
 -- How many units are good: of all, and of each product, lot, station, fixture, day, week or month, of those in a group.
 -- Each kind of group judges a unit by what was measured in it. The yield is of the units that are decided or marginal;
--- its 95 % interval is Wilson's. Units that no limit applies to are NO_DATA where they were measured.
+-- its 95 % interval is Wilson's. Units without a verdict are NO_DATA wherever they were measured.
 create or replace macro internal.yield_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
   of_run := '', of_units := [], since_ns := null, of_since_day := ''
@@ -69,14 +72,14 @@ with judged as (
   from each_limit group by kind, name, unit
 ), every_unit as (
   from each_unit
-  union all select distinct 'all', 'all', unit, 'NO_DATA' from unlimited
-  union all select distinct 'product', product, unit, 'NO_DATA' from unlimited
-  union all select distinct 'lot', lot, unit, 'NO_DATA' from unlimited
-  union all select distinct 'station', station, unit, 'NO_DATA' from unlimited
-  union all select distinct 'fixture', fixture, unit, 'NO_DATA' from unlimited
-  union all select distinct 'day', day::varchar, unit, 'NO_DATA' from unlimited
-  union all select distinct 'week', internal.week_of(day), unit, 'NO_DATA' from unlimited
-  union all select distinct 'month', internal.month_of(day), unit, 'NO_DATA' from unlimited
+  union select 'all', 'all', unit, 'NO_DATA' from unlimited
+  union select 'product', product, unit, 'NO_DATA' from unlimited
+  union select 'lot', lot, unit, 'NO_DATA' from unlimited
+  union select 'station', station, unit, 'NO_DATA' from unlimited
+  union select 'fixture', fixture, unit, 'NO_DATA' from unlimited
+  union select 'day', day::varchar, unit, 'NO_DATA' from unlimited
+  union select 'week', internal.week_of(day), unit, 'NO_DATA' from unlimited
+  union select 'month', internal.month_of(day), unit, 'NO_DATA' from unlimited
 ), counted as (
   select kind, name, count(*) as units,
     count(*) filter (verdict = 'PASS') as passed,

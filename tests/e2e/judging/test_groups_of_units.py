@@ -71,6 +71,21 @@ def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
     assert (run["procedure"], run["lot"]) == ("static_bias", "L1")
 
 
+def test_a_unit_without_a_verdict_is_in_each_group_that_measured_it(ask: Ask, tmp_path: Path) -> None:
+    (tmp_path / "units.csv").write_text("serial,product,lot\nG1,FOG,L1\n")
+    for day, name in enumerate("AB", start=1):
+        (tmp_path / f"{name}.toml").write_text(STATION.format(name=name))
+        files = [record(tmp_path / f"{unit}-{name}.csv", unit, 2.0, day, day) for unit in ("G1", "STRANGER")]
+        ask("import", *files, "--station", tmp_path / f"{name}.toml", "--units", tmp_path / "units.csv")
+    (tmp_path / "limits.toml").write_text(LIMITS)
+    ask("limits", "add", tmp_path / "limits.toml")
+    for kind in ("station", "day"):
+        found = [(row["units"], row["passed"], row["no_data"]) for row in ask("verdicts", "--by", kind)["yield"]]
+        assert found == [(2, 1, 1), (2, 1, 1)]
+    (whole,) = ask("verdicts", "--by", "all")["yield"]
+    assert (whole["units"], whole["no_data"]) == (2, 1)
+
+
 def test_a_repeatability_over_two_stations_says_so(ask: Ask, tmp_path: Path) -> None:
     for name in ("A", "B"):
         (tmp_path / f"{name}.toml").write_text(STATION.format(name=name))
