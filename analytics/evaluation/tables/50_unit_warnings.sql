@@ -1,7 +1,22 @@
 -- Names that are probably one unit: alike but for letter case, spaces, hyphens, dots and underscores. And units of which
--- the last run has an output that nothing judges, beside others that are judged.
+-- the last run has an output that nothing judges, beside others that are judged. And units with a record that stands
+-- under another name as well: as many samples of one output with the same mean and standard deviation to the last digit.
 create or replace view unit_warnings as
-with named as (
+with copied as (
+  select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records
+  from step_means left join internal.rate_units r using (unit_of_measure)
+  where n >= 30 and sd > 0
+    and (is_output_name(signal) or (r.deg_per_h is not null and not is_instrument_name(signal)))
+  group by signal, n, mean, sd having count(distinct (unit, run)) > 1
+), copy as (
+  select distinct own.record as own, other.record as other
+  from copied, unnest(records) own(record), unnest(records) other(record) where own.record <> other.record
+), copies as (
+  select own.unit as unit, count(distinct own.run) as runs, list(distinct other.unit order by other.unit) as others,
+    min('run ' || own.run || ' is run ' || other.run || ' of ' || other.unit) as first,
+    min('试验 ' || own.run || ' 即产品 ' || other.unit || ' 的试验 ' || other.run) as first_zh
+  from copy group by own.unit
+), named as (
   select unit, lower(regexp_replace(unit, '[\s._-]', '', 'g')) as serial
   from (select unit from unit_runs union select unit from unit_metrics
     union select unit from internal.lake_channels union select unit from internal.lake_documents where unit is not null)
@@ -13,6 +28,12 @@ select n.unit, list_filter(a.names, lambda name: name <> n.unit) as others,
     || '): its metrics and verdicts are computed apart; import or run it under one name' as reason,
   '可能是同一产品的 ' || len(a.names) || ' 个编号（' || array_to_string(a.names, '、') || '）：指标与判定按不同产品分别计算，请统一编号' as reason_zh
 from named n join alike a using (serial)
+union all
+select unit, list_filter(others, lambda name: name <> unit),
+  'has ' || runs || if(runs = 1, ' run', ' runs') || ' with the samples of another one (' || first
+    || '): one measurement under several names counts several times in verdicts and trends',
+  '有 ' || runs || ' 次试验与另一次采样相同（' || first_zh || '）：同一测量记在多个名下，在判定与趋势中重复计入'
+from copies
 union all
 select l.unit, [],
   'its last run, ' || l.run || ', has no completed step: nothing above is of it; import it again with --procedure and --position',
@@ -26,4 +47,4 @@ from (
 semi join unit_runs judged on judged.unit = l.unit
 anti join unit_runs of_run on of_run.unit = l.unit and of_run.run = l.run
 order by 1;
-comment on view unit_warnings is 'units that probably go by two names, and units whose last run nothing judges';
+comment on view unit_warnings is 'units that probably go by two names, units with copied records, and units whose last run nothing judges';

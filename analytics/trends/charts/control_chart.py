@@ -18,6 +18,7 @@ D3 = math.sqrt(2 - 4 / math.pi)  # its standard deviation, d3(2) = 0.853
 MEDIAN_RANGE = 0.9538725524  # its median, d4(2) = sqrt(2) * 0.6745
 LEAST_POINTS = 8
 WIDTH = 3.0
+_ALIKE = 1e-9  # share of the largest range below which two values are one
 # a process in control leaves these bounds once in 370 points, as on a chart of individual values with 3 sigma
 EWMA_WEIGHT, EWMA_WIDTH = 0.2, 2.86
 
@@ -53,15 +54,28 @@ def c4(n: int) -> float:
     return math.sqrt(2 / (n - 1)) * math.exp(float(gammaln(n / 2) - gammaln((n - 1) / 2)))
 
 
+def sigma_of_ranges(values: FloatArray) -> FloatArray:
+    """Standard deviation of series along the last axis, from the median of their moving ranges.
+
+    Where more than half of successive values are alike (coarse resolution, copies) the median is 0, and the mean range
+    is taken.
+
+    >>> sigma_of_ranges(np.array([1.0, 1.0, 1.0, 1.2, 1.2, 1.2])).round(4)
+    0.0354
+    """
+    ranges = np.abs(np.diff(values, axis=-1))
+    of_median = np.median(ranges, axis=-1) / MEDIAN_RANGE
+    return np.where(of_median > _ALIKE * ranges.max(axis=-1), of_median, ranges.mean(axis=-1) / D2)
+
+
 def centre_and_sigma(values: FloatArray, spread: Spread) -> tuple[FloatArray, FloatArray]:
     """Level and standard deviation of series along the last axis."""
-    ranges = np.abs(np.diff(values, axis=-1))
     if spread is Spread.MEDIAN_MOVING_RANGE:
-        return np.median(values, axis=-1), np.median(ranges, axis=-1) / MEDIAN_RANGE
+        return np.median(values, axis=-1), sigma_of_ranges(values)
     centre = values.mean(axis=-1)
     if spread is Spread.DEVIATION:
         return centre, values.std(axis=-1, ddof=1) / c4(values.shape[-1])
-    return centre, ranges.mean(axis=-1) / D2
+    return centre, np.abs(np.diff(values, axis=-1)).mean(axis=-1) / D2
 
 
 def individuals_chart(

@@ -9,7 +9,7 @@ from scipy.ndimage import median_filter
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
-from analytics.trends.charts.control_chart import MEDIAN_RANGE
+from analytics.trends.charts.control_chart import sigma_of_ranges
 from analytics.trends.levels.change_search import ChangeSearch
 from analytics.trends.levels.divisions import divisions
 from analytics.trends.wander import NOISES, Noise
@@ -152,7 +152,7 @@ def _refined(values: FloatArray, moments: tuple[int, ...]) -> tuple[int, ...]:
 def clipped(values: FloatArray) -> FloatArray:
     """Outliers clipped to 5 standard deviations from the median of their neighbours."""
     middle = median_filter(values, size=_NEIGHBOURS, mode="reflect")
-    sigma = np.median(np.abs(np.diff(values))) / MEDIAN_RANGE
+    sigma = sigma_of_ranges(values)
     return np.asarray(np.clip(values, middle - _OUTLIER * sigma, middle + _OUTLIER * sigma))
 
 

@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import binom
 
 from analytics.trends.charts.capability import Capability, capability
-from analytics.trends.charts.control_chart import IndividualsChart, Spread, ewma_chart, individuals_chart
+from analytics.trends.charts.control_chart import D2, IndividualsChart, Spread, ewma_chart, individuals_chart
 from analytics.trends.charts.nelson_rules import chart_chance, points_of, rule_flags, wild_point_chance
+from analytics.trends.levels.change_points import Changes, change_points
 from analytics.trends.words import NotComputed, Words
 
 
@@ -116,6 +117,21 @@ def test_too_few_or_equal_points_have_no_limits() -> None:
     equal = individuals_chart(np.full(20, 1.25))
     assert isinstance(equal, NotComputed)
     assert "do not vary" in equal.why.en
+
+
+def test_coarse_values_have_limits_and_a_change_of_level() -> None:
+    # more than half of successive values are alike, so that the median moving range is 0
+    coarse = np.where(np.random.default_rng(2).random(60) < 0.8, 1.0, 1.2)
+    assert np.median(np.abs(np.diff(coarse))) == 0.0
+    chart = individuals_chart(coarse, spread=Spread.MEDIAN_MOVING_RANGE)
+    assert isinstance(chart, IndividualsChart)
+    assert chart.sigma == pytest.approx(np.abs(np.diff(coarse)).mean() / D2)
+    coarse[30:] += 0.6
+    found = change_points(coarse)
+    assert isinstance(found, Changes)
+    (change,) = found.points
+    assert change.at == 30
+    assert change.lo < 0.6 < change.hi
 
 
 def test_limits_from_a_baseline_are_blind_to_what_follows() -> None:

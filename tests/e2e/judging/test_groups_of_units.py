@@ -86,6 +86,16 @@ def test_a_unit_without_a_verdict_is_in_each_group_that_measured_it(ask: Ask, tm
     assert (whole["units"], whole["no_data"]) == (2, 1)
 
 
+def test_a_record_under_two_names_is_warned_of(ask: Ask, tmp_path: Path) -> None:
+    one = record(tmp_path / "one.csv", "G1", 2.0, 1)
+    copy = tmp_path / "copy.csv"
+    copy.write_text(one.read_text().replace(",G1,", ",G2,"))
+    ask("import", one, copy, record(tmp_path / "other.csv", "G3", 2.0, 3))
+    warnings = {row["unit"]: row for row in ask("verdicts")["warnings"]}
+    assert {unit: row["others"] for unit, row in warnings.items()} == {"G1": ["G2"], "G2": ["G1"]}
+    assert "has 1 run with the samples of another one (run one is run copy of G2)" in warnings["G1"]["reason"]
+
+
 def test_a_repeatability_over_two_stations_says_so(ask: Ask, tmp_path: Path) -> None:
     for name in ("A", "B"):
         (tmp_path / f"{name}.toml").write_text(STATION.format(name=name))
