@@ -60,7 +60,7 @@ def sigma_of_ranges(values: FloatArray) -> FloatArray:
     Where more than half of successive values are alike (coarse resolution, copies) the median is 0, and the mean range
     is taken.
 
-    >>> sigma_of_ranges(np.array([1.0, 1.0, 1.0, 1.2, 1.2, 1.2])).round(4)
+    >>> round(float(sigma_of_ranges(np.array([1.0, 1.0, 1.0, 1.2, 1.2, 1.2]))), 4)
     0.0354
     """
     ranges = np.abs(np.diff(values, axis=-1))
