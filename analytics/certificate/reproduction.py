@@ -7,6 +7,7 @@ from pathlib import Path
 
 from analytics.certificate.statement.results import result_of, rounded_to
 from analytics.evaluation.selection import Selection, selected
+from storage.manifests.log import read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound, StoreError
@@ -17,9 +18,18 @@ _Key = tuple[str, str, tuple[str, ...]]  # metric, signal, runs
 
 
 def check_records(catalog: Catalog, runs: Sequence[str]) -> None:
-    """Raise a StoreError unless the files of the lake that have some runs are those that were built from the log."""
+    """Raise a StoreError unless the files that have some runs, of the log and of the lake, are what was recorded."""
     rows = catalog.rows(_FILES, {"runs": sorted(runs)})
     folders = {Path(name).parent.name for (name,) in rows}
+    entries = read_log_manifest(catalog.store).entries
+    segments = {each for part in catalog.parts if part.name in folders for each in part.sources}
+    for name in sorted(segments):
+        path, entry = catalog.store.log / f"{name}.mcap", entries.get(f"{name}.mcap")
+        if entry is not None and path.exists() and sha256_of(path) != entry.sha256:
+            raise StoreError(
+                f"{path} is not what was recorded: results of it certify nothing; `gyrofleet verify` names what is "
+                "damaged, restore the segment from a copy"
+            )
     for part in catalog.parts:
         for name, file in part.files.items() if part.name in folders else ():
             path = catalog.store.lake / part.name / name

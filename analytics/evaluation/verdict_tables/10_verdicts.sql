@@ -187,14 +187,14 @@ with candidate as materialized (
       when (upper is null or v_hi <= upper) and (lower is null or v_lo >= lower) then 'PASS'
       else 'MARGINAL'
     end as by_value,
-    case when v_u > 0 then
+    -- a standard out of date makes no value better than it was while that was valid
+    case when v_u_expanded is null then nullif(regexp_extract(uncertainty_reason,
+      'the calibration of ' || '.+' || ' ended on ' || '[0-9-]+'), '') end as expired,
+    case when v_u > 0 and expired is null then
       case when upper is null then 1.0 else student_cdf((upper - v) / v_u, coalesce(v_nu, 1e9)) end
       - case when lower is null then 0.0 else student_cdf((lower - v) / v_u, coalesce(v_nu, 1e9)) end
     end as conformity,
-    case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of,
-    -- a standard out of date makes no value better than it was while that was valid
-    case when v_u_expanded is null then nullif(regexp_extract(uncertainty_reason,
-      'the calibration of ' || '.+' || ' ended on ' || '[0-9-]+'), '') end as expired
+    case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of
   from guarded
 ), lasted as (                          -- how long the records are of values whose limits ask for it
   select g.row, g.limit_id, coalesce(any_value((g.parameters->>'$.duration_s')::double),

@@ -254,6 +254,14 @@ def test_results_are_of_the_records_and_not_of_what_was_kept_or_changed(
     values = {row["metric"]: row["results"] for row in msgspec.json.decode(document.results)}
     (scale_factor,) = values["scale_factor"]
     assert scale_factor["value"] == pytest.approx(1 + 50e-6, abs=5e-6)
+    # nor does a log with one bit changed, though the lake is whole
+    segment = max((folder / "lab/log").glob("*.mcap"), key=lambda path: path.stat().st_size)
+    recorded = segment.read_bytes()
+    segment.write_bytes(recorded[:9000] + bytes([recorded[9000] ^ 1]) + recorded[9001:])
+    code, found = verified(run_command, folder, "a.pdf")
+    assert (code, found["genuine"]) == (1, True)
+    assert "is not what was recorded" in found["changed"][0]
+    segment.write_bytes(recorded)
     # a file of the lake that is another certifies nothing
     for part in (folder / "lab/lake").glob("*/samples.parquet"):
         pq.write_table(pq.read_table(part), part, compression="zstd", compression_level=9)

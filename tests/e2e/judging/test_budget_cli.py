@@ -177,9 +177,10 @@ def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_
     rows = json.loads(ask("verdicts", "--unit", "U1", "--json").stdout)["verdicts"]
     found = {row["run"]: row for row in rows}
     assert found["up"]["verdict"] == "PASS"
-    assert (found["old"]["verdict"], found["old"]["conformity_of"]) == ("MARGINAL", "type A only")
+    assert (found["old"]["verdict"], found["old"]["conformity"]) == ("MARGINAL", None)
     assert "RT-17, certificate LL-2026-0117 ended on 2025-03-31, so that nothing states" in found["old"]["reason"]
-    assert "(type A)" in ask("verdicts", "--unit", "U1").stdout
+    imported(folder, ("plain", "IRA_up", None))
+    assert "(type" in ask("verdicts", "--unit", "U1").stdout
 
 
 def test_a_given_coverage_factor_and_monte_carlo(ask: Ask) -> None:
