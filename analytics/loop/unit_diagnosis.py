@@ -19,6 +19,7 @@ from analytics.loop.provenance import Provenance, provenance
 from analytics.loop.recovery import Recovery, recovered
 from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor_diagnostics
 from analytics.loop.residuals import Residuals, residuals_of
+from analytics.loop.station_rival import StationRival, fleet_with_station, is_of_days, station_rival, with_station
 from analytics.loop.tracing.diagnosis import Asked, diagnosed, diagnosed_or_why_not
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
 from analytics.loop.tracing.processors import Spread, by_processes, of_records, single_blas
@@ -209,8 +210,34 @@ def trace_units(
 ) -> UnitsDiagnosis:
     """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises.
 
-    Many units are traced by several `processes`, or by what `spread` runs, with the same results.
+    Many units are traced by several `processes`, or by what `spread` runs, with the same results. Where the stations
+    that measured them explain a drift over days as well, this is said beside it.
     """
+    found = _traced(read, question, is_pooled, processes, spread, on_progress)
+    rival = _station_rival(found, question)
+    fleet = None if found.fleet is None else fleet_with_station(found.fleet, rival)
+    units = {
+        unit: replace(each, diagnosis=with_station(each.diagnosis, rival, unit)) for unit, each in found.units.items()
+    }
+    return replace(found, units=units, fleet=fleet)
+
+
+def _station_rival(found: UnitsDiagnosis, question: Question) -> StationRival | None:
+    """What stations explain of the units' runs, if a drift over days was found in any."""
+    effects = [each for unit in found.units.values() for each in unit.diagnosis.effects]
+    if found.fleet is not None:
+        effects += found.fleet.effects
+    if not any(is_of_days(each) for each in effects):
+        return None
+    runs = {unit: each.data.runs for unit, each in found.units.items()}
+    model = model_on(question, [run for each in runs.values() for run in each])
+    return station_rival(runs, {unit: each.data.stations for unit, each in found.units.items()}, model)
+
+
+def _traced(
+    read: ReducedUnits, question: Question, is_pooled: bool, processes: int, spread: Spread | None,
+    on_progress: Progress,
+) -> UnitsDiagnosis:  # fmt: skip
     failed = dict(read.failed)
     is_one = len(read.units) + len(failed) == 1
     held_out, all_held = _held_out_of_each(question.holdout, read.units, is_one=is_one)

@@ -1,6 +1,7 @@
 """From the store to blocks: units reduced for a question, each with its declared model and its noise."""
 
 import re
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -23,6 +24,10 @@ from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
 
 _LARGEST = 1e50
+_STATIONS = """
+select unit, run, any_value(station order by station) from signals
+where signal = $signal and unit in (select unnest($units)) and station is not null group by unit, run
+"""
 GIVEN = Bilingual("as given", "用户给定")
 OWN_FITS = Bilingual("the unit's own Allan fits", "产品自身的Allan拟合")
 
@@ -67,6 +72,7 @@ class ReducedUnit:
     left_out: tuple[LeftOut, ...] = ()  # of the record, with its share
     turn_on_is_declared: bool = False  # else it was estimated from these runs
     positions: Mapping[str, float] = field(default_factory=dict)  # number of each word in the channel ``position``
+    stations: Mapping[str, str] = field(default_factory=dict)  # of each whole run
 
 
 @dataclass(frozen=True)
@@ -148,6 +154,9 @@ def read_units(
     models: dict[str, ErrorModel] = {}
     errors: dict[str, GyrofleetError] = {}
     each_unit = reducer.reduce_each(units)
+    stations: defaultdict[str, dict[str, str]] = defaultdict(dict)
+    for name, run, station in catalog.rows(_STATIONS, {"signal": question.signal_name, "units": list(units)}):
+        stations[name][run] = station
     for number, unit in enumerate(units, start=1):
         on_progress(f"reading {unit} ({number} of {len(units)})")
         found = next(each_unit)
@@ -161,7 +170,7 @@ def read_units(
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
             _check_values(runs)
             noise, source, is_declared = _noise(catalog, runs, models[unit], question)
-            reduced[unit] = ReducedUnit(runs, notes, noise, source, losses, is_declared, positions)
+            reduced[unit] = ReducedUnit(runs, notes, noise, source, losses, is_declared, positions, stations[unit])
         except GyrofleetError as error:
             errors[unit] = error
     return ReadUnits(reduced, models, errors)

@@ -9,6 +9,7 @@ from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, Shape
 from stream.batch import FloatArray
 
 TURN_ON = "turn_on"
+STATION = "station"
 
 
 class Jump(Effect):
@@ -88,6 +89,31 @@ class TurnOnScatter(Effect):
     reference = "IEEE 528-2019, turn-on to turn-on bias; JJF 2014-2022 7.2.15"
     separating_test = "power on six times or more with temperature, position and supply held"
     separating_test_zh = "保持温度、位置和供电不变，重复上电六次以上"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        return np.ones((len(run), 1))
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        return np.full(time_s.size, float(coefficients[0]))
+
+
+class StationChange(Effect):
+    """A constant for each station and period. It is no effect of a unit, and may explain a drift over days."""
+
+    name, en, zh = STATION, "a difference between stations or a change of one", "试验台之间的差异或某台的变化"
+    needs = ()
+    kind = EffectKind.EVENT
+    cause = (
+        "A fixture that was levelled anew, another reference or a moved table shifts what all units read there from "
+        "one day on."
+    )
+    cause_zh = "夹具重新调平、更换基准或转台移位，使此后该台所测产品的读数一同改变。"
+    reference = "ISO 5725-2:2019, between-laboratory differences"
+    separating_test = (
+        "measure the same units, or one kept as a reference, at another station on the same day; "
+        "`gyrofleet trend bias --by station` shows the changes of each"
+    )
+    separating_test_zh = "同日在另一试验台测量同一产品或基准产品；gyrofleet trend bias --by station 显示各台的变化"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return np.ones((len(run), 1))

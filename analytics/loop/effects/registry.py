@@ -11,11 +11,12 @@ from types import MappingProxyType
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS, RunBlocks
 from analytics.loop.effects.base import Effect
-from analytics.loop.effects.events import TURN_ON, TurnOnScatter
+from analytics.loop.effects.events import StationChange, TurnOnScatter
 from analytics.loop.effects.monomial import PREFIX, Monomial, channel_linear, is_linear
 from stream.errors import BadInput
 
 _PACKAGE = __name__.rpartition(".")[0]
+_NOT_SEARCHED = (TurnOnScatter, StationChange)  # noise, and what is of no unit
 
 
 @functools.cache
@@ -40,7 +41,7 @@ def _effects_in(module: str) -> Iterator[Effect]:
     found = importlib.import_module(f"{_PACKAGE}.{module}")
     yield from getattr(found, "EFFECTS", ())
     for _, cls in inspect.getmembers(found, inspect.isclass):
-        if cls.__module__ != found.__name__ or cls is TurnOnScatter:  # noise, which is not searched for
+        if cls.__module__ != found.__name__ or cls in _NOT_SEARCHED:
             continue
         if issubclass(cls, Effect) and hasattr(cls, "name"):
             yield cls()
@@ -58,8 +59,9 @@ def effect(name: str) -> Effect:
     known = effects()
     if name in known:
         return known[name]
-    if name == TURN_ON:
-        return TurnOnScatter()
+    for cls in _NOT_SEARCHED:
+        if name == cls.name:
+            return cls()
     if name.startswith(PREFIX) and len(name) > len(PREFIX):
         return channel_linear(name.removeprefix(PREFIX))
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)

@@ -11,7 +11,6 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
-from stream.batch import FloatArray
 from stream.decoding import decode_json
 from stream.estimators.base import NoEstimate
 from stream.quantities import ANGULAR_RATE_UNIT
@@ -90,7 +89,7 @@ def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel
     """Noise with turn-on scatter: as given, else that of the runs' constants, for a single run the flicker."""
     white, flicker, walk, turn_on = noise
     if turn_on is None:
-        constants = _constants(runs, model)
+        constants = np.array([constant for _, constant in run_constants(runs, model)])
         turn_on = flicker
         if len(constants) > 1:
             turn_on = _NORMAL_PER_MAD * float(np.median(np.abs(constants - np.median(constants))))
@@ -131,8 +130,8 @@ def _value(coefficient: dict[str, Any]) -> float:
     return float(coefficient["hi"]) * _OF_LIMIT
 
 
-def _constants(runs: Sequence[RunBlocks], model: ErrorModel) -> FloatArray:
-    """Constant of each run beside the model's terms, by least squares."""
+def run_constants(runs: Sequence[RunBlocks], model: ErrorModel) -> list[tuple[RunBlocks, float]]:
+    """Constant of each run beside the model's terms, by least squares; without runs that have no whole block."""
     both = [np.column_stack([model.columns(run), run.value]) for run in runs]
     both = [each[np.isfinite(each).all(axis=1)] for each in both]
     row = np.repeat(np.arange(len(runs)), list(map(len, both)))
@@ -140,11 +139,12 @@ def _constants(runs: Sequence[RunBlocks], model: ErrorModel) -> FloatArray:
     value = value[:, 0]
     present = np.unique(row)
     if len(present) == 0:
-        return np.empty(0)
+        return []
     own = (row[:, None] == present).astype(np.float64)
     means = (own.T @ np.column_stack([terms, value])) / own.sum(axis=0)[:, None]
     terms, value = terms - own @ means[:, :-1], value - own @ means[:, -1]
     scale = np.sqrt(np.sum(terms**2, axis=0))
     is_known = scale > 1e-9 * (np.abs(means[:, :-1]).max(axis=0, initial=0.0) + 1e-300) * np.sqrt(len(row))
     found, *_ = np.linalg.lstsq(terms[:, is_known], value, rcond=None)
-    return np.asarray(means[:, -1] - means[:, :-1][:, is_known] @ found, dtype=np.float64)
+    constants = means[:, -1] - means[:, :-1][:, is_known] @ found
+    return [(runs[at], float(constant)) for at, constant in zip(present, constants, strict=True)]
