@@ -14,10 +14,10 @@ from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve, Overlap
-    from analytics.curves.isolated_outliers import IsolatedOutliers
     from analytics.curves.noise_coefficients import NoiseCoefficients
     from storage.sql.catalog import Catalog
     from stream.estimators.base import NoEstimate
+    from stream.outliers import IsolatedOutliers
 
 _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 

@@ -1,80 +1,10 @@
-"""Isolated outliers of a signal, and by how much they raise the angle random walk."""
-
-from collections.abc import Iterable
-from dataclasses import dataclass
-
-import numpy as np
+"""Isolated outliers of a stored signal."""
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, read_signal
-from stream.batch import FloatArray
-
-FAR = 9.0  # threshold, in standard deviations from the mean of the neighbours: in white noise 1 sample in 10^13
-_CALM = 0.6
-_MOTION = 0.01
-_PER_MEDIAN = 1.4826
-_BESIDE = 3
-WORTH_A_WORD = 0.01  # relative increase of N from which outliers are reported
-
-
-@dataclass(frozen=True)
-class IsolatedOutliers:
-    """Isolated outliers of a signal."""
-
-    count: int
-    largest: float  # the largest departure from the neighbours, in standard deviations of the noise between samples
-    raise_n_by: float  # relative increase of N, as estimated from the Allan deviation
-
-    @property
-    def is_worth_a_word(self) -> bool:
-        """Whether they raise N by 1 % or more."""
-        return self.raise_n_by >= WORTH_A_WORD
-
-    @property
-    def sentence(self) -> str:
-        """The report of the outliers."""
-        return (
-            f"{self.count:,} isolated outliers, up to {self.largest:.3g} times the noise, raise N by "
-            f"{self.raise_n_by:.0%}: leave them out, or find what makes them"
-        )
+from stream.outliers import IsolatedOutliers, count_outliers
 
 
 def isolated_outliers(catalog: Catalog, record: SignalRecord) -> IsolatedOutliers:
     """Isolated outliers of a stored signal."""
     return count_outliers(batch.value_array for batch in read_signal(catalog, record))
-
-
-def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
-    """Count the single samples that leave the mean of their neighbours by nine standard deviations of the noise.
-
-    The noise is from the median difference between samples; a lasting change is no outlier, nor is the tail of a noise
-    in which one sample in a hundred lies outside.
-
-    >>> noise = np.random.default_rng(1).standard_normal(10_000)
-    >>> noise[5000] += 35.0
-    >>> found = count_outliers([noise])
-    >>> found.count, round(found.raise_n_by, 2)
-    (1, 0.06)
-    >>> count_outliers([np.arange(100.0)]).count
-    0
-    """
-    samples, count, largest, squares, variance = 0, 0, 0.0, 0.0, 0.0
-    for piece in pieces:
-        value = piece[np.isfinite(piece)]
-        if value.size <= 2 * _BESIDE or np.ptp(value) == 0.0:
-            continue
-        moves = np.abs(np.diff(value))
-        # an output that stood still for a part of the record has no noise there
-        sigma = _PER_MEDIAN * float(np.median(moves[moves > 0])) * 0.5**0.5
-        samples += value.size
-        variance += sigma**2 * value.size
-        off = value[1:-1] - 0.5 * (value[:-2] + value[2:])
-        for at in np.flatnonzero(np.abs(off) > FAR * np.sqrt(1.5) * sigma) + 1 if sigma > 0 else ():
-            around = np.concatenate([value[max(0, at - _BESIDE) : at], value[at + 1 : at + 1 + _BESIDE]])
-            if np.ptp(around) < _CALM * abs(off[at - 1]):
-                count += 1
-                squares += float(off[at - 1] ** 2)
-                largest = max(largest, abs(float(off[at - 1])) / float(sigma))
-    if count == 0 or count > _MOTION * samples:
-        return IsolatedOutliers(0, 0.0, 0.0)
-    return IsolatedOutliers(count, largest, float(np.sqrt(1.0 + squares / variance) - 1.0))

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 
 from analytics.curves.allan_curve import AllanCurve
-from analytics.curves.isolated_outliers import IsolatedOutliers
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
@@ -22,6 +21,7 @@ from stream.estimators.noise.noise_model import (
     term_columns,
 )
 from stream.events import EstimatePoint
+from stream.outliers import IsolatedOutliers
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.terminal.result_table import ResultTable
 

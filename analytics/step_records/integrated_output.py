@@ -84,5 +84,5 @@ def rate_statistics(
     u = found.standard_uncertainty if len(rates) > 1 else quantised or math.nan
     return found._replace(
         mean=float((angles[-1] - angles[0]) / whole_s), standard_uncertainty=u if math.isnan(u) else max(u, quantised),
-        still=0.0,
+        still=0.0, piled=0.0,
     )  # fmt: skip

@@ -32,7 +32,8 @@ COLUMNS = pa.schema({
     "run": _TEXT, "unit": _TEXT, "signal": _TEXT, "t_from_ns": _WHOLE, "t_to_ns": _WHOLE, "unit_of_measure": _TEXT,
     "n": _WHOLE, "expected": _WHOLE,
     "mean": _REAL, "sd": _REAL, "sd_freedom": _REAL, "standard_uncertainty": _REAL, "freedom": _REAL,
-    "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, "still": _REAL, **_AVERAGES, "reason": _TEXT,
+    "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, "still": _REAL,
+    "outliers": _WHOLE, "outlier_excess": _REAL, "piled": _REAL, "piled_at": _REAL, **_AVERAGES, "reason": _TEXT,
 })  # fmt: skip
 
 T = TypeVar("T")

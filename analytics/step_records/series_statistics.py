@@ -15,6 +15,7 @@ from analytics.step_records.record_noise import (
 )
 from analytics.step_records.scatter import Average, scatter_freedom, scatter_of_averages
 from stream.batch import FloatArray, IntArray
+from stream.outliers import count_outliers, piled_share
 
 AVERAGES_S = (1.0, 10.0, 100.0)
 _ROUNDING = 1e-14  # relative; a hundred times that of a number
@@ -39,6 +40,10 @@ class SeriesStatistics(NamedTuple):
     flicker: float
     walk: float
     still: float  # share of the samples in the longest stretch in which all are alike; 0 where the resolution is coarse
+    outliers: int  # isolated ones, among the means of the blocks
+    outlier_excess: float  # by how much they raise the noise, relative
+    piled: float  # share of the samples at one or two values that hold far more than the others, and the first of these
+    piled_at: float
     averages: tuple[Average, ...]  # of `AVERAGES_S`
 
 
@@ -112,6 +117,8 @@ def series_statistics(
         parts = fit.mean
     if sd < step:
         u_squared += step * step / 12
+    far = count_outliers([means])
+    piled, piled_at = piled_share(means) if n == means.size and still < 1.0 else (0.0, math.nan)
     effective = min(float(n), sd * sd / u_squared) if u_squared > 0 else (float(n) if n > 1 else math.nan)
     return SeriesStatistics(
         n=n, mean=_scaled(mean, exponent), sd=_scaled(sd, exponent),
@@ -119,6 +126,7 @@ def series_statistics(
         standard_uncertainty=_scaled(math.sqrt(u_squared), exponent), freedom=freedom, n_effective=effective,
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
         walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step and is_only_coarse else still,
+        outliers=far.count, outlier_excess=far.raise_n_by, piled=piled, piled_at=_scaled(piled_at, exponent),
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )  # fmt: skip
 

@@ -2,8 +2,8 @@
 -- the table decides: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
 -- them: a table. `several_axes`: those of a device of which the words of its position do not say which is the IRA; what
--- the Earth's rate adds is then unknown. An output that stood still (`stood_still`: for a twentieth of the record)
--- says nothing of how sure its mean and scatter are.
+-- the Earth's rate adds is then unknown. An output that stood still (`stood_still`: for a twentieth of the record, in a
+-- row or at one value far more often than at others) says nothing of how sure its mean and scatter are.
 create or replace table internal.still_steps as
 with moving as (
   select *,
@@ -18,7 +18,7 @@ with moving as (
   select * exclude (axes),
     case when len(axes) > 1 and regexp_matches(position, '^(IRA|vertical)_') then array_to_string(axes, ', ') end
       as several_axes,
-    coalesce(still >= 0.05 and n * still >= 10, false) as stood_still
+    coalesce(still >= 0.05 and n * still >= 10 or piled >= 0.05, false) as stood_still
   from turning
 )
 select * exclude (moves) replace (

@@ -1,12 +1,17 @@
 -- Static steps that are records of a bias: of the procedures for it, and of others (files bring names of their own, or
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
--- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, what stands still, and an
+-- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, samples that are no noise, and an
 -- attitude that does not say which axis it means.
-create or replace macro remark_on_still(n, still, sd, stood_still) as
-  case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
-      || 'coarse to show noise'
-    when stood_still then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
-      || 'was frozen, or its resolution is too coarse to show noise' end;
+create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, measure) as
+  nullif(concat_ws('; ',
+    case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
+        || 'coarse to show noise'
+      when still >= 0.05 and n * still >= 10 then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
+        || 'was frozen, or its resolution is too coarse to show noise'
+      when piled > 0 then round(n * piled)::bigint || ' of ' || n || ' samples are at one value or two, as at '
+        || printf('%.5g', piled_at) || ' ' || measure || ': clipped at an end of the range, or lost samples written as it' end,
+    case when outliers > 0 and outlier_excess >= 0.01 then format('isolated outliers ({}) raise the noise by '
+      || '{:.0f} %', outliers, 100 * outlier_excess) end), '');
 
 create or replace view internal.bias_steps as
 with counted as (
@@ -25,7 +30,7 @@ select *,
   end as lack,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
   nullif(concat_ws('; ',
-    remark_on_still(n, still, sd, stood_still), scale_remark,
+    remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, unit_of_measure), scale_remark,
     case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
     case when abs(chamber_temperature - temperature_command) > 3 then

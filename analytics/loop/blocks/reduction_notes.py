@@ -3,10 +3,10 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from analytics.curves.isolated_outliers import IsolatedOutliers
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray
+from stream.outliers import IsolatedOutliers
 
 LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 
