@@ -40,6 +40,7 @@ def document(trend: Trend) -> dict[str, Any]:
         **_shifts(trend.shifts, series),
         "drifts": [_flat(each) for each in trend.drifts],
         **_comparison(trend.comparison),
+        "scatters": [each._asdict() for each in trend.scatters],
         "components": {name: _plain(each) for name, each in trend.components.items()},
         "stands_out": stands_out(trend),
         "report": [each._asdict() for each in sentences(trend)],

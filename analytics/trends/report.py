@@ -22,9 +22,9 @@ _POSSIBLE = 0.05  # chance up to which a drift that is not significant is report
 def sentences(trend: Trend) -> list[Words]:
     """The report of a trend: its values, the significant results, components of variance, capability.
 
-    Where nothing is significant it says so: of trends of noise alone at most 7 % report more (1 % each for changes of
+    Where nothing is significant it says so: of trends of noise alone at most 8 % report more (1 % each for changes of
     stations, outliers, changes of charts, drifts of charts, drifts of stations and fixtures against each other, signals
-    of rules, and groups; adjusted for all charts and groups).
+    of rules, groups, and their scatter; adjusted for all charts and groups).
     """
     found = significant(trend) or [_nothing(trend)]
     return [
@@ -46,7 +46,7 @@ def stands_out(trend: Trend) -> bool:
 def significant(trend: Trend) -> list[Words]:
     """Sentences on what is significant; none where nothing is."""
     of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
-    return [*_of_shifts(trend), *_of_drifts(trend), *of_charts, *_of_groups(trend)]
+    return [*_of_shifts(trend), *_of_drifts(trend), *of_charts, *_of_groups(trend), *_of_scatters(trend)]
 
 
 def moment(series: MetricSeries, index: int) -> str:
@@ -235,6 +235,20 @@ def _of_groups(trend: Trend) -> Iterator[Words]:
         yield _difference(each, trend.comparison, trend.series.unit_of_measure)
 
 
+def _of_scatters(trend: Trend) -> Iterator[Words]:
+    """Levels of groups that scatter more than the others; where there are none, those that scatter less."""
+    plain = [each for each in trend.scatters if each.chance <= FALSE_ALARM]
+    for name in dict.fromkeys(each.group for each in plain):
+        own = [each for each in plain if each.group == name]
+        for each in [each for each in own if each.ratio > 1.0] or own:
+            group = group_name(name)
+            yield words(
+                "scatter", group=Words(_capitalised(group.en), group.zh), level=each.level, against=group,
+                of=words("scatter_within" if each.is_within_units else "scatter_all"), ratio=each.ratio, lo=each.lo,
+                hi=each.hi,
+            )  # fmt: skip
+
+
 def _difference(found: Difference, comparison: GroupComparison, unit: str) -> Words:
     effect = found.effect
     higher = effect.value > 0
@@ -298,14 +312,14 @@ def _of_capability(trend: Trend) -> Iterator[Words]:
         if isinstance(found, NotComputed):
             refused.setdefault(found.why, []).append(chart.name)
         else:
-            yield _about(trend, [chart.name], _capable(trend, found, limits))
+            yield _about(trend, [chart.name], _capable(trend, found, limits, chart.series.value.size))
     if trend.by == "unit" and len(trend.charts) > 1:
         return
     for why, names in refused.items():
         yield _about(trend, names, words("no_capability", why=why))
 
 
-def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits) -> Words:
+def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits, charted: int) -> Words:
     indices = {name: index for name, index in (("Cp", found.cp), ("Cpk", found.cpk)) if index is not None}
     noise = NOTHING
     if found.measurement_share is not None:
@@ -313,6 +327,7 @@ def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits) -> Words:
     sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
     return words(
         "capability", n=found.n, of=NOTHING if found.n == found.units else words("values_of", units=found.units),
+        first=words("capability_first", every=charted) if charted > found.n else NOTHING,
         noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
         indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
         sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
