@@ -30,20 +30,30 @@ class AnswerCache:
         self.bytes = self.hits = self.misses = 0
 
     async def answer(
-        self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]], most_s: float = math.inf
-    ) -> Answer:
-        """The answer kept, for `most_s` at most, else the one that `make` gives; who asks meanwhile waits for it."""
+        self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]], most_s: float = math.inf,
+        *, stale_s: float = 0.0,
+    ) -> Answer:  # fmt: skip
+        """The answer kept, for `most_s` at most, else the one that `make` gives; who asks meanwhile waits for it.
+
+        For `stale_s` after that the kept answer is given while the next one is made.
+        """
         kept = self._kept.get(key)
-        if kept is not None and time.monotonic() - kept[1] <= most_s:
+        age_s = math.inf if kept is None else time.monotonic() - kept[1]
+        if kept is not None and age_s <= most_s + stale_s:
             self._kept.move_to_end(key)
             self.hits += 1
+            if age_s > most_s and key not in self._making:
+                self._begin(key, make).add_done_callback(_seen)
             return kept[0]
         task = self._making.get(key)
         if task is None:
-            self.misses += 1
-            task = asyncio.ensure_future(self._made(key, make))
-            self._making[key] = task
+            task = self._begin(key, make)
         return await asyncio.shield(task)
+
+    def _begin(self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]]) -> "asyncio.Task[Answer]":
+        self.misses += 1
+        task = self._making[key] = asyncio.ensure_future(self._made(key, make))
+        return task
 
     async def _made(self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]]) -> Answer:
         began_s = time.monotonic()
@@ -60,3 +70,9 @@ class AnswerCache:
                 _, (oldest, _) = self._kept.popitem(last=False)
                 self.bytes -= len(oldest.body)
         return answer
+
+
+def _seen(task: "asyncio.Task[Answer]") -> None:
+    """Take note of an error that nobody waits for: who asks next gets it."""
+    if not task.cancelled():
+        task.exception()

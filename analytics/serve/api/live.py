@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from analytics.floor import UnitNow
+from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import accepted
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import iso
@@ -27,7 +28,7 @@ from stream.terminal.console import json_text
 _MOST_LISTENERS = 1000
 _MOST_OF_ONE = 200
 _LONGEST_S = 3600.0
-_SHARED_S = 0.25
+_SHARED_S, _WHOLE_S = 0.25, 1.0
 _EVENT_STREAM = "text/event-stream"
 _RETRY, _SILENCE = b"retry: 2000\n\n", b": \n\n"
 
@@ -140,22 +141,32 @@ async def live(request: Request, *, service: Service) -> Response:
     nonce, _, number = request.headers.get("last-event-id", "").partition("-")
     version = int(number) if nonce == service.nonce and number.isdecimal() and len(number) < 16 else -1
     is_packed = "gzip" in accepted(request.headers.get("accept-encoding", ""))
-    first = _RETRY
+    first = packed(_RETRY) if is_packed else _RETRY
     if version < 0 or not service.changes.has_after(version):
-        encode = functools.partial(_all, service)
-        version, first = await anyio.to_thread.run_sync(encode, limiter=service.fast, abandon_on_cancel=True)
-    if is_packed:
-        first = await anyio.to_thread.run_sync(packed, first, limiter=service.fast, abandon_on_cancel=True)
+        version, first = await _whole(service, is_packed=is_packed)
     events = _of_person(service, person.name, _events(service, version, first, is_packed=is_packed))
     if is_packed:
         headers["Content-Encoding"] = "gzip"
     return StreamingResponse(events, media_type=_EVENT_STREAM, headers=headers)
 
 
-def _all(service: Service) -> tuple[int, bytes]:
-    document = service.live.document()
-    version = document["version"]
-    return version, _RETRY + event("floor", f"{service.nonce}-{version}", json_text(document).encode())
+async def _whole(service: Service, *, is_packed: bool) -> tuple[int, bytes]:
+    """Version of the whole floor and its event, shared with those who come within a second: changes follow for each."""
+    make = functools.partial(_encoded, service, is_packed=is_packed)
+    answer = await service.cache.answer(("live", str(is_packed)), make, _WHOLE_S)
+    if not service.changes.has_after(int(answer.headers[0][1])):
+        answer = await make()
+    return int(answer.headers[0][1]), answer.body
+
+
+async def _encoded(service: Service, *, is_packed: bool) -> Answer:
+    def encode() -> Answer:
+        document = service.live.document()
+        version = document["version"]
+        first = _RETRY + event("floor", f"{service.nonce}-{version}", json_text(document).encode())
+        return Answer(packed(first) if is_packed else first, _EVENT_STREAM, (("version", str(version)),))
+
+    return await anyio.to_thread.run_sync(encode, limiter=service.fast, abandon_on_cancel=True)
 
 
 async def _of_person(service: Service, name: str, events: AsyncIterator[bytes]) -> AsyncIterator[bytes]:

@@ -29,7 +29,10 @@ _LANG = "lang"
 
 @dataclass(frozen=True)
 class Page(Generic[Asked]):
-    """A page; its handler gives what the template shows. Who asks for it within `shared_s` gets the same content."""
+    """A page; its handler gives what the template shows.
+
+    Who asks for it within `shared_s` gets the same content, and within twice that while the next one is made.
+    """
 
     path: str
     template: str
@@ -77,15 +80,15 @@ async def _respond(request: Request, *, shown: Page[Any], service: Service, wait
                 found["zone"] = common_zone(call)
             return Answer(rendered(request, shown.template, found), HTMLResponse.media_type)
 
+    async def compute() -> Answer:
+        return await computed(service, await service.state(), answer, limiter)
+
     async def made() -> Answer:
-        state = await service.state()
-        compute = functools.partial(computed, service, state, answer, limiter)
         if not shown.shared_s:
             return await compute()
-        of_metrics = "" if state.metrics is None else state.metrics.tag
         of_person = (language_of(request), person.role.word, str(person.csrf is None))
-        key = ("page", url_of(request), *of_person, f"{state.tag}-{state.log_version}-{of_metrics}")
-        return await service.cache.answer((*key, str(service.changed), str(is_partial)), compute, shown.shared_s)
+        key = ("page", url_of(request), *of_person, str(service.changed), str(is_partial))
+        return await service.cache.answer(key, compute, shown.shared_s, stale_s=shown.shared_s)
 
     async def make() -> Response:
         return page_of(request, (await made()).body)
