@@ -168,9 +168,9 @@ def main() -> None:
         before = [pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)]
         # examples in the docstrings, many in one process: each of several would import all modules to collect them
         examples = [(log, (*pytest, "-q", "--pyargs", *names)) for log, names in zip(logs[2:], EXAMPLES, strict=True)]
-        before += [pool.submit(check_meanwhile, *examples[0], cwd=project, niceness=0)]
+        # examples beside it would compile what it compiles
         run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
-        before += [pool.submit(check_meanwhile, *examples[1], cwd=project, niceness=0)]
+        before += [pool.submit(check_meanwhile, *each, cwd=project, niceness=0) for each in examples]
         _, *of_examples = (each.result() for each in before)
         # runs the notebook; a warning, as of a link that leads nowhere, fails, also where no pages are written
         builder = "html" if everything else "dummy"

@@ -211,7 +211,7 @@ def trace_units(
     """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises.
 
     Many units are traced by several `processes`, or by what `spread` runs, with the same results. Where the stations
-    that measured them explain a drift over days as well, this is said beside it.
+    that measured them explain a drift over days as well, they are named as an alternative.
     """
     found = _traced(read, question, is_pooled, processes, spread, on_progress)
     rival = _station_rival(found, question)

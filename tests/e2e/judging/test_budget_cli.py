@@ -171,7 +171,7 @@ unit_of_measure = "deg/h"
 
 
 def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_path: Path) -> None:
-    imported(folder, ("old", "IRA_up", "old.toml"))
+    imported(folder, ("old", "IRA_up", "old.toml"), ("plain", "IRA_up", None))
     (tmp_path / "limits.toml").write_text(LIMITS)
     assert ask("limits", "add", tmp_path / "limits.toml", "--reason", "first").exit_code == 0
     rows = json.loads(ask("verdicts", "--unit", "U1", "--json").stdout)["verdicts"]
@@ -179,7 +179,6 @@ def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_
     assert found["up"]["verdict"] == "PASS"
     assert (found["old"]["verdict"], found["old"]["conformity"]) == ("MARGINAL", None)
     assert "RT-17, certificate LL-2026-0117 ended on 2025-03-31, so that nothing states" in found["old"]["reason"]
-    imported(folder, ("plain", "IRA_up", None))
     assert "(type" in ask("verdicts", "--unit", "U1").stdout
 
 

@@ -26,6 +26,7 @@ with named as (
   select unit, bool_and(run in (select run from named)) as is_in_runs_that_name_units,
     count(distinct run) as runs, count(distinct signal) as signals, sum(samples)::bigint as samples,
     arg_max(run, place) as last_run, arg_max(site, place) as site, arg_max(station, place) as station,
+    list(distinct station order by station) as stations,
     max(measured_ns) as measured_ns, max(arrival_last_ns) as recorded_ns
   from dated group by unit
 ), mounted as (
@@ -36,7 +37,7 @@ with named as (
   select unit, arg_max(verdict, row(if(r.date_known, epoch_ns(r.started), 0), v.arrival_ns)) as verdict
   from internal.served_verdicts v left join internal.served_runs r using (run) group by unit
 )
-select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, m.slot, m.fixture, m.firmware,
+select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, coalesce(r.stations, []) as stations, m.slot, m.fixture, m.firmware,
   coalesce(r.runs, 0) as runs, coalesce(r.last_run, m.run) as last_run, coalesce(r.signals, 0) as signals,
   coalesce(r.samples, 0) as samples, coalesce(r.is_in_runs_that_name_units, false)
     and coalesce(r.unit, m.unit) not in (select unit from named) as is_instrument, g.verdict,
@@ -70,13 +71,14 @@ class UnitsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class UnitRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A unit, with its last mounting and the last verdict that a run gave it."""
+    """A unit, with its last mounting, its last station, all its stations, and the last verdict that a run gave it."""
 
     unit: str
     product: str | None
     lot: str | None
     site: str | None
     station: str | None
+    stations: list[str]
     slot: str | None
     fixture: str | None
     firmware: str | None
@@ -260,7 +262,7 @@ def _is_asked(row: dict[str, Any], asked: UnitsAsked) -> bool:
         and (asked.instruments or not row["is_instrument"])
         and asked.product in ("", row["product"])
         and asked.lot in ("", row["lot"])
-        and asked.station in ("", row["station"])
+        and (not asked.station or asked.station in row["stations"])
         and asked.verdict in ("", row["verdict"])
     )
 
