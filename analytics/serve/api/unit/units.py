@@ -37,7 +37,8 @@ with named as (
   select unit, arg_max(verdict, row(if(r.date_known, epoch_ns(r.started), 0), v.arrival_ns)) as verdict
   from internal.served_verdicts v left join internal.served_runs r using (run) group by unit
 )
-select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station, coalesce(r.stations, []) as stations, m.slot, m.fixture, m.firmware,
+select coalesce(r.unit, m.unit) as unit, m.product, m.lot, r.site, r.station,
+  coalesce(r.stations, []) as stations, m.slot, m.fixture, m.firmware,
   coalesce(r.runs, 0) as runs, coalesce(r.last_run, m.run) as last_run, coalesce(r.signals, 0) as signals,
   coalesce(r.samples, 0) as samples, coalesce(r.is_in_runs_that_name_units, false)
     and coalesce(r.unit, m.unit) not in (select unit from named) as is_instrument, g.verdict,
