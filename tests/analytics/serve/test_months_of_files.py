@@ -38,7 +38,8 @@ def months(served_at: Path, command_server: CommandServer, run_command: Callable
             for second in range(1200)
         ]
         (folder / f"{month}.csv").write_text("\n".join(lines) + "\n")
-        commands.append(("import", f"{month}.csv", "--start", f"{month}-10T08:00:00Z", "--units", "units.csv"))
+        commands.append(("import", f"{month}.csv", "--start", f"{month}-10T08:00:00Z", "--units", "units.csv",
+                         "--station", f"bench-{month[-1]}"))  # fmt: skip
     served_at.mkdir()
     for words in (commands[1], commands[0], *commands[2:]):
         done = run_command(*words, "--store", "S", cwd=folder)
@@ -66,6 +67,12 @@ def test_the_last_run_of_a_unit_is_the_last_that_was_measured(months: httpx.Clie
     runs = [row["run"][-7:] for row in _asked(months, "/api/runs")["runs"]]
     assert runs == sorted(runs, reverse=True)
     assert sorted(runs) == ["2026-01", "2026-01", "2026-02", "2026-03", "2026-03"]
+
+
+def test_a_unit_is_found_by_each_station_that_measured_it(months: httpx.Client) -> None:
+    for station, units in (("bench-3", ["A1", "B1"]), ("bench-1", ["A1", "A2"]), ("bench-2", ["B1"]), ("bench-9", [])):
+        assert [row["unit"] for row in _asked(months, f"/api/units?station={station}")["units"]] == units
+    assert _asked(months, "/api/units/A1")["about"]["stations"] == ["bench-1", "bench-3"]
 
 
 def test_the_runs_come_page_by_page_in_the_same_order(months: httpx.Client) -> None:
