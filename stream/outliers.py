@@ -79,14 +79,15 @@ def piled_share(values: FloatArray) -> tuple[float, float]:
 
     As of an output that is clipped at an end of its range, or of lost samples that are written as 0: at least 10
     samples and 1 %, and three times as many as the third most frequent value. 0 and NaN where there is none, or the
-    resolution is so coarse that there are fewer than 16 values.
+    resolution is so coarse that the middle nine tenths of the samples are at fewer than 16 values.
 
     >>> noise = np.random.default_rng(1).standard_normal(1000)
     >>> piled_share(np.minimum(noise, 1.0)), piled_share(noise)[0], piled_share(np.round(noise))[0]
     ((0.126, 1.0), 0.0, 0.0)
     """
     levels, counts = np.unique(values, return_counts=True)
-    if levels.size < _FEWEST_LEVELS:
+    first_of_middle, last_of_middle = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
+    if last_of_middle - first_of_middle + 1 < _FEWEST_LEVELS:
         return 0.0, float("nan")
     first = np.argsort(-counts, kind="stable")[:3]
     least = max(_FEWEST_PILED, _LEAST_PILED * values.size, _PILED_TIMES * float(counts[first[2]]))
