@@ -1,5 +1,6 @@
 """A trend in sentences: changes, outliers, drift, signals, differences between groups, components, capability."""
 
+from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
@@ -32,6 +33,7 @@ def sentences(trend: Trend) -> list[Words]:
         *_of_products(trend),
         *found,
         *_possible_drifts(trend),
+        *_of_repeated(trend),
         *_of_components(trend),
         *_of_capability(trend),
         *_left_out(trend),
@@ -101,6 +103,14 @@ def _of_shifts(trend: Trend) -> Iterator[Words]:
         yield _shift(trend.series, each)
     if trend.shifts.unsteady is not None:
         yield _unsteady(trend.series, trend.shifts)
+
+
+def _of_repeated(trend: Trend) -> Iterator[Words]:
+    """That charts of other groups than units do not show what changes in a single unit."""
+    counts = Counter(trend.series.unit)
+    repeated = sum(each > 1 for each in counts.values())
+    if repeated and trend.by != "unit":
+        yield words("units_repeated", repeated=repeated, units=len(counts))
 
 
 def _of_drifts(trend: Trend) -> Iterator[Words]:
