@@ -112,12 +112,12 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
 
 
 def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor) -> list[Metric]:
-    """Those with rows in what they are made of: planning a statement takes much longer than running it."""
+    """Those with rows in what their header names: planning a statement takes much longer than running it."""
     sources = sorted({metric.header.of for metric in chosen} - {""})
 
     def found_in(some: Collection[str]) -> dict[str, bool]:
-        sql = ", ".join(f'exists (from {source}) as "{source}"' for source in some)
-        return dict(catalog.table(f"select {sql}").to_pylist()[0]) if some else {}
+        sql = ", ".join(f"exists (from {source}) as s{number}" for number, source in enumerate(some))
+        return dict(zip(some, catalog.rows(f"select {sql}")[0], strict=True)) if some else {}
 
     found: dict[str, bool] = {}
     try:

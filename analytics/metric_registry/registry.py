@@ -65,7 +65,7 @@ class MetricHeader(NamedTuple):
     python: str = ""
     influences: tuple[Influence, ...] = ()  # uncertainty of type B
     no_influence: str = ""  # why there is none
-    of: str = ""  # table or view that its statement reads: without rows there, it is not run
+    of: str = ""  # what its statement reads, as a table with a condition: without rows there, it is not run
 
     @property
     def standard(self) -> str:

@@ -12,6 +12,7 @@
 -- influence: angle: sqrt(0.5)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.methods.separation:accelerometer_rows
+-- of:        step_means where starts_with(position, 'beta')
 -- Beside them what the paper's model lacks: twice_beta = (V(0) + V(180) - V(90) - V(270))/4k, a term in twice the angle.
 -- k of an output in V is the nominal scale_factor of the product, which for a unit without a gyro is taken per g.
 with gyro as (select distinct run, unit from internal.gyro_steps)

@@ -13,6 +13,7 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: clock: per_ppm(value) / 2
 -- python:    analytics.metrics.allan_deviation:compute
+-- of:        internal.specification_parameters where metric = 'allan_deviation'
 select s.unit, s.signal, s.run, s.n, ["index"] as steps, s.lack as reason, t.tau_s, s.t_from_ns, s.t_to_ns,
   s.duration_s, s.stood_still, s.deg_per_h, s.unit_of_measure as output_unit,
   {

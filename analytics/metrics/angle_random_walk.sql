@@ -13,6 +13,7 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: clock: per_ppm(value) / 2
 -- python:    analytics.metrics.angle_random_walk:compute
+-- of:        internal.still_steps
 -- The fit of the whole run's Allan curve, else the white part of the step's own curve, whose bounds are added below.
 select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
   case when s.lack is null then

@@ -13,7 +13,7 @@
 -- influence: rate: per_ppm(value)
 -- influence: mounting: 1 / 60
 -- python:    analytics.metrics.attitude_unit_misalignment:compute
--- of:        internal.attitude_turns
+-- of:        step_means where rate_command <> 0 and named_axis_of(signal) is not null
 -- Errata: the ratio is in rad, the code has degrees; (7) and (17) lack the brackets about 2 360 n, (17) prints pi for n;
 -- (9) and table 3 misprint L_yz and N_yx; annex C swaps the subscripts of 5.6, where L_yx is what Y sees of a turn of X.
 from internal.attitude_turns order by run, unit, repeat nulls first, "index", signal

@@ -12,5 +12,6 @@
 -- influence: vibration_rate: 2 * per_ppm(value)
 -- influence: clock: per_ppm(value)
 -- python:    analytics.metrics.angular_vibration:bandwidths
+-- of:        step_means where frequency > 0
 from internal.vibration_steps
 order by run, unit, signal, "procedure", position, axis, t_from_ns, "index"

@@ -15,6 +15,7 @@
 -- influence: levelling: levelling_deg_per_h(parameters->>'$.position', latitude_deg, signal)
 -- influence: heading: heading_deg_per_h(parameters->>'$.position', latitude_deg, signal)
 -- influence: latitude: if(parameters->>'$.earth_rate' = 'removed', latitude_deg_per_h(parameters->>'$.position', latitude_deg, signal), 0)
+-- of:        internal.still_steps where not turns
 -- An error of K acts on F/K as a whole, also where the Earth's rate is removed from it afterwards.
 -- The Earth's rate is removed where the position says how it enters; both the raw and the corrected value are reported.
 -- The interval is value -+ t(freedom) u with u = sd/sqrt(n_effective): where flicker or random walk leaves few degrees of

@@ -14,7 +14,7 @@
 -- influence: levelling: earth_rate_per_arcsec() * sqrt(0.5)
 -- influence: heading: if(earth_pointing(parameters->>'$.axis' || '_up', signal) = 'vertical', 0, earth_rate_per_arcsec() * cos(radians(latitude_deg)) * sqrt(0.5))
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
--- of:        internal.bias_flips
+-- of:        internal.still_steps where phase is null and ("procedure" is null or regexp_matches("procedure", '^bias_acceleration|零偏加速度'))
 with shown as (
   select *, axis as shown from internal.bias_flips
   where earth_rate = 'none' or not coalesce(list_contains(level, axis), false)

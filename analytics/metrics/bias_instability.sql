@@ -11,7 +11,7 @@
 -- equation:  B = sqrt(A_0/(2 ln2/pi)), sigma^2(tau) = sum A_m tau^m
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
--- of:        internal.noise_coefficients
+-- of:        internal.still_steps where not turns
 -- Erratum: the print's polynomial by plain least squares gives negative variances; here coefficients are not negative,
 -- weighted by the degrees of freedom of the Allan variance, and reported as not observable where the record shows none.
 from fitted_coefficient('bias_instability')

@@ -12,6 +12,7 @@
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.metrics.bias_repeatability:compute
+-- of:        internal.still_steps where not turns
 -- A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
 with counted as (
   select *,

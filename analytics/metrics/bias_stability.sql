@@ -11,6 +11,7 @@
 -- equation:  Bs = sqrt(sum((F_i - mean(F))^2)/(n - 1))/K
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
+-- of:        internal.still_steps where not turns
 -- Of the raw samples, so it rises with the sample rate; over averages it is bias_stability_averaged. Not bias
 -- instability, which is the floor of the Allan deviation. The samples correlate: the freedom is less than n - 1. An
 -- output that stands still is no perfect one: 0 would pass every limit.

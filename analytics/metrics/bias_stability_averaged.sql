@@ -13,6 +13,7 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: clock: per_ppm(value) / 2
 -- python:    analytics.metrics.bias_stability_averaged:compute
+-- of:        internal.still_steps where not turns
 with step as materialized (select * from internal.bias_steps),
 average as (
   select step.*, unnest([1.0, 10.0, 100.0]::double[]) as average_s, unnest([n_1s, n_10s, n_100s]) as averages,

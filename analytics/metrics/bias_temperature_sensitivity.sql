@@ -14,7 +14,7 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: temperature: value * sqrt(2) / nullif(abs((parameters->>'$.temperature_deg_c_of_largest')::double - (parameters->>'$.room_temperature_deg_c')::double), 0)
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
--- of:        internal.bias_temperature_points
+-- of:        internal.still_steps where temperature_command is not null or regexp_matches("procedure", '^bias_temperature|零偏温度')
 -- A maximum has no symmetric error: the limits are those of `largest_magnitudes`, over all points together. Standard
 -- uncertainty and freedom are those of the steepest point. The thermometer's own error is not in it.
 select unit, signal, run, all_n as n, all_steps as steps, lack as reason, slope as difference, u, freedom,

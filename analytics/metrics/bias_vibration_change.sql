@@ -13,5 +13,5 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: mounting: earth_rate_per_arcsec() * sqrt(2)
 -- python:    analytics.methods.largest_magnitude:largest_magnitudes
--- of:        internal.bias_changes
+-- of:        internal.still_steps where phase is not null
 from bias_axis_changes('vibration') order by test, axis

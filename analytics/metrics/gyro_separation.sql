@@ -13,6 +13,7 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: angle: sqrt(0.5)
 -- python:    analytics.methods.separation:gyro_rows
+-- of:        step_means where starts_with(position, 'alpha')
 select run, unit, signal, "procedure", "index", position, mean as output, input_rate, deg_per_h,
   coalesce(scale_source, 'unknown') as scale_source, no_scale_factor(unit_of_measure) as no_scale,
   regexp_extract(position, '^alpha(-?[0-9.]+)_beta', 1)::double as alpha,

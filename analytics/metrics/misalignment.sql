@@ -13,7 +13,7 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: mounting: if((parameters->>'$.positions')::int = 2, 1 / 60, 0)
 -- influence: angle: sqrt(0.5) / 60
--- of:        internal.misalignment_angles
+-- of:        step_means where regexp_matches(position, '^[Oo][XxYy]_')
 -- The delta of GJB and JJF 2014 are the same, (F+ - F-)/(2 K Omega), and so is what four positions give. Limits: value
 -- -+ t u where it is beyond 4 u; nearer to 0 a hypotenuse is too large by nature, and the 95 % radius of two normal
 -- errors is taken, 2.45 u.

@@ -11,7 +11,7 @@
 -- equation:  gamma_mr = sqrt(sum((gamma_i - mean(gamma))^2)/(Q - 1))
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
--- of:        internal.misalignment_angles
+-- of:        step_means where regexp_matches(position, '^[Oo][XxYy]_')
 with counted as (
   select *, count(*) over (partition by unit, signal, run, warmth) as in_run,
     bool_or(coalesce(starts_with("procedure", 'misalignment_repeat'), false)) over (partition by unit, signal, run)

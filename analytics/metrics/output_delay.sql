@@ -12,5 +12,6 @@
 -- influence: clock: per_ppm(value)
 -- influence: clock_delay: 1000
 -- python:    analytics.metrics.angular_vibration:output_delays
+-- of:        step_means where frequency > 0
 from internal.vibration_steps
 order by run, unit, signal, "procedure", position, axis, t_from_ns, "index"

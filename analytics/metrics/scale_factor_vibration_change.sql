@@ -11,5 +11,5 @@
 -- equation:  max over X, Y, Z of |K_after - K_before|
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
--- of:        internal.scale_fits
+-- of:        internal.scale_fits where phase is not null
 from scale_changes('internal.scale_fits', 'vibration|振动')

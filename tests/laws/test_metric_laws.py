@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from analytics.evaluation import evaluation
 from analytics.evaluation.evaluation import COLUMNS
 from analytics.evaluation.type_b import NO_SENSITIVITY
 from analytics.metric_registry.registry import metrics
@@ -199,6 +200,18 @@ def test_neither_the_order_of_records_nor_names_nor_other_units_matter(
     ]
     expected = simulated.table.filter(pa.compute.is_in(simulated.table["unit"], pa.array(left)))
     assert comparable(pa.Table.from_pylist(rows, schema=COLUMNS)) == comparable(expected)
+
+
+@pytest.mark.long
+def test_what_a_header_asks_for_leaves_no_row_out(simulated: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each procedure alone: with every statement run, the rows are the same."""
+    procedures = sorted({str(each["procedure"]) for each in simulated.records})
+    for procedure in procedures:
+        records = [each for each in simulated.records if str(each["procedure"]) == procedure]
+        found = metrics_of(simulated.store, records)
+        with monkeypatch.context() as patched:
+            patched.setattr(evaluation, "_with_rows", lambda _catalog, chosen, _pool: chosen)
+            assert comparable(metrics_of(simulated.store, records)) == comparable(found), procedure
 
 
 def paired(simulated: Simulated, name: str) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
