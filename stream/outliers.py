@@ -13,7 +13,7 @@ _MOTION = 0.01
 _PER_MEDIAN = 1.4826
 _BESIDE = 3
 WORTH_A_WORD = 0.01  # relative increase of N from which outliers are reported
-_FEWEST_LEVELS, _FEWEST_PILED, _LEAST_PILED, _PILED_TIMES = 16, 10, 0.01, 3.0
+_FEWEST_LEVELS, _FEWEST_PILED, _LEAST_PILED, _PILED_TIMES, _APART_TIMES = 16, 10, 0.01, 3.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -78,18 +78,28 @@ def piled_share(values: FloatArray) -> tuple[float, float]:
     """Share of the samples at one value, or at two, that hold far more than any other; and that value.
 
     As of an output that is clipped at an end of its range, or of lost samples that are written as 0: at least 10
-    samples and 1 %, and three times as many as the third most frequent value. 0 and NaN where there is none, or the
-    resolution is so coarse that the middle nine tenths of the samples are at fewer than 16 values.
+    samples and 1 %, and three times as many as the third most frequent value where the middle nine tenths of the
+    samples are at 16 values or more; of a coarser resolution, farther from all others than three times their range. 0
+    and NaN where there is none.
 
     >>> noise = np.random.default_rng(1).standard_normal(1000)
     >>> piled_share(np.minimum(noise, 1.0)), piled_share(noise)[0], piled_share(np.round(noise))[0]
     ((0.126, 1.0), 0.0, 0.0)
     """
     levels, counts = np.unique(values, return_counts=True)
-    first_of_middle, last_of_middle = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
-    if last_of_middle - first_of_middle + 1 < _FEWEST_LEVELS:
-        return 0.0, float("nan")
+    least = max(_FEWEST_PILED, _LEAST_PILED * values.size)
     first = np.argsort(-counts, kind="stable")[:3]
-    least = max(_FEWEST_PILED, _LEAST_PILED * values.size, _PILED_TIMES * float(counts[first[2]]))
-    piled = counts[first[:2]][counts[first[:2]] > least]
-    return float(piled.sum() / values.size), float(levels[first[0]]) if piled.size else float("nan")
+    ends = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
+    if int(np.ptp(ends)) + 1 >= _FEWEST_LEVELS:
+        piled = [at for at in first[:2] if counts[at] > max(least, _PILED_TIMES * counts[first[2]])]
+    else:
+        piled = [at for at in np.flatnonzero(counts > least) if _is_apart(levels, at)]
+    if not piled:
+        return 0.0, float("nan")
+    return float(counts[piled].sum() / values.size), float(levels[piled[0]])
+
+
+def _is_apart(levels: FloatArray, at: int) -> bool:
+    """Whether a value is farther from all others than three times their range."""
+    others = np.delete(levels, at)
+    return others.size > 1 and float(np.abs(others - levels[at]).min()) > _APART_TIMES * float(np.ptp(others))

@@ -247,7 +247,7 @@ def _of_groups(trend: Trend) -> Iterator[Words]:
 
 def _of_scatters(trend: Trend) -> Iterator[Words]:
     """Levels of groups that scatter more than the others; where there are none, those that scatter less."""
-    plain = [each for each in trend.scatters if each.chance <= FALSE_ALARM]
+    plain = [each for each in trend.scatters if each.chance <= FALSE_ALARM and not each.lo <= 1.0 <= each.hi]
     for name in dict.fromkeys(each.group for each in plain):
         own = [each for each in plain if each.group == name]
         for each in [each for each in own if each.ratio > 1.0] or own:

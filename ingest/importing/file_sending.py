@@ -180,7 +180,7 @@ class FileSending:
         """Its content and names; None if nothing of it was sent."""
         if not self._is_sent:
             return None
-        return ImportedFile(self._content, tuple(sorted({unit for unit, _ in self.owners})), tuple(self.runs))
+        return ImportedFile(self._content, {run: self._units_of(run) for run in self.runs})
 
     @cached_property
     def _content(self) -> str:
@@ -327,9 +327,12 @@ class FileSending:
             if unit not in stored and (run, unit) not in self._group.named and (run, unit) not in self._last_mounted
         }  # fmt: skip
 
+    def _units_of(self, run: str) -> list[str]:
+        return sorted({signal.unit for signal in self._of[run]})
+
     def _note(self, run: str, content: str) -> NoteAdded:
         added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of[run])
-        units = sorted({signal.unit for signal in self._of[run]})
+        units = self._units_of(run)
         text = note_of_import(self.path.name, content, units, added)
         if self._summary.bad_rows:
             text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"

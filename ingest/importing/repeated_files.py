@@ -28,11 +28,10 @@ def note_of_import(name: str, content: str, units: Sequence[str], samples: int) 
 
 
 class ImportedFile(NamedTuple):
-    """A file: its SHA-256, its units and its runs."""
+    """A file: its SHA-256, and its runs with their units."""
 
     content: str
-    units: tuple[str, ...]
-    runs: tuple[str, ...]
+    runs: Mapping[str, Sequence[str]]
 
 
 def repeated_files(catalog: "Catalog", files: Sequence[ImportedFile]) -> list[str | None]:
@@ -45,8 +44,8 @@ def repeated_files(catalog: "Catalog", files: Sequence[ImportedFile]) -> list[st
 
 
 def _warning(file: ImportedFile, stored: Mapping[tuple[str, str], str]) -> str | None:
-    units = _listed(file.units)
-    others = [(of, run, name) for (of, run), name in stored.items() if of != units or run not in file.runs]
+    own = {(_listed(units), run) for run, units in file.runs.items()}
+    others = [(*names, file_name) for names, file_name in stored.items() if names not in own]
     if not others:
         return None
     listed = ", ".join(f"unit {of}, run {run} ({name})" for of, run, name in others[:_LISTED])

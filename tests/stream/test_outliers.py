@@ -31,6 +31,13 @@ def test_what_is_clipped_or_lost_is_a_pile(share: float) -> None:
         assert abs(found - np.mean(values == at)) < 1e-12
 
 
+def test_lost_samples_of_a_coarse_output_are_apart_from_the_others() -> None:
+    values = np.round(np.random.default_rng(6).normal(200.0, 1.0, 1000))
+    assert piled_share(values)[0] == 0.0
+    values[::20] = 0.0
+    assert piled_share(values) == (0.05, 0.0)
+
+
 def test_both_ends_of_a_range_count() -> None:
     values = np.clip(np.random.default_rng(4).standard_normal(2000), -1.0, 1.0)
     assert piled_share(values)[0] == pytest.approx(np.mean(np.abs(values) == 1.0))

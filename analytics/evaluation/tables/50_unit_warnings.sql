@@ -1,20 +1,20 @@
 -- Names that are probably one unit: alike but for letter case, spaces, hyphens, dots and underscores. And units of which
 -- the last run has an output that nothing judges, beside others that are judged. And units with a record that stands
--- under another name as well: as many samples of one output with the same mean and standard deviation to the last digit.
+-- under another name as well: as many samples of one output with the same mean and standard deviation to nine digits.
 create or replace view unit_warnings as
 with copied as (
   select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records
   from step_means left join internal.rate_units r using (unit_of_measure)
   where n >= 30 and sd > 0
     and (is_output_name(signal) or (r.deg_per_h is not null and not is_instrument_name(signal)))
-  group by signal, n, mean, sd having count(distinct (unit, run)) > 1
+  group by signal, n, printf('%.9g %.9g', mean * coalesce(r.deg_per_h, 1), sd * coalesce(r.deg_per_h, 1))
+  having count(distinct (unit, run)) > 1
 ), copy as (
   select distinct own.record as own, other.record as other
   from copied, unnest(records) own(record), unnest(records) other(record) where own.record <> other.record
 ), copies as (
   select own.unit as unit, count(distinct own.run) as runs, list(distinct other.unit order by other.unit) as others,
-    min('run ' || own.run || ' is run ' || other.run || ' of ' || other.unit) as first,
-    min('试验 ' || own.run || ' 即产品 ' || other.unit || ' 的试验 ' || other.run) as first_zh
+    arg_min({own: own.run, unit: other.unit, run: other.run}, (own.run, other.unit, other.run)) as first
   from copy group by own.unit
 ), named as (
   select unit, lower(regexp_replace(unit, '[\s._-]', '', 'g')) as serial
@@ -30,9 +30,11 @@ select n.unit, list_filter(a.names, lambda name: name <> n.unit) as others,
 from named n join alike a using (serial)
 union all
 select unit, list_filter(others, lambda name: name <> unit),
-  'has ' || runs || if(runs = 1, ' run', ' runs') || ' with the samples of another one (' || first
-    || '): one measurement under several names counts several times in verdicts and trends',
-  '有 ' || runs || ' 次试验与另一次采样相同（' || first_zh || '）：同一测量记在多个名下，在判定与趋势中重复计入'
+  'has ' || runs || if(runs = 1, ' run', ' runs') || ' with the samples of another one (run ' || first.own || ' is run '
+    || first.run || ' of ' || first.unit || '): one measurement under several names counts several times in verdicts and '
+    || 'trends',
+  '有 ' || runs || ' 次试验与另一次采样相同（试验 ' || first.own || ' 即产品 ' || first.unit || ' 的试验 ' || first.run
+    || '）：同一测量记在多个名下，在判定与趋势中重复计入'
 from copies
 union all
 select l.unit, [],

@@ -1,14 +1,16 @@
 """Stations, fixtures and lots whose values scatter more, or less, than those of the others."""
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from analytics.trends.series import GROUPS, MetricSeries
-from stream.batch import FloatArray
+from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
+from stream.batch import BoolArray, FloatArray
 
 LEAST_PAIRS = 8
+_FEWEST_OF_DAY = 3
 _CONFIDENCE = 0.95
 
 
@@ -27,41 +29,64 @@ class ScatterDifference(NamedTuple):
 def scatter_differences(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> tuple[ScatterDifference, ...]:
     """Compare the scatter of each level of groups with that of the other levels.
 
-    Values at one level are taken in pairs, in order of time: of one unit where units were measured there again, else of
-    one product, so that neither a step nor a drift of the level widens their differences. The square roots of the
-    distances within pairs, nearly normal, are compared by Welch's test; the ratio is the square of that of their means.
+    Values at one level are taken in pairs. Where units were measured more than once, a pair is of one unit, each value
+    taken from the mean of its day at the level and station; without several values on most days nothing is compared.
+    Else a pair are neighbours in time of one station, fixture, lot and product. So neither a step nor a slow drift widens
+    the differences. The square roots of the distances within pairs, nearly normal, are compared by Welch's test; the
+    ratio is the square of that of their means.
     """
+    is_repeated = len(set(series.unit)) < series.value.size
+    like = zip(*(series.groups.get(name, [""] * series.value.size) for name in (*GROUPS, "product")), strict=True)
+    alike = series.unit if is_repeated else ["\0".join(each) for each in like]
     found: list[ScatterDifference] = []
-    tested = 0
     for group in groups:
-        for is_within_units in (True, False):
-            roots = _roots_of_levels(series, group, series.unit if is_within_units else series.groups.get("product"))
-            if len(roots) < 2:
+        levels = np.array(series.groups[group])
+        value, is_kept = series.value, np.ones(levels.size, np.bool_)
+        if is_repeated:
+            if (off := _within_days(series, levels)) is None:
                 continue
-            for level, own in roots.items():
-                others = np.concatenate([each for name, each in roots.items() if name != level])
-                if own.any() and others.any():
-                    tested += 1
-                    found.append(ScatterDifference(group, level, is_within_units, *_ratio(own, others)))
-            break
-    return tuple(each._replace(chance=min(1.0, each.chance * tested)) for each in found)
+            value, is_kept = off
+        roots = _roots_of_levels(series, levels, alike, value, is_kept)
+        for level, own in roots.items():
+            others = [each for name, each in roots.items() if name != level]
+            if others and own.any() and np.concatenate(others).any():
+                found.append(ScatterDifference(group, level, is_repeated, *_ratio(own, np.concatenate(others))))
+    return tuple(each._replace(chance=min(1.0, each.chance * len(found))) for each in found)
 
 
-def _roots_of_levels(series: MetricSeries, group: str, alike: list[str] | None) -> dict[str, FloatArray]:
+def _roots_of_levels(
+    series: MetricSeries, levels: "np.ndarray[Any, Any]", alike: list[str], value: FloatArray, is_kept: BoolArray
+) -> dict[str, FloatArray]:
     """Square roots of the distances within pairs of values that are alike, of each level with enough of them."""
-    levels = np.array(series.groups[group])
-    kinds = np.zeros(levels.size) if alike is None else np.unique(np.array(alike), return_inverse=True)[1]
+    kinds = np.unique(np.array(alike), return_inverse=True)[1]
     found = {}
     for level in np.unique(levels):
-        own = np.flatnonzero(levels == level)
+        own = np.flatnonzero((levels == level) & is_kept)
         own = own[np.lexsort((series.t_ns[own], kinds[own]))]
         # pairs of neighbours of one kind; of an odd number the last is left over
         begins = np.flatnonzero(np.r_[True, kinds[own][1:] != kinds[own][:-1]])
         place = np.arange(own.size) - np.repeat(begins, np.diff(np.r_[begins, own.size]))
         second = np.flatnonzero(place % 2 == 1)
         if second.size >= LEAST_PAIRS:
-            found[str(level)] = np.sqrt(np.abs(series.value[own[second]] - series.value[own[second - 1]]))
+            found[str(level)] = np.sqrt(np.abs(value[own[second]] - value[own[second - 1]]))
     return found
+
+
+def _within_days(series: MetricSeries, levels: "np.ndarray[Any, Any]") -> tuple[FloatArray, BoolArray] | None:
+    """Values less the mean of their day at their level and station, scaled to the scatter of one, and which have one.
+
+    None where most days have fewer than three values there.
+    """
+    if not series.dated or not series.value.size:
+        return None
+    names = zip(levels.tolist(), series.groups["station"], (series.t_ns // NS_PER_DAY).tolist(), strict=True)
+    numbers: dict[tuple[str, str, int], int] = {}
+    day = np.array([numbers.setdefault(name, len(numbers)) for name in names])
+    counts = np.bincount(day)[day]
+    if np.median(counts) < _FEWEST_OF_DAY:
+        return None
+    off = series.value - (np.bincount(day, series.value) / np.bincount(day))[day]
+    return off / np.sqrt(1.0 - 1.0 / np.maximum(counts, 2)), counts >= _FEWEST_OF_DAY
 
 
 def _ratio(own: FloatArray, others: FloatArray) -> tuple[float, float, float, float]:
@@ -73,4 +98,5 @@ def _ratio(own: FloatArray, others: FloatArray) -> tuple[float, float, float, fl
     relative = np.sqrt((squares / np.array([own.mean(), others.mean()]) ** 2).sum())
     half = float(stdtrit(freedom, 0.5 + _CONFIDENCE / 2) * 2 * relative)
     ratio = float((own.mean() / others.mean()) ** 2)
-    return ratio, ratio * np.exp(-half), ratio * np.exp(half), float(2 * stdtr(freedom, -abs(t)))
+    bounds = (ratio * math.exp(-half), ratio * math.exp(half))
+    return ratio, *bounds, float(2 * stdtr(freedom, -abs(t)))

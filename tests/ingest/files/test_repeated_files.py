@@ -28,3 +28,13 @@ def test_content_that_is_stored_under_another_name_is_warned_of(
     assert warnings("one.csv", "two.csv", "--unit", "A") == []
     assert warnings("copy.csv", "--unit", "B", "--run", "one") == ["unit A, run one (one.csv)"]
     assert warnings("two.csv", "copy.csv", "--unit", "A") == ["unit A, run one (one.csv), unit B, run one (copy.csv)"]
+
+
+def test_a_file_of_several_units_and_runs_is_no_copy_of_itself(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    rows = [
+        f"{i},{unit},{run},{i / 8}" for run, units in (("r1", "AB"), ("r2", "C")) for unit in units for i in range(99)
+    ]
+    (tmp_path / "all.csv").write_text("\n".join(["time[s],unit,run,rate[deg/h]", *rows]) + "\n")
+    done = run_command("import", "all.csv", "--store", "s", "--json", cwd=tmp_path)
+    assert done.code == 0
+    assert not [remark for remark in done.json["files"][0]["remarks"] if "very content" in remark]
