@@ -91,9 +91,9 @@ def piled_share(values: FloatArray) -> tuple[float, float]:
     first = np.argsort(-counts, kind="stable")[:3]
     ends = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
     if int(np.ptp(ends)) + 1 >= _FEWEST_LEVELS:
-        piled = [at for at in first[:2] if counts[at] > max(least, _PILED_TIMES * counts[first[2]])]
+        piled = [int(at) for at in first[:2] if counts[at] > max(least, _PILED_TIMES * counts[first[2]])]
     else:
-        piled = [at for at in np.flatnonzero(counts > least) if _is_apart(levels, at)]
+        piled = [int(at) for at in np.flatnonzero(counts > least) if _is_apart(levels, int(at))]
     if not piled:
         return 0.0, float("nan")
     return float(counts[piled].sum() / values.size), float(levels[piled[0]])
