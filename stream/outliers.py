@@ -14,6 +14,7 @@ _PER_MEDIAN = 1.4826
 _BESIDE = 3
 WORTH_A_WORD = 0.01  # relative increase of N from which outliers are reported
 _FEWEST_LEVELS, _FEWEST_PILED, _LEAST_PILED, _PILED_TIMES, _APART_TIMES = 16, 10, 0.01, 3.0, 3.0
+_MARGIN, _FEWEST_AFTER = 5.0, 5
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
     0
     """
     samples, count, largest, squares, variance = 0, 0, 0.0, 0.0, 0.0
+    last: tuple[float, float] = 0.0, 0.0
     for piece in pieces:
         value = piece[np.isfinite(piece)]
         if value.size <= 2 * _BESIDE or np.ptp(value) == 0.0:
@@ -63,15 +65,28 @@ def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
         samples += value.size
         variance += sigma**2 * value.size
         off = value[1:-1] - 0.5 * (value[:-2] + value[2:])
+        found = []
         for at in np.flatnonzero(np.abs(off) > FAR * np.sqrt(1.5) * sigma) + 1 if sigma > 0 else ():
             around = np.concatenate([value[max(0, at - _BESIDE) : at], value[at + 1 : at + 1 + _BESIDE]])
             if np.ptp(around) < _CALM * abs(off[at - 1]):
-                count += 1
-                squares += float(off[at - 1] ** 2)
-                largest = max(largest, abs(float(off[at - 1])) / float(sigma))
+                found.append(float(off[at - 1]))
+        if samples == value.size:  # the first of all
+            found += filter(None, [_end(value[:4], sigma)])
+        last = _end(value[:-5:-1], sigma), sigma
+        for each in found:
+            count, squares, largest = count + 1, squares + each**2, max(largest, abs(each) / sigma)
+    if last[0]:
+        count, squares, largest = count + 1, squares + last[0] ** 2, max(largest, abs(last[0]) / last[1])
     if count == 0 or count > _MOTION * samples:
         return IsolatedOutliers(0, 0.0, 0.0)
     return IsolatedOutliers(count, largest, float(np.sqrt(1.0 + squares / variance) - 1.0))
+
+
+def _end(values: FloatArray, sigma: float) -> float:
+    """How far the first of four values is from the line through the others, if it is an outlier; else 0."""
+    off = float(values[0] - values[1:].mean() - (values[1] - values[3]))
+    is_far = sigma > 0 and abs(off) > FAR * (10.0 / 3.0) ** 0.5 * sigma
+    return off if is_far and np.ptp(values[1:]) < _CALM * abs(off) else 0.0
 
 
 def piled_share(values: FloatArray) -> tuple[float, float]:
@@ -91,12 +106,20 @@ def piled_share(values: FloatArray) -> tuple[float, float]:
     first = np.argsort(-counts, kind="stable")[:3]
     ends = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
     if int(np.ptp(ends)) + 1 >= _FEWEST_LEVELS:
-        piled = [int(at) for at in first[:2] if counts[at] > max(least, _PILED_TIMES * counts[first[2]])]
+        usual = _PILED_TIMES * float(counts[first[2]])
+        least = max(least, usual + _MARGIN * usual**0.5)  # beyond what counts scatter by
+        piled = [int(at) for at in first[:2] if counts[at] > least]
     else:
         piled = [int(at) for at in np.flatnonzero(counts > least) if _is_apart(levels, int(at))]
-    if not piled:
+    if not piled or _levels_after(values, levels[piled]) < _FEWEST_AFTER:
         return 0.0, float("nan")
     return float(counts[piled].sum() / values.size), float(levels[piled[0]])
+
+
+def _levels_after(values: FloatArray, piled: FloatArray) -> int:
+    """How many values follow upon those of the pile: few where the output is coarse for a part of the record."""
+    is_piled = np.isin(values, piled)
+    return int(np.unique(values[1:][is_piled[:-1] & ~is_piled[1:]]).size)
 
 
 def _is_apart(levels: FloatArray, at: int) -> bool:

@@ -59,7 +59,7 @@ class TypeB:
 
     @cached_property
     def _standards(self) -> dict[str, StationStandards]:
-        found = self._catalog.rows("select run, standards, t_ns, time_zone from internal.run_standards")
+        found = self._catalog.rows("select run, standards, t_ns, time_zone, recorded_ns from internal.run_standards")
         return {run: StationStandards(*stated) for run, *stated in found}
 
     def standards(self, runs: list[str]) -> list[StationStandards]:

@@ -40,18 +40,22 @@ class StationRival:
         """The station as an alternative to a drift over days, of one unit or of all; None where it is none."""
         if not is_of_days(found) or self.levels.shape[1] == 0:
             return None
-        of = np.ones(self.unit.size) if unit is None else (self.unit == self.units.index(unit)).astype(np.float64)
-        drift = self._within((self.day * of)[:, None])
-        left = [self._squares(columns) for columns in (drift, self.levels, np.hstack([self.levels, drift]))]
-        degrees = self.unit.size - len(self.units) - np.linalg.matrix_rank(self.levels) - 1
+        own = (self.unit[:, None] == np.arange(len(self.units))).astype(np.float64)
+        drifts = self._within(self.day[:, None] * own)
+        drift, stays = self._within(self.day[:, None]), self.levels
+        if unit is not None:  # the others may drift by their own
+            at = self.units.index(unit)
+            drift, stays = drifts[:, [at]], np.hstack([self.levels, np.delete(drifts, at, axis=1)])
+        left = [self._squares(columns) for columns in (drift, stays, np.hstack([stays, drift]))]
+        degrees = self.unit.size - len(self.units) - np.linalg.matrix_rank(stays) - 1
         if degrees < _FEWEST_LEFT or min(left) < 0.0:
             return None
-        drifts, stays, both = (degrees * np.log(max(each, 1e-300)) for each in left)
-        if stays - both > _ADDS:
+        of_drift, of_stays, of_both = (degrees * np.log(max(each, 1e-300)) for each in left)
+        if of_stays - of_both > _ADDS:
             return None
         known = StationChange()
         return ConfoundedEffect(
-            name=STATION, parameters={}, evidence_behind=float(stays - drifts), role="alias",
+            name=STATION, parameters={}, evidence_behind=float(of_stays - of_drift), role="alias",
             separating_test=known.separating_test, separating_test_zh=known.separating_test_zh,
         )  # fmt: skip
 

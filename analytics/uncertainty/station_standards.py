@@ -36,6 +36,8 @@ class StationStandards:
         When the run began; None if that is unknown.
     time_zone
         Of the station.
+    recorded_ns
+        When the run was recorded; it began before that.
 
     Examples
     --------
@@ -46,12 +48,15 @@ class StationStandards:
     (50.0, 'the station states none')
     """
 
-    def __init__(self, text: str | None, t_ns: int | None, time_zone: str | None = None) -> None:
+    def __init__(
+        self, text: str | None, t_ns: int | None, time_zone: str | None = None, recorded_ns: int | None = None
+    ) -> None:
         self.entries: list[dict[str, Any]] = []
         with suppress(json.JSONDecodeError, TypeError):  # of another program: nothing is stated
             found = json.loads(text or "[]")
             self.entries = [each for each in found if isinstance(each, dict)]
         self.day = None if t_ns is None else _day(t_ns, time_zone)
+        self._recorded = None if recorded_ns is None else _day(recorded_ns, time_zone)
 
     def quantity(self, name: str) -> StatedQuantity:
         """What is stated of a quantity; of several standards the largest, unknown if any of them is out of date.
@@ -63,9 +68,8 @@ class StationStandards:
         for standard in self.entries:
             for entry in standard.get("quantities", []):
                 if entry.get("quantity") == name:
-                    due = standard.get("calibration_due")
-                    if due and self.day is not None and due < self.day.isoformat():
-                        expired = f"the calibration of {_named(standard)} ended on {due}"
+                    if (ended := self._ended(standard)) is not None:
+                        expired = ended
                     else:
                         freedom = entry.get("freedom")
                         found.append(
@@ -78,6 +82,14 @@ class StationStandards:
         if found and not expired:
             return max(found, key=lambda each: each.u)
         return StatedQuantity(math.nan, math.inf, expired or NOT_STATED)
+
+    def _ended(self, standard: dict[str, Any]) -> str | None:
+        """That the calibration of a standard had ended when the run began, or may have; None where it held."""
+        due, last = standard.get("calibration_due"), self.day or self._recorded
+        if not due or last is None or due >= last.isoformat():
+            return None
+        ended = f"the calibration of {_named(standard)} ended on {due}"
+        return ended if self.day is not None else f"{ended}, and the date of the run is not known"
 
 
 def worst(standards: Collection[StationStandards], name: str) -> StatedQuantity:

@@ -49,7 +49,7 @@ def uncertain_rows(store: Store, records: Sequence[dict[str, Any]]) -> list[dict
         catalog._unfilled.clear()  # else it would fill itself with what the store holds
         define_views(catalog, pa.Table.from_pylist(list(records), schema=step_means(catalog).schema))
         runs = sorted({record["run"] for record in records})
-        of_runs = {"standards": stated_standards(), "time_zone": "UTC", "t_ns": START_NS}
+        of_runs = {"standards": stated_standards(), "time_zone": "UTC", "t_ns": START_NS, "recorded_ns": START_NS}
         catalog.put("run_standards", pa.Table.from_pylist([{"run": run} | of_runs for run in runs]))
         names = dict.fromkeys(metric for metric, _, _ in EXPECTED)
         table = evaluate(catalog, [metrics()[name] for name in names])

@@ -85,7 +85,7 @@ def evaluated(store: Store, records: Records) -> pa.Table:
         catalog._unfilled.clear()  # else it would fill itself with what the store holds
         define_views(catalog, pa.Table.from_pylist(records, schema=step_means(catalog).schema))
         runs = sorted({each["run"] for each in records if each["unit"] == STATED})
-        said = {"standards": standards(), "time_zone": "UTC", "t_ns": START_NS}
+        said = {"standards": standards(), "time_zone": "UTC", "t_ns": START_NS, "recorded_ns": START_NS}
         catalog.put("run_standards", pa.Table.from_pylist([{"run": run} | said for run in runs]))
         return evaluate(catalog, list(metrics().values()))
 

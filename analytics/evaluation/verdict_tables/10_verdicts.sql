@@ -189,7 +189,7 @@ with candidate as materialized (
     end as by_value,
     -- a standard out of date makes no value better than it was while that was valid
     case when v_u_expanded is null then nullif(regexp_extract(uncertainty_reason,
-      'the calibration of ' || '.+' || ' ended on ' || '[0-9-]+'), '') end as expired,
+      'the calibration of ' || '.+?' || ' ended on ' || '[0-9-]+'), '') end as expired,
     case when v_u > 0 and expired is null then
       case when upper is null then 1.0 else student_cdf((upper - v) / v_u, coalesce(v_nu, 1e9)) end
       - case when lower is null then 0.0 else student_cdf((lower - v) / v_u, coalesce(v_nu, 1e9)) end

@@ -179,6 +179,14 @@ def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_
     assert found["up"]["verdict"] == "PASS"
     assert (found["old"]["verdict"], found["old"]["conformity"]) == ("MARGINAL", None)
     assert "RT-17, certificate LL-2026-0117 ended on 2025-03-31, so that nothing states" in found["old"]["reason"]
+    undated = [
+        "import", folder / "still.csv", "--unit", "U2", "--run", "undated", "--procedure", "static_bias", "--position",
+        "IRA_up", "--station", folder / "old.toml",
+    ]  # fmt: skip
+    assert ask(*undated).exit_code == 0
+    (row,) = json.loads(ask("verdicts", "--unit", "U2", "--json").stdout)["verdicts"]
+    assert (row["verdict"], row["conformity"]) == ("MARGINAL", None)
+    assert "ended on 2025-03-31" in row["reason"]
     assert "(type" in ask("verdicts", "--unit", "U1").stdout
 
 
