@@ -94,24 +94,24 @@ def piled_share(values: FloatArray) -> tuple[float, float]:
 
     As of an output that is clipped at an end of its range, or of lost samples that are written as 0: at least 10
     samples and 1 %, and three times as many as the third most frequent value where the middle nine tenths of the
-    samples are at 16 values or more; of a coarser resolution, farther from all others than three times their range. 0
-    and NaN where there is none.
+    samples are at 16 values or more; of any resolution two samples or more, farther from all others than three times
+    their range. 0 and NaN where there is none.
 
     >>> noise = np.random.default_rng(1).standard_normal(1000)
     >>> piled_share(np.minimum(noise, 1.0)), piled_share(noise)[0], piled_share(np.round(noise))[0]
     ((0.126, 1.0), 0.0, 0.0)
     """
     levels, counts = np.unique(values, return_counts=True)
-    least = max(_FEWEST_PILED, _LEAST_PILED * values.size)
-    first = np.argsort(-counts, kind="stable")[:3]
+    piled = [at for at in {0, levels.size - 1} if counts[at] > 1 and _is_apart(levels, at)]
     ends = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
-    if int(np.ptp(ends)) + 1 >= _FEWEST_LEVELS:
+    if not piled and int(np.ptp(ends)) + 1 >= _FEWEST_LEVELS:
+        first = np.argsort(-counts, kind="stable")[:3]
         usual = _PILED_TIMES * float(counts[first[2]])
-        least = max(least, usual + _MARGIN * usual**0.5)  # beyond what counts scatter by
+        # beyond what counts scatter by
+        least = max(_FEWEST_PILED, _LEAST_PILED * values.size, usual + _MARGIN * usual**0.5)
         piled = [int(at) for at in first[:2] if counts[at] > least]
-    else:
-        piled = [int(at) for at in np.flatnonzero(counts > least) if _is_apart(levels, int(at))]
-    if not piled or _levels_after(values, levels[piled]) < _FEWEST_AFTER:
+        piled = piled if piled and _levels_after(values, levels[piled]) >= _FEWEST_AFTER else []
+    if not piled:
         return 0.0, float("nan")
     return float(counts[piled].sum() / values.size), float(levels[piled[0]])
 

@@ -38,6 +38,17 @@ def test_lost_samples_of_a_coarse_output_are_apart_from_the_others() -> None:
     assert piled_share(values) == (0.05, 0.0)
 
 
+def test_two_fill_values_side_by_side_are_a_pile_and_one_at_an_end_is_an_outlier() -> None:
+    values = np.random.default_rng(7).standard_normal(1000)
+    values[500:502] = -9999.0
+    assert piled_share(values) == (0.002, -9999.0)
+    for at in (0, -1):
+        values = np.random.default_rng(8).standard_normal(1000)
+        values[at] = -9999.0
+        assert count_outliers([values]).count == 1
+    assert count_outliers([5.0 * np.arange(1000.0) + np.random.default_rng(9).standard_normal(1000)]).count == 0
+
+
 def test_both_ends_of_a_range_count() -> None:
     values = np.clip(np.random.default_rng(4).standard_normal(2000), -1.0, 1.0)
     assert piled_share(values)[0] == pytest.approx(np.mean(np.abs(values) == 1.0))

@@ -32,8 +32,8 @@ def scatter_differences(series: MetricSeries, groups: tuple[str, ...] = GROUPS) 
     Values at one level are taken in pairs. Where units were measured more than once, a pair is of one unit, each value
     taken from the mean of its day at the level and station; days with few values give no result.
     Else a pair are neighbours in time of one station, fixture, lot and product. So neither a step nor a slow drift
-    widens the differences. The square roots of the distances within pairs, nearly normal, are compared by Welch's test; the
-    ratio is the square of that of their means.
+    widens the differences. The square roots of the distances within pairs, nearly normal, are compared by Welch's
+    test; the ratio is the square of that of their means.
     """
     is_repeated = len(set(series.unit)) < series.value.size
     like = zip(*(series.groups.get(name, [""] * series.value.size) for name in (*GROUPS, "product")), strict=True)
