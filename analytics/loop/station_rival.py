@@ -48,7 +48,7 @@ class StationRival:
             drift, stays = drifts[:, [at]], np.hstack([self.levels, np.delete(drifts, at, axis=1)])
         left = [self._squares(columns) for columns in (drift, stays, np.hstack([stays, drift]))]
         degrees = self.unit.size - len(self.units) - np.linalg.matrix_rank(stays) - 1
-        if degrees < _FEWEST_LEFT or min(left) < 0.0:
+        if degrees < _FEWEST_LEFT:
             return None
         of_drift, of_stays, of_both = (degrees * np.log(max(each, 1e-300)) for each in left)
         if of_stays - of_both > _ADDS:
@@ -71,7 +71,7 @@ class StationRival:
 def station_rival(
     units: Mapping[str, Sequence[RunBlocks]], stations: Mapping[str, Mapping[str, str]], model: ErrorModel
 ) -> StationRival | None:
-    """What stations explain of the runs' constants; None without a run whose station is known.
+    """What stations explain of the runs' constants; None where no run has a whole block.
 
     Parameters
     ----------

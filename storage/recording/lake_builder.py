@@ -57,10 +57,6 @@ class LakeBuilder:
             raise self._failure
 
     def _loop(self) -> None:
-        import os
-
-        if os.environ.get("BN"):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), int(os.environ["BN"]))
         reported = ""
         while True:
             with self._state:

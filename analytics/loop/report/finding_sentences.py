@@ -106,8 +106,10 @@ def alternative(other: ConfoundedEffect, words: Wording) -> str:
     elif abs(other.evidence_behind) < 0.05:
         behind = words.of("equally likely", "可能性相同")
     else:
-        size = f"{other.evidence_behind:.1f}"
+        size = f"{abs(other.evidence_behind):.1f}"
         behind = words.of(f"chi-square lower by {size}", f"卡方少{size}")
+        if other.evidence_behind < 0.0:
+            behind = words.of(f"chi-square higher by {size}", f"卡方多{size}")
     if other.implied is None or other.most is None:
         return f"{name}: {behind}"
     needed, most = (f"{number(each)} {other.implied_unit}" for each in (other.implied, other.most))
