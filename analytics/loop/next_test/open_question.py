@@ -9,7 +9,7 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual, listed
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import EffectKind, Role
-from analytics.loop.effects.events import TURN_ON
+from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.effects.registry import effect, effects
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.search.evidence import look_alike
@@ -42,7 +42,8 @@ def open_question(
     if several is not None:
         return OpenQuestion("which", several, (several.name, *recorded_rivals(several)))
     if (alone := next((each for each in found if each.confounded), None)) is not None:
-        return OpenQuestion("which", alone, (alone.name,), _unrecorded(alone))
+        others = (each.name for each in alone.confounded if each.name == STATION)
+        return OpenQuestion("which", alone, (alone.name, *others), _unrecorded(alone))
     unconfirmed = [each for each in (*seen_once, *found) if within_run or not each.confirmed]
     planned = next((each for each in unconfirmed if is_repeatable(each)), None)
     unknown = next((each for each in found if each.unknown_function_of), None)
@@ -106,6 +107,12 @@ def is_repeatable(found: FoundEffect) -> bool:
 def _unrecorded(found: FoundEffect) -> Bilingual:
     """The others are not recorded, or are not plausible: what to record."""
     absent = [each.name for each in found.confounded if not each.recorded]
+    if any(each.name == STATION for each in found.confounded):
+        other = effect(STATION)
+        return Bilingual(
+            f"The station explains these runs as well. What separates them: {other.separating_test}.",
+            f"试验台同样能解释这些试验。区分方法：{other.separating_test_zh}。",
+        )
     if not absent:
         own = effect(found.name)
         return Bilingual(
