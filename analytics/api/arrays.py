@@ -13,13 +13,13 @@ import numpy.typing as npt
 from analytics.curves.allan_curve import AllanCurve, curve_of_points
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
+from stream.defects.stillness import Stillness
 from stream.errors import BadInput, EstimatorError, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.events import EstimatePoint
-from stream.stillness import Stillness
 
 if TYPE_CHECKING:
     import polars as pl

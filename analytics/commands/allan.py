@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve, Overlap
     from analytics.curves.noise_coefficients import NoiseCoefficients
     from storage.sql.catalog import Catalog
+    from stream.defects.outliers import IsolatedOutliers
     from stream.estimators.base import NoEstimate
-    from stream.outliers import IsolatedOutliers
 
 _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 

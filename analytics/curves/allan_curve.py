@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
+from stream.defects.stillness import Stillness, remark_on_stillness
 from stream.errors import BadInput, NotEnoughData, NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
@@ -15,7 +16,6 @@ from stream.estimators.block_means import BlockMeans
 from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.events import EstimatePoint
-from stream.stillness import Stillness, remark_on_stillness
 
 Overlap = Literal["full", "strided"]
 _Estimator = AllanDeviation | FullOverlap

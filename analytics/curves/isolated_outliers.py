@@ -2,7 +2,7 @@
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, read_signal
-from stream.outliers import IsolatedOutliers, count_outliers
+from stream.defects.outliers import IsolatedOutliers, count_outliers
 
 
 def isolated_outliers(catalog: Catalog, record: SignalRecord) -> IsolatedOutliers:

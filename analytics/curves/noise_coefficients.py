@@ -9,6 +9,7 @@ import numpy as np
 
 from analytics.curves.allan_curve import AllanCurve
 from stream.batch import FloatArray
+from stream.defects.outliers import IsolatedOutliers
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.estimators.noise.noise_misfit import SIGNIFICANCE
@@ -21,7 +22,6 @@ from stream.estimators.noise.noise_model import (
     term_columns,
 )
 from stream.events import EstimatePoint
-from stream.outliers import IsolatedOutliers
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.terminal.result_table import ResultTable
 

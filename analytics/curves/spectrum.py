@@ -15,12 +15,12 @@ from analytics.curves.humps import Hump, find_humps, independent_bins
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
+from stream.defects.stillness import Stillness, remark_on_stillness
 from stream.errors import BadInput, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
 from stream.estimators.spectrum.spectral_lines import GUARD_BINS, SpectralLine, background_edf, hann_response
-from stream.stillness import Stillness, remark_on_stillness
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01

@@ -13,12 +13,13 @@ from analytics.loop.model.declared_noise import run_constants
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.tracing.fleet import FleetDiagnosis
 from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 
 _DAY_NS = 86_400 * 10**9
 _ADDS = 6.63  # chi-square of one degree of freedom, 1 %
 _FEWEST_UNITS = 3  # on either side of a change, which a jump of one of them would imitate
 _FEWEST_LEFT = 3  # degrees of freedom
+_MOST_CHANGES = 60  # of one station that are tried
 
 
 @dataclass(frozen=True)
@@ -40,14 +41,17 @@ class StationRival:
         """The station as an alternative to a drift over days, of one unit or of all; None where it is none."""
         if not is_of_days(found) or self.levels.shape[1] == 0:
             return None
-        own = (self.unit[:, None] == np.arange(len(self.units))).astype(np.float64)
-        drifts = self._within(self.day[:, None] * own)
-        drift, stays = self._within(self.day[:, None]), self.levels
-        if unit is not None:  # the others may drift by their own
+        day, y = within_units(self.day[:, None], self.unit), within_units(self.value[:, None], self.unit)
+        degrees = self.unit.size - len(self.units) - np.linalg.matrix_rank(self.levels) - 1
+        if unit is None:
+            left = [squares_left(each, y) for each in (day, self.levels, np.hstack([self.levels, day]))]
+        else:  # the others may drift by their own
             at = self.units.index(unit)
-            drift, stays = drifts[:, [at]], np.hstack([self.levels, np.delete(drifts, at, axis=1)])
-        left = [self._squares(columns) for columns in (drift, stays, np.hstack([stays, drift]))]
-        degrees = self.unit.size - len(self.units) - np.linalg.matrix_rank(stays) - 1
+            degrees -= len(self.units) - 1
+            left = [squares_left(day * (self.unit == at)[:, None], y)]
+            for drifting in (np.arange(len(self.units)) != at, np.ones(len(self.units), np.bool_)):
+                levels, rest = (self._without_drifts(each, day[:, 0], drifting) for each in (self.levels, y))
+                left.append(squares_left(levels, rest))
         if degrees < _FEWEST_LEFT:
             return None
         of_drift, of_stays, of_both = (degrees * np.log(max(each, 1e-300)) for each in left)
@@ -59,13 +63,12 @@ class StationRival:
             separating_test=known.separating_test, separating_test_zh=known.separating_test_zh,
         )  # fmt: skip
 
-    def _within(self, columns: FloatArray) -> FloatArray:
-        """Columns less their means over the runs of each unit."""
-        return within_units(columns, self.unit)
-
-    def _squares(self, columns: FloatArray) -> float:
-        y = self._within(self.value[:, None])[:, 0]
-        return squares_left(columns, y)
+    def _without_drifts(self, columns: FloatArray, day: FloatArray, drifting: BoolArray) -> FloatArray:
+        """Columns less their drift over days in each of the `drifting` units."""
+        squares = np.bincount(self.unit, day**2, len(drifting))
+        products = np.array([np.bincount(self.unit, day * each, len(drifting)) for each in columns.T]).T
+        slopes = np.where((drifting & (squares > 0.0))[:, None], products / np.maximum(squares, 1e-300)[:, None], 0.0)
+        return np.asarray(columns - slopes[self.unit] * day[:, None])
 
 
 def station_rival(
@@ -102,11 +105,12 @@ def _change(
     unit: IntArray, day: FloatArray, station: IntArray, value: FloatArray, levels: FloatArray
 ) -> FloatArray | None:
     """Column of the change of one station that explains most of the constants; None where too few units cross any."""
-    y = within_units(value[:, None], unit)[:, 0]
+    y = within_units(value[:, None], unit)
     found: list[tuple[float, FloatArray]] = []
     for number in np.unique(station):
         own = station == number
-        for since in np.unique(np.floor(day[own]))[1:]:
+        days = np.unique(np.floor(day[own]))[1:]
+        for since in days[:: 1 + len(days) // _MOST_CHANGES]:
             after = own & (day >= since)
             crossing = np.intersect1d(unit[after], unit[own & ~after])
             if crossing.size >= _FEWEST_UNITS:
@@ -122,14 +126,16 @@ def is_of_days(found: FoundEffect) -> bool:
 
 def within_units(columns: FloatArray, unit: IntArray) -> FloatArray:
     """Columns less their means over the rows of each unit."""
-    own = (unit[:, None] == np.unique(unit)).astype(np.float64)
-    return np.asarray(columns - own @ ((own.T @ columns) / own.sum(axis=0)[:, None]))
+    counts = np.maximum(np.bincount(unit), 1)
+    means = np.zeros((counts.size, columns.shape[1]))
+    for at, each in enumerate(columns.T):
+        means[:, at] = np.bincount(unit, each) / counts
+    return np.asarray(columns - means[unit])
 
 
 def squares_left(columns: FloatArray, value: FloatArray) -> float:
-    """Sum of squares that a least-squares fit leaves."""
-    fitted = columns @ np.linalg.lstsq(columns, value, rcond=None)[0]
-    return float(np.sum((value - fitted) ** 2))
+    """Sum of squares of a column that a least-squares fit of others leaves."""
+    return float(np.sum((value - columns @ np.linalg.lstsq(columns, value, rcond=None)[0]) ** 2))
 
 
 def with_station(diagnosis: Diagnosis, rival: StationRival | None, unit: str) -> Diagnosis:

@@ -15,7 +15,7 @@ from analytics.step_records.record_noise import (
 )
 from analytics.step_records.scatter import Average, scatter_freedom, scatter_of_averages
 from stream.batch import FloatArray, IntArray
-from stream.outliers import count_outliers, piled_share
+from stream.defects.outliers import count_outliers, piled_share
 
 AVERAGES_S = (1.0, 10.0, 100.0)
 _ROUNDING = 1e-14  # relative; a hundred times that of a number

@@ -9,6 +9,7 @@ import numpy as np
 
 from stream.batch import SampleBatch
 from stream.decoding import converted, decode_json
+from stream.defects.stillness import Stillness, remark_on_stillness
 from stream.errors import GyrofleetError
 from stream.estimators.allan_variance import OVERLAP, AllanDeviation
 from stream.estimators.base import NoEstimate, PointEstimator
@@ -18,7 +19,6 @@ from stream.estimators.decision.decision import AllanDecision, BiasStabilityDeci
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EarlyDecision, EstimatePoint, EstimatePublished, Limit, LimitsApplied
 from stream.quantities import conversion
-from stream.stillness import Stillness, remark_on_stillness
 from stream.worker.limit_checks import ALLAN_DEVIATION, ANGLE_RANDOM_WALK, estimator_key, remark_on_lack
 from stream.worker.recent_samples import RecentSamples
 

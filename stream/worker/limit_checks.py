@@ -11,6 +11,7 @@ from uuid import UUID, uuid5
 
 import msgspec
 
+from stream.defects.stillness import remark_on_stillness
 from stream.duration import duration
 from stream.errors import UnknownUnit
 from stream.events import (
@@ -26,7 +27,6 @@ from stream.events import (
     VerdictGiven,
 )
 from stream.quantities import conversion
-from stream.stillness import remark_on_stillness
 
 ANGLE_RANDOM_WALK = "angle_random_walk"
 ALLAN_DEVIATION = "allan_deviation"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stream.batch import FloatArray
-from stream.outliers import count_outliers, piled_share
+from stream.defects.outliers import count_outliers, piled_share
 
 
 def coarse(seed: int) -> FloatArray:

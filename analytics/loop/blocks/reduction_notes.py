@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray
-from stream.outliers import IsolatedOutliers
+from stream.defects.outliers import IsolatedOutliers
 
 LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 

@@ -75,12 +75,23 @@ class PeriodicLine(Effect):
         return np.asarray((amplitude * turning).real)
 
 
-class TurnOnScatter(Effect):
+class _Constant(Effect):
+    """A constant within a run, another in others."""
+
+    needs = ()
+    kind = EffectKind.EVENT
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        return np.ones((len(run), 1))
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        return np.full(time_s.size, float(coefficients[0]))
+
+
+class TurnOnScatter(_Constant):
     """One constant per run. It is noise and not searched for, but may explain a difference between runs."""
 
     name, en, zh = TURN_ON, "turn-on scatter", "逐次启动散布"
-    needs = ()
-    kind = EffectKind.EVENT
     cause = (
         "Each power-on leaves the loop, the source or the suspension in a slightly different state. The bias then "
         "differs from run to run by an amount that no recorded channel predicts."
@@ -90,19 +101,11 @@ class TurnOnScatter(Effect):
     separating_test = "power on six times or more with temperature, position and supply held"
     separating_test_zh = "保持温度、位置和供电不变，重复上电六次以上"
 
-    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
-        return np.ones((len(run), 1))
 
-    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
-        return np.full(time_s.size, float(coefficients[0]))
-
-
-class StationChange(Effect):
+class StationChange(_Constant):
     """A constant for each station and period. It is no effect of a unit, and may explain a drift over days."""
 
     name, en, zh = STATION, "a difference between stations or a change of one", "试验台之间的差异或某台的变化"
-    needs = ()
-    kind = EffectKind.EVENT
     cause = (
         "A fixture that was levelled anew, another reference or a moved table shifts what all units read there from "
         "one day on."
@@ -114,9 +117,3 @@ class StationChange(Effect):
         "`gyrofleet trend bias --by station` shows the changes of each"
     )
     separating_test_zh = "同日在另一试验台测量同一产品或基准产品；gyrofleet trend bias --by station 显示各台的变化"
-
-    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
-        return np.ones((len(run), 1))
-
-    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
-        return np.full(time_s.size, float(coefficients[0]))

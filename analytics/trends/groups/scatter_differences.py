@@ -11,6 +11,7 @@ from stream.batch import BoolArray, FloatArray
 
 LEAST_PAIRS = 8
 _FEWEST_OF_DAY = 3
+_MOST_LEVELS = 200
 _CONFIDENCE = 0.95
 
 
@@ -41,6 +42,8 @@ def scatter_differences(series: MetricSeries, groups: tuple[str, ...] = GROUPS) 
     found: list[ScatterDifference] = []
     for group in groups:
         levels = np.array(series.groups[group])
+        if np.unique(levels).size > _MOST_LEVELS:
+            continue
         value, is_kept = series.value, np.ones(levels.size, np.bool_)
         if is_repeated:
             if (off := _within_days(series, levels)) is None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gyrofleet as gf
-from stream.stillness import Stillness
+from stream.defects.stillness import Stillness
 
 
 @given(st.lists(st.sampled_from([0.0, 1.0, np.nan]), min_size=1, max_size=60), st.lists(st.integers(0, 60), max_size=5))

@@ -1,0 +1,1 @@
+"""What is wrong with samples: outputs that stand still, outliers, values that stand for lost samples."""
