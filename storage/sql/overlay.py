@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from storage.lake.tables import TABLES
 from storage.sql.columns import rows_of
-from storage.sql.deferred import DeferredDefinitions, words_of
+from storage.sql.deferred import DeferredDefinitions, named_by, words_of
 from storage.sql.sandbox.guard import plain_message
 from storage.sql.views import defer_views
 from stream.closing import Closing
@@ -80,7 +80,7 @@ class Overlay(Closing):
                 cursor.register("live_events_rows", events)
                 cursor.execute(_OF_RUNS.format(lake=lake, kinds="('" + "', '".join(kinds) + "')"))
                 for table in TABLES.keys() - {"channels", "events"}:
-                    cursor.execute(f"create view internal.lake_{table} as from {lake}.lake_{table}")
+                    self._deferred.add(f"create or replace view internal.lake_{table} as from {lake}.lake_{table}")
                 defer_views(self._deferred, self._cursor)
                 self._deferred.define(["lake_channels"])  # a table, which gets those of other runs below
                 for table in same:
@@ -88,7 +88,7 @@ class Overlay(Closing):
                 for table, statement in kept.items():
                     if table in same:
                         continue
-                    self._deferred.define(words_of(statement))
+                    self._deferred.define(named_by(statement))
                     cursor.execute(_KEPT.format(name=table, statement=statement, lake=lake))
                 cursor.execute(_WHOLE.format(lake=lake))
         except BaseException:

@@ -38,6 +38,7 @@ class LiveRows:
     def __init__(self, version: int = 0, documents: int = 0) -> None:
         self.version, self.documents = version, documents
         self._channels: dict[str, dict[tuple[object, ...], ChannelRow]] = {}  # by segment
+        self._columns: dict[str, pa.Table] = {}  # of those to which no message has come since
         self._events: dict[str, list[pa.Table]] = {}
         self._new_events: dict[str, list[dict[str, Any]]] = {}  # not columns yet
         self._in_lake: dict[str, float] = {}  # segments, and since when
@@ -67,6 +68,7 @@ class LiveRows:
         except GyrofleetError:
             return  # quarantined when the lake is built
         channel.add(content, record.arrival_ns)
+        self._columns.pop(segment, None)
         self._has_news = True
 
     def publish(self) -> None:
@@ -85,15 +87,23 @@ class LiveRows:
         self._in_lake = {each: self._in_lake.get(each, now_s) for each in known if each in in_lake}
         for segment in [each for each, since_s in self._in_lake.items() if now_s - since_s > _KEPT_S]:
             self._channels.pop(segment, None)
+            self._columns.pop(segment, None)
             self._events.pop(segment, None)
 
     def beyond(self, in_lake: Collection[str]) -> RowTables:
         """Rows of the segments that are not in a version of the lake, as of the last `publish`."""
-        channels = [own for segment, own in self._channels.items() if segment not in in_lake]
-        rows = [channel.row() for own in channels for channel in own.values()]
-        schema = TABLES["channels"]
-        columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+        channels = [self._channel_rows(segment) for segment in self._channels if segment not in in_lake]
         events = [table for segment, own in self._events.items() if segment not in in_lake for table in own]
-        return RowTables(
-            pa.Table.from_arrays(columns, schema=schema), pa.concat_tables([TABLES["events"].empty_table(), *events])
-        )
+        return RowTables(_joined("channels", channels), _joined("events", events))
+
+    def _channel_rows(self, segment: str) -> pa.Table:
+        found = self._columns.get(segment)
+        if found is None:
+            schema, rows = TABLES["channels"], [channel.row() for channel in self._channels[segment].values()]
+            columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+            found = self._columns[segment] = pa.Table.from_arrays(columns, schema=schema)
+        return found
+
+
+def _joined(name: str, tables: list[pa.Table]) -> pa.Table:
+    return pa.concat_tables([TABLES[name].empty_table(), *tables])

@@ -1,7 +1,7 @@
 """Units: all of them by name, and one with its runs, metrics, verdicts and error models."""
 
-import time
-from typing import Any, Literal, TypedDict
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, NamedTuple, TypedDict
 
 import msgspec
 
@@ -10,9 +10,10 @@ from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import Name, Paged, dictionaries, iso, page_of
 from analytics.serve.api.unit.certificates import CertificateRow, certificates_of
 from analytics.serve.api.unit.models import ModelRow, models_of
+from analytics.serve.live.fresh_views import Recorded
 from stream.errors import NotFound
 
-_SHARED_S = 1.0
+_NOTHING = Recorded()
 _UNITS = """
 with named as (
   select distinct run, unnest(from_json(document->'$.units', '["varchar"]')) as unit
@@ -171,7 +172,7 @@ class UnitDocument(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/units", table="units", sees_log=True)
 def list_units(call: Call, asked: UnitsAsked) -> Units:
     """All units by name: their product, lot, last run and its verdict."""
-    found = [unit for unit in _all_units(call).values() if _is_asked(unit, asked)]
+    found = [unit for unit in _all_units(call) if _is_asked(unit, asked)]
     rows, has_more = page_of([row for row in found if row["unit"] > asked.after], asked.limit)
     units = [_unit_row(row) for row in rows]
     parameters = msgspec.to_builtins(asked) | {"after": units[-1].unit if units else None}
@@ -229,31 +230,50 @@ def _judged(call: Call, name: str) -> dict[str, Any]:
 
 def unit_row(call: Call, name: str) -> UnitRow:
     """A unit; NotFound names similar ones."""
-    every = _all_units(call, most_s=_SHARED_S)
-    if name not in every:
-        every = _all_units(call)
+    every = _units_but_newest(call).rows
     if name not in every:
         raise NotFound(f"unit {name!r} is not in the store; {alike(name, list(every), 'units are')}")
-    return _unit_row(every[name])
+    return _unit_row(_all_units(call, [name])[0])
 
 
 def _unit_row(row: dict[str, Any]) -> UnitRow:
     return UnitRow(**row, measured=iso(row["measured_ns"]), recorded=iso(row["recorded_ns"]))
 
 
-def _all_units(call: Call, *, most_s: float = 0.0) -> dict[str, dict[str, Any]]:
-    """Units by name, in order, as they are or were at most so long ago.
+def _all_units(call: Call, names: Iterable[str] | None = None) -> list[dict[str, Any]]:
+    """Units by name, all by default."""
+    then, now = _units_but_newest(call), call.fresh.recorded
+    if then.recorded is now:
+        return [then.rows[name] for name in names or then.rows]
+    found = []
+    for name in names or then.rows:
+        row, before, after = then.rows[name], then.recorded.get(name, _NOTHING), now.get(name, _NOTHING)
+        if after.samples > before.samples:
+            row = row | {
+                "samples": row["samples"] + after.samples - before.samples,
+                "measured_ns": row["measured_ns"] and max(row["measured_ns"], after.t_last_ns),  # no date known: none
+                "recorded_ns": max(row["recorded_ns"] or 0, after.arrival_last_ns),
+            }
+        found.append(row)
+    return found
 
-    All are found once for each version: one takes as long.
+
+class _Units(NamedTuple):
+    rows: dict[str, dict[str, Any]]
+    recorded: Mapping[str, Recorded]  # what the log had of them then
+
+
+def _units_but_newest(call: Call) -> _Units:
+    """Units by name, in order, as they were when the last document or channel came: more of the same channels may have
+    come since, of which beside a recorder there always is.
     """
 
-    def find() -> dict[str, dict[str, Any]]:
+    def find() -> _Units:
         rows = dictionaries(call.fresh, f"from ({_UNITS}) order by unit")
-        return {row["unit"]: row for row in rows if row["unit"]}
+        return _Units({row["unit"]: row for row in rows if row["unit"]}, call.fresh.recorded)
 
-    # beside a recorder there is always something newer
-    version = f"within {time.monotonic() // most_s}" if most_s else str(call.state.log_version)
-    found: dict[str, dict[str, Any]] = call.service.memo.result(("units", call.state.documents_tag, version), find)
+    key = ("units", call.state.documents_tag, call.fresh.channels)
+    found: _Units = call.service.memo.result(key, find)
     return found
 
 
