@@ -34,6 +34,7 @@ class Verification(msgspec.Struct, frozen=True):
     """Result of a verification.
 
     `compared` segments were verified before and are compared by SHA-256 alone: those of the attestation `since`.
+    `has_values` says whether the values of the lake were compared with the log, and not only its files hashed.
     """
 
     store: str
@@ -46,6 +47,7 @@ class Verification(msgspec.Struct, frozen=True):
     seconds: float
     compared: int = 0
     since: str = ""
+    has_values: bool = False
 
     @property
     def is_sound(self) -> bool:

@@ -15,7 +15,7 @@ from stream.delivery.publisher import DurablePublisher
 from stream.delivery.spool import Spool
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
-from stream.status.reporter import on_bus
+from stream.status.proven_status import on_bus
 from stream.terminal.console import notes
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals

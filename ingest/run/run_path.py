@@ -17,7 +17,7 @@ from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError, WireError
 from stream.events import AnyDocument, EarlyDecision, VerdictGiven
 from stream.identity import Place, estimate_key
-from stream.status.reporter import on_bus
+from stream.status.proven_status import on_bus
 from stream.status.role_status import RoleStatus
 from stream.terminal.console import Stop, notes
 from stream.transport.zenoh_bus import ZenohBus

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from stream.errors import BadInput, StoreError
+from stream.file_modes import fault_of_secret
 
 _HEX_DIGITS = 16
 
@@ -33,12 +34,11 @@ class SigningKey:
         if path.exists() and not path.is_file():
             raise BadInput(f"--key {path}: it is no file; give another path, where a key is made if there is none")
         try:
-            mode = path.stat().st_mode & 0o777
-            content = path.read_bytes()
+            fault, content = fault_of_secret(path), path.read_bytes()
         except OSError as error:
             raise BadInput(f"--key {path}: cannot be read: {error.strerror}") from error
-        if mode & 0o077:
-            raise BadInput(f"--key {path}: others can read it (mode {mode:o}); `chmod 600 {path}`, or make a new key")
+        if fault:
+            raise BadInput(f"--key {path}: {fault}, or make a new key")
         try:
             key = load_pem_private_key(content, password=None)
         except (ValueError, TypeError) as error:

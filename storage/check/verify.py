@@ -6,8 +6,11 @@ from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import msgspec
+
 from storage.attestation.comparison import own_findings
 from storage.attestation.verified_state import VerifiedState
+from storage.check.lake_values import value_findings
 from storage.check.verify_lake import lasting_problems
 from storage.check.verify_log import LogState, verify_log
 from storage.findings import Finding, Severity, Verification
@@ -30,20 +33,27 @@ Check = Callable[[Store], Iterable[Finding]]
 
 
 def verify(
-    store: Store, progress: Callable[[float], None] | None = None, since: VerifiedState | None = None
-) -> tuple[Verification, LogState]:
+    store: Store, progress: Callable[[float], None] | None = None, since: VerifiedState | None = None,
+    *, with_values: bool = False,
+) -> tuple[Verification, LogState]:  # fmt: skip
     """Report what is wrong in the sealed part of a store, without changes; `progress` gets the fraction read.
+
+    Of the lake the files are hashed; `with_values` its rows are compared with those that the log gives as well.
 
     Of segments that were verified `since`, the SHA-256 is compared. They are read too as soon as one of them is not
     there as it was, or anything is damaged or lost: what the log documents in them may explain it.
     """
     began = time.monotonic()
     found, state = _verify(store, progress, since, began)
-    if since is None:
-        return found, state
-    is_whole = since.segments.keys() <= state.compared
-    if not is_whole or any(finding.severity in _TO_BE_EXPLAINED for finding in found.findings):
-        return _verify(store, progress, None, began)
+    if since is not None:
+        is_whole = since.segments.keys() <= state.compared
+        if not is_whole or any(finding.severity in _TO_BE_EXPLAINED for finding in found.findings):
+            found, state = _verify(store, progress, None, began)
+    if with_values:
+        more = _run_check(lambda: value_findings(store, progress or (lambda _done: None)), store.lake)
+        found = msgspec.structs.replace(
+            found, findings=(*found.findings, *more), has_values=True, seconds=time.monotonic() - began
+        )
     return found, state
 
 

@@ -46,6 +46,10 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 )  # fmt: skip
 @click.option("--signed-by", default="", metavar="FINGERPRINT", help="Only of this key the attestation counts.")
 @click.option(
+    "--values", "with_values", is_flag=True,
+    help="Also compare every value of the lake with the log: it takes as long as building the lake.",
+)  # fmt: skip
+@click.option(
     "--lake", "url", metavar="s3://BUCKET/PREFIX", help="Verify the lake published there; with --store by its log too."
 )
 @endpoint_option
@@ -59,14 +63,17 @@ def verify(
     url: str | None,
     endpoint_url: str | None,
     *,
+    with_values: bool,
     as_json: bool,
 ) -> None:
     """Read everything in the store and report what is wrong, where, and the remedy; nothing is changed.
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
-    gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
-    models in use and the copies of the specifications, whose documents in the log form an unbroken chain, and the
-    store's own attestations (`gyrofleet attest`). Of a fleet store every plant is verified. With --since the segments
+    gap that the log does not document, the files of the lake are those that were made of these segments, the
+    estimators' checkpoints, the error models in use and the copies of the specifications, whose documents in the log
+    form an unbroken chain, agree with the log, and so do the store's own attestations (`gyrofleet attest`). Of a fleet
+    store every plant is verified. Whoever can write the store can also write a lake whose hashes are right: with
+    --values the lake is made again of the log, and its rows are compared. With --since the segments
     that were verified before an attestation (`gyrofleet attest --verify`) are compared by their SHA-256 and not read
     again, unless something is damaged or lost. With
     --lake every object of a published lake is read and compared with its manifest, with --store also with the log.
@@ -86,6 +93,8 @@ def verify(
     if signed_by and against is None and since is None:
         raise BadInput("--signed-by names the key of an attestation; give it by --against FILE or --since FILE")
     if is_fleet(folder):
+        if with_values:
+            raise BadInput(f"--values is of one plant: give --store {folder}/plants/NAME")
         if against is not None or since is not None:
             raise BadInput(f"an attestation is of one plant: give --store {folder}/plants/NAME")
         _verify_fleet(folder, as_json=as_json)
@@ -94,7 +103,9 @@ def verify(
     before = None if since is None else _verified(store, since, signed_by)
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {folder}", total=1.0)
-        found, _ = verify_store(store, lambda done: progress.update(task, completed=done), before)
+        found, _ = verify_store(
+            store, lambda done: progress.update(task, completed=done), before, with_values=with_values
+        )
     if against is not None:
         attestation = read_attestation(against)
         roots = None if timestamp_root is None else read_roots(timestamp_root)
@@ -152,7 +163,7 @@ def _stamp_of(attestation: "Attestation", roots: "list[Certificate] | None") -> 
 def _print_findings(findings: "Sequence[Finding]") -> None:
     if not findings:
         return
-    table = ResultTable("", "where", "what", "what `gyrofleet recover` does")
+    table = ResultTable("", "where", "what", "remedy")
     shown: Counter[str] = Counter()
     for finding in findings:
         shown[finding.kind] += 1
@@ -171,6 +182,8 @@ def _print_counts(found: "Verification", what: str = "the store") -> None:
         f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "
         + (f"{what} is sound" if found.is_sound else f"{what} is NOT sound")
     )
+    if found.parts and not found.has_values and what == "the store":
+        results().print("the lake's files were hashed, its values not compared with the log: --values compares them")
 
 
 def _verify_lake(url: str, endpoint_url: str | None, folder: Path | None, *, as_json: bool) -> NoReturn:

@@ -29,6 +29,7 @@ from stream.events import (
     StoreNoted,
     encode_event,
 )
+from stream.file_modes import fault_of_secret
 from stream.identity import Place
 from stream.wire.acknowledgement import StreamId
 
@@ -133,6 +134,8 @@ def _secret(store: Store) -> bytes:
                 file.write(token_bytes(_BYTES))
                 file.flush()
                 os.fsync(file.fileno())
+        if fault_of_secret(path):
+            path.chmod(0o600)
         secret = path.read_bytes()
     except OSError as error:
         raise StoreError(f"{path} cannot be read or written: {error}; free space or repair the disk") from error

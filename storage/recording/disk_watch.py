@@ -6,10 +6,12 @@ from storage.segments.disk import Disk
 
 _RESERVE_BYTES = 256 << 20
 _RESERVE_SHARE = 0.05
-_EARLY_H = 24.0
 _EARLY_RESERVES = 10
 _LOOK_EVERY_S = 1.0
-_RATE_OVER_S = 60.0
+_MARK_EVERY_S = 10.0
+# over how long the disk has filled, and for how many hours there is room at that rate: one large file fills no disk
+_SOON = ((60.0, 0.5), (600.0, 4.0), (3600.0, 24.0))
+_OVER = 2.0  # so many times that long, and the warning is over
 
 
 class DiskWatch:
@@ -38,16 +40,31 @@ class DiskWatch:
         return None, self._warning(now, space.free, room)
 
     def _warning(self, now: float, free: int, room: str) -> str | None:
-        self._marks = [(at, was) for at, was in self._marks if now - at <= _RATE_OVER_S] + [(now, free)]
-        since, was = self._marks[0]
-        rate = max(0.0, (was - free) / (now - since)) if now - since >= _RATE_OVER_S / 2 else 0.0
-        hours = (free - self.reserve_bytes) / rate / 3600 if rate > 0.0 else None
-        is_low = free < _EARLY_RESERVES * self.reserve_bytes or (hours is not None and hours < _EARLY_H)
-        had_warned, self._has_warned = self._has_warned, is_low
-        if had_warned or not is_low:
+        if not self._marks or now - self._marks[-1][0] >= _MARK_EVERY_S:
+            longest_s = _SOON[-1][0] + _MARK_EVERY_S
+            self._marks = [(at, was) for at, was in self._marks if now - at <= longest_s] + [(now, free)]
+        had_warned, times = self._has_warned, _OVER if self._has_warned else 1.0
+        soon = [
+            (hours, over_s) for over_s, within_h in _SOON
+            if (hours := self._hours_left(now, free, over_s)) is not None and hours < times * within_h
+        ]  # fmt: skip
+        self._has_warned = free < times * _EARLY_RESERVES * self.reserve_bytes or bool(soon)
+        if had_warned or not self._has_warned:
             return None
-        forecast = "" if hours is None else f", enough for {hours:.3g} h at the rate of the last minute"
+        forecast = ""
+        if soon:
+            hours, over_s = min(soon)
+            forecast = f", enough for {hours:.3g} h at the rate of the last {over_s / 60:.0f} min"
         return f"the disk is running full: {room}{forecast}"
+
+    def _hours_left(self, now: float, free: int, over_s: float) -> float | None:
+        """Until the reserve is reached at the rate of the last `over_s`; None if unknown, or if nothing is written."""
+        before = [mark for mark in self._marks if now - mark[0] >= over_s]
+        if not before:
+            return None
+        since, was = before[-1]
+        rate = (was - free) / (now - since)
+        return (free - self.reserve_bytes) / rate / 3600 if rate > 0.0 else None
 
     def has_room_again(self) -> bool:
         """Whether twice the reserve is free, for hysteresis."""

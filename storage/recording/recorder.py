@@ -27,6 +27,7 @@ from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
 from stream.security.proof import SourceVerifier, credentials_of
+from stream.status.proven_status import received_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import SILENT_AFTER_S, STATUS_KEY, Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
@@ -80,6 +81,7 @@ class Recorder(Closing):
         self._arrived_ns = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
+        self._ending: str | None = None  # of the certificate
         self._synced_at = self._troubled_at = time.monotonic()
         self._builder = LakeBuilder(store, on_warning) if builds_lake else None
         self._turned_at = time.monotonic()
@@ -87,9 +89,9 @@ class Recorder(Closing):
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
         self._service = RecorderService(store, bus, self.settle, owners)
-        board, self._began_ns = StatusBoard(store), time.time_ns()
-        bus.subscribe(STATUS_KEY, board.on_message)
-        self._status = StatusReporter(self.status, board.put) if reports_status else None
+        self._board, self._sources, self._began_ns = StatusBoard(store), sources, time.time_ns()
+        bus.subscribe(STATUS_KEY, self._on_status)
+        self._status = StatusReporter(self.status, self._board.put) if reports_status else None
 
     def status(self) -> RoleStatus:
         """What is recorded since its start, and what keeps it from recording."""
@@ -102,8 +104,13 @@ class Recorder(Closing):
         numbers = {f"{name}_total": float(getattr(counts, name)) for name in (*names, "segments")}
         numbers |= {"clock_steps_back_total": float(counts.backwards), "queue_bytes": float(self._incoming_bytes)}
         numbers |= {"free_bytes": float(self._watch.free_bytes), "last_message_seconds": self._arrived_ns / 1e9}
-        trouble = str(failure) if failure else paused
+        if self._credentials is not None:
+            numbers |= self._credentials.numbers
+        trouble = str(failure) if failure else paused or self._certificate_trouble() or ""
         return new_status(Role.RECORD, self._began_ns, state=state, trouble=trouble, numbers=numbers)
+
+    def _certificate_trouble(self) -> str | None:
+        return None if self._credentials is None else self._credentials.trouble
 
     def end(self) -> None:
         """Write what has arrived and seal the log; `close` then completes the lake."""
@@ -168,6 +175,13 @@ class Recorder(Closing):
             self._received += 1
             if len(self._incoming) == 1:
                 self._state.notify_all()
+
+    def _on_status(self, _key: str, payload: bytes) -> None:
+        try:
+            self._board.put(*received_status(payload, self._sources))
+        except GyrofleetError as error:
+            self.counts.rejected += 1
+            self.counts.rejections.append(f"a status: {str(error)[:500]}")
 
     def _write_loop(self) -> None:
         trouble: OSError | None = None
@@ -272,6 +286,9 @@ class Recorder(Closing):
         if warning is not None:
             self._warn(warning)
             self._reports.append("disk_low", warning, {})
+        ending, self._ending = self._ending, self._certificate_trouble()
+        if self._ending not in {None, ending}:
+            self._warn(str(self._ending))
         if full is not None:
             self._seal()
             self._pause(full, self._watch.has_room_again)

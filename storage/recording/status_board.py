@@ -26,23 +26,22 @@ class StatusBoard:
         self._lock = threading.Lock()
         self._names: set[str] = set()
 
-    def put(self, status: RoleStatus) -> None:
-        """Keep a status in place of the role's last one."""
+    def put(self, status: RoleStatus, by: str = "") -> None:
+        """Keep a status in place of the role's last one; with security there is one of each certificate."""
+        name = status.file_name_of(by) if by else status.file_name
         with self._lock, suppress(OSError):
             if not self._names:
                 self._folder.mkdir(exist_ok=True)
                 self._names = {path.name for path in _files(self._folder) if not _forgotten(path)}
-            if status.file_name not in self._names and len(self._names) >= _MOST_FILES:
+            if name not in self._names and len(self._names) >= _MOST_FILES:
                 return
-            self._names.add(status.file_name)
+            self._names.add(name)
             kept = msgspec.structs.replace(status, kept_ns=uptime_ns(), kept_boot=boot())
-            with replacement(self._folder / status.file_name) as fresh:
+            with replacement(self._folder / name) as fresh:
                 fresh.write_bytes(encode_status(kept))
-
-    def on_message(self, _key: str, payload: bytes) -> None:
-        """Keep what a role sent over the bus; what is no status is left out."""
-        with suppress(WireError):
-            self.put(decode_status(payload))
+            if by and status.file_name in self._names:  # from before the recorder had security
+                self._names.discard(status.file_name)
+                (self._folder / status.file_name).unlink(missing_ok=True)
 
 
 def read_statuses(store: Store) -> list[RoleStatus]:

@@ -5,6 +5,7 @@ So a source numbers its messages per stream (a key expression and an epoch) and 
 acknowledges that it is on disk. At least once on the wire, exactly once in the log.
 """
 
+import datetime as dt
 import threading
 import time
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from stream.wire.acknowledgement import StreamId, decode_acknowledgement
 from stream.wire.event_validation import decode_received
 
 _TICK_S = 0.25
+_SILENT_S, _ASK_AGAIN_S = 15.0, 30.0
 
 
 class Sender(Protocol):
@@ -67,6 +69,8 @@ class DurablePublisher:
         self._event_seq: dict[str, int] = {}
         self._by_key: dict[str, OutgoingStream] = {}
         self._is_reported = self._is_loading = self._closed = False
+        self._silence: str | None = None  # of the recorder, and why
+        self._asks_at = 0.0
         self._numbering = threading.Lock()
         self._lock = threading.Lock()
         self._state = threading.Condition(self._lock)
@@ -93,13 +97,16 @@ class DurablePublisher:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Messages that no recorder has acknowledged, and those sent again, for a status."""
-        return {"outstanding_messages": float(self.outstanding), "resent_total": float(self.resent)}
+        """Messages that no recorder has acknowledged, those sent again, the end of the certificate, for a status."""
+        found = {"outstanding_messages": float(self.outstanding), "resent_total": float(self.resent)}
+        return found if self._credentials is None else found | self._credentials.numbers
 
     @property
     def warning(self) -> str | None:
         """Current warning, for people; None if there is none."""
-        return (self._spool.failure if self._spool is not None else None) or self._out.warning
+        failure = self._spool.failure if self._spool is not None else None
+        ending = None if self._credentials is None else self._credentials.trouble
+        return failure or self._out.warning or self._silence or ending
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
         """Send samples under `key`; waits while the window, or the spool, is full.
@@ -242,6 +249,9 @@ class DurablePublisher:
         self._state.wait(0.1)
 
     def _why_refused(self) -> str:
+        ending = None if self._credentials is None else self._credentials.trouble
+        if ending is not None:
+            return f"; {ending}"
         return self._bus.why_refused() if isinstance(self._bus, Admitted) else ""
 
     def _check(self) -> None:
@@ -287,6 +297,7 @@ class DurablePublisher:
                         tick_at = now + tick_s
                         chunk += self._out.overdue(now)
                     chunk += self._out.next_chunk()
+                    self._look_at_silence(now)
                 chunk += self._load()
                 for stream, held in chunk:
                     self._publish(stream, held.payload)
@@ -297,6 +308,22 @@ class DurablePublisher:
                             self._out.behind[stream] = None
         except GyrofleetError as error:
             self.fail(str(error))
+
+    def _look_at_silence(self, now: float) -> None:
+        """Find out why nobody acknowledges anything, in a thread of its own: the answer takes seconds."""
+        silent_s = now - self._out.progress_at
+        if silent_s < _SILENT_S or not self._out.count() or self._out.is_paused():
+            self._silence, self._asks_at = None, 0.0
+        elif now >= self._asks_at:
+            self._asks_at = now + _ASK_AGAIN_S
+            since = dt.datetime.now(dt.UTC) - dt.timedelta(seconds=silent_s)
+
+            def ask() -> None:
+                why = self._why_refused() or "; is `gyrofleet record` running where this source is connected to?"
+                if self._asks_at:
+                    self._silence = f"no recorder has acknowledged anything since {since:%H:%M:%S} UTC{why}"
+
+            threading.Thread(target=ask, name="gyrofleet-silence", daemon=True).start()
 
     def _can_load(self) -> bool:
         is_waiting = self._spool is not None and self._spool.waiting > 0

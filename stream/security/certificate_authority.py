@@ -22,6 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import BadInput
+from stream.file_modes import fault_of_secret
 from stream.security.access import ACCESS_FILE, AccessList
 from stream.security.credentials import CERTIFICATE, KEY, SITE_CERTIFICATE
 from stream.security.rights import Principal, Role, principal_named, principal_of
@@ -65,6 +66,8 @@ class Site:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         try:
+            if fault := fault_of_secret(folder / _CA_KEY):
+                raise BadInput(f"{folder / _CA_KEY}: {fault}")
             key = serialization.load_pem_private_key((folder / _CA_KEY).read_bytes(), None)
             self._certificate = x509.load_pem_x509_certificate((folder / SITE_CERTIFICATE).read_bytes())
         except OSError as error:

@@ -2,15 +2,16 @@
 
 import datetime as dt
 import os
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stream.errors import BadInput, BusError
+from stream.file_modes import fault_of_secret
 from stream.security.access import ACCESS_FILE, AccessList, read_access_list
 from stream.security.rights import Principal, Role, principal_of
 
@@ -23,18 +24,55 @@ SITE_CERTIFICATE, CERTIFICATE, KEY = "ca.pem", "certificate.pem", "key.pem"
 
 @dataclass(frozen=True, eq=False)
 class Credentials:
-    """What a principal proves itself with; `until` is the end of its certificate, `site` a digest of the site's key."""
+    """What a principal proves itself with; its certificate is valid from `since` until `until`.
+
+    `site` is a digest of the site's key.
+    """
 
     folder: Path
     principal: Principal
     key: "EllipticCurvePrivateKey"
     access: AccessList
+    since: dt.datetime
     until: dt.datetime
     site: str
 
     def describe(self) -> str:
         """Who this side is, for messages."""
         return f"this side is {self.principal}, its certificate ends on {self.until:%Y-%m-%d %H:%M} UTC"
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """When the certificate ends, for a status; the newest in its folder, which new links are made with."""
+        return {"certificate_ends_seconds": self._dates()[1].timestamp()}
+
+    @property
+    def trouble(self) -> str | None:
+        """That the certificate has ended, or ends within a tenth of its time; None before that."""
+        since, until = self._dates()
+        now = dt.datetime.now(dt.UTC)
+        if until - now > (until - since) / 10:
+            return None
+        is_over = until <= now
+        when = f"{'ended' if is_over else 'ends'} on {until:%Y-%m-%d %H:%M} UTC"
+        effect = "no new link is made with it; " if is_over else ""
+        return f"the certificate of {self.principal} {when}; {effect}{_renewal(self.principal, self.folder)}"
+
+    def _dates(self) -> tuple[dt.datetime, dt.datetime]:
+        path = self.folder / CERTIFICATE
+        try:
+            status = path.stat()
+            return _dates_of(path, (status.st_mtime_ns, status.st_size, status.st_ino))
+        except (OSError, ValueError):
+            return self.since, self.until
+
+
+@lru_cache(maxsize=100)
+def _dates_of(path: Path, _stamp: tuple[int, int, int]) -> tuple[dt.datetime, dt.datetime]:
+    from cryptography import x509
+
+    certificate = x509.load_pem_x509_certificate(path.read_bytes())
+    return certificate.not_valid_before_utc, certificate.not_valid_after_utc
 
 
 def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Credentials:
@@ -50,9 +88,8 @@ def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Crede
 
     folder = _folder_of(path, roles)
     try:
-        mode = stat.S_IMODE((folder / KEY).stat().st_mode)
-        if mode & 0o077:
-            raise BusError(f"{folder / KEY} can be read by others (mode {mode:o}): chmod 600 {folder / KEY}")
+        if fault := fault_of_secret(folder / KEY):
+            raise BusError(f"{folder / KEY}: {fault}")
         key = load_pem_private_key((folder / KEY).read_bytes(), None)
         certificate = x509.load_pem_x509_certificate((folder / CERTIFICATE).read_bytes())
         site = x509.load_pem_x509_certificate((folder / SITE_CERTIFICATE).read_bytes())
@@ -79,14 +116,19 @@ def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Crede
     if certificate.not_valid_after_utc <= dt.datetime.now(dt.UTC):
         raise BusError(
             f"the certificate of {principal} ended on {certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; "
-            f"`gyrofleet site renew SITE {principal.common_name}`, and copy {folder}"
+            f"{_renewal(principal, folder)}"
         )
     if principal.role not in roles:
         able = " or ".join(roles)
         raise BusError(f"{folder} is of {principal}; this command needs a certificate of role {able}")
     access = read_access_list(folder / ACCESS_FILE, site_key)
     digest = sha256(site_key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)).hexdigest()
-    return Credentials(folder, principal, key, access, certificate.not_valid_after_utc, digest)
+    since, until = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    return Credentials(folder, principal, key, access, since, until, digest)
+
+
+def _renewal(principal: Principal, folder: Path) -> str:
+    return f"`gyrofleet site renew SITE {principal.common_name}`, and copy {folder}"
 
 
 def _folder_of(path: Path, roles: tuple[Role, ...]) -> Path:

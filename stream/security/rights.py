@@ -97,10 +97,10 @@ def rights_of(principal: Principal) -> Rights:
         case Role.ESTIMATOR:
             return Rights((_ESTIMATES, _COMPENSATED, f"{ROOT}/*/*/event", *asks), (EVERYTHING, *answered))
         case Role.APPROVER:
-            return Rights((*_STORE_KEYS, *asks), answered)
+            return Rights((*_STORE_KEYS, _REQUEST), answered)
         case Role.RECORDER:
             return Rights(
-                (ACKNOWLEDGEMENT_KEY, _REPLIES, *_STORE_KEYS, *asks),
+                (ACKNOWLEDGEMENT_KEY, _REPLIES, *_STORE_KEYS, _REQUEST),
                 (EVERYTHING, *asks, *answered),
                 answers=(_REPLICATION, ACCESS_KEY),
             )

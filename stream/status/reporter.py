@@ -8,8 +8,7 @@ import msgspec
 
 from stream.closing import Closing
 from stream.errors import GyrofleetError
-from stream.status.role_status import STATUS_KEY, RoleState, RoleStatus, encode_status
-from stream.transport.bus import Bus
+from stream.status.role_status import RoleState, RoleStatus
 
 REPORT_EVERY_S = 1.0
 
@@ -59,8 +58,3 @@ def served(address: str | None, collect: Collect) -> AbstractContextManager[obje
     from stream.status.endpoint import StatusEndpoint
 
     return StatusEndpoint(address, collect)
-
-
-def on_bus(bus: Bus) -> Callable[[RoleStatus], None]:
-    """A `put` that sends a status to the recorder."""
-    return lambda status: bus.publish(STATUS_KEY, encode_status(status))

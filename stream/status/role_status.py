@@ -82,8 +82,11 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
         """Name of its file, of nothing that the role chose; a store has one recorder and one builder."""
         if self.role in {Role.RECORD, Role.LAKE}:
             return f"{self.role}-role.json"
-        digest = hashlib.sha256(f"{self.role}/{self.host}/{self.name}".encode()).hexdigest()[:16]
-        return f"{self.role}-{digest}.json"
+        return self.file_name_of(f"{self.host}/{self.name}")
+
+    def file_name_of(self, owner: str) -> str:
+        """Name of the file of a role by its owner."""
+        return f"{self.role}-{hashlib.sha256(f'{self.role}/{owner}'.encode()).hexdigest()[:16]}.json"
 
     @property
     def age_s(self) -> float:

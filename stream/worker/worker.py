@@ -13,7 +13,9 @@ from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
 from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
-from stream.status.reporter import StatusReporter, on_bus
+from stream.security.proof import credentials_of
+from stream.status.proven_status import on_bus
+from stream.status.reporter import StatusReporter
 from stream.status.role_status import Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId
@@ -86,7 +88,7 @@ class EstimationWorker(Closing):
         self._taken_at: float | None = None  # when the message in work arrived
         self._state = threading.Condition()
         self._closing = self._killed = False
-        self._began_ns = time.time_ns()
+        self._began_ns, self._credentials = time.time_ns(), credentials_of(bus)
         self._thread = threading.Thread(target=self._loop, name="gyrofleet-estimators", daemon=True)
         # subscribed before the log is read, so that no message between the two is missed
         bus.subscribe(EVERYTHING, self._on_message)
@@ -104,9 +106,12 @@ class EstimationWorker(Closing):
             numbers["queue_bytes"] = float(self._incoming_bytes)
         numbers["lag_seconds"] = 0.0 if oldest is None else time.monotonic() - oldest
         state = RoleState.WORKING if failure is None else RoleState.FAILED
-        return new_status(
-            Role.ESTIMATE, self._began_ns, state=state, trouble="" if failure is None else str(failure), numbers=numbers
-        )
+        ending = None
+        if self._credentials is not None:
+            numbers |= self._credentials.numbers
+            ending = self._credentials.trouble
+        trouble = ending or "" if failure is None else str(failure)
+        return new_status(Role.ESTIMATE, self._began_ns, state=state, trouble=trouble, numbers=numbers)
 
     def close(self) -> None:
         """Process what came, write a checkpoint, stop, and raise what had stopped it; unfinished runs resume."""

@@ -25,7 +25,7 @@ def made(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, dict[str
 
 def check(gyrofleet: Command, store: Path, answers: dict[str, Any], *, where: str = "true") -> None:
     """The store is sound and gives the rows of then."""
-    assert gyrofleet("verify", "--store", store, "--json").json["sound"]
+    assert gyrofleet("verify", "--store", store, "--values", "--json").json["sound"]
     for name, asked in answers.items():
         rows = gf.open_store(store).sql(f"from ({asked['statement']}) where {where}").polars().to_dicts()
         assert len(rows) == len(asked["rows"]) > 0, name

@@ -26,6 +26,7 @@ from analytics.serve.doors.roles import Person, Role
 from stream.atomic_file import write_durably
 from stream.decoding import converted
 from stream.errors import BadInput
+from stream.file_modes import fault_of_rules
 from stream.toml_text import decode_toml
 
 RoleWord = Literal["viewer", "operator", "engineer", "approver"]
@@ -108,7 +109,9 @@ class UsersFile:
 
 
 def read_users(path: Path) -> dict[str, User]:
-    """Users of a file by name; BadInput names the fault."""
+    """Users of a file by name; BadInput names the fault. Whoever could write it could let anybody in."""
+    if fault := fault_of_rules(path):
+        raise BadInput(f"the file of users {path}: {fault}")
     try:
         content = decode_toml(path.read_bytes(), _Content)
     except msgspec.MsgspecError as error:

@@ -1,0 +1,137 @@
+"""A lake whose values were changed, and whose hashes were made to fit, is found: its rows are compared with the log."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from storage.check.lake_values import value_findings
+from storage.check.verify_lake import lake_problems
+from storage.lake.builder import builder_lock
+from storage.lake.compaction import compact
+from storage.lake.lake import Lake
+from storage.lake.tables import footer_digest
+from storage.manifests.lake import read_manifest, write_manifest
+from storage.manifests.part import read_part, write_part
+from storage.segments.disk import sha256_of
+from storage.store import Store
+from tests.storage.conftest import Filler
+from tests.storage.lake.exported_views import LATER_NS
+from tests.storage.lake.test_compaction import documented as documented
+
+# of each table a change that an answer would show
+CHANGES = {
+    "samples": ("above", 50), "channels": ("scale", 0.25), "rollup_1s": ("mean", 1e-3), "rollup_10s": ("lo", -1.0),
+    "events": ("document", "NoteAdded"), "estimates": ("value", 0.01), "clocks": ("delay_least_ns", 1),
+}  # fmt: skip
+
+
+def forge(store: Store, part: str, table: str, change: Callable[[pa.Table], pa.Table]) -> None:
+    """Write a table of a part anew, with the hashes that belong to it."""
+    folder = store.lake / part
+    path = folder / f"{table}.parquet"
+    pq.write_table(change(pq.read_table(path)), path, compression="zstd")
+    with path.open("rb") as file:
+        footer = footer_digest(file)
+
+    def with_file(described: Any) -> Any:
+        fitting = {"bytes": path.stat().st_size, "sha256": sha256_of(path), "footer": footer}
+        files = described.files | {path.name: msgspec.structs.replace(described.files[path.name], **fitting)}
+        return msgspec.structs.replace(described, files=files)
+
+    write_part(folder, with_file(read_part(folder)))
+    manifest = read_manifest(store, with_sources=True)
+    parts = tuple(with_file(each) if each.name == part else each for each in manifest.parts)
+    write_manifest(store, msgspec.structs.replace(manifest, parts=parts))
+
+
+def changed(table: pa.Table, column: str, by: float | str) -> pa.Table:
+    """The table with another value in a row of that column."""
+    values = table.column(column).to_pylist()
+    at = next(index for index in range(len(values) // 2, len(values)) if values[index] is not None)
+    values[at] = values[at].replace(by, "x") if isinstance(by, str) else values[at] + by
+    place = table.schema.get_field_index(column)
+    return table.set_column(place, table.schema.field(place), pa.array(values, table.schema.field(place).type))
+
+
+def merged(filler: Filler) -> Store:
+    """A store whose days are one part each."""
+    filler.build()
+    with builder_lock(filler.store):
+        list(compact(Lake(filler.store), now_ns=LATER_NS))
+    return filler.store
+
+
+def test_a_lake_that_was_not_touched_has_the_values_of_the_log(documented: Filler) -> None:
+    documented.build()
+    assert list(value_findings(documented.store)) == []
+    assert list(value_findings(merged(documented))) == []
+
+
+@pytest.mark.in_gate("samples", "rollup_1s", "channels")
+@pytest.mark.parametrize("table", CHANGES)
+def test_a_changed_value_is_found_in_each_table(documented: Filler, table: str) -> None:
+    store = merged(documented)
+    part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
+    forge(store, part, table, lambda rows: rows)
+    assert list(value_findings(store)) == [], "the same rows in another file"
+    forge(store, part, table, lambda rows: changed(rows, *CHANGES[table]))
+    assert list(lake_problems(store)) == [], "the hashes fit"
+    (finding,) = value_findings(store)
+    assert (finding.kind, finding.where) == ("lake_differs", str(store.lake / part / f"{table}.parquet"))
+    assert finding.what.startswith(("1 of its rows", "2 of its rows"))
+
+
+@pytest.mark.in_gate("events")
+@pytest.mark.parametrize("table", ["samples", "events", "rollup_1s"])
+def test_a_row_that_is_lost_or_there_twice_is_found(documented: Filler, table: str) -> None:
+    store = merged(documented)
+    part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
+    forge(store, part, table, lambda rows: rows.slice(1))
+    assert [each.kind for each in value_findings(store)] == ["lake_differs"]
+    forge(store, part, table, lambda rows: pa.concat_tables([rows, rows.slice(rows.num_rows - 1)]))
+    assert [each.kind for each in value_findings(store)] == ["lake_differs"]
+
+
+@pytest.mark.long
+def test_two_values_exchanged_are_found(documented: Filler) -> None:
+    store = merged(documented)
+    part = read_manifest(store).parts[0].name
+
+    def exchanged(rows: pa.Table) -> pa.Table:
+        above = np.array(rows.column("above"))
+        first, second = 100, 100 + int(np.argmax(above[100:] != above[100]))
+        above[[first, second]] = above[[second, first]]
+        place = rows.schema.get_field_index("above")
+        return rows.set_column(place, rows.schema.field(place), pa.array(above, pa.int32()))
+
+    forge(store, part, "samples", exchanged)
+    (finding,) = value_findings(store)
+    assert "2 of its rows" in finding.what
+
+
+def test_the_command_says_what_was_compared(documented: Filler, gyrofleet: Any) -> None:
+    store = merged(documented)
+    documented.release()
+    forge(store, read_manifest(store).parts[0].name, "samples", lambda rows: changed(rows, "above", 50))
+    plain = gyrofleet("verify", "--store", store.folder)
+    assert plain.code == 0
+    assert "its values not compared with the log: --values" in plain.out
+    done = gyrofleet("verify", "--store", store.folder, "--values", "--json")
+    assert (done.code, done.json["sound"], done.json["has_values"]) == (1, False, True)
+    assert [each["kind"] for each in done.json["findings"]] == ["lake_differs"]
+
+
+def test_parts_without_raw_rows_or_segments_are_compared_as_far_as_they_go(documented: Filler) -> None:
+    store = merged(documented)
+    documented.release()
+    first, *_ = read_manifest(store).parts
+    (store.log / f"{first.segments[0]}.mcap").rename(store.folder / "away")
+    kinds = [(each.kind, each.severity.value) for each in value_findings(store)]
+    assert kinds == [("lake_not_compared", "note")]
+    assert Path(store.folder / "away").exists()
