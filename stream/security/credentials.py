@@ -43,7 +43,10 @@ class Credentials:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """When the certificate ends, for a status; the newest in its folder, which new links are made with."""
+        """When the certificate ends, for a status.
+
+        Who connects makes new links with the newest in its folder, who listens has the one that it started with.
+        """
         return {"certificate_ends_seconds": self._dates()[1].timestamp()}
 
     @property
@@ -60,6 +63,8 @@ class Credentials:
 
     def _dates(self) -> tuple[dt.datetime, dt.datetime]:
         path = self.folder / CERTIFICATE
+        if self.principal.role.listens:
+            return self.since, self.until
         try:
             status = path.stat()
             return _dates_of(path, (status.st_mtime_ns, status.st_size, status.st_ino))
@@ -128,7 +133,8 @@ def load_credentials(path: Path, roles: tuple[Role, ...] = tuple(Role)) -> Crede
 
 
 def _renewal(principal: Principal, folder: Path) -> str:
-    return f"`gyrofleet site renew SITE {principal.common_name}`, and copy {folder}"
+    start = ", then start it again" if principal.role.listens else ""
+    return f"`gyrofleet site renew SITE {principal.common_name}`, and copy {folder}{start}"
 
 
 def _folder_of(path: Path, roles: tuple[Role, ...]) -> Path:

@@ -40,9 +40,9 @@ MAY_PUBLISH = {
     "station:c2": {"other samples", "other events", "compensated"} | _ASK,
     "estimator:e1": {"estimate", "other estimate", "compensated", "own events", "other events", "store events",
                      "entered"} | _ASK,
-    "approver:lead": {"store events", "entered"} | _ASK,
+    "approver:lead": {"store events", "entered", "request"},
     "fleet:head": set(),
-    "recorder:recorder": {"store events", "entered"} | _CONTROL | _ASK,
+    "recorder:recorder": {"store events", "entered", "request"} | _CONTROL,
 }  # fmt: skip
 _RECORDED = set(KEYS) - _CONTROL - _ASK - {"elsewhere"}
 MAY_READ = {
