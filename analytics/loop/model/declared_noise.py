@@ -1,5 +1,6 @@
 """Initial noise where none is declared: from a unit's own Allan fits, and the scatter of its bias over runs."""
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ _KEYS = ("angle_random_walk", "bias_instability", "rate_random_walk")
 _QUANTILE = 0.25
 _OF_LIMIT = 1.0 / 3.0
 _NORMAL_PER_MAD = 1.4826
+_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal number
 _RATES = ("input_rate", "table_rate")
 _MOST_DRIVEN = (
     4.0  # above this ratio of variances, whole and left of a line in the rate, a run's Allan fit is of motion
@@ -29,12 +31,14 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     """Noise coefficients of a unit from the Allan fits of its runs in the store, or why there are none.
 
     An Allan deviation contains the effects as well as the noise: of several runs the lower quartile is taken; of a term
-    that a run does not show, a third of its upper bound. Fits with a misfit above a quarter do not count, nor do runs
-    in which the unit was rotated: their Allan deviation is that of the motion, a million times the noise. The turn-on
-    scatter is that of the runs' constants beside the declared model by least squares (1.4826 times the median distance
-    from the median); of a single run it is unknown, and the bias instability is taken instead. Flicker and random walk
-    appear at long averaging times only, where a short run shows its effects: they are taken from the runs at least half
-    as long as the longest of those whose fits count. A power-on within a run has the fit of the whole run.
+    that a run does not show, a third of its upper bound. White noise that no run shows, as in means of a minute, where
+    it shares the least values of the curve with flicker, is at least what differences of neighbouring blocks show.
+    Fits with a misfit above a quarter do not count, nor do runs in which the unit was rotated: their Allan deviation is
+    that of the motion, a million times the noise. The turn-on scatter is that of the runs' constants beside the
+    declared model by least squares (1.4826 times the median distance from the median); of a single run it is unknown,
+    and the bias instability is taken instead. Flicker and random walk appear at long averaging times only, where a
+    short run shows its effects: they are taken from the runs at least half as long as the longest of those whose fits
+    count. A power-on within a run has the fit of the whole run.
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
@@ -73,6 +77,10 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
         float(np.quantile([_value(fit[key]) for fit in those], _QUANTILE))
         for key, those in zip(_KEYS, fits_of, strict=True)
     )
+    if not any(fit[_KEYS[0]]["observable"] for fit in usable.values()):
+        shown = _white_of_blocks([run for run in runs if {run.run, run.whole_run} & usable.keys()])
+        most = max(float(fit[_KEYS[0]]["hi"]) for fit in usable.values())
+        white = max(white, min(shown, most))
     return with_turn_on(GivenNoise(white, flicker, walk, None), runs, model)
 
 
@@ -122,6 +130,16 @@ def _is_turned(run: RunBlocks) -> bool:
         left = value - rate * (rate @ value) / (rate @ rate)
         return bool(value @ value > _MOST_DRIVEN * (left @ left))
     return False
+
+
+def _white_of_blocks(runs: Sequence[RunBlocks]) -> float:
+    """White noise that the differences of neighbouring blocks show, deg/sqrt(h); 0 where there are none.
+
+    By the median of their squares, which the few differences at a step or a power-on do not move.
+    """
+    squares = np.concatenate([[], *(np.diff(run.value) ** 2 * run.block_s / 3600.0 for run in runs)])
+    squares = squares[np.isfinite(squares)]
+    return math.sqrt(float(np.median(squares)) / (2.0 * _MEDIAN_OF_SQUARE)) if squares.size else 0.0
 
 
 def _value(coefficient: dict[str, Any]) -> float:
