@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analytics.loop.blocks.inside import Inside
 from analytics.loop.blocks.pieces import Grid
 from analytics.loop.blocks.run_blocks import HARMONICS, Channel, ComplexArray
 from analytics.loop.blocks.signal_blocks import SignalBlocks
@@ -44,9 +45,10 @@ class StandardUnit(NamedTuple):
     factor: float = 1.0
     offset: float = 0.0
 
-    def channel(self, mean: FloatArray, spread: FloatArray) -> Channel:
+    def channel(self, mean: FloatArray, spread: FloatArray, inside: Inside | None = None) -> Channel:
         """A channel of stored values."""
-        return Channel(mean * self.factor + self.offset, spread * abs(self.factor), self.name)
+        moved = None if inside is None else inside.scaled(self.factor, self.offset)
+        return Channel(mean * self.factor + self.offset, spread * abs(self.factor), self.name, inside=moved)
 
     def is_impossible(self, value: FloatArray) -> BoolArray:
         """Whether stored values are temperatures below absolute zero, such as the fill value -999."""
@@ -102,7 +104,12 @@ def joined_blocks(signal: SignalBlocks, found: SignalBlocks, unit: StandardUnit,
     if not is_same.all():
         between = interpolated(signal.centre_s, Readings(found.centre_s, found.mean), tolerance_s)
         mean = np.where(is_same, mean, between)
-    return unit.channel(mean, spread)
+    inside = found.inside
+    if inside is not None:
+        rows = np.full(len(found.slot), -1)
+        rows[at[is_same]] = np.flatnonzero(is_same)
+        inside = inside.at(rows)
+    return unit.channel(mean, spread, inside)
 
 
 def joined_readings(signal: SignalBlocks, readings: Readings, unit: StandardUnit, tolerance_s: float) -> Channel:

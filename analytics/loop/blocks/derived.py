@@ -74,7 +74,8 @@ def with_motion(
     if "input_rate" not in channels and np.isfinite(along).any():
         if table is not None:
             spread = table.spread * np.abs(np.nan_to_num(along))
-            channels["input_rate"] = Channel(table.mean * along, spread, table.unit_of_measure)
+            inside = None if table.inside is None else table.inside.scaled(along)
+            channels["input_rate"] = Channel(table.mean * along, spread, table.unit_of_measure, inside=inside)
         elif np.isfinite(commanded).any():
             channels["input_rate"] = Channel(commanded * along, none, "deg/s")
     if "table_acceleration" not in channels and table is not None and table.unit_of_measure == "deg/s":

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from analytics.loop.blocks.inside import Inside
 from stream.batch import BoolArray, FloatArray, IntArray
 
 STANDARD_CHANNELS = (
@@ -34,11 +35,13 @@ class Channel:
     unit_of_measure: str
     # of an angle, shape (HARMONICS, blocks): mean of exp(1j*k*angle), k = 1, 2, ...; `mean` is unwrapped
     phasors: ComplexArray | None = None
+    inside: Inside | None = None  # of the blocks in which it moves, where its readings are more than one a block
 
     def part(self, rows: BoolArray | slice) -> "Channel":
         """The channel at some of the blocks."""
         phasors = None if self.phasors is None else self.phasors[:, rows]
-        return Channel(self.mean[rows], self.spread[rows], self.unit_of_measure, phasors)
+        inside = None if self.inside is None else self.inside.part(rows, self.mean.size)
+        return Channel(self.mean[rows], self.spread[rows], self.unit_of_measure, phasors, inside)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analytics.loop.blocks.inside import Inside, inside_of
 from analytics.loop.blocks.pieces import Grid, Pieces, SignalKey, pieces_of
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
@@ -37,6 +38,7 @@ class SignalBlocks:
     far_reading: FloatArray  # that outlier, else NaN
     lowest: FloatArray  # reading
     farthest: float = 0.0  # outlier of the run; 0 where there is none
+    inside: Inside | None = None  # pieces of the blocks in which the signal moves
 
 
 def block_means(
@@ -83,11 +85,12 @@ def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
     for at in np.flatnonzero(far)[np.argsort(beyond[far], kind="stable")]:  # the farthest of a block comes last
         far_reading[number[at]] = extreme[at]
     is_far = np.isfinite(far_reading)
+    mean, spread = total(pieces.n * pieces.mean) / weight, np.sqrt(total(pieces.m2) / weight + between)
     return SignalBlocks(
         slot=slot[first],
         n=weight,
-        mean=total(pieces.n * pieces.mean) / weight,
-        spread=np.sqrt(total(pieces.m2) / weight + between),
+        mean=mean,
+        spread=spread,
         centre_s=total(pieces.n * ((pieces.t_ns - t0_ns) / 1e9)) / weight,
         first_s=np.minimum.reduceat(since_ns, first) / 1e9,
         last_s=np.maximum.reduceat(pieces.end_ns - t0_ns, first) / 1e9,
@@ -96,6 +99,7 @@ def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
         far_reading=far_reading,
         lowest=np.minimum.reduceat(pieces.lo, first),
         farthest=float(extreme[np.where(far, beyond, -np.inf).argmax()]) if is_far.any() else 0.0,
+        inside=inside_of(number, pieces.n, pieces.mean, pieces.m2, (mean, spread, is_far)),
     )
 
 

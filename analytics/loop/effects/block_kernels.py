@@ -1,10 +1,11 @@
 """Kernels: means over a block of functions of a channel, and filters over blocks at uneven times.
 
-The readings within a block are assumed normally distributed; at zero spread the function of the mean results. Filters
-count gaps and blocks without a reading by their true duration.
+The readings within a block, or within each second of one in which the channel moves, are assumed normally distributed;
+at zero spread the function of the mean results. Filters count gaps and blocks without a reading by their true duration.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +38,12 @@ def mean_excess(channel: Channel, limit: float) -> FloatArray:
     >>> mean_excess(Channel(np.array([1.0, 3.0, 2.0]), np.array([0.0, 0.0, 1.0]), "deg/s"), 2.0).round(3)
     array([0.   , 1.   , 0.399])
     """
-    over, spread = channel.mean - limit, np.maximum(channel.spread, _LEAST_SPREAD)
-    return np.asarray(over * _below(over / spread) + spread * _density(over / spread))
+
+    def excess(mean: FloatArray, spread: FloatArray) -> FloatArray:
+        over = mean - limit
+        return over * _below(over / spread) + spread * _density(over / spread)
+
+    return block_means(channel, excess)
 
 
 def share_above(channel: Channel, limit: float) -> FloatArray:
@@ -47,7 +52,7 @@ def share_above(channel: Channel, limit: float) -> FloatArray:
     >>> share_above(Channel(np.array([1.0, 3.0, 2.0]), np.array([0.0, 0.0, 1.0]), "degC"), 2.0)
     array([0. , 1. , 0.5])
     """
-    return _below((channel.mean - limit) / np.maximum(channel.spread, _LEAST_SPREAD))
+    return block_means(channel, lambda mean, spread: _below((mean - limit) / spread))
 
 
 def mean_inside(channel: Channel, half_width: float) -> FloatArray:
@@ -56,14 +61,34 @@ def mean_inside(channel: Channel, half_width: float) -> FloatArray:
     >>> mean_inside(Channel(np.array([0.1, 3.0]), np.zeros(2), "deg/s"), 0.2)
     array([0.1, 0. ])
     """
-    mean, spread = channel.mean, np.maximum(channel.spread, _LEAST_SPREAD)
-    upper, lower = (half_width - mean) / spread, (-half_width - mean) / spread
-    return np.asarray(mean * (_below(upper) - _below(lower)) + spread * (_density(lower) - _density(upper)))
+
+    def inner(mean: FloatArray, spread: FloatArray) -> FloatArray:
+        upper, lower = (half_width - mean) / spread, (-half_width - mean) / spread
+        return mean * (_below(upper) - _below(lower)) + spread * (_density(lower) - _density(upper))
+
+    return block_means(channel, inner)
 
 
 def mirrored(channel: Channel) -> Channel:
     """The channel with its sign reversed."""
-    return Channel(-channel.mean, channel.spread, channel.unit_of_measure)
+    inside = None if channel.inside is None else channel.inside.scaled(-1.0)
+    return Channel(-channel.mean, channel.spread, channel.unit_of_measure, inside=inside)
+
+
+def block_means(channel: Channel, of: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
+    """Means over blocks of a function of a channel; `of` gives its mean over readings of some mean and spread.
+
+    >>> step = Inside(np.array([1, 1]), np.array([10.0, 20.0]), np.array([1.0, 4.0]), np.zeros(2))
+    >>> block_means(Channel(np.array([1.0, 3.0]), np.array([0.0, 1.41]), "deg/s", inside=step), lambda m, s: m**3)
+    array([ 1., 43.])
+    """
+    found = np.asarray(of(channel.mean, np.maximum(channel.spread, _LEAST_SPREAD)))
+    if channel.inside is None or not channel.inside.row.size:
+        return found
+    inside = channel.inside
+    exact = inside.means(of(inside.mean, np.maximum(inside.spread, _LEAST_SPREAD)), found)
+    has_value = np.isfinite(channel.mean)
+    return np.where(has_value if found.ndim == 1 else has_value[:, None], exact, found)
 
 
 def _below(z: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, numbers, range_over
-from analytics.loop.effects.block_kernels import mean_excess
+from analytics.loop.effects.block_kernels import block_means, mean_excess
 from analytics.loop.effects.channel_names import channel_name
 from stream.batch import FloatArray, IntArray
 
@@ -57,9 +57,11 @@ class FunctionOfChannel(Effect):
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         channel, knots = run.channels[self.needs[0]], numbers(shape, _KNOTS)
-        # two points have the mean and spread of the block
-        low = _spline_columns(channel.mean - channel.spread, knots)
-        return (0.5 * (low + _spline_columns(channel.mean + channel.spread, knots)))[:, 1:]
+
+        def splines(mean: FloatArray, spread: FloatArray) -> FloatArray:  # at two points of that mean and spread
+            return 0.5 * (_spline_columns(mean - spread, knots) + _spline_columns(mean + spread, knots))
+
+        return block_means(channel, splines)[:, 1:]
 
     def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return _spline_value(channels[self.needs[0]], numbers(shape, _KNOTS), [0.0, *coefficients])

@@ -8,6 +8,7 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Inputs, Role, Shape, ShapeParameter
+from analytics.loop.effects.block_kernels import block_means
 from analytics.loop.effects.channel_names import channel_name, reference_point, standard_reference
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -96,7 +97,7 @@ def _moment(channel: Channel, reference: float, power: int) -> FloatArray:
         return mean
     if power == 2:
         return np.asarray(mean**2 + channel.spread**2)
-    return np.asarray(mean**3 + 3.0 * mean * channel.spread**2)
+    return block_means(channel, lambda mean, spread: (mean - reference) ** 3 + 3.0 * (mean - reference) * spread**2)
 
 
 def is_linear(effect: Monomial) -> bool:

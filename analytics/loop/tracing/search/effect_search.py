@@ -192,6 +192,8 @@ def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
         best = causes[0]
     elif best.effect.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < best.lead:
         best = causes[0]
+    # what a function with many coefficients adds to a named form of the same channel is for the test of that form
+    best = next((each for each in causes if _contains(best, each) and _is_named(each) and each.is_near(best)), best)
     # the truth may fail to replicate where one run excites it most; then its look-alike must not be the only name
     others = [each for each in found if each.replicates or look_alike(each.effect, best.effect)]
     near = [each for each in others if each is not best and (each.is_near(best) or _by_design(each, best))]
@@ -222,6 +224,11 @@ def _contains(function: FittedCandidate, other: FittedCandidate) -> bool:
     """Whether a candidate is a general function of the channels of an effect: it is no alternative to it."""
     is_function = function.effect.kind is EffectKind.FUNCTION and other.is_common
     return is_function and set(function.effect.needs) <= set(other.effect.needs)
+
+
+def _is_named(candidate: FittedCandidate) -> bool:
+    """Whether an effect has a form of its own."""
+    return candidate.effect.kind is EffectKind.LIBRARY and not candidate.effect.parameters
 
 
 def _refined(

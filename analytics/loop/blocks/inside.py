@@ -1,0 +1,82 @@
+"""What a channel does inside the blocks in which it moves: a step of a table's rate is no scatter about a mean."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from stream.batch import BoolArray, FloatArray, IntArray
+
+MOVES = 5.0  # spread of the readings over the lower quartile of all blocks, from which a channel moves in a block
+_LEAST_OF_RANGE = 1e-3  # the same, of the range of the means
+_MOST_PIECES = 500_000  # of a channel of a run, 32 bytes each
+
+
+@dataclass(frozen=True)
+class Inside:
+    """Pieces, such as seconds, of the blocks in which a channel moves; each shape (pieces,)."""
+
+    row: IntArray  # number of the block, not decreasing
+    n: FloatArray  # readings in each
+    mean: FloatArray
+    spread: FloatArray  # standard deviation of the readings in each
+
+    def scaled(self, factor: float | FloatArray, offset: float = 0.0) -> Self:
+        """In another unit; a factor of each block as an array."""
+        own = factor if isinstance(factor, float) else factor[self.row]
+        return replace(self, mean=self.mean * own + offset, spread=self.spread * np.abs(own))
+
+    def at(self, rows: IntArray) -> Self:
+        """Pieces at the rows that these blocks have elsewhere, increasing; those of a row below 0 are left out.
+
+        >>> one = np.ones(3)
+        >>> inside = Inside(np.array([1, 1, 4]), one, one, one)
+        >>> inside.at(np.array([0, -1, 1, 2, 3])).row
+        array([3])
+        """
+        row = rows[self.row]
+        kept = row >= 0
+        return replace(self, row=row[kept], n=self.n[kept], mean=self.mean[kept], spread=self.spread[kept])
+
+    def part(self, rows: BoolArray | slice, blocks: int) -> Self:
+        """Pieces of some of so many blocks."""
+        chosen = np.arange(blocks)[rows]
+        new = np.full(blocks, -1)
+        new[chosen] = np.arange(chosen.size)
+        return self.at(new)
+
+    def means(self, value: FloatArray, of_blocks: FloatArray) -> FloatArray:
+        """Means over blocks of a value of each piece, in place of those of whole blocks, shape (blocks, ...)."""
+        blocks = len(of_blocks)
+        count = np.bincount(self.row, self.n, minlength=blocks)
+        has_pieces = count > 0
+        total = np.zeros_like(of_blocks)
+        np.add.at(total, self.row, (self.n * value.T).T)
+        found = (total.T / np.where(has_pieces, count, 1.0)).T
+        return np.where(has_pieces if of_blocks.ndim == 1 else has_pieces[:, None], found, of_blocks)
+
+
+def inside_of(
+    number: IntArray, n: IntArray, mean: FloatArray, m2: FloatArray, blocks: tuple[FloatArray, FloatArray, BoolArray]
+) -> Inside | None:
+    """Pieces of the blocks in which a channel moves, None where it does in none.
+
+    `number` is the block of each piece, `m2` its sum of squares about its mean; `blocks` are the mean and spread of
+    each block, and whether an outlier is in it. Where there are too many pieces the widest blocks have theirs.
+    """
+    of_block, spread, is_far = blocks
+    known = np.where(is_far, np.nan, spread)
+    finite = np.isfinite(known) & np.isfinite(of_block)
+    if not finite.any():
+        return None
+    usual = float(np.quantile(known[finite], 0.25))
+    least = max(MOVES * usual, _LEAST_OF_RANGE * float(np.ptp(of_block[finite])))
+    moves = finite & (spread > least)
+    pieces = np.bincount(number, minlength=spread.size)
+    if pieces[moves].sum() > _MOST_PIECES:
+        widest = np.flatnonzero(moves)[np.argsort(-spread[moves], kind="stable")]
+        moves[widest[np.cumsum(pieces[widest]) > _MOST_PIECES]] = False
+    chosen = moves[number]
+    if not chosen.any():
+        return None
+    return Inside(number[chosen], n[chosen].astype(np.float64), mean[chosen], np.sqrt(m2[chosen] / n[chosen]))
