@@ -19,6 +19,7 @@ import msgspec
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
 from ingest.tables.units import column_unit, is_temperature, time_unit
+from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
 from stream.events import StepWords
 from stream.identity import check_name
@@ -213,8 +214,10 @@ class _HeaderReader:
     def _add_signal(self, title: str, name: str, unit: str, *, is_foreign: bool) -> None:
         is_foreign = is_foreign or re.search(r"\s", name) is not None
         signal = re.sub(r"[\s/*$?#]+", "_", name).strip("_.@").lower() if is_foreign else name
+        is_standard = name.lower() in STANDARD_CHANNELS and name not in STANDARD_CHANNELS
+        signal = name.lower() if is_standard else signal
         try:
-            if is_foreign and name != signal and not _is_usable(name):
+            if is_standard or (is_foreign and name != signal and not _is_usable(name)):
                 self.columns.remarks.append(f"column {title!r} is signal {check_name('signal', signal)}")
             else:
                 signal = check_name("signal", name)

@@ -10,14 +10,6 @@ import numpy.typing as npt
 from analytics.loop.blocks.inside import Inside
 from stream.batch import BoolArray, FloatArray, IntArray
 
-STANDARD_CHANNELS = (
-    *("input_rate", "rate_o", "rate_s", "table_rate", "table_angle", "table_acceleration"),
-    *("gravity_i", "gravity_o", "gravity_s"),
-    *("temperature", "case_temperature", "chamber_temperature", "chamber_setpoint"),
-    *("supply_voltage", "supply_current", "magnetic_i", "magnetic_o", "magnetic_s"),
-    *("vibration", "humidity", "time_since_power_on", "day", "position"),
-)
-"""The standard names. Channels of other names take part under their own."""
 HARMONICS = 4
 SECOND_NS = 10**9
 _ROUNDING = 1e-14

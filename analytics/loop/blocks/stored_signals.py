@@ -10,9 +10,10 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.channels import standard_unit
 from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.reduction_notes import Note
-from analytics.loop.blocks.run_blocks import SECOND_NS, STANDARD_CHANNELS
+from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal
+from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput, NotFound, UnknownUnit
 from stream.quantities import conversion, is_angular_rate, report_unit
 

@@ -9,10 +9,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS, RunBlocks
+from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.events import StationChange, TurnOnScatter
 from analytics.loop.effects.monomial import PREFIX, Monomial, channel_linear, is_linear
+from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
 
 _PACKAGE = __name__.rpartition(".")[0]

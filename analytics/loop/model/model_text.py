@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS
 from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.monomial import PREFIX
 from analytics.loop.effects.registry import effect, effects
+from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
 
 BIAS = "bias"

@@ -80,3 +80,27 @@ def test_allan_fits_of_runs_in_which_the_unit_was_turned_do_not_count(tested: Te
         none = declared_noise(catalog, runs[1:], ErrorModel.parse("bias + scale_factor*input_rate"))
         assert isinstance(none, NoEstimate)
         assert "it was turned in all runs" in none.reason
+
+
+def test_white_noise_that_no_curve_shows_is_that_of_neighbouring_blocks(tested: TestedUnits) -> None:
+    """Of means of a minute N was a third of its bound, and sound units had "more noise than declared"."""
+    sigma, rng = 0.6, np.random.default_rng(12)  # deg/h of a minute: N = 0.0775
+    for run in ("r1", "r2", "r3"):
+        tested.run(run)
+        walk = np.cumsum(rng.normal(0.0, 0.02, 240))
+        tested.samples(run, "U1", "rate", rng.normal(5.0, sigma, 240) + walk, t0_ns=START_NS, dt_ns=60 * 10**9)
+        unseen = {"value": 0.0, "lo": 0.0, "observable": False}
+        fit: dict[str, Any] = {
+            "angle_random_walk": unseen | {"hi": 0.09},
+            "bias_instability": unseen | {"hi": 0.5},
+            "rate_random_walk": unseen | {"hi": 0.9},
+            "misfit": 0.0,
+        }
+        tested.document(NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit))
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate", block_s=60.0).reduce("U1").runs
+        noise = declared_noise(catalog, runs, ErrorModel.parse("bias"))
+    assert not isinstance(noise, NoEstimate)
+    # half the relative variance of a median of 717 squares, 2 * 1.5 / 0.37 / 717; four standard deviations
+    assert pytest.approx(sigma / 60**0.5, rel=4 * 0.5 * (8.1 / 717) ** 0.5) == noise.N
+    np.testing.assert_allclose([noise.B, noise.K], [0.5 / 3, 0.3])

@@ -25,7 +25,7 @@ from tests.storage.lake.exported_views import LATER_NS
 from tests.storage.lake.test_compaction import documented as documented
 
 # of each table a change that an answer would show
-CHANGES = {
+CHANGES: dict[str, tuple[str, float | str]] = {
     "samples": ("above", 50), "channels": ("scale", 0.25), "rollup_1s": ("mean", 1e-3), "rollup_10s": ("lo", -1.0),
     "events": ("document", "NoteAdded"), "estimates": ("value", 0.01), "clocks": ("delay_least_ns", 1),
 }  # fmt: skip

@@ -41,7 +41,7 @@ def with_causes(found: FoundEffect, runs: Sequence[RunBlocks], declared: Collect
     if own.role is not Role.PROXY:
         return found
     known = {found.name, *(each.name for each in found.confounded), *declared}
-    causes = [effect(name) for name in own.follows if name not in known]
+    causes = [each for each in map(effect, own.follows) if each.name not in known and not _stood_still(each, runs)]
     added = (
         unfitted(each, recorded=all(channel in run.channels for channel in each.needs for run in runs))
         for each in causes
@@ -81,6 +81,18 @@ def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
 def findings(candidates: Candidates, found: Search) -> list[FoundEffect]:
     """All selected effects, largest evidence first."""
     return sorted((_finding(candidates, found, each) for each in found.selected), key=lambda each: -each.evidence)
+
+
+def _stood_still(cause: Effect, runs: Sequence[RunBlocks]) -> bool:
+    """Whether a channel of a cause is recorded in all runs and never moved: then it did not cause what moves."""
+    return any(all(channel in run.channels for run in runs) and _is_constant(channel, runs) for channel in cause.needs)
+
+
+def _is_constant(channel: str, runs: Sequence[RunBlocks]) -> bool:
+    means = np.concatenate([run.mean(channel) for run in runs])
+    means = means[np.isfinite(means)]
+    moved = any(np.any(run.channels[channel].spread > 0.0) for run in runs)
+    return bool(means.size and np.ptp(means) == 0.0 and not moved)
 
 
 def unreplicated(fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffect]:

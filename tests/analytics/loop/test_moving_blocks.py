@@ -1,0 +1,138 @@
+"""Blocks in which a channel moves: means of curved functions are those of its samples, not of a normal scatter."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from analytics.loop.blocks.block_reducer import BlockReducer
+from analytics.loop.blocks.inside import Inside, inside_of
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.block_kernels import mean_excess, mean_inside, mean_magnitude, share_above
+from analytics.loop.effects.registry import effect
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.tracing.diagnosis import diagnose
+from stream.batch import FloatArray
+from tests.analytics.conftest import START_NS, TestedUnits
+
+SETTLE_S, DWELL_S = 1.5, 410  # of a table; steps and blocks of 30 s do not fall together
+LEVELS = (20.0, -20.0, 60.0, -60.0, 100.0, -100.0)
+FORMS: dict[str, tuple[Callable[[Channel], FloatArray], Callable[[FloatArray], FloatArray]]] = {
+    "magnitude": (mean_magnitude, np.abs),
+    "excess": (lambda rate: mean_excess(rate, 90.0), lambda x: np.maximum(x - 90.0, 0.0)),
+    "inside": (lambda rate: mean_inside(rate, 30.0), lambda x: np.where(np.abs(x) < 30.0, x, 0.0)),
+    "share": (lambda rate: share_above(rate, 10.0), lambda x: (x > 10.0).astype(np.float64)),
+}
+
+
+def settling(seed: int) -> FloatArray:
+    """Rates of a table each second, deg/s; each is reached as by a first-order lag."""
+    commanded = np.repeat(np.random.default_rng(seed).permutation(LEVELS), DWELL_S)
+    rate, share = np.empty_like(commanded), 1.0 - np.exp(-1.0 / SETTLE_S)
+    now = 0.0
+    for at, wanted in enumerate(commanded):
+        now += share * (wanted - now)
+        rate[at] = now
+    return rate
+
+
+def filled(tested: TestedUnits, error: Callable[[FloatArray], FloatArray], runs: int = 6) -> list[FloatArray]:
+    """Runs of a unit with an error in its rate, deg/h; the true rates."""
+    rng, rates = np.random.default_rng(1), []
+    for number in range(runs):
+        name, start_ns = f"r{number}", START_NS + number * 86_400 * 10**9
+        rate = settling(number)
+        tested.run(name, t_ns=start_ns)
+        output = 3600.0 * rate + error(rate) + rng.normal(0.0, 0.5, rate.size)
+        tested.samples(name, "U1", "input_rate", rate, unit_of_measure="deg/s", t0_ns=start_ns, dt_ns=10**9)
+        tested.samples(name, "U1", "rate", output, t0_ns=start_ns, dt_ns=10**9)
+        rates.append(rate)
+    return rates
+
+
+def of_samples(run: RunBlocks, rate: FloatArray, form: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Means over the blocks of a run of a function of each sample."""
+    number = np.arange(rate.size) // round(run.block_s)
+    means = np.bincount(number, form(rate)) / np.bincount(number)
+    return np.asarray(means[run.slot])
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_means_over_blocks_are_those_of_the_samples(tested: TestedUnits, form: str) -> None:
+    of_channel, of_sample = FORMS[form]
+    (rate,) = filled(tested, np.zeros_like, runs=1)
+    with tested.catalog() as catalog:
+        (run,) = BlockReducer(catalog, "rate").reduce("U1").runs
+    channel = run.channels["input_rate"]
+    assert channel.inside is not None
+    assert len(set(channel.inside.row.tolist())) >= len(LEVELS) - 1
+    np.testing.assert_allclose(of_channel(channel), of_samples(run, rate, of_sample), rtol=0, atol=1e-6)
+
+
+def test_those_of_some_blocks_are_the_same(tested: TestedUnits) -> None:
+    (rate,) = filled(tested, np.zeros_like, runs=1)
+    with tested.catalog() as catalog:
+        (run,) = BlockReducer(catalog, "rate").reduce("U1").runs
+    for rows in (slice(7, 60), np.arange(len(run)) % 3 == 0):
+        part = run.part(rows)
+        expected = of_samples(part, rate, np.abs)
+        np.testing.assert_allclose(mean_magnitude(part.channels["input_rate"]), expected, rtol=0, atol=1e-6)
+
+
+def test_a_cube_and_splines_go_by_the_samples_as_well(tested: TestedUnits) -> None:
+    (rate,) = filled(tested, np.zeros_like, runs=1)
+    with tested.catalog() as catalog:
+        (run,) = BlockReducer(catalog, "rate").reduce("U1").runs
+    cubic = effect("scale_factor_cubic").regressors(run, {})[:, 0]
+    np.testing.assert_allclose(cubic, of_samples(run, rate, lambda x: x**3), rtol=1e-9, atol=1e-6)
+    function = effect("function_of_input_rate")
+    (shape,) = function.shapes([run])
+    hats = function.regressors(run, shape)
+    heights = np.arange(1.0, hats.shape[1] + 1.0)
+    exact = of_samples(run, rate, lambda x: function.simulate(x, {"input_rate": x}, heights.tolist(), shape))
+    np.testing.assert_allclose(hats @ heights, exact, rtol=0, atol=1e-6)
+
+
+def test_a_saturated_output_on_a_table_that_settles_is_one_effect(tested: TestedUnits) -> None:
+    """The blocks of its edges had given two more effects, "confirmed", and a coefficient off by a multiple of its U."""
+    filled(tested, lambda rate: 3600.0 * (np.clip(rate, -90.0, 90.0) - rate))
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate").reduce("U1").runs
+    (found,) = diagnose(runs, ErrorModel.parse("bias + scale_factor*input_rate")).effects
+    (coefficient,) = found.coefficients
+    assert (found.name, found.parameters["limit"]) == ("saturation", pytest.approx(90.0, rel=1e-3))
+    assert coefficient.lo <= -3600.0 <= coefficient.hi
+    assert coefficient.hi - coefficient.lo < 1.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_asymmetry_is_no_unknown_function(tested: TestedUnits, seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    filled(tested, lambda rate: 0.108 * np.abs(rate) + np.cumsum(rng.normal(0.0, 0.003, rate.size)))
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate").reduce("U1").runs
+    diagnosis = diagnose(runs, ErrorModel.parse("bias + scale_factor*input_rate"))
+    assert [each.name for each in diagnosis.effects] == ["scale_factor_asymmetry"]
+    (coefficient,) = diagnosis.effects[0].coefficients
+    # of four intervals of 95 %
+    assert abs(coefficient.value - 0.108) < 3.0 * (coefficient.hi - coefficient.lo) / 3.92 + 1e-4
+
+
+def test_only_blocks_that_move_far_more_than_the_others_have_pieces() -> None:
+    number = np.repeat(np.arange(8), 30)
+    quiet = np.random.default_rng(2).normal(0.0, 1.0, number.size)
+    ones, none = np.ones(number.size, int), np.zeros(number.size)
+
+    def found(value: FloatArray, far: int | None = None) -> Inside | None:
+        mean = np.array([value[number == each].mean() for each in range(8)])
+        spread = np.array([value[number == each].std() for each in range(8)])
+        return inside_of(number, ones, value, none, (mean, spread, np.arange(8) == far))
+
+    assert found(quiet) is None
+    stepped = quiet + 100.0 * (np.arange(number.size) > 100)  # within block 3
+    inside = found(stepped)
+    assert inside is not None
+    assert set(inside.row.tolist()) == {3}
+    assert found(stepped, far=3) is None, "an outlier is no motion"
+    sine = 100.0 * np.sin(np.arange(number.size))  # as wide in every block
+    assert found(sine) is None
