@@ -33,8 +33,9 @@ _NO_NOISE = Bilingual(
     "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
 )
 _EXCESS = Bilingual(
-    "more noise than declared at averages of 300 to 3600 s, and no channel explains it",
-    "在300至3600 s的平均时间上噪声大于声明值，各通道均不能解释",
+    "more noise at averages of 300 to 3600 s than declared, or else than the unit's own Allan curves have, and no "
+    "channel explains it",
+    "在300至3600 s的平均时间上噪声大于声明值（未声明时为产品自身Allan曲线的值），各通道均不能解释",
 )
 
 

@@ -259,15 +259,17 @@ def disagreements(
     """Caveats on differences of declared and measured noise; `scatter` is None if turn-on scatter was not declared."""
     if not 1 / MOST_APART < measured.N / declared.N < MOST_APART:
         yield Bilingual(
-            f"the declared white noise N is {declared.N:.3g}, but {measured.N:.3g} was measured in these runs",
-            f"白噪声N声明为{declared.N:.3g}，而这些试验中实测为{measured.N:.3g}：两者不符",
+            f"the white noise N declared, or else of the unit's own Allan curves, is {declared.N:.3g}, but "
+            f"{measured.N:.3g} was measured in these runs",
+            f"白噪声N声明为{declared.N:.3g}（未声明时取自产品自身Allan曲线），而这些试验中实测为{measured.N:.3g}：两者不符",
         )
     if excess.slow_p_value < NOISE_P_VALUE and excess.least_ratio < LEAST_OF_DECLARED:
         ratio = f"{excess.least_ratio:.2g}"
         yield Bilingual(
-            f"less noise than declared at averages of 300 to 3600 s: the variance is {ratio} times the declared "
-            "one, so that small effects may have been attributed to noise",
-            f"在300至3600 s的平均时间上噪声小于声明值：其方差为声明值的{ratio}倍，较小的效应可能被当作噪声",
+            "less noise at averages of 300 to 3600 s than declared, or else than the unit's own Allan curves have: the "
+            f"variance is {ratio} times theirs, so that small effects may have been attributed to noise",
+            f"在300至3600 s的平均时间上噪声小于声明值（未声明时为产品自身Allan曲线的值）：其方差为该值的{ratio}倍，"
+            "较小的效应可能被当作噪声",
         )
     if scatter is not None and scatter.disagrees_with(declared.turn_on):
         yield Bilingual(
