@@ -110,17 +110,20 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         bus = stack.enter_context(run_path.recorder_at(None if phase == "ended" else destination.connect))
         spool = stack.enter_context(run_path.opened_spool(destination, destination.spools / run))
         log = RunLog(run, job.procedure.name, job.plan, job.serials, job.station, spool, job.clock)
-        decisions = LimitReport(operator.report)
+        judged = (
+            [unit for unit, found in limits.units.items() if found.live] if limits.is_live and bus is not None else ()
+        )
+        decisions = LimitReport(operator.report, judged)
         report = partial(_report, log, len(job.steps), decisions, as_json=as_json)
         if log.state.phase == "ended":
             report("ended", "nothing to do, all of it is recorded")
             return 0
         reached = run_path.path_to(
             destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see,
-            station=job.station.place.station,
+            station=job.station.place.station, on_estimate=decisions.hear,
         )  # fmt: skip
         path = stack.enter_context(reached)
-        trouble = TroubleWatch(path.publisher, operator.report)
+        trouble = TroubleWatch(path.publisher, operator.report, lambda: decisions.silence)
         releases = _releases(asked, job, limits, decisions)
         operator.may_end_early = releases is not None
         why_left: list[str] = []

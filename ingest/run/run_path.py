@@ -16,7 +16,7 @@ from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError, WireError
 from stream.events import AnyDocument, EarlyDecision, VerdictGiven
-from stream.identity import Place, estimate_key
+from stream.identity import EstimateKey, Place, estimate_key, parse_key
 from stream.status.proven_status import on_bus
 from stream.status.role_status import RoleStatus
 from stream.terminal.console import Stop, notes
@@ -72,11 +72,18 @@ class RunPath(NamedTuple):
 
 
 class TroubleWatch:
-    """Reports what keeps samples from being recorded: once when it begins or changes, and once when it is over."""
+    """Reports what keeps samples from being recorded: once when it begins or changes, and once when it is over.
 
-    def __init__(self, publisher: DurablePublisher, report: Callable[[str], None]) -> None:
-        self._publisher, self._report = publisher, report
+    So it reports that nobody judges them, if `silence` says so.
+    """
+
+    def __init__(
+        self, publisher: DurablePublisher, report: Callable[[str], None],
+        silence: Callable[[], str | None] = lambda: None,
+    ) -> None:  # fmt: skip
+        self._publisher, self._report, self._silence = publisher, report, silence
         self._trouble: str | None = None
+        self._is_silent = False
 
     def look(self) -> None:
         """Report what has changed since the last look."""
@@ -85,6 +92,10 @@ class TroubleWatch:
         if trouble != self._trouble:
             self._trouble = trouble
             self._report(f"warning: {trouble}" if trouble else "recording goes on")
+        silence = self._silence()
+        if (silence is not None) is not self._is_silent:
+            self._is_silent = silence is not None
+            self._report(f"warning: {silence}" if silence else "estimates of these units come")
 
 
 def recorder_at(connect: str | None) -> AbstractContextManager[ZenohBus | None]:
@@ -108,12 +119,14 @@ def path_to(
     to: Destination, run: str, bus: ZenohBus | None, spool: Spool, every_s: float | None = None,
     estimated: EstimatedSignals = EstimatedSignals(), units: Sequence[str] = (),
     on_document: Callable[[AnyDocument], None] | None = None, station: str = "",
+    on_estimate: Callable[[], None] = lambda: None,
 ) -> Iterator[RunPath]:  # fmt: skip
     """Send to the recorder on a bus, or record and estimate in this process; raises GyrofleetError if the store cannot
     be written, or another source sends the same units in a run of this id.
 
     `every_s` is the interval between estimates in the signals' time; by default that of the run so far. Nobody else may
-    send `units` of `station` to the same recorder in this run. `on_document` takes the estimates of this process.
+    send `units` of `station` to the same recorder in this run. `on_document` takes early decisions and verdicts;
+    `on_estimate` is called for each estimate of another process.
     """
     if bus is not None:
         with ExitStack() as stack:
@@ -127,7 +140,7 @@ def path_to(
             only_store = None if client is None else client.store
             publisher = stack.enter_context(DurablePublisher(bus, spool=spool, only_store=only_store))
             if on_document is not None:
-                _listen(bus, run, units, on_document)
+                _listen(bus, run, units, on_document, on_estimate)
             if claim is not None:
                 claim.on_loss = publisher.fail
             where = f"to the recorder at {to.connect}"
@@ -143,20 +156,28 @@ def path_to(
             yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, to.folder, pipeline.put_status)
 
 
-def _listen(bus: ZenohBus, run: str, units: Sequence[str], on_document: Callable[[AnyDocument], None]) -> None:
-    """Take early decisions and verdicts on a run's units from the estimators on the bus."""
+def _listen(
+    bus: ZenohBus, run: str, units: Sequence[str], on_document: Callable[[AnyDocument], None],
+    on_estimate: Callable[[], None],
+) -> None:  # fmt: skip
+    """Take early decisions and verdicts on a run's units from the estimators on the bus, and notice the others."""
     wanted = frozenset(units)
 
-    def take(_key: str, payload: bytes) -> None:
+    def take(key: str, payload: bytes) -> None:
         with suppress(BadInput, WireError):  # the recorder quarantines and reports it
+            parsed = parse_key(key)
+            if not isinstance(parsed, EstimateKey) or parsed.unit not in wanted:
+                return
+            on_estimate()
+            if parsed.estimator not in {EARLY_DECISION, VERDICT}:
+                return
             document = decode_received(payload).document
             if isinstance(document, EarlyDecision | VerdictGiven) and document.run == run and document.unit in wanted:
                 on_document(document)
 
     # a station is admitted to its own keys only
     own = "*" if bus.credentials is None else bus.credentials.principal.name
-    for what in (EARLY_DECISION, VERDICT):
-        bus.subscribe(estimate_key(Place("*", own), "*", "*", what), take)
+    bus.subscribe(estimate_key(Place("*", own), "*", "*", "*"), take)
 
 
 def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:

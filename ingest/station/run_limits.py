@@ -1,7 +1,8 @@
 """The limits that a run applies to its units: found in the store by each unit's product."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from stream.errors import NotFound
 from stream.events import AnyDocument, EarlyDecision, Limit, LimitsApplied, Verdict, VerdictGiven
 
 _NAMED = 4
+_SILENT_S = 180.0  # three times as long as an estimator waits by default between two estimates
 # records at rest of these are no records of a bias (analytics/evaluation/views/05_procedures.sql)
 _NO_BIAS = re.compile(
     r"(power_consumption|rates_(gjb2426a|jjf2014)|threshold(_indexing_head|_slow_turn)?|resolution|polarity"
@@ -53,10 +55,14 @@ _NEVER_NS = 2**63 - 1
 
 
 class LimitReport:
-    """Reports early decisions and verdicts to the operator; `verdicts` has that of each unit once the run has ended."""
+    """Reports early decisions and verdicts to the operator; `verdicts` has that of each unit once the run has ended.
 
-    def __init__(self, report: Callable[[str], None]) -> None:
-        self._report = report
+    `judged` are the units whose limits an estimator in another process is to judge while they are recorded.
+    """
+
+    def __init__(self, report: Callable[[str], None], judged: Collection[str] = ()) -> None:
+        self._report, self._judged = report, frozenset(judged)
+        self._heard_s: float | None = None  # when an estimate came last, or the record began
         self._decided: set[tuple[str, Limit, str]] = set()
         self._looks: dict[str, dict[Limit, EarlyDecision]] = {}
         self._since_ns = _NEVER_NS  # what a resumed run replays is of records that are measured again
@@ -73,9 +79,25 @@ class LimitReport:
 
     def begin_record(self, since_ns: int) -> None:
         """A record begins: looks at one before it count no more."""
-        self._since_ns = since_ns
+        self._since_ns, self._heard_s = since_ns, time.monotonic()
         self._looks.clear()
         self._decided.clear()
+
+    def hear(self) -> None:
+        """Take note of an estimate of a unit of the run; from the thread of the bus."""
+        self._heard_s = time.monotonic()
+
+    @property
+    def silence(self) -> str | None:
+        """That nobody judges the limits of the record that is at work; None where an estimator does, or none need."""
+        left = self._judged - self.verdicts.keys()
+        if self._heard_s is None or not left or time.monotonic() - self._heard_s < _SILENT_S:
+            return None
+        return (
+            f"no estimate of these units has come for {_SILENT_S / 60:.0f} min: the limits of {len(left)} of them are "
+            "not judged while they are recorded; is `gyrofleet estimate` running where this run is sent to? "
+            "`gyrofleet verdicts` judges them afterwards"
+        )
 
     def early(self, unit: str) -> dict[Limit, str]:
         """Outcome of each limit of a unit that is decided early."""

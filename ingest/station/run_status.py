@@ -19,7 +19,8 @@ def run_status(
     """How far a run is, and what keeps its samples from being recorded; `left` says why it was left before its end."""
     state, paused = log.state, publisher.paused
     silent = log.coverage.silent(clock.speed)
-    trouble = "; ".join(left) or publisher.warning or (f"the recorder pauses: {paused}" if paused else "")
+    pause = f"the recorder pauses: {paused}" if paused else ""
+    trouble = "; ".join(left) or publisher.warning or pause or decisions.silence or ""
     if silent and not trouble:
         trouble = f"nothing has come for {max(silent.values()):,.0f} s from {listed(list(silent))}"
     forecast_s = decisions.forecast_s()
