@@ -104,7 +104,7 @@ class _Record:
         if point.value == 0:
             return {"reason": "all samples are alike: the output is frozen, or its resolution too coarse to show noise"}
         factor = abs(row["deg_per_h"]) / report_unit(row["output_unit"])[1]
-        if row["stood_still"]:
+        if row["is_no_noise"]:
             return {"value": point.value * factor}  # what its scatter is worth, the remark says
         found = {name: getattr(point, name) * factor for name in ("value", "lo", "hi")}
         return found | {"freedom": point.edf, "standard_uncertainty": found["value"] / (2 * point.edf) ** 0.5}

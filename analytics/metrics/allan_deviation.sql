@@ -15,7 +15,7 @@
 -- python:    analytics.metrics.allan_deviation:compute
 -- of:        internal.specification_parameters where metric = 'allan_deviation'
 select s.unit, s.signal, s.run, s.n, ["index"] as steps, s.lack as reason, t.tau_s, s.t_from_ns, s.t_to_ns,
-  s.duration_s, s.stood_still, s.deg_per_h, s.unit_of_measure as output_unit,
+  s.duration_s, s.is_no_noise, s.deg_per_h, s.unit_of_measure as output_unit,
   {
     tau_s: t.tau_s, position: s.position, repeat: s.repeat, scale_factor: s.scale_source, remark: s.remark
   } as parameters

@@ -54,7 +54,7 @@ def _normalised(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(walk, NoEstimate):
         return {"reason": walk.reason}
     found = walk.coefficient
-    if row["stood_still"]:
+    if row["is_no_noise"]:
         return {"value": found.value}
     u = (found.hi - found.lo) / (2 * TWO_SIDED)
     return {"value": found.value, "lo": found.lo, "hi": found.hi, "standard_uncertainty": u}

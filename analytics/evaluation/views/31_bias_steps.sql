@@ -10,8 +10,10 @@ create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess
         || 'was frozen, or its resolution is too coarse to show noise'
       when piled > 0 then round(n * piled)::bigint || ' of ' || n || ' samples are at one value or two, as at '
         || printf('%.5g', piled_at) || ' ' || measure || ': clipped at an end of the range, or lost samples written as it' end,
-    case when outliers > 0 and outlier_excess >= 0.01 then format('isolated outliers ({}) raise the noise by '
-      || '{:.0f} %', outliers, 100 * outlier_excess) end), '');
+    case when outliers_move_mean(outliers, outlier_excess) then format('isolated outliers ({}) raise the noise {:.3g} times '
+        || 'and may move the mean by more than the noise does: it has no interval', outliers, 1 + outlier_excess)
+      when outliers > 0 and outlier_excess >= 0.01 then format('isolated outliers ({}) raise the noise by {:.0f} %',
+        outliers, 100 * outlier_excess) end), '');
 
 create or replace view internal.bias_steps as
 with counted as (

@@ -84,7 +84,7 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
         "LIVE": "PASS", "ONE": "MARGINAL", "DEAD": "MARGINAL", "FROZE": "MARGINAL", "GAP": "MARGINAL",
         "CLIPPED": "MARGINAL", "LOST": "MARGINAL", "WILD": "MARGINAL",
     }  # fmt: skip
-    for unit in ("ONE", "DEAD", "FROZE", "CLIPPED", "LOST"):
+    for unit in ("ONE", "DEAD", "FROZE", "CLIPPED", "LOST", "WILD"):
         assert found[unit]["lo"] is found[unit]["hi"] is None
         assert found[unit]["reason"].startswith("the value has no interval")
     stability = {row["unit"]: row["verdict"] for row in answer if row["metric"] == "bias_stability"}
@@ -102,7 +102,8 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     assert not remarks["LIVE"]
     assert "samples are at one value or two, as at 15 deg/h: clipped" in remarks["CLIPPED"]
     assert "as at 0 deg/h: clipped at an end of the range, or lost samples written as it" in remarks["LOST"]
-    assert remarks["WILD"].startswith("isolated outliers (1) raise the noise by ")
+    assert remarks["WILD"].startswith("isolated outliers (1) raise the noise ")
+    assert "may move the mean by more than the noise does: it has no interval" in remarks["WILD"]
 
 
 @pytest.mark.long
