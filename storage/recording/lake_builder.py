@@ -35,6 +35,11 @@ class LakeBuilder:
         self._thread = threading.Thread(target=self._loop, name="gyrofleet-lake", daemon=True)
         self._thread.start()
 
+    @property
+    def trouble(self) -> str:
+        """Why the newest build failed, until one works again."""
+        return "" if (failure := self._failure) is None else str(failure)
+
     def wake(self) -> None:
         """Build a newly sealed segment."""
         with self._state:
@@ -65,9 +70,9 @@ class LakeBuilder:
                 is_last, self._is_wanted = self._closing, False
             self._failure = self._build()
             self._caught_up.set()
-            if self._failure is not None and str(self._failure) != reported:
-                reported = str(self._failure)
-                self._on_warning(reported)
+            if self.trouble not in {"", reported}:
+                self._on_warning(self.trouble)
+            reported = self.trouble
             if is_last:
                 return
 

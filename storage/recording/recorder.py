@@ -106,8 +106,10 @@ class Recorder(Closing):
         numbers |= {"free_bytes": float(self._watch.free_bytes), "last_message_seconds": self._arrived_ns / 1e9}
         if self._credentials is not None:
             numbers |= self._credentials.numbers
-        trouble = str(failure) if failure else paused or self._certificate_trouble() or ""
-        return new_status(Role.RECORD, self._began_ns, state=state, trouble=trouble, numbers=numbers)
+        lake = "" if self._builder is None else self._builder.trouble
+        lesser = "; ".join(each for each in (self._certificate_trouble(), lake) if each)
+        trouble = str(failure) if failure else paused or lesser
+        return new_status(Role.RECORD, self._began_ns, state=state, trouble=trouble[:4000], numbers=numbers)
 
     def _certificate_trouble(self) -> str | None:
         return None if self._credentials is None else self._credentials.trouble

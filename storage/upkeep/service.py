@@ -25,9 +25,9 @@ Report = Callable[..., None]  # gets an event in one word, a sentence, and numbe
 class LakeService:
     """Maintains a lake round by round; the caller holds `builder_lock`.
 
-    A failure is reported once and retried after a minute; it delays nothing else. `grace_s` is how long replaced files
-    stay for their readers. A `publisher` keeps a copy on an object store. `segments` were brought to the lake, and
-    `compacted` parts merged, since the start.
+    A failure is reported once and retried after a minute; it delays nothing else, and is a trouble of the status until
+    that works. `grace_s` is how long replaced files stay for their readers. A `publisher` keeps a copy on an object
+    store. `segments` were brought to the lake, and `compacted` parts merged, since the start.
     """
 
     def __init__(
@@ -44,12 +44,12 @@ class LakeService:
         self._reported: set[str] = set()
         self.segments = self.compacted = 0
         self._began_ns = time.time_ns()
-        self._problems: list[str] = []
+        self._troubles: dict[str, str] = {}  # by step or segment
 
     def status(self) -> RoleStatus:
-        """What was brought to the lake, and what failed in the last round."""
+        """What was brought to the lake, and what failed and has not worked since."""
         numbers = {"segments_total": float(self.segments), "compacted_total": float(self.compacted)}
-        return new_status(Role.LAKE, self._began_ns, trouble="; ".join(self._problems)[:4000], numbers=numbers)
+        return new_status(Role.LAKE, self._began_ns, trouble="; ".join(self._troubles.values())[:4000], numbers=numbers)
 
     def round(self, stopped: Stop) -> list[str]:
         """Do everything that is due, until `stopped`; returns the failures."""
@@ -62,20 +62,23 @@ class LakeService:
             if stopped.asked_at is not None:
                 break
             try:
-                step(stopped, problems)
+                if step(stopped, problems):
+                    self._without(what)
             except (GyrofleetError, OSError) as error:
                 self._problem(problems, what, error)
-        self._problems = problems
         return problems
 
-    def _build(self, stopped: Stop, problems: list[str]) -> None:
+    def _build(self, stopped: Stop, problems: list[str]) -> bool:
         lake = self._opened()
         now = time.monotonic()
-        waiting = [each for each in lake.missing() if now - self._failed.get(each, float("-inf")) >= _RETRY_S]
+        missing = lake.missing()
+        for segment in self._failed.keys() - set(missing):
+            self._worked(segment)
+        waiting = [each for each in missing if now - self._failed.get(each, float("-inf")) >= _RETRY_S]
         failed: dict[str, StoreError] = {}
         untouched = (segment for segment in waiting if stopped.asked_at is None)
         for number, segment in enumerate(lake.bring(untouched, failed), start=1):
-            self._failed.pop(segment, None)
+            self._worked(segment)
             self.segments += 1
             left = len(waiting) - number - len(failed)
             more = f", {left} more to come" if left else ""
@@ -85,44 +88,56 @@ class LakeService:
         for segment, error in failed.items():
             self._failed[segment] = now
             self._problem(problems, segment, error)
+        return True
 
-    def _compact(self, stopped: Stop, _problems: list[str]) -> None:
+    def _compact(self, stopped: Stop, _problems: list[str]) -> bool:
         lake = self._opened()
         for done in compact(lake):
             self.compacted += done.parts
             self._report("compacted", f"{done.parts} parts are one now: {done.name}", part=done.name, parts=done.parts)
             if stopped.asked_at is not None:
-                return
+                return False
         lake.purge(self._grace_s)
+        return True
 
-    def _retain(self, _stopped: Stop, _problems: list[str]) -> None:
+    def _retain(self, _stopped: Stop, _problems: list[str]) -> bool:
         if self._rule is None or time.monotonic() - self._retained_at < _RETENTION_EVERY_S:
-            return
+            return False
         self._retained_at = time.monotonic()
         dropped = apply_rule(self._opened(), self._rule)
         if dropped.parts:
             text = f"raw rows of {dropped.samples:,} samples dropped, {dropped.bytes:,} bytes ({self._rule})"
             self._report("raw_rows_dropped", text, **dropped._asdict())
+        return True
 
-    def _publish(self, _stopped: Stop, _problems: list[str]) -> None:
+    def _publish(self, _stopped: Stop, _problems: list[str]) -> bool:
         manifest = self._opened().manifest
         if self._publisher is None:
-            return
+            return True
         if self._published is not None:
             number, at = self._published
             if time.monotonic() - at < (_PUBLISHED_EVERY_S if number == manifest.number else 0.0):
-                return
+                return False
         self._published = manifest.number, time.monotonic()
         self._publisher.publish()
+        return True
 
     def _opened(self) -> Lake:
         if self._lake is None:
             self._lake = Lake(self._store)
         return self._lake
 
+    def _worked(self, segment: str) -> None:
+        self._failed.pop(segment, None)
+        self._without(segment)
+
+    def _without(self, what: str) -> None:
+        self._troubles = {each: text for each, text in self._troubles.items() if each != what}
+
     def _problem(self, problems: list[str], what: str, error: Exception) -> None:
         text = str(error) if isinstance(error, GyrofleetError) else f"the lake cannot be written: {error}"
         problems.append(text)
+        self._troubles = {**self._troubles, what: text}  # whole at each moment: the status is of another thread
         self._lake = None  # read again from the disk
         if text not in self._reported:
             self._reported.add(text)

@@ -16,7 +16,9 @@ from storage.lake.channel_buffer import counts_columns
 from storage.lake.rollups import joined, roll_up
 from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog
+from storage.upkeep.service import LakeService
 from stream.batch import SampleBatch
+from stream.terminal.console import Stop
 from tests.conftest import Outcome
 from tests.storage.conftest import START_NS, Filler
 
@@ -60,6 +62,24 @@ def test_a_damaged_segment_is_reported_and_holds_up_no_other(filler: Filler, gyr
     with builder_lock(filler.store):
         held = {segment for part in read_manifest(filler.store).parts for segment in part.segments}
     assert held == {"00000001", "00000003"}
+
+
+def test_what_failed_is_a_trouble_until_it_works(filler: Filler) -> None:
+    filler.counts("rate", START_NS, 100)
+    filler.seal()
+    segment = filler.store.log / "00000001.mcap"
+    content = segment.read_bytes()
+    damaged = bytearray(content)
+    damaged[len(content) // 3] ^= 0xFF
+    segment.write_bytes(damaged)
+    service = LakeService(filler.store, report=lambda *_parts, **_numbers: None)
+    assert len(service.round(Stop())) == 1
+    assert service.round(Stop()) == [], "it is tried again in a minute"
+    assert "00000001" in service.status().trouble
+    segment.write_bytes(content)
+    service._failed["00000001"] = float("-inf")
+    assert service.round(Stop()) == []
+    assert service.status().trouble == ""
 
 
 def test_noise_in_counts_takes_hardly_more_than_its_entropy(filler: Filler) -> None:

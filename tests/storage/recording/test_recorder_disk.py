@@ -3,13 +3,15 @@
 import errno
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from storage.lake.builder import build_missing
 from storage.log.event_log import EventLog
+from storage.recording import lake_builder
 from storage.recording.recorder import Recorder
 from storage.segments.disk import Disk, OpenFile, Space
 from storage.sql.catalog import Catalog
@@ -17,6 +19,7 @@ from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
 from stream.events import RunEnded, RunStarted
 from stream.identity import ACKNOWLEDGEMENT_KEY, event_key
+from stream.status.role_status import RoleState
 from stream.transport.bus import LocalBus
 from stream.wire.acknowledgement import decode_acknowledgement
 from tests.storage.recorder_samples import KEY, PLACE, batch, lake_values
@@ -174,3 +177,28 @@ def test_what_came_when_the_disk_failed_does_not_keep_others_from_settling(
         publisher.drain()
         recorder.settle()
     assert not disk.is_due
+
+
+def test_a_lake_that_cannot_be_written_is_a_trouble_until_it_can(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, bus, disk = Store.create(tmp_path), LocalBus(), FullDisk()
+    warnings: list[str] = []
+    is_full = True
+
+    def build(of: Store) -> Iterator[str]:
+        if is_full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        yield from build_missing(of)
+
+    monkeypatch.setattr(lake_builder, "build_missing", build)
+    monkeypatch.setattr(lake_builder, "_RETRY_S", 0.05)
+    recorder = Recorder(store, bus, EventLog(store, disk=disk), disk=disk, on_warning=warnings.append)
+    with recorder:
+        until(lambda: "lake" in recorder.status().trouble)
+        status = recorder.status()
+        assert (status.state, "No space left on device" in status.trouble) == (RoleState.WORKING, True)
+        until(lambda: len(warnings) == 1)
+        is_full = False
+        until(lambda: recorder.status().trouble == "")
+    assert len(warnings) == 1
