@@ -20,6 +20,7 @@ from storage.recording.command_box import (
     CommandFolder,
     RunCommand,
 )
+from storage.recording.status_board import read_statuses
 from storage.store import Store
 from stream.errors import GyrofleetError
 from stream.events import CommandOutcome, NoteAdded, RunAction, RunCommandAnswered, RunCommandGiven
@@ -59,7 +60,7 @@ def give_command(
     )  # fmt: skip
     with closing(CommandFolder(store.folder, run)) as folder:
         if not folder.is_held:
-            why = _nobody(run) if ended_as is None else _over(run, ended_as)
+            why = _nobody(store, run) if ended_as is None else _over(run, ended_as)
             return _not_taken(store, folder, command, why, role)
         folder.write(command.id, GIVEN, command)
         report_s, until_s = time.monotonic() + PATIENCE_S, time.monotonic() + patience_s
@@ -74,7 +75,7 @@ def give_command(
                        f"stands for {patience_s:g} s; look at the station itself")  # fmt: skip
                 report = None
         if folder.move(command.id, GIVEN, WITHDRAWN):
-            why = _silent(run, patience_s) if folder.is_held else _nobody(run)
+            why = _silent(run, patience_s) if folder.is_held else _nobody(store, run)
             return _not_taken(store, folder, command, why, role)
         return GivenCommand(command, _late(folder, command.id), is_logged=True)
 
@@ -178,7 +179,23 @@ def _not_taken(
     return GivenCommand(command, answer, is_logged=True)
 
 
-def _nobody(run: str) -> CommandAnswer:
+def _nobody(store: Store, run: str) -> CommandAnswer:
+    """The refusal where nobody looks for commands: the run is at work without that, or nobody works on it."""
+    at_work = [
+        each
+        for each in read_statuses(store)
+        if each.run is not None and each.run.run == run and each.condition in {"working", "paused"}
+    ]
+    if at_work:
+        host = at_work[0].host
+        return CommandAnswer(
+            outcome=CommandOutcome.REFUSED,
+            text=f"run {run} is at work on {host}, but takes no commands from this store: only `gyrofleet run` of a "
+            "procedure does, on the computer of its store; `gyrofleet run-simulated` never does. Nothing was done, the "
+            f"run goes on; go to its terminal on {host}",
+            text_zh=f"试验 {run} 正在 {host} 上执行，但不从本存储接收命令：仅与存储同机的 gyrofleet run 试验规程接收，"
+            f"run-simulated 不接收。未执行任何操作，试验继续；请到 {host} 的终端操作",
+        )
     return CommandAnswer(
         outcome=CommandOutcome.REFUSED,
         text=f"no station is at work on run {run}: it was left to be resumed, or killed; nothing was done",

@@ -20,10 +20,12 @@ from storage.recording.command_box import (
     RunCommand,
 )
 from storage.recording.run_command import give_command, is_at_work
+from storage.recording.status_board import StatusBoard
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import StoreError
 from stream.events import CommandOutcome, RunAction
+from stream.status.role_status import Role, RoleState, RunProgress, new_status
 
 COMMAND = RunCommand(id="c1", run="r", action=RunAction.PAUSE, by="Li", reason="door", given_ns=1, expires_ns=2**62)
 
@@ -148,3 +150,18 @@ def test_what_nobody_takes_is_withdrawn_told_and_logged(tmp_path: Path) -> None:
         ]  # fmt: skip
     with CommandFolder(store.folder, "r") as folder:
         assert folder.names(GIVEN) == folder.names(TAKEN) == folder.names(WITHDRAWN) == []
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [(RoleState.WORKING, "takes no commands"), (RoleState.PAUSED, "takes no commands"), (RoleState.ENDED, "killed")],
+)
+def test_a_run_at_work_that_takes_no_commands_is_not_called_left(
+    tmp_path: Path, state: RoleState, expected: str
+) -> None:
+    store = Store.create(tmp_path / "S")
+    StatusBoard(store).put(new_status(Role.RUN, 1, name="bench", state=state, run=RunProgress(run="r")))
+    answer = give_command(store, "r", RunAction.PAUSE, by="Li", reason="door").answer
+    assert answer.outcome is CommandOutcome.REFUSED
+    assert expected in answer.text
+    assert answer.text_zh
