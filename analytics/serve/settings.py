@@ -4,8 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from analytics.serve.doors.login_file import LoginFile
 from analytics.serve.doors.origin import is_loopback
 from analytics.serve.doors.roles import Role
+from analytics.serve.doors.users_file import UsersFile
 from stream.errors import BadInput
 from stream.terminal.option_checks import about
 
@@ -57,7 +59,7 @@ class Settings:
         return is_loopback(self.host)
 
     def check(self) -> None:
-        """Refuse to listen beyond loopback without users and TLS; BadInput names what is missing."""
+        """Refuse files that cannot be used, and to listen beyond loopback without users and TLS; BadInput says why."""
         if (self.certificate is None) is not (self.key is None):
             with about("key" if self.key is None else "certificate"):
                 raise BadInput("--certificate and --key belong together: give both files, or neither")
@@ -65,6 +67,12 @@ class Settings:
             if path is not None and not path.is_file():
                 with about(option):
                     raise BadInput(f"--{option} {path}: there is no such file")
+        if self.users_path is not None:
+            with about("users_path"):
+                UsersFile(self.users_path)
+        if self.login_path is not None:
+            with about("login_path"):
+                LoginFile.read(self.login_path)
         with about("url"):
             self._check_url()
         with about("host"):

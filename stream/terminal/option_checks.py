@@ -13,11 +13,12 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Check = Callable[[Mapping[str, Any]], object]
 _MOST_PORT = 65535
+_WRONG_USE = 2  # as click's own: who starts a role again does not start it with the same options
 _CHECKS = "gyrofleet_checks"  # where a command keeps them
 
 
 def options_checked(check: Check) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """Have a command refuse its options, given by name, where `check` raises a GyrofleetError.
+    """Have a command refuse its options, given by name, where `check` raises a GyrofleetError: the exit code is 2.
 
     It stands below `reporting`.
     """
@@ -25,7 +26,11 @@ def options_checked(check: Check) -> Callable[[Callable[..., R]], Callable[..., 
     def decorate(command: Callable[..., R]) -> Callable[..., R]:
         @functools.wraps(command)
         def run(*args: Any, **kwargs: Any) -> R:
-            check(kwargs)
+            try:
+                check(kwargs)
+            except GyrofleetError as error:
+                error.exit_code = _WRONG_USE
+                raise
             return command(*args, **kwargs)
 
         keep_check(run, check)

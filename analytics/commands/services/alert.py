@@ -2,7 +2,9 @@
 
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,7 +23,7 @@ from stream.terminal.console import (
     store_option,
     until_stopped,
 )
-from stream.terminal.option_checks import check_listen, options_checked
+from stream.terminal.option_checks import about, check_listen, options_checked
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
 
@@ -30,6 +32,14 @@ _LONGEST_TEST_S = 60.0
 _rules_option = click.option(
     "--rules", "rules_path", type=click.Path(path_type=Path), required=True, help="The rules, a TOML file."
 )
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    from analytics.alerts.rules import load_rules
+
+    check_listen(options)
+    with about("rules_path"):
+        load_rules(options["rules_path"])
 
 
 @click.group("alert", cls=CommandGroup)
@@ -44,7 +54,7 @@ def alert() -> None:
 @configured("alert")
 @reporting
 @logged("alert")
-@options_checked(check_listen)
+@options_checked(_check)
 def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: bool) -> None:
     """Watch a store and send alerts, until stopped.
 

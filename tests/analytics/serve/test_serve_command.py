@@ -32,23 +32,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory, run_command: Run) -> Path:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "message", "code"),
     [
-        (("--host", "0.0.0.0"), "needs users (--users FILE"),
-        (("--host", "0.0.0.0", "--users", "users.toml"), "needs TLS (--certificate"),
-        (("--host", "192.0.2.1", "--certificate", "none.pem", "--key", "none.pem"), "there is no such file"),
-        (("--certificate", "a.csv"), "belong together"),
-        (("--host", "not-a-host", "--trust-network"), "cannot listen"),
-        (("--users", "missing.toml"), "missing.toml"),
-        (("--users", "a.csv"), "a.csv"),
-        (("--store", "nowhere"), "nowhere is not a gyrofleet store"),
+        (("--host", "0.0.0.0"), "needs users (--users FILE", 2),
+        (("--host", "0.0.0.0", "--users", "users.toml"), "needs TLS (--certificate", 2),
+        (("--host", "192.0.2.1", "--certificate", "none.pem", "--key", "none.pem"), "there is no such file", 2),
+        (("--certificate", "a.csv"), "belong together", 2),
+        (("--host", "not-a-host", "--trust-network"), "cannot listen", 1),
+        (("--users", "missing.toml"), "missing.toml", 2),
+        (("--users", "a.csv"), "a.csv", 2),
+        (("--store", "nowhere"), "nowhere is not a gyrofleet store", 1),
     ],
 )
-def test_what_it_refuses(folder: Path, run_command: Run, words: tuple[str, ...], message: str) -> None:
+def test_what_it_refuses(folder: Path, run_command: Run, words: tuple[str, ...], message: str, code: int) -> None:
     (folder / "users.toml").write_text("[users]\n")
     store = () if "--store" in words else ("--store", "S")
     done = run_command("serve", *store, "--port", 0, *words, "--json", cwd=folder)
-    assert done.code == 1, done.out
+    assert done.code == code, done.out
     assert message in done.json["error"]["message"]
 
 

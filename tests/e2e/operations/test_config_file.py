@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from analytics.config_kinds import KINDS
 from gyrofleet import main
-from storage.store import writer_endpoint
+from storage.store import Store, writer_endpoint
 from tests.secured_sites import make_site
 from tests.sources import SOURCES
 
@@ -62,6 +62,32 @@ def test_a_wrong_setting_is_named(old: str, new: str, expected: str, tmp_path: P
     assert code == 1
     assert expected in wrong["problem"]
     assert str(path) in wrong["problem"]
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "table"),
+    [
+        (("serve", "--port", "0"), "users", "serve"),
+        (("serve", "--port", "0"), "login", "serve"),
+        (("alert", "run"), "rules", "alert"),
+    ],
+)
+@pytest.mark.parametrize("content", [None, "x = ["])
+def test_settings_name_files_that_can_be_used(
+    words: tuple[str, ...], option: str, table: str, content: str | None, tmp_path: Path
+) -> None:
+    """Whoever starts roles again does not start one with exit code 2: its settings stay wrong."""
+    path, named = tmp_path / "roles.toml", tmp_path / "named.toml"
+    path.write_text(f'store = "S"\n[{table}]\n{option} = "named.toml"\n')
+    Store.create(tmp_path / "S")
+    if content is not None:
+        named.write_text(content)
+        named.chmod(0o600)
+    code, (wrong,) = check(path)
+    assert code == 1
+    assert f"{path}: {table}.{option}: " in wrong["problem"]
+    done = CliRunner().invoke(main, [*words, "--config", str(path)])
+    assert (done.exit_code, str(named) in done.output) == (2, True), done.output
 
 
 FILES = {

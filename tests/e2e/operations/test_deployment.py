@@ -20,6 +20,8 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from analytics.serve.doors.roles import Role
+from analytics.serve.doors.users_file import add_person
 from gyrofleet import main
 from tests.free_ports import free_endpoint
 
@@ -49,8 +51,11 @@ def unit(path: Path) -> configparser.ConfigParser:
     return found
 
 
-def test_settings_of_the_example_are_accepted() -> None:
-    done = CliRunner().invoke(main, ["config", "check", str(DEPLOY / "gyrofleet.toml"), "--json"])
+def test_settings_of_the_example_are_accepted(tmp_path: Path) -> None:
+    shutil.copy(DEPLOY / "gyrofleet.toml", tmp_path)
+    add_person(tmp_path / "users.toml", "li", Role.ENGINEER, "a long password")
+    (tmp_path / "alerts.toml").write_text('[[rules]]\nname = "room"\nkind = "disk"\n')
+    done = CliRunner().invoke(main, ["config", "check", str(tmp_path / "gyrofleet.toml"), "--json"])
     assert done.exit_code == 0, done.output
     (found,) = json.loads(done.output)["files"]
     assert found["text"].split(", ") == ["record", "lake", "estimate", "serve", "alert", "attest"]
