@@ -72,7 +72,7 @@ class Settings:
                 UsersFile(self.users_path)
         if self.login_path is not None:
             with about("login_path"):
-                LoginFile.read(self.login_path)
+                LoginFile.read(self.login_path).check_secrets()
         with about("url"):
             self._check_url()
         with about("host"):

@@ -56,9 +56,12 @@ def propose(
 def open_proposal(store: Store, uid: str) -> Proposal:
     """The open proposal with that uid, or a beginning of it that only one has."""
     found = [each for each in read_proposals(store).values() if uid and each.document.uid.startswith(uid)]
-    if len(found) != 1:
-        what = "is none" if not found else f"are {len(found)}"
-        raise NotFound(f"there {what} of the proposal {uid!r}; `gyrofleet proposal list` has those that wait")
+    if not found:
+        raise NotFound(f"there is no proposal {uid!r} in {store.folder}; `gyrofleet proposal list` has those that wait")
+    if len(found) > 1:
+        raise NotFound(
+            f"{len(found)} proposals begin with {uid!r}; give more of the id: `gyrofleet proposal list --all` has them"
+        )
     (proposal,) = found
     if proposal.ended_by is not None:
         by = getattr(proposal.ended_by, "by", "")

@@ -146,7 +146,7 @@ def history(folder: Path, *, as_json: bool) -> None:
         each = link.document
         what, when = link.label if each.name else "", format_moment(each.t_ns) or ""
         rejudged = "judged anew" if each.rejudges else "keep their verdicts"
-        table.add_row(when, each.action.value, what, each.by, each.reason, rejudged)
+        table.add_row(when, each.action.value, what, _people(each), each.reason, rejudged)
     results().print(table if links else completed(_NONE))
 
 
@@ -168,9 +168,10 @@ def list_all(folder: Path, *, as_json: bool) -> None:
     else:
         table = ResultTable("specification", "revision", "valid", "limits", "products", "entered", "by")
         for each in periods:
-            found, entry = each.specification, _entry(entered[each.specification.label])
+            found = each.specification
+            document = entered[found.label]
             words = (found.name, found.revision, each.text, str(len(found.limits)), ", ".join(found.products))
-            table.add_row(*words, entry["entered"], entry["by"])
+            table.add_row(*words, _entry(document)["entered"], _people(document))
         results().print(table if periods else completed(_NONE))
     warn_of_copies(store, chain)
 
@@ -259,6 +260,13 @@ def _enter(
 def _print_rejudged(*, rejudges: bool) -> None:
     after = "is judged anew." if rejudges else "keeps its verdicts; with --rejudge it would be judged anew."
     notes().print(f"What was recorded before {after}", soft_wrap=True)
+
+
+def _people(document: "SpecificationEntered") -> str:
+    """Who entered it; where two persons did, who proposed and who approved it."""
+    if not document.proposal:
+        return document.by
+    return f"proposed by {document.proposed_by}, approved by {document.by}"
 
 
 def _entry(document: "SpecificationEntered") -> dict[str, str]:

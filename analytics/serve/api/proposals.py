@@ -74,6 +74,8 @@ def list_proposals(call: Call, asked: ProposalsAsked) -> Proposals:
         why_not = reason_against_approver(each, call.person.actor) or ""
         if call.person.role < Role.APPROVER:
             why_not = f"{call.person.role.word} may not approve"
+        if call.person.is_program:
+            why_not = _no_person(call)
         row = ProposalRow(
             id=document.uid, subject=document.subject, title=document.title,
             title_zh=act_title(each.act).zh, unit=document.unit, by=document.by, identity=document.identity,
@@ -88,20 +90,28 @@ def list_proposals(call: Call, asked: ProposalsAsked) -> Proposals:
 
 @post("/api/proposals/{proposal}/approve", role=Role.APPROVER)
 def approve_proposal(call: Call, asked: Nothing) -> Decided:
-    """Approve what somebody else has proposed; it is then carried out."""
+    """Approve what somebody else has proposed; it is then carried out. 403 for a program: a person has to approve."""
     from analytics.approval import approve
 
     del asked
+    if call.person.is_program:
+        raise Forbidden(_no_person(call))
     return Decided(document=msgspec.to_builtins(approve(call.store, call.path["proposal"], call.person.actor)))
 
 
 @post("/api/proposals/{proposal}/reject", role=Role.ENGINEER)
 def reject_proposal(call: Call, asked: RejectionAsked) -> Decided:
-    """Reject a proposal, which needs an approver, or withdraw one's own."""
+    """Reject a proposal, which needs an approver who is no program, or withdraw one's own."""
     from storage.recording.proposing import open_proposal, reject
 
     uid, actor = call.path["proposal"], call.person.actor
     is_own = actor.is_authenticated and actor.identity == open_proposal(call.store, uid).document.identity
     if not is_own and call.person.role < Role.APPROVER:
         raise Forbidden(f"{call.person.name} may withdraw own proposals only: rejecting another's needs an approver")
+    if not is_own and call.person.is_program:
+        raise Forbidden(_no_person(call))
     return Decided(document=msgspec.to_builtins(reject(call.store, uid, by=actor, reason=asked.reason)))
+
+
+def _no_person(call: Call) -> str:
+    return f"{call.person.name} is a program: a person has to decide, who signs in with a password or a certificate"

@@ -163,7 +163,7 @@ class Doorkeeper:
         name, user = found
         # a browser sends its certificate for every site that asks: changes need a secret that no site knows
         csrf = hmac.digest(self._csrf_key, f"{name} {user.fingerprint}".encode(), "sha256").hex()
-        return Person(name, Role.named(user.role), csrf)
+        return replace(user.person(name), csrf=csrf)
 
     def _is_token(self, given: str) -> bool:
         encoded = given.encode(errors="surrogatepass")

@@ -137,6 +137,13 @@ class LoginFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             )
         return found
 
+    def check_secrets(self) -> None:
+        """BadInput if a file with a secret cannot be used."""
+        if self.proxy is not None:
+            self.proxy_secret()
+        if self.oidc is not None and self.oidc.client_secret_file:
+            self.secret(self.oidc.client_secret_file)
+
     def beside(self, name: str) -> Path:
         """A file that this one names."""
         return Path(self.folder) / name

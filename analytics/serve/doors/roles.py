@@ -41,13 +41,14 @@ ROLES = tuple(role.word for role in Role)
 class Person:
     """Who asks; `csrf` is the secret that changes from a browser must carry, None for programs with a token.
 
-    The holder of the server's own token is nobody by name (`is_named`).
+    The holder of the server's own token is nobody by name (`is_named`); a program is no second person.
     """
 
     name: str
     role: Role
     csrf: str | None = None
     is_named: bool = True
+    is_program: bool = False
 
     @property
     def actor(self) -> Actor:

@@ -49,7 +49,7 @@ class User(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_default
 
     def person(self, name: str) -> Person:
         """The user as who asks."""
-        return Person(name, Role.named(self.role))
+        return Person(name, Role.named(self.role), is_program=bool(self.token_sha256))
 
 
 class _Content(msgspec.Struct, forbid_unknown_fields=True):

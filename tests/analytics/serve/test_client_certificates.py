@@ -209,5 +209,5 @@ def test_a_file_of_logins_that_is_not_right_is_refused(
     (tmp_path / "login.toml").write_text(login)
     (tmp_path / "proxy-secret").write_text(secret)
     done = run_command("serve", "--store", "S", "--port", 0, "--login", "login.toml", "--json", cwd=tmp_path)
-    assert done.code == 1, done.out
+    assert done.code == 2, done.out
     assert said in done.json["error"]["message"]

@@ -59,6 +59,9 @@ def test_an_engineer_proposes_and_an_approver_approves(site: tuple[str, dict[str
     assert post("engineer", f"{path}/approve").status_code == 403
     assert post("", f"{path}/approve").status_code == 400  # the token is nobody by name
     assert post("operator", f"{path}/reject", reason="no reason").status_code == 403
+    for refused in (post("approver", f"{path}/approve"), post("approver", f"{path}/reject", reason="no reason")):
+        assert refused.status_code == 403
+        assert "approver-program is a program: a person has to decide" in refused.text
     assert stage() == "off"
     with Browser(base_url=url, headers={"Accept": "text/html", "Sec-Fetch-Site": "same-origin"}, timeout=60.0,
                  follow_redirects=True) as anna:  # fmt: skip
@@ -74,14 +77,29 @@ def test_an_engineer_proposes_and_an_approver_approves(site: tuple[str, dict[str
         assert answer.status_code == 200, answer.text
         assert "/act/approve_proposal" not in answer.text
         assert "approved" in anna.get("/proposals?which=all").text
+        again = anna.post("/act/approve_proposal", data=fields)
+        assert again.status_code == 400
+        assert "approved already, by anna" in again.text
     assert stage() == "live"
-    again = post("approver", f"{path}/approve")
-    assert again.status_code == 400
-    assert "approved already, by anna" in again.text
 
 
 @pytest.mark.long
-def test_an_approver_does_not_approve_their_own_and_withdraws_it(site: tuple[str, dict[str, str]]) -> None:
+def test_an_approver_does_not_approve_their_own(site: tuple[str, dict[str, str]]) -> None:
+    url, _ = site
+    with Browser(base_url=url, headers={"Accept": "text/html", "Sec-Fetch-Site": "same-origin"}, timeout=60.0,
+                 follow_redirects=True) as anna:  # fmt: skip
+        anna.post("/login", data={"name": "anna", "password": PASSWORD})
+        anna.headers["X-CSRF-Token"] = anna.csrf
+        answer = anna.post("/api/models/U1/promote", json=PROMOTION | {"stage": "shadow", "reason": "again"})
+        uid = answer.json()["documents"][0]["uid"]
+        own = anna.post(f"/api/proposals/{uid}/approve", json={})
+        assert own.status_code == 400
+        assert "another person has to approve" in own.text
+        assert anna.post(f"/api/proposals/{uid}/reject", json={"reason": "too early"}).status_code == 200
+
+
+@pytest.mark.long
+def test_a_program_approves_nothing_and_withdraws_its_own(site: tuple[str, dict[str, str]]) -> None:
     url, tokens = site
     headers = {"Authorization": f"Bearer {tokens['approver']}"}
     with httpx.Client(base_url=url, headers=headers, timeout=60.0) as approver:
@@ -89,10 +107,10 @@ def test_an_approver_does_not_approve_their_own_and_withdraws_it(site: tuple[str
         uid = answer.json()["documents"][0]["uid"]
         (row,) = approver.get("/api/proposals").json()["proposals"]
         assert (row["id"], row["may_approve"]) == (uid, False)
-        assert "another person has to approve" in row["why_not"]
+        assert "a person has to decide" in row["why_not"]
         own = approver.post(f"/api/proposals/{uid}/approve", json={})
-        assert own.status_code == 400
-        assert "another person has to approve" in own.text
+        assert own.status_code == 403
+        assert "a person has to decide" in own.text
         engineer = {"Authorization": f"Bearer {tokens['engineer']}"}
         refused = approver.post(f"/api/proposals/{uid}/reject", json={"reason": "not good"}, headers=engineer)
         assert refused.status_code == 403

@@ -169,6 +169,9 @@ def test_specifications_by_certificates_on_the_command_line(tmp_path: Path, gyro
     (link,) = read_chain(store).links
     assert (link.document.by, link.document.proposed_by) == ("approver:chief", "approver:lead")
     assert (tmp_path / "S/products/fog-A.toml").read_text() == LIMITS
+    for words in (("limits", "list"), ("limits", "history")):
+        shown = gyrofleet(*words, "--store", "S").out
+        assert "proposed by approver:lead, approved by approver:chief" in " ".join(shown.split())
     taken = gyrofleet("limits", "withdraw", "fog-A", "--reason", "wrong", *chief, "--json").json
     assert len(read_chain(store).links) == 1
     assert gyrofleet("proposal", "approve", taken["uid"], *lead).code == 0
