@@ -1,5 +1,6 @@
 """Supervision of processes: a role that dies is reported with its reason, and started again with growing pauses."""
 
+import json
 import re
 import subprocess
 import sys
@@ -37,6 +38,8 @@ def describe_end(code: int, last: Sequence[str]) -> str:
 
     >>> describe_end(-9, []), describe_end(1, ["error: the disk is full", "bye"])
     ('killed by SIGKILL', 'exit code 1: the disk is full')
+    >>> describe_end(1, ['{"level": "error", "text": "the disk is full"}', "bye"])
+    'exit code 1: the disk is full'
     """
     if code < 0:
         try:
@@ -45,9 +48,21 @@ def describe_end(code: int, last: Sequence[str]) -> str:
             end = f"killed by signal {-code}"
     else:
         end = f"exit code {code}"
+    last = [_as_text(line) for line in last]
     errors = [line for line in last if _ERROR.match(line)]
     why = _ERROR.sub("", errors[-1]) if errors else (last[-1] if last else "")
     return f"{end}: {why}" if why else end
+
+
+def _as_text(line: str) -> str:
+    """A line of a log in JSON as the same line is in text; any other line as it is."""
+    try:
+        found = json.loads(line) if line.startswith("{") else None
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict) or "text" not in found:
+        return line
+    return f"{'error: ' if found.get('level') == 'error' else ''}{found['text']}"
 
 
 @dataclass

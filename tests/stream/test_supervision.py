@@ -110,7 +110,7 @@ def test_the_command_keeps_a_recorder_at_work(
     tmp_path: Path, spawn: Callable[..., subprocess.Popen[str]], endpoint: str, gyrofleet: Callable[..., Any]
 ) -> None:
     (tmp_path / "roles.toml").write_text(f'[record]\nstore = "S"\nlisten = "{endpoint}"\n')
-    process = spawn("supervise", "roles.toml", "--log-format", "json")
+    process = spawn("supervise", "roles.toml", "--log-format", "json")  # of the roles as well
     first = _writer(tmp_path)
     os.kill(first, signal.SIGKILL)
     at = time.monotonic() + 60.0
@@ -120,7 +120,9 @@ def test_the_command_keeps_a_recorder_at_work(
     process.terminate()
     _, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
-    assert '"event": "role_died"' in err
+    lines = [json.loads(line) for line in err.splitlines()]
+    assert {"supervise", "record"} == {line["role"] for line in lines}
+    assert "role_died" in {line["event"] for line in lines}
     assert "killed by SIGKILL" in err
     assert not Path(f"/proc/{second}").exists()
     assert gyrofleet("verify", "--store", "S").code == 0

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from stream.errors import BadInput
 from stream.roles.config_file import TABLE, check_config
@@ -80,17 +81,21 @@ def supervise(path: Path, patience_s: float, *, as_json: bool) -> None:
     """Keep the roles of a FILE of settings at work: one process for each of its tables, until stopped.
 
     A role that dies is reported with its reason, and started again after 1 s, then 2 s, up to 60 s; one whose options
-    are wrong is not. Where there is systemd, its units do the same.
+    are wrong is not. A --log-format that is given is that of the roles as well. Where there is systemd, its units do
+    the same.
     """
     from stream.roles.supervision import Role, Supervisor
 
+    context = click.get_current_context()
+    is_given = context.get_parameter_source("log_format") is ParameterSource.COMMANDLINE
+    form = ("--log-format", context.params["log_format"]) if is_given else ()
     known = roles()
     names = check_config(path, _commands())
     if not names:
         raise BadInput(f"{path} has no table of a role, as [record]; there are {', '.join(known)}")
     log = RoleLog("supervise")
     command = [sys.executable, "-c", "from gyrofleet import front_door; front_door()"]
-    wanted = [Role(name, (*known[name][0], "--config", str(path))) for name in sorted(names, key=_ORDER.index)]
+    wanted = [Role(name, (*known[name][0], "--config", str(path), *form)) for name in sorted(names, key=_ORDER.index)]
     supervisor = Supervisor(wanted, command, log.write)
     with until_stopped() as stopped:
         while supervisor.look() and not stopped.wait(_LOOK_S):
