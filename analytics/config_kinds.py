@@ -9,6 +9,7 @@ import click
 import msgspec
 
 from stream.errors import BadInput, GyrofleetError
+from stream.pem_text import fault_of_pem
 from stream.roles.config_file import check_config
 from stream.security.site_rules import RULES_FILE
 from stream.terminal.console import counted
@@ -168,7 +169,9 @@ KINDS: dict[str, Kind] = {
 def checked(path: Path, kind: str | None, commands: Commands) -> Checked:
     """Check a file; `commands` are the roles that settings may have tables of."""
     try:
-        kind = kind or _kind_of(path, commands)
+        if kind is None or path.is_file():  # a pipe can be read only once
+            content = _content_of(path)
+            kind = kind or _kind_of(path, content, commands)
         is_settings = kind == _SETTINGS
         text = ", ".join(check_config(path, commands)) or "no role" if is_settings else KINDS[kind].check(path)
     except GyrofleetError as error:
@@ -177,13 +180,20 @@ def checked(path: Path, kind: str | None, commands: Commands) -> Checked:
     return Checked(file=str(path), kind=kind, text=text)
 
 
-def _kind_of(path: Path, commands: Commands) -> str:
-    """What a file is, by its name and its first keys."""
+def _content_of(path: Path) -> bytes:
+    """The content of a file; BadInput if it cannot be read, or is a key or a certificate."""
     try:
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES)
     except OSError as error:
         raise BadInput(f"{path} cannot be read: {error.strerror or error}") from error
+    if fault := fault_of_pem(content):
+        raise BadInput(f"{path}: {fault}")
+    return content
+
+
+def _kind_of(path: Path, content: bytes, commands: Commands) -> str:
+    """What a file is, by its name and its first keys."""
     if path.name == RULES_FILE:
         return "site"
     if path.suffix == ".json":

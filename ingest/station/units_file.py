@@ -14,6 +14,7 @@ from ingest.station.station import SlotTable
 from stream.errors import BadInput
 from stream.events import UnitMounted
 from stream.identity import check_name
+from stream.pem_text import fault_of_pem
 
 STDIN = "-"
 COLUMNS = ("serial", "slot", "lot", "operator", "fixture", "firmware", "product")
@@ -90,6 +91,8 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
     >>> [each.serial for each in parse_units(b"FOG-1\r\nFOG-2\r\n", "scan").entries]
     ['FOG-1', 'FOG-2']
     """
+    if fault := fault_of_pem(content):
+        raise BadInput(f"units {source}: {fault}")
     rows, empty = _rows(_decoded(content, source), source)
     if not rows:
         raise BadInput(f"units {source}: it is empty; one serial a line is expected, or a table with a column serial")

@@ -12,7 +12,9 @@ from click.testing import CliRunner
 
 from analytics.config_kinds import KINDS
 from gyrofleet import main
+from ingest.station.units_file import read_units
 from storage.store import Store, writer_endpoint
+from stream.errors import BadInput
 from tests.secured_sites import make_site
 from tests.sources import SOURCES
 
@@ -126,6 +128,21 @@ def test_a_file_that_is_not_there_is_no_file_without_rules(tmp_path: Path) -> No
         done = CliRunner().invoke(main, ["config", "check", str(tmp_path / "nowhere" / name), "--json"])
         assert done.exit_code == 1
         assert "No such file" in done.output
+
+
+@pytest.mark.parametrize("name", ["ca.key", "ca.csv", "ca.toml"])
+@pytest.mark.parametrize("words", [(), ("--as", "units")])
+@pytest.mark.parametrize("before", ["", "Bag Attributes\n    friendlyName: ca\n"])
+def test_of_a_key_nothing_is_shown(name: str, words: tuple[str, ...], before: str, tmp_path: Path) -> None:
+    line = "MC4CAQAwBQYDK2VwBCIEIMzXBPqRhkCVN8dmZK"
+    (tmp_path / name).write_text(f"{before}-----BEGIN PRIVATE KEY-----\n{line}\n-----END PRIVATE KEY-----\n")
+    done = CliRunner().invoke(main, ["config", "check", str(tmp_path / name), *words])
+    assert done.exit_code == 1
+    assert f"{name}: it is a key or a certificate" in done.output
+    assert line not in done.output
+    assert "BEGIN" not in done.output
+    with pytest.raises(BadInput, match="it is a key or a certificate"):
+        read_units(tmp_path / name)
 
 
 def test_files_of_the_program_and_a_site_are_well(tmp_path: Path) -> None:
