@@ -23,7 +23,7 @@ from stream.terminal.console import (
     store_option,
     until_stopped,
 )
-from stream.terminal.option_checks import about, options_checked
+from stream.terminal.option_checks import about, check_listen, options_checked
 
 if TYPE_CHECKING:
     from storage.attestation.attestation import Attestation, Statement
@@ -34,6 +34,7 @@ _SECONDS_PER_H = 3600.0
 def _check(options: Mapping[str, Any]) -> None:
     from storage.attestation.time_stamp import check_url
 
+    check_listen(options)
     if url := options["timestamp_url"]:
         with about("timestamp_url"):
             check_url(url)

@@ -17,6 +17,7 @@ import click
 
 from stream.terminal.console import shown_text, structured_log
 from stream.terminal.hints import completed
+from stream.terminal.option_checks import warning_of_reach
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -56,6 +57,8 @@ def logged(role: str) -> Callable[[Callable[P, R]], Callable[..., R]]:
         def run(*args: Any, log_format: str = "text", log_level: str = "info", **kwargs: Any) -> R:
             set_up(role, log_format, log_level)
             structured_log[:] = [functools.partial(_line, role)] if log_format == "json" else []
+            if warning := warning_of_reach(kwargs.get("status_listen")):
+                RoleLog(role).write("warning", "status_is_open", warning)
             return command(*args, **kwargs)
 
         return run

@@ -7,7 +7,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import click
 
-from stream.errors import BadInput, GyrofleetError
+from stream.errors import BadInput, BusError, GyrofleetError
+from stream.security.endpoint import parse_endpoint
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -65,6 +66,27 @@ def check_listen(options: Mapping[str, Any]) -> None:
     if address := options.get("status_listen"):
         with about("status_listen"):
             parse_listen(address)
+
+
+def warning_of_reach(address: str | None) -> str:
+    """What to know of a status that is served beyond this computer; empty if it is not, or the address is none.
+
+    >>> warning_of_reach("127.0.0.1:9464"), warning_of_reach("localhost:0"), warning_of_reach(None)
+    ('', '', '')
+    >>> warning_of_reach("0.0.0.0:9464")[:21]
+    '--status-listen 0.0.0'
+    """
+    try:
+        host, port = parse_listen(address or "")
+        is_near = parse_endpoint(f"tcp/{host}:{port or 1}").is_loopback
+    except (BadInput, BusError):
+        return ""
+    if is_near:
+        return ""
+    return (
+        f"--status-listen {address}: anybody who reaches this computer can read the status there, without a login and "
+        "without TLS; listen on 127.0.0.1 where only programs of this computer ask"
+    )
 
 
 def parse_listen(address: str) -> tuple[str, int]:

@@ -77,3 +77,18 @@ def test_text_has_times_and_levels_and_no_escapes_of_a_terminal() -> None:
 def test_lower_levels_are_left_out(level: str, events: list[str]) -> None:
     _, lines = run("--log-format", "json", "--log-level", level)
     assert [json.loads(line)["event"] for line in lines] == events
+
+
+@pytest.mark.parametrize(("address", "is_open"), [("0.0.0.0:0", True), ("[::]:0", True), ("127.0.0.1:0", False)])
+def test_a_status_that_others_can_read_is_warned_of_once(address: str, is_open: bool) -> None:
+    script = (
+        SCRIPT.replace("@click.command()\n", "@click.command()\n@status_listen_option\n")
+        .replace("def command(as_json):", "def command(as_json, status_listen):")
+        .replace("console import reporting", "console import reporting, status_listen_option")
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, "--status-listen", address], capture_output=True, text=True, check=False
+    )
+    warned = [line for line in done.stderr.splitlines() if "anybody who reaches this computer can read" in line]
+    assert len(warned) == is_open
+    assert all(f" warning: --status-listen {address}: " in line for line in warned)
