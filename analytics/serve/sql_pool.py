@@ -15,6 +15,7 @@ from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.doors.roles import Person
 from analytics.serve.problems import TooMany
 from analytics.serve.shared_lake import LakeState
+from storage.sql.advice import Advice
 from storage.sql.door import QueryLimits, SqlDoor
 from storage.store import Store, writer_is_active
 from stream.closing import Closing
@@ -25,6 +26,12 @@ LIMITS = QueryLimits()._replace(
     time_s=30.0,
     memory_bytes=min(2 << 30, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 4),
     rows=2 * MOST_ROWS,  # more than are read of any result
+)
+_ADVICE = Advice(
+    kept="to keep a result ask for it as a file: `format` csv or parquet at /api/sql, a button on the page SQL",
+    rows="ask for less: aggregate, or write `limit`",
+    time="ask for less: one run, one signal or a shorter time, or `rollup_10s` in place of `samples`",
+    memory="ask for less: fewer rows and columns at once, or aggregate them",
 )
 _AT_ONCE = 2
 _PATIENCE_S = 20.0
@@ -73,13 +80,16 @@ class SqlPool(Closing):
             fresh = [each for each in self._idle if each.tag == tag and not self._is_old(each)]
             stale = [each for each in self._idle if each not in fresh]
             fresh.sort(key=lambda each: each.began_s is not None)  # the one that stands by is taken last
-            found = fresh.pop() if fresh else _Idle(tag, None, SqlDoor(self._store, self._limits))
+            found = fresh.pop() if fresh else _Idle(tag, None, self._new())
             taken = found if found.began_s is not None else found._replace(began_s=time.monotonic())
             self._idle = fresh
             self._busy[taken.door] = taken
         for each in stale:
             each.door.close()
         return taken.door
+
+    def _new(self) -> SqlDoor:
+        return SqlDoor(self._store, self._limits, advice=_ADVICE)
 
     def _is_old(self, idle: _Idle) -> bool:
         """Whether a recorder may have written what the door does not see."""
@@ -99,7 +109,7 @@ class SqlPool(Closing):
 
     def _start_one(self, tag: str) -> None:
         try:
-            door = SqlDoor(self._store, self._limits)
+            door = self._new()
             with suppress(GyrofleetError):  # the next statement reports it
                 door.start()
             with self._lock:

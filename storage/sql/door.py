@@ -18,6 +18,7 @@ import msgspec
 
 import stream.errors
 from storage.object_lake.range_service import RangeService
+from storage.sql.advice import COMMAND_LINE, Advice
 from storage.sql.lake_source import source_of
 from storage.sql.sandbox.child import Closed, FrameKind, read_frame, write_frame
 from storage.store import Store
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 _GIB = 1 << 30
 _STDERR_BYTES = 2000
 _ATTEMPTS = 3
+_REFUSED = "_Refused"  # the class of the guard's errors, which is of the process
 _ENDING = ("INTERNAL Error", "FATAL Error")  # after which DuckDB answers no statement any more
 
 
@@ -64,7 +66,7 @@ class SqlDoor(Closing):
 
     Rows that only the log has are seen as well, as they were when a statement first needed them. With `landlock` the
     kernel enforces that nothing is written, else only the other guards do; `is_enforced` says whether it does, and is
-    None until the first statement.
+    None until the first statement. `advice` ends the messages of statements that are refused or exceed the limits.
 
     >>> with SqlDoor(Store.open(Path("night"))) as door:  # doctest: +SKIP
     ...     table = door.ask("select unit, signal, samples from signals").read_all()
@@ -72,11 +74,15 @@ class SqlDoor(Closing):
 
     _ranges: RangeService | None = None  # serves a published lake to the process
 
-    def __init__(self, store: Store, limits: QueryLimits | None = None, *, landlock: bool = True) -> None:
+    _advice = COMMAND_LINE
+
+    def __init__(
+        self, store: Store, limits: QueryLimits | None = None, *, landlock: bool = True, advice: Advice = COMMAND_LINE
+    ) -> None:
         self.store = store
         self.limits = limits or QueryLimits()
         self.is_enforced: bool | None = None
-        self._landlock = landlock
+        self._landlock, self._advice = landlock, advice
         self._source = source_of(store)
         self._kept = store.folder
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
@@ -116,10 +122,7 @@ class SqlDoor(Closing):
                     for batch in reader:
                         rows += batch.num_rows
                         if rows > self.limits.rows:
-                            raise QueryError(
-                                f"the result has more than {self.limits.rows:,} rows; ask for less, or for more rows "
-                                f"(--max-rows, QueryLimits.rows)"
-                            )
+                            raise QueryError(f"the result has more than {self.limits.rows:,} rows; {self._advice.rows}")
                         yield batch
         finally:
             if not is_complete:  # the rest must not be taken for the next answer
@@ -131,18 +134,19 @@ class SqlDoor(Closing):
             kind, content = read_frame(process.answers)
         except Closed:
             self._process = None
-            raise process.why_it_ended(self.limits) from None
+            raise process.why_it_ended(self.limits, self._advice) from None
         if kind is FrameKind.FAILED:
             failure = json.loads(content)
             if "MemoryError" in failure["kinds"] or failure["message"].startswith("Out of Memory Error"):
                 if "MemoryError" in failure["kinds"]:
                     self._end()
-                raise _too_much_memory(self.limits)
+                raise _too_much_memory(self.limits, self._advice)
             if failure["message"].startswith(_ENDING):
                 self._end()
             known = [getattr(stream.errors, name, None) for name in failure["kinds"]]
             kinds = [each for each in known if isinstance(each, type) and issubclass(each, GyrofleetError)]
-            raise kinds[0](failure["message"])
+            advice = f"; {self._advice.kept}" if _REFUSED in failure["kinds"] else ""
+            raise kinds[0](f"{failure['message']}{advice}")
         return kind, content
 
     def _setup(self) -> dict[str, object]:
@@ -242,7 +246,7 @@ class _Process:
         with suppress(OSError):  # it has ended; reading its answer tells why
             write_frame(self._requests, kind, content)
 
-    def why_it_ended(self, limits: QueryLimits) -> GyrofleetError:
+    def why_it_ended(self, limits: QueryLimits, advice: Advice) -> GyrofleetError:
         """The error of a process that ended without an answer."""
         code = self._process.wait()
         self.kill()
@@ -250,12 +254,9 @@ class _Process:
         if not self.has_begun:
             return StoreError(f"the process that answers statements cannot start (code {code}): {lines[-1]}")
         if code == -signal.SIGALRM:
-            return QueryError(
-                f"the statement was ended after {limits.time_s:g} s; ask for less, or give it more time "
-                f"(--max-time, QueryLimits.time_s)"
-            )
+            return QueryError(f"the statement was ended after {limits.time_s:g} s; {advice.time}")
         if code < 0:
-            return _too_much_memory(limits, f" (its process ended with {signal.Signals(-code).name})")
+            return _too_much_memory(limits, advice, f" (its process ended with {signal.Signals(-code).name})")
         return QueryError(f"the process of the statement ended with code {code}: {lines[-1]}")
 
     def kill(self) -> None:
@@ -272,8 +273,6 @@ def _environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith("AWS_")}
 
 
-def _too_much_memory(limits: QueryLimits, how: str = "") -> QueryError:
-    return QueryError(
-        f"the statement takes more memory than the {limits.memory_bytes / _GIB:.3g} GiB that it may{how}; ask for "
-        f"less, or give it more (--max-memory, QueryLimits.memory_bytes)"
-    )
+def _too_much_memory(limits: QueryLimits, advice: Advice, how: str = "") -> QueryError:
+    gib = limits.memory_bytes / _GIB
+    return QueryError(f"the statement takes more memory than the {gib:.3g} GiB that it may{how}; {advice.memory}")

@@ -70,11 +70,15 @@ def plain_message(error: Exception) -> str:
     return " ".join(re.split(r"\n\nLINE|\s+Stack Trace:", str(error))[0].split())
 
 
+class _Refused(QueryError):
+    """A statement that does more than read."""
+
+
 def refused(what: str) -> QueryError:
-    """The error of a statement that does more than read."""
-    return QueryError(
+    """The error of a statement that does more than read; the door adds how a result is kept."""
+    return _Refused(
         f"{what} is refused: the store is only read here. What runs is SELECT (also WITH, FROM, DESCRIBE, SUMMARIZE, "
-        f"EXPLAIN); to keep a result use --csv or --parquet FILE"
+        "EXPLAIN)"
     )
 
 

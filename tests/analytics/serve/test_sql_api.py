@@ -101,6 +101,12 @@ def test_what_does_not_only_read_is_refused_with_a_sentence(api: httpx.Client, s
     assert message
     assert "Traceback" not in message
     assert "root:" not in answer.text
+    assert "--" not in message, "nobody who asks here has the command's options"
+
+
+def test_who_would_keep_a_result_learns_how_over_http(api: httpx.Client) -> None:
+    message = api.post("/api/sql", json={"sql": "create table t as select 1"}).json()["error"]["message"]
+    assert "to keep a result ask for it as a file: `format` csv or parquet" in message
 
 
 def ascii_json(text: str) -> bytes:
@@ -118,7 +124,10 @@ def test_a_bomb_ends_and_harms_nobody(api: httpx.Client, statement: str) -> None
     began = time.monotonic()
     answer = api.post("/api/sql", json={"sql": statement})
     assert answer.status_code == 400
-    assert "less" in answer.json()["error"]["message"]
+    message = answer.json()["error"]["message"]
+    assert "ask for less: " in message
+    assert "--max" not in message
+    assert "QueryLimits" not in message
     assert time.monotonic() - began < 50
     assert api.post("/api/sql", json={"sql": "select 1 as one"}).json()["rows"] == [{"one": 1}]
 
