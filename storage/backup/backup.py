@@ -3,6 +3,7 @@
 ``backup.json`` says what is in force and is written last, so that an interrupted backup leaves the one before.
 """
 
+import errno
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +15,8 @@ from storage.backup.content import DATABASE, other_files, unlisted_segments
 from storage.backup.copied_file import CopiedFile, copy_database, copy_file
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
-from storage.segments.disk import sha256_of
+from storage.recording.disk_watch import format_bytes
+from storage.segments.disk import DISK, sha256_of
 from storage.store import Store, only_one
 from storage.store_marker import BACKUP, check_folder
 from stream.atomic_file import write_durably
@@ -76,6 +78,13 @@ def back_up(
     With `is_checked` every segment that is in the backup already is read, and copied again if it is damaged. What was
     acknowledged before the call is in the backup.
     """
+    for link in (folder, *folder.parents):
+        if not link.is_symlink() or link.exists():
+            continue
+        raise BadInput(
+            f"{link} is a symbolic link to {link.readlink()}, and that is not there: mount or make it, or give another "
+            "folder"
+        )
     check_folder(folder)
     if folder.resolve().is_relative_to(store.folder.resolve()):
         raise BadInput(f"{folder} lies within {store.folder}: a backup there would hold itself; give another folder")
@@ -85,7 +94,23 @@ def back_up(
             return _Writer(store, folder, is_checked=is_checked, progress=progress).written()
     except OSError as error:
         left = "the one before is as it was" if (folder / BACKUP).exists() else "there is no backup yet"
-        raise StoreError(f"cannot write the backup {folder}: {error}; {left}") from error
+        why = _full_disk(store, folder) if error.errno in {errno.ENOSPC, errno.EDQUOT} else str(error)
+        raise StoreError(f"cannot write the backup {folder}: {why or error}; {left}") from error
+
+
+def _full_disk(store: Store, folder: Path) -> str:
+    """How much is still to be copied, and how much room there is; empty if that cannot be known."""
+    try:
+        listed = read_log_manifest(store, whole=True).entries.values()
+        waiting = sum(each.size for each in listed if not (folder / LOG / each.segment).exists())
+        others = [*unlisted_segments(store, {each.segment for each in listed}), *other_files(store)]
+        needed, free = waiting + sum(path.stat().st_size for path in others), DISK.space(folder).free
+    except (OSError, StoreError):
+        return ""
+    return (
+        f"the disk is full, or its quota used up: {format_bytes(needed)} are still to be copied, {format_bytes(free)} "
+        "are free; make room there and repeat the command, which goes on where it was, or give another folder"
+    )
 
 
 class _Writer:

@@ -1,9 +1,11 @@
 """Copies of files that are durable and verified when they have their names."""
 
+import errno
 import hashlib
 import os
 import sqlite3
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -41,7 +43,7 @@ def copy_file(source: Path, folder: Path, path: str, size: int | None = None) ->
     digest, copied = hashlib.sha256(), 0
     with source.open("rb") as reader:
         length = os.fstat(reader.fileno()).st_size if size is None else size
-        with part.open("wb") as writer:
+        with _unless_it_fails(part), part.open("wb") as writer:
             while copied < length and (piece := reader.read(min(_PIECE_BYTES, length - copied))):
                 writer.write(piece)
                 digest.update(piece)
@@ -60,13 +62,30 @@ def copy_database(source: Path, folder: Path, path: str) -> CopiedFile:
     part = target.with_name(f"{target.name}.part")
     part.unlink(missing_ok=True)
     address = f"{source.resolve().as_uri()}?mode=ro"
-    with closing(sqlite3.connect(address, uri=True)) as reader, closing(sqlite3.connect(part)) as writer:
+    with (
+        _unless_it_fails(part),
+        closing(sqlite3.connect(address, uri=True)) as reader,
+        closing(sqlite3.connect(part)) as writer,
+    ):
         reader.backup(writer)
     with part.open("rb") as written:
         os.fsync(written.fileno())
     size, sha256 = part.stat().st_size, sha256_of(part)
     _put(part, target)
     return CopiedFile(path, size, sha256)
+
+
+@contextmanager
+def _unless_it_fails(part: Path) -> Iterator[None]:
+    """Keep a part that is written within; where the disk refuses it takes no room there."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        with suppress(OSError):
+            part.unlink()
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(part)) from error
+        raise
 
 
 def _put(part: Path, target: Path) -> None:

@@ -1,5 +1,6 @@
 """Backups of a store: what is in them, what is added, what is damaged, and what is refused."""
 
+import errno
 import json
 import os
 import shutil
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from storage.backup import copied_file
 from storage.backup import restore as restoring
 from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
@@ -19,7 +21,9 @@ from storage.check.verify import verify
 from storage.fleet_store import FleetStore
 from storage.lake.builder import build_missing
 from storage.log.event_log import EventLog
+from storage.recording.disk_watch import format_bytes
 from storage.recording.recorder import Recorder
+from storage.segments.disk import DISK, Space
 from storage.sql.door import SqlDoor
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
@@ -277,6 +281,42 @@ def test_a_salvaged_part_never_replaces_the_whole_segment(store: Store, tmp_path
     restore(tmp_path / "B", restored)
     assert verify(Store.open(restored))[0].samples == 600
     assert len(back_up(store, tmp_path / "B2").backup.segments) >= 3
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_a_full_disk_is_named_with_its_sizes(
+    before: bool, store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "B"
+    if before:
+        back_up(store, folder)
+        (folder / "log" / "00000002.mcap").unlink()
+    else:
+        folder.mkdir()
+    names = ["00000002.mcap"] if before else [path.name for path in store.log.glob("*.mcap")]
+    others = ["certificates/C-1.pdf", "seal.key", "alerts/alerts.db"]
+    least = sum((store.log / name).stat().st_size for name in names)
+    least += sum((store.folder / name).stat().st_size for name in others)
+
+    def refuse(_file: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(copied_file.os, "fsync", refuse)
+    monkeypatch.setattr(type(DISK), "space", lambda _disk, _folder: Space(1_200, 5_000))
+    kept = "the one before is as it was" if before else "there is no backup yet"
+    with pytest.raises(
+        StoreError, match=r"the disk is full.* are still to be copied, 1\.2 kB are free; .*" + kept
+    ) as found:
+        back_up(store, folder)
+    assert format_bytes(least) in str(found.value)
+    assert list(folder.rglob("*.part")) == [], "what is half copied takes no room"
+
+
+def test_a_link_to_nowhere_is_named(store: Store, tmp_path: Path) -> None:
+    (tmp_path / "usb").symlink_to(tmp_path / "mnt/usb")
+    for folder in (tmp_path / "usb", tmp_path / "usb/night"):
+        with pytest.raises(BadInput, match=r"usb is a symbolic link to .*mnt/usb, and that is not there"):
+            back_up(store, folder)
 
 
 def test_a_backup_that_fails_changes_no_segment(store: Store, tmp_path: Path) -> None:
