@@ -15,7 +15,6 @@ from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.terminal.console import (
     counted,
-    notes,
     print_json,
     reporting,
     results,
@@ -97,7 +96,7 @@ def attest(
     path = key or default_key()
     if not path.exists():
         create_key(path)
-        notes().print(f"made the key {path}; its public half is {path.with_suffix('.pub')}", soft_wrap=True)
+        log.write("info", "key_made", f"made the key {path}; its public half is {path.with_suffix('.pub')}")
     signing = SigningKey(path)
     service = AttestService(store, signing, out=out, timestamp_url=timestamp_url, verifies=is_verified_first)
     with until_stopped() as stopped, ExitStack() as stack:
@@ -114,8 +113,7 @@ def attest(
             else:
                 if unstamped:
                     log.write("warning", "unstamped", f"attested without a time stamp: {unstamped}")
-                _show(kept, signed, fingerprint(signing.public), as_json=as_json)
-                log.write("debug", "attested", f"attested as {kept}", segments=len(signed.stated.segments))
+                _show(log, kept, signed, fingerprint(signing.public), is_once=every_h is None, as_json=as_json)
                 if every_h is None and unstamped:
                     sys.exit(1)
             if every_h is None or stopped.wait(every_h * _SECONDS_PER_H):
@@ -129,20 +127,32 @@ def _check_writable(out: Path) -> None:
         raise BadInput(f"--out {out} cannot be written: give a file in a folder that exists and that you may write")
 
 
-def _show(kept: Path, signed: "Attestation", by: str, *, as_json: bool) -> None:
-    stated = signed.stated
+def _show(log: RoleLog, kept: Path, signed: "Attestation", by: str, *, is_once: bool, as_json: bool) -> None:
+    """Report an attestation: as the result of the command, or, of one that goes on, as a line of its log."""
+    text = _sentence(kept, signed, by)
     if as_json:
-        print_json(
-            {
-                "attestation": str(kept), "at_ns": stated.at_ns, "store": stated.store, "head": stated.head,
-                "segments": len(stated.segments), "files": len(stated.files), "signed_by": by,
-                "is_stamped": bool(signed.time_stamp),
-                "unverified": None if stated.unverified is None else len(stated.unverified),
-            }
-        )  # fmt: skip
-        return
+        _print_json(kept, signed, by)
+    elif is_once:
+        results().print(text, soft_wrap=True)
+    log.write("debug" if is_once else "info", "attested", text, segments=len(signed.stated.segments))
+
+
+def _print_json(kept: Path, signed: "Attestation", by: str) -> None:
+    stated = signed.stated
+    print_json(
+        {
+            "attestation": str(kept), "at_ns": stated.at_ns, "store": stated.store, "head": stated.head,
+            "segments": len(stated.segments), "files": len(stated.files), "signed_by": by,
+            "is_stamped": bool(signed.time_stamp),
+            "unverified": None if stated.unverified is None else len(stated.unverified),
+        }
+    )  # fmt: skip
+
+
+def _sentence(kept: Path, signed: "Attestation", by: str) -> str:
+    stated = signed.stated
     at = datetime.fromtimestamp(stated.at_ns / 1e9, UTC)
-    results().print(
+    return (
         f"{kept}: {counted(len(stated.segments), 'segment')} and {counted(len(stated.files), 'file')} at "
         f"{at:%Y-%m-%d %H:%M:%S} UTC, head {stated.head[:12]}, signed by {by}{_verified_words(stated)}"
     )

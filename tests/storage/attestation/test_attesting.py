@@ -1,5 +1,6 @@
 """The role that attests: what is wrong is a trouble that passes, and no end."""
 
+import re
 import subprocess
 import time
 from collections.abc import Callable
@@ -75,3 +76,19 @@ def test_the_role_goes_on_and_is_in_the_status(
         assert role.poll() is None
         assert time.monotonic() < until
         time.sleep(0.1)
+
+
+def test_lines_of_the_role_have_their_time_and_are_not_wrapped(
+    store: Store, tmp_path: Path, spawn: Callable[..., subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    role = spawn("attest", "--store", store.folder, "--key", tmp_path / "k.pem", "--every-h", "1")
+    assert role.stderr is not None
+    made, attested = role.stderr.readline(), role.stderr.readline()
+    role.terminate()
+    out, _ = role.communicate(timeout=30)
+    assert (role.returncode, out) == (0, "")
+    for line in (made, attested):
+        assert re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d ", line), line
+    assert "1 segment and " in attested
+    assert " signed by " in attested

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from storage.backup import copied_file
 from storage.backup import restore as restoring
 from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
@@ -301,7 +300,7 @@ def test_a_full_disk_is_named_with_its_sizes(
     def refuse(_file: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(copied_file.os, "fsync", refuse)
+    monkeypatch.setattr("storage.backup.copied_file.os.fsync", refuse)
     monkeypatch.setattr(type(DISK), "space", lambda _disk, _folder: Space(1_200, 5_000))
     kept = "the one before is as it was" if before else "there is no backup yet"
     with pytest.raises(
