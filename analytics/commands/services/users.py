@@ -43,21 +43,24 @@ def users() -> None:
 def add(
     name: str, role: str, certificate: str | None, path: Path, *, program: bool, password_stdin: bool, as_json: bool
 ) -> None:
-    """Add a user, or give one another role and password."""
-    from analytics.serve.doors.users_file import add_certificate, add_person, add_program
+    """Add a user, or give one another role and password, token or certificate: what the user had ends."""
+    from analytics.serve.doors.users_file import add_certificate, add_person, add_program, read_users
 
-    found = {"user": name, "role": role, "users": str(path)}
+    before = read_users(path).get(name) if path.exists() else None
+    ended = _ended(before, certificate)
+    found = {"user": name, "role": role, "users": str(path), "ended": ended}
     if certificate is not None:
         if program or password_stdin:
             raise BadInput("a user with --certificate has no password or token; leave --program, --password-stdin out")
         add_certificate(path, name, Role.named(role), certificate)
-        print_json(found) if as_json else results().print(f"{name} is {role} in {path}")
+        print_json(found) if as_json else _print_added(name, role, path, ended)
         return
     if program:
         token = add_program(path, name, Role.named(role))
         if as_json:
             print_json(found | {"token": token})
         else:
+            _print_ended(name, ended)
             notes().print(f"{name} is {role} in {path}; its token:")
             results().print(token, soft_wrap=True)
         return
@@ -69,7 +72,28 @@ def add(
     if as_json:
         print_json(found)
     else:
-        results().print(f"{name} is {role} in {path}")
+        _print_added(name, role, path, ended)
+
+
+def _print_added(name: str, role: str, path: Path, ended: str) -> None:
+    _print_ended(name, ended)
+    results().print(f"{name} is {role} in {path}")
+
+
+def _print_ended(name: str, ended: str) -> None:
+    if ended:
+        notes().print(f"{name} was there already: what opened the door before has ended ({ended})", soft_wrap=True)
+
+
+def _ended(before: "User | None", certificate: str | None) -> str:
+    """What a user had, and has no more with what is added now."""
+    if before is None:
+        return ""
+    had = {
+        "its password, with its sessions": before.password, "its token": before.token_sha256,
+        "its certificate": "" if before.certificate == (certificate or "").strip() else before.certificate,
+    }  # fmt: skip
+    return "; ".join(what for what, each in had.items() if each)
 
 
 @users.command("list")

@@ -174,3 +174,16 @@ def test_without_the_extra_a_sentence_names_it(folder: Path) -> None:
     done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
     assert "pip install 'gyrofleet[serve]'" in done.stderr
+
+
+def test_what_a_user_had_ends_and_is_named(folder: Path, run_command: Run) -> None:
+    words = ("users", "add", "arm", "--role", "viewer", "--users", "again.toml")
+    first = run_command(*words, "--program", "--json", cwd=folder)
+    assert first.json["ended"] == ""
+    assert first.err == ""
+    second = run_command(*words, "--program", cwd=folder)
+    assert "arm was there already: what opened the door before has ended (its token)" in second.err
+    named = run_command(*words, "--certificate", "CN=arm", "--json", cwd=folder)
+    assert named.json["ended"] == "its token"
+    same = run_command(*words, "--certificate", "CN=arm", cwd=folder)
+    assert "ended" not in same.err

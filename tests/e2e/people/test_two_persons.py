@@ -157,6 +157,8 @@ def test_specifications_by_certificates_on_the_command_line(tmp_path: Path, gyro
     same = gyrofleet("proposal", "approve", row["id"], *lead)
     assert same.code == 1
     assert "approver:lead has proposed it: another person has to approve" in same.err
+    none = gyrofleet("proposal", "approve", "none", *chief)
+    assert "there is no proposal 'none' in S; " in none.err
     nobody = gyrofleet("proposal", "approve", row["id"], "--store", "S")
     assert nobody.code == 1
     assert "is not authenticated" in nobody.err
