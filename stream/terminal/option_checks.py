@@ -14,14 +14,15 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Check = Callable[[Mapping[str, Any]], object]
 _MOST_PORT = 65535
-_WRONG_USE = 2  # as click's own: who starts a role again does not start it with the same options
+WRONG_USE = 2  # exit code, as click's own
 _CHECKS = "gyrofleet_checks"  # where a command keeps them
 
 
-def options_checked(check: Check) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """Have a command refuse its options, given by name, where `check` raises a GyrofleetError: the exit code is 2.
+def options_checked(check: Check, *, exit_code: int = 1) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Have a command refuse its options, given by name, where `check` raises a GyrofleetError.
 
-    It stands below `reporting`.
+    It stands below `reporting`. With the exit code `WRONG_USE` nobody starts it again with the same options: for checks
+    of what stays wrong until somebody corrects it.
     """
 
     def decorate(command: Callable[..., R]) -> Callable[..., R]:
@@ -30,7 +31,7 @@ def options_checked(check: Check) -> Callable[[Callable[..., R]], Callable[..., 
             try:
                 check(kwargs)
             except GyrofleetError as error:
-                error.exit_code = _WRONG_USE
+                error.exit_code = max(error.exit_code, exit_code)
                 raise
             return command(*args, **kwargs)
 

@@ -23,7 +23,7 @@ from stream.terminal.console import (
     store_option,
     until_stopped,
 )
-from stream.terminal.option_checks import about, check_listen, options_checked
+from stream.terminal.option_checks import WRONG_USE, about, check_listen, options_checked
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
 
@@ -54,7 +54,7 @@ def alert() -> None:
 @configured("alert")
 @reporting
 @logged("alert")
-@options_checked(_check)
+@options_checked(_check, exit_code=WRONG_USE)
 def run(folder: Path, rules_path: Path, status_listen: str | None, *, as_json: bool) -> None:
     """Watch a store and send alerts, until stopped.
 

@@ -12,7 +12,7 @@ from analytics.serve.doors.roles import ROLES, Role
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.terminal.console import print_json, reporting, results, store_option
-from stream.terminal.option_checks import options_checked
+from stream.terminal.option_checks import WRONG_USE, options_checked
 
 if TYPE_CHECKING:
     from analytics.serve.settings import Settings
@@ -68,7 +68,7 @@ def _check(options: Mapping[str, Any]) -> None:
 @configured("serve")
 @reporting
 @logged("serve")
-@options_checked(_check)
+@options_checked(_check, exit_code=WRONG_USE)
 def serve(
     folder: Path, host: str, port: int, token: str | None, token_role: str | None, users_path: Path | None,
     names: tuple[str, ...], certificate: Path | None, key: Path | None, login_path: Path | None, url: str, *,

@@ -39,7 +39,7 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
     {'runs'}
     >>> check_statement(connection, "explain analyze copy (select 1) to 'x'", ())
     Traceback (most recent call last):
-    stream.errors.QueryError: COPY is refused: the store is only read here. What runs is SELECT (also ...
+    storage.sql.sandbox.guard._Refused: COPY is refused: the store is only read here. What runs is SELECT (also ...
     """
     try:
         statement = one_statement(connection, sql)
