@@ -3,7 +3,6 @@ import uPlot from "./uplot/uPlot.esm.js";
 import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
 import {asked, element, figure, say} from "./texts.js";
-import {words} from "./run_words.js";
 
 const FOLLOW_MS = 3000, LOOK_AGAIN_MS = 15000;
 
@@ -81,7 +80,7 @@ function draw(view, found) {
   const items = found.units.flatMap(each => each.limits.map(one => element("li", {},
     say("of_limit", {unit: each.unit, name: say(one.characteristic), tau: figure(one.tau_s), limit: say("limit"), upper: figure(one.upper), measure: unit}),
     `${one.value === null ? "–" : figure(one.value) + say("bounds", {lo: figure(one.lo), hi: figure(one.hi)})} `,
-    element("span", {className: `verdict ${one.verdict.toLowerCase()}`, textContent: words(one.verdict)}))));
+    say(`limit_${one.comparison}`))));
   if (items.length) document.getElementById("allan-limits").replaceChildren(...items);
 }
 

@@ -158,7 +158,7 @@ def test_the_allan_deviation_of_chosen_units_is_followed_with_its_limit(
     assert text(window, "#run-allan .u-legend").strip() == "SIM-0002"
     samples = int(until(lambda: window.ask("document.getElementById('run-allan').dataset.samples")))
     until(lambda: int(window.ask("document.getElementById('run-allan').dataset.samples")) > samples)  # it is followed
-    until(lambda: "合格" in text(window, "#allan-limits"))
+    until(lambda: "低于限值" in text(window, "#allan-limits"))
     assert window.ask("document.getElementById('run-allan').dataset.limits") == "1"
     plot = "document.querySelector('#run-allan .plot')"
     window.ask(f"{plot}.dispatchEvent(new KeyboardEvent('keydown', {{key: 'Home'}}))")

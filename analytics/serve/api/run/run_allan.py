@@ -2,6 +2,7 @@
 
 import time
 from itertools import islice
+from typing import Literal
 
 import msgspec
 
@@ -11,7 +12,7 @@ from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.api.run.run_course import RunCourse, run_course
 from storage.specifications.live_limits import chosen_periods, unit_limits
 from stream.errors import BadInput, GyrofleetError, NotFound, UnknownUnit
-from stream.events import EstimatePoint, Limit, Verdict
+from stream.events import EstimatePoint, Limit
 from stream.quantities import conversion, is_angular_rate
 from stream.worker.limit_checks import (
     ALLAN_DEVIATION,
@@ -41,13 +42,14 @@ class RunAllanAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class DrawnLimit(msgspec.Struct, frozen=True, kw_only=True):
     """An upper limit on the Allan deviation at `tau_s`, `upper` in the unit of measure of the curve.
 
-    `verdict` compares it with the curve's bounds there so far: ``PASS``, ``FAIL``, ``MARGINAL`` or ``NO_DATA``.
+    `comparison` says where the interval of the curve lies there so far: ``below`` the limit, ``above`` or ``across``
+    it, or ``none`` without one. It is no verdict, for which a record must be whole, and more.
     """
 
     tau_s: float
     upper: float
     characteristic: str
-    verdict: str
+    comparison: Literal["below", "above", "across", "none"]
     value: float | None
     lo: float | None
     hi: float | None
@@ -172,9 +174,9 @@ def _drawn(limit: Limit, curve: Allan) -> DrawnLimit | None:
         for tau_s, value, lo, hi, edf in zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, strict=True)
     ]
     value, lo, hi, _ = read_curve(points, tau_s)
-    verdict = Verdict.NO_DATA
+    comparison: Literal["below", "above", "across", "none"] = "none"
     if value is not None and lo is not None and hi is not None:
-        verdict = Verdict.PASS if hi <= upper else Verdict.FAIL if lo > upper else Verdict.MARGINAL
+        comparison = "below" if hi <= upper else "above" if lo > upper else "across"
     return DrawnLimit(
-        tau_s=tau_s, upper=upper, characteristic=limit.characteristic, verdict=verdict.value, value=value, lo=lo, hi=hi
+        tau_s=tau_s, upper=upper, characteristic=limit.characteristic, comparison=comparison, value=value, lo=lo, hi=hi
     )
