@@ -4,7 +4,7 @@ import hashlib
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -133,7 +133,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         stack.enter_context(StatusReporter(collect, path.put_status))
         operator.watch(trouble.look)
         nothing = () if any(each.is_recorded for each in job.steps) else (f"warning: {NOTHING_RECORDED}",)
-        for remark in (*nothing, *limits.remarks, *(releases.remarks() if releases else ())):
+        lots = _other_lots(asked.lot, job.entries)
+        for remark in (*nothing, *lots, *limits.remarks, *(releases.remarks() if releases else ())):
             operator.report(remark)
         log.begin(
             path.sender, mounted_documents(job.entries, run, log.state.t0_ns),
@@ -146,7 +147,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         commands = stack.enter_context(RunCommands(box, log, time.time_ns, operator.report))
         commands.begin()
         operator.attend(commands)
-        for warning in other_unfinished(destination.spools, job.procedure.name, run):
+        for warning in other_unfinished(destination.spools, job.procedure.name, run, job.serials):
             operator.report(warning)
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         report("running", f"{resumed}{path.where}")
@@ -268,6 +269,16 @@ def _about(job: _Job, parameters: Mapping[str, str]) -> dict[str, str]:
 def _common(entries: tuple[UnitEntry, ...], what: str) -> str | None:
     values = {getattr(entry, what) for entry in entries}
     return values.pop() if len(values) == 1 else None
+
+
+def _other_lots(given: str | None, entries: Sequence[UnitEntry]) -> tuple[str, ...]:
+    """A warning where the list of units names other lots than the run's."""
+    others = sorted({entry.lot for entry in entries if entry.lot is not None and entry.lot != given})
+    if given is None or not others:
+        return ()
+    units = sum(entry.lot in others for entry in entries)
+    named = f"{units} of {len(entries)} units are of lot {', '.join(others[:4])}"
+    return (f"warning: --lot is {given}, but in --units {named}: the units keep theirs",)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import dataclasses
 import datetime as dt
 import string
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
@@ -23,7 +23,7 @@ from storage.recording.run_command import answered_document, given_document
 from stream import events
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
-from stream.delivery.spool import Spool
+from stream.delivery.spool import Spool, spool_is_held
 from stream.errors import BadInput
 from stream.identity import sample_key
 from stream.security.actor import UNAUTHENTICATED
@@ -109,10 +109,13 @@ def left_run(spools: Path, procedure: str, units: tuple[str, ...]) -> str | None
     return wanted[0].run if wanted else None
 
 
-def other_unfinished(spools: Path, procedure: str, run: str) -> Iterator[str]:
-    """A warning for each run of this procedure that was left unfinished with other units."""
+def other_unfinished(spools: Path, procedure: str, run: str, own: Collection[str]) -> Iterator[str]:
+    """A warning for each run of this procedure that was left unfinished with other units, or is at work with `own`."""
     for state in unfinished_runs(spools):
-        if state.procedure == procedure and state.run != run:
+        if state.run != run and spool_is_held(spools / state.run):
+            if both := sorted(set(own).intersection(state.units)):
+                yield f"warning: run {state.run} is at work with {', '.join(both[:4])} as well: is a unit named twice?"
+        elif state.procedure == procedure and state.run != run:
             units = f"{', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''}"
             yield (
                 f"warning: run {state.run} of {units} was left unfinished at step {state.step + 1}; give its --units "

@@ -109,8 +109,8 @@ def _what(role: "RoleReport") -> str:
         left = "" if run.left_s is None else f", {_duration(run.left_s)} left"
         waits = status.numbers.get("outstanding_messages", 0.0)
         waiting = f"; {waits:,.0f} messages not recorded yet" if waits else ""
-        decided = sum(count == 0 for count in run.undecided.values())
-        early = f"; {decided} of {len(run.undecided)} units decided" if run.undecided else ""
+        judged = run.undecided.keys() | run.verdicts.keys()
+        early = f"; {len(run.verdicts)} of {len(judged)} units have a verdict so far" if judged else ""
         if run.released:
             early += (
                 f"; {len(run.released)} of {len(run.units)} units released, {run.saved_s / 3600:,.1f} unit hours saved"

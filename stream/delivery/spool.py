@@ -36,6 +36,22 @@ _RETRY_S = 1.0
 _LEAST_FILES = 4
 
 
+def spool_is_held(folder: Path) -> bool:
+    """Whether a process has a spool open.
+
+    >>> spool_is_held(Path("/nowhere"))
+    False
+    """
+    try:
+        with (folder / _LOCK).open() as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
 class Spool(Closing):
     """Messages of one publisher on disk.
 

@@ -18,6 +18,7 @@ from stream.identity import ROOT
 
 STATUS_KEY = f"{ROOT}/@status"
 SILENT_AFTER_S = 10.0  # a role reports every second
+_MISSED_S = 2.5  # after two reports that did not come it is asked whether its process is there
 _Text = Annotated[str, msgspec.Meta(max_length=4_000)]
 _Name = Annotated[str, msgspec.Meta(max_length=MAX_NAME_CHARS)]
 
@@ -102,9 +103,12 @@ class RoleStatus(msgspec.Struct, frozen=True, kw_only=True):
         >>> RoleStatus(role=Role.LAKE, name="a", at_ns=0, began_ns=0).condition
         'silent'
         """
-        if self.state in {RoleState.ENDED, RoleState.INTERRUPTED} or self.age_s <= SILENT_AFTER_S:
+        age_s = self.age_s
+        if self.state in {RoleState.ENDED, RoleState.INTERRUPTED} or age_s <= _MISSED_S:
             return self.state.value
-        return "killed" if self.host == socket.gethostname() and not _is_alive(self.pid) else "silent"
+        if self.host == socket.gethostname() and not _is_alive(self.pid):
+            return "killed"
+        return self.state.value if age_s <= SILENT_AFTER_S else "silent"
 
 
 def uptime_ns() -> int:

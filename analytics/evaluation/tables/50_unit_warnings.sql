@@ -1,6 +1,7 @@
 -- Names that are probably one unit: alike but for letter case, spaces, hyphens, dots and underscores. And units of which
 -- the last run has an output that nothing judges, beside others that are judged. And units with a record that stands
 -- under another name as well: as many samples of one output with the same mean and standard deviation to nine digits.
+-- And units of which runs are of another product than the last one, for which there are no limits.
 create or replace view unit_warnings as
 with copied as (
   select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records
@@ -48,5 +49,20 @@ from (
 ) l join runs on runs.run = l.run and runs.outcome <> 'open'
 semi join unit_runs judged on judged.unit = l.unit
 anti join unit_runs of_run on of_run.unit = l.unit and of_run.run = l.run
+union all
+select unit, [],
+  len(runs) || if(len(runs) = 1, ' run', ' runs') || ' (' || array_to_string(runs[:4], ', ') || if(len(runs) > 4, ', ...', '')
+    || ') of product ' || product || ', for which there are no limits: nothing above is of it; where it is not its product, '
+    || 'correct it with `gyrofleet import --units`',
+  '有 ' || len(runs) || ' 次试验（' || array_to_string(runs[:4], '、') || if(len(runs) > 4, '等', '') || '）的产品型号为 '
+    || product || '，该型号没有限值：以上结果均不含这些试验；若型号有误，请用 `gyrofleet import --units` 更正'
+from (
+  select r.unit, r.product, list(distinct r.run order by r.run) as runs
+  from unit_runs r join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null
+    group by unit) last on last.unit = r.unit and last.product <> r.product
+  where not exists (from internal.limit_editions e where e.product is null or e.product = r.product)
+    and exists (from internal.limit_editions e where e.product = last.product)
+  group by r.unit, r.product
+)
 order by 1;
 comment on view unit_warnings is 'units that probably go by two names, units with copied records, and units whose last run nothing judges';

@@ -166,6 +166,23 @@ def test_a_unit_whose_product_no_limit_names_does_not_pass(judged: Judged, every
     assert verdicts_of(judged.catalog(runs, values)).units[0]["lacking"] == ["angle_random_walk"]
 
 
+def test_runs_of_a_product_without_limits_are_named_beside_those_that_are_judged(judged: Judged) -> None:
+    """A mistyped product left three runs of a unit out of its verdict, without a word."""
+    judged.specify(limits('metric = "bias"\nproduct = "FOG-A"\nupper = 1.0\nunit_of_measure = "deg/h"'))
+    runs: Rows = [
+        {"unit": "U1", "run": "r1", "product": "FOG-A", "t_start_ns": JANUARY_NS + 9 * 3600 * 10**9},
+        {"unit": "U1", "run": "r2", "product": "FOG-SIM"}, {"unit": "U1", "run": "r3", "product": "FOG-SIM"},
+        {"unit": "U2", "run": "r1", "product": "FOG-A"},
+    ]  # fmt: skip
+    found = verdicts_of(judged.catalog(runs, [{"value": 0.0, "lo": -0.1, "hi": 0.1}])).warnings
+    ((unit, reason, zh),) = [(row["unit"], row["reason"], row["reason_zh"]) for row in found]
+    assert unit == "U1"
+    assert reason.startswith(
+        "2 runs (r2, r3) of product FOG-SIM, for which there are no limits: nothing above is of it"
+    )
+    assert "FOG-SIM" in zh
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("other", ["fog-0231", "FOG_0231", "FOG0231", "FOG-02.31"])
 def test_a_unit_under_two_names_is_warned_of(judged: Judged, other: str) -> None:
