@@ -118,6 +118,24 @@ def test_an_asymmetry_is_no_unknown_function(tested: TestedUnits, seed: int) -> 
     assert abs(coefficient.value - 0.108) < 3.0 * (coefficient.hi - coefficient.lo) / 3.92 + 1e-4
 
 
+def test_the_motion_of_a_table_is_no_periodic_line(tested: TestedUnits) -> None:
+    """It was a line of 51,000 deg/h, taken from the scale factor: 2,000 of 3,600 deg/h/(deg/s) were left of it."""
+    rng = np.random.default_rng(5)
+    for number, amplitude in enumerate((20.0, 30.0, 40.0, 50.0)):
+        name, start_ns = f"r{number}", START_NS + number * 86_400 * 10**9
+        rate = amplitude * np.sin(2 * np.pi * 0.05 * 0.1 * np.arange(12_000))
+        output = 3600.0 * rate + 0.36 * np.abs(rate) + 20.0 + rng.normal(0.0, 5.0, rate.size)
+        tested.run(name, t_ns=start_ns)
+        tested.samples(name, "U1", "input_rate", rate, unit_of_measure="deg/s", t0_ns=start_ns)
+        tested.samples(name, "U1", "rate", output, t0_ns=start_ns)
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate", block_s=2.0).reduce("U1").runs
+    found = diagnose(runs, ErrorModel.parse("bias + scale_factor*input_rate"))
+    assert [each.name for each in found.effects] == ["scale_factor_asymmetry"]
+    (coefficient,) = found.effects[0].coefficients
+    assert coefficient.lo <= 0.36 <= coefficient.hi
+
+
 def test_only_blocks_that_move_far_more_than_the_others_have_pieces() -> None:
     number = np.repeat(np.arange(8), 30)
     quiet = np.random.default_rng(2).normal(0.0, 1.0, number.size)

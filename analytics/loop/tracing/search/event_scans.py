@@ -2,17 +2,19 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import fft, ndimage
 
+from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.tracing.search.screening import family_p_value
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import orthonormal
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.whitener import Whitener
 from analytics.methods.distributions import chi_square_quantile, chi_square_sf, normal_sf
-from stream.batch import FloatArray
+from stream.batch import BoolArray, FloatArray
 
 LONGEST_PERIOD_BLOCKS = 80
 SHORTEST_PERIOD_BLOCKS = 2.2
@@ -22,6 +24,9 @@ _WINDOW = 401  # grid points, about 100 independent ones, over which the spectru
 EDGE_BLOCKS = 10  # a jump nearer to an end of its run is part of the turn-on scatter
 SHORTEST_RUN_BLOCKS = 60  # in a shorter run a jump cannot be separated from a slow change
 _EXACT = 120  # positions at which the norm of a whitened step is computed; it is interpolated between them
+_MOTION = ("input_rate", "rate_o", "rate_s", "table_rate")
+_LINE_OF_MOTION, _STRONG_MOTION = 100.0, 1e4  # power over that of the frequencies beside it
+_MOST_PEAKS, _MULTIPLES = 4, 8
 _INDEPENDENT = 0.3  # share of the positions that count as independent tests
 
 
@@ -42,7 +47,10 @@ class StrongestLine:
 
 
 def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -> StrongestLine | None:
-    """Strongest line of whitened residuals; None if the runs are too short."""
+    """Strongest line of whitened residuals; None if the runs are too short.
+
+    Frequencies at which the unit was moved are left out, and their multiples: what is there follows the motion.
+    """
     pieces = [piece for record, residual in zip(records, residuals, strict=True) for piece in _by_run(record, residual)]
     longest = max(piece.size for piece, _ in pieces)
     if longest < LONGEST_PERIOD_BLOCKS:
@@ -54,12 +62,40 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
     degrees = 2 * len(pieces)
     total = spectra.sum(axis=0)
     local = ndimage.median_filter(total, _WINDOW, mode="nearest") / chi_square_quantile(0.5, degrees)
-    level = total / np.maximum(local, 1.0)
+    level = np.where(_of_motion(records, size)[band], 0.0, total / np.maximum(local, 1.0))
+    if not level.any():
+        return None
     best = int(np.argmax(level))
     p_value = float(chi_square_sf(level[best], degrees))
     block_s = records[0].noise_model.block_s
     frequency_hz = float(per_block[band][best] / block_s)
     return StrongestLine(frequency_hz, p_value, min(1.0, p_value * level.size), spectra[:, best])
+
+
+def _of_motion(records: Sequence[UnitRecord], size: int) -> BoolArray:
+    """Marks the frequencies of a transform at which a rate of unit or table has a line, and multiples of these."""
+    marked = np.zeros(size // 2 + 1, dtype=np.bool_)
+    for name in _MOTION:
+        total = np.zeros(marked.size)
+        for record in records:
+            for piece, _ in _by_run(record, record.stack.column(partial(_about_mean, name))):
+                total += np.abs(fft.rfft(piece, size)) ** 2
+        level = total / np.maximum(
+            ndimage.median_filter(total, _WINDOW, mode="nearest"), 1e-12 * max(total.max(), 1e-300)
+        )
+        marked |= level > _LINE_OF_MOTION
+        peaks = np.flatnonzero((level > _STRONG_MOTION) & (total >= ndimage.maximum_filter1d(total, 4 * _PADDING + 1)))
+        for peak in peaks[np.argsort(-total[peaks])][:_MOST_PEAKS]:
+            multiples = np.arange(2, _MULTIPLES + 1) * peak % size
+            marked[np.minimum(multiples, size - multiples)] = True
+    return np.asarray(ndimage.binary_dilation(marked, iterations=2 * _PADDING) if marked.any() else marked)
+
+
+def _about_mean(name: str, run: RunBlocks) -> FloatArray:
+    """A channel about its mean, 0 where it has no value."""
+    value = run.mean(name) if name in run.channels else np.zeros(len(run))
+    known = np.isfinite(value)
+    return np.where(known, value - value[known].mean(), 0.0) if known.any() else np.zeros(len(run))
 
 
 def between_grid_points(
