@@ -77,7 +77,7 @@ def condition_kinds() -> dict[str, type[Condition]]:
     """The installed conditions by the `kind` of their rules.
 
     >>> sorted(condition_kinds())[:3]
-    ['control_chart', 'damaged_segment', 'disk']
+    ['certificate', 'control_chart', 'damaged_segment']
     """
     for module in iter_modules(analytics.alerts.conditions.__path__):
         import_module(f"{analytics.alerts.conditions.__name__}.{module.name}")

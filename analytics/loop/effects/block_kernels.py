@@ -78,6 +78,7 @@ def mirrored(channel: Channel) -> Channel:
 def block_means(channel: Channel, of: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
     """Means over blocks of a function of a channel; `of` gives its mean over readings of some mean and spread.
 
+    >>> from analytics.loop.blocks.inside import Inside
     >>> step = Inside(np.array([1, 1]), np.array([10.0, 20.0]), np.array([1.0, 4.0]), np.zeros(2))
     >>> block_means(Channel(np.array([1.0, 3.0]), np.array([0.0, 1.41]), "deg/s", inside=step), lambda m, s: m**3)
     array([ 1., 43.])
