@@ -9,6 +9,8 @@ from stream.batch import BoolArray, FloatArray, IntArray
 
 MOVES = 5.0  # spread of the readings over the lower quartile of all blocks, from which a channel moves in a block
 _LEAST_OF_RANGE = 1e-3  # the same, of the range of the means
+_WIDE = 0.02  # of that range, from which it moves where its pieces follow one another otherwise than noise does
+_NO_NOISE = 10.0  # over the root of the pieces: five standard deviations of the ratio of von Neumann
 _MOST_PIECES = 500_000  # of a channel of a run, 32 bytes each
 
 
@@ -61,8 +63,10 @@ def inside_of(
 ) -> Inside | None:
     """Pieces of the blocks in which a channel moves, None where it does in none.
 
-    `number` is the block of each piece, `m2` its sum of squares about its mean; `blocks` are the mean and spread of
-    each block, and whether an outlier is in it. Where there are too many pieces the widest blocks have theirs.
+    It moves in a block whose spread is far above that of most blocks, as at a step; in all wide blocks if squares of
+    successive differences of the pieces are not twice their variance, as in noise: a table that swings has no quiet
+    block. `number` is the block of each piece, `m2` its sum of squares about its mean; `blocks` are the mean and
+    spread of each block, and whether an outlier is in it. Of too many pieces the widest blocks have theirs.
     """
     of_block, spread, is_far = blocks
     known = np.where(is_far, np.nan, spread)
@@ -70,9 +74,12 @@ def inside_of(
     if not finite.any():
         return None
     usual = float(np.quantile(known[finite], 0.25))
-    least = max(MOVES * usual, _LEAST_OF_RANGE * float(np.ptp(of_block[finite])))
-    moves = finite & (spread > least)
+    full = float(np.ptp(of_block[finite]))
+    least = max(MOVES * usual, _LEAST_OF_RANGE * full)
     pieces = np.bincount(number, minlength=spread.size)
+    if not _is_noise(number, mean, pieces):
+        least = min(least, _WIDE * full)
+    moves = finite & (spread > least) & (pieces > 1)
     if pieces[moves].sum() > _MOST_PIECES:
         widest = np.flatnonzero(moves)[np.argsort(-spread[moves], kind="stable")]
         moves[widest[np.cumsum(pieces[widest]) > _MOST_PIECES]] = False
@@ -80,3 +87,15 @@ def inside_of(
     if not chosen.any():
         return None
     return Inside(number[chosen], n[chosen].astype(np.float64), mean[chosen], np.sqrt(m2[chosen] / n[chosen]))
+
+
+def _is_noise(number: IntArray, mean: FloatArray, pieces: IntArray) -> bool:
+    """Whether pieces within blocks follow one another like white noise (von Neumann, DOI 10.1214/aoms/1177731677)."""
+    steps = np.diff(mean)[np.diff(number) == 0]
+    degrees = mean.size - int(np.count_nonzero(pieces))
+    if not steps.size or degrees < 1:
+        return True
+    of_block = np.bincount(number, mean, minlength=pieces.size) / np.maximum(pieces, 1)
+    variance = float(np.sum((mean - of_block[number]) ** 2)) / degrees
+    ratio = float(np.mean(steps**2)) / variance if variance > 0.0 else 2.0
+    return bool(abs(ratio - 2.0) <= _NO_NOISE / steps.size**0.5)
