@@ -9,7 +9,7 @@ import duckdb
 
 from storage.findings import Finding, Severity
 from storage.lake.part import build_part
-from storage.lake.tables import SAMPLES_FILE, TABLES
+from storage.lake.tables import COLUMNS_VERSION, SAMPLES_FILE, TABLES
 from storage.manifests.lake import read_manifest
 from storage.manifests.part import Part
 from storage.sql.sandbox.guard import plain_message
@@ -24,7 +24,7 @@ _MERGED = {
     "samples": "sum", "seq_first": "min", "seq_next": "max", "t_first_ns": "min", "t_last_ns": "max",
     "arrival_first_ns": "min", "arrival_last_ns": "max", "irregular": "bool_or", "dt_ns": "min",
 }  # fmt: skip
-_NOT_OF_SEGMENTS = {"overlapping"}
+_NOT_OF_SEGMENTS = {"overlapping"}  # what two segments together show
 _REMEDY = "build the lake from the log again: `gyrofleet rebuild`"
 
 
@@ -63,7 +63,16 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
             if file == SAMPLES_FILE and part.dropped is not None:
                 continue
             try:
-                differing = _differing(connection, where / file, [each / file for each in fresh], name)
+                paths = [each / file for each in fresh]
+                if lacking := _lacking(connection, where / file, name):
+                    what = f"it has no column {', '.join(lacking)}"
+                    if part.columns >= COLUMNS_VERSION:
+                        why = f"{what}: its file was written anew since"
+                        yield Finding("lake_differs", Severity.DAMAGE, str(where / file), why, _REMEDY)
+                        continue
+                    why = f"{what}, as one of an earlier version: the others are compared"
+                    yield Finding("lake_not_compared", Severity.NOTE, str(where / file), why)
+                differing = _differing(connection, where / file, paths, name)
             except duckdb.Error as error:
                 what = f"its values were not compared with the log: {plain_message(error)}"
                 yield Finding("lake_not_compared", Severity.DAMAGE, str(where / file), what, _REMEDY)
@@ -71,6 +80,14 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
             if differing:
                 what = f"{differing:,} of its rows are not those that the log gives: its files were written anew since"
                 yield Finding("lake_differs", Severity.DAMAGE, str(where / file), what, _REMEDY)
+
+
+def _lacking(connection: duckdb.DuckDBPyConnection, kept: Path, table: str) -> list[str]:
+    """Columns that a file of this version should have and has not."""
+    path = str(kept).replace("'", "''")
+    rows = connection.execute(f"select name from parquet_schema('{path}')").fetchall()  # noqa: S608
+    found = {name for (name,) in rows}
+    return [name for name in TABLES[table].names if name not in found]
 
 
 def _differing(connection: duckdb.DuckDBPyConnection, kept: Path, fresh: list[Path], table: str) -> int:
@@ -82,7 +99,8 @@ def _differing(connection: duckdb.DuckDBPyConnection, kept: Path, fresh: list[Pa
     named = {column for column, *_ in connection.execute("describe kept_rows").fetchall()}
     columns = [column for column in TABLES[table].names if column in named]  # an older part has fewer
     for name in ("kept", "fresh"):
-        connection.execute(f"create view {name} as {_rows(table, columns, f'{name}_rows')}")
+        rows = _rows(table, columns, f"{name}_rows", is_merged=len(fresh) > 1)
+        connection.execute(f"create view {name} as {rows}")
     if table in {"rollup_1s", "rollup_10s"}:
         return _differing_sums(connection, columns)
     # a sum over rows in any order, under a number that nobody knows before: no other rows are made to have it
@@ -102,16 +120,20 @@ def _differing(connection: duckdb.DuckDBPyConnection, kept: Path, fresh: list[Pa
     return int(found[0])
 
 
-def _rows(table: str, columns: list[str], source: str) -> str:
+def _rows(table: str, columns: list[str], source: str, *, is_merged: bool) -> str:
     """The statement of a table's rows in the form in which they are compared."""
     if table == "samples":
         kept = ", ".join(column for column in columns if column not in {"base", "above"})
         return f"select {kept}, base + above as counts from {source}"  # noqa: S608
-    if table != "channels":
-        return f"select {', '.join(columns)} from {source}"  # noqa: S608
-    about = [f'"{column}"' for column in columns if column not in _MERGED.keys() | _NOT_OF_SEGMENTS]
+    if table != "channels" or not is_merged:
+        return f"select {', '.join(map(_quoted, columns))} from {source}"  # noqa: S608
+    about = [_quoted(column) for column in columns if column not in _MERGED.keys() | _NOT_OF_SEGMENTS]
     merged = [f"{how}({column}) as {column}" for column, how in _MERGED.items() if column in columns]
     return f"select {', '.join([*about, *merged])} from {source} group by {', '.join(about)}"  # noqa: S608
+
+
+def _quoted(column: str) -> str:
+    return f'"{column}"'
 
 
 def _differing_sums(connection: duckdb.DuckDBPyConnection, columns: list[str]) -> int:

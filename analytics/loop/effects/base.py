@@ -58,13 +58,15 @@ class ShapeParameter:
 
 
 def range_over(channel: str, runs: Sequence[RunBlocks]) -> tuple[float, float] | None:
-    """Range of a channel's block means over runs without the outer 0.2 % at each end; None without readings."""
-    means = [run.mean(channel) for run in runs if channel in run.channels]
-    finite = np.concatenate([mean[np.isfinite(mean)] for mean in means]) if means else np.empty(0)
-    if not finite.size:
-        return None
-    low, high = np.quantile(finite, (0.002, 0.998))
-    return float(low), float(high)
+    """Range of a channel's block means, and of its seconds in blocks in which it moves, over runs.
+
+    Without the outer 0.2 % of each at both ends; None without readings.
+    """
+    known = [run.channels[channel] for run in runs if channel in run.channels]
+    means = [each.mean[np.isfinite(each.mean)] for each in known]
+    seconds = [each.inside.mean for each in known if each.inside is not None]
+    ends = [np.quantile(np.concatenate(each), (0.002, 0.998)) for each in (means, seconds) if sum(map(len, each))]
+    return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
 
 
 def number(shape: Shape, name: str) -> float:

@@ -127,6 +127,30 @@ def test_the_command_says_what_was_compared(documented: Filler, gyrofleet: Any) 
     assert [each["kind"] for each in done.json["findings"]] == ["lake_differs"]
 
 
+@pytest.mark.parametrize(("table", "column"), [("channels", "scale"), ("events", "document"), ("samples", "flags")])
+def test_a_column_that_is_taken_away_is_found(documented: Filler, table: str, column: str) -> None:
+    """A part of this version has all columns; one of a version before is compared in those that it has."""
+    store = merged(documented)
+    part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
+    forge(store, part, table, lambda rows: rows.drop_columns([column]))
+    (finding,) = value_findings(store)
+    assert finding.what.startswith(f"it has no column {column}")
+
+
+def test_a_flag_of_a_channel_is_compared_where_a_part_is_of_one_segment(documented: Filler) -> None:
+    documented.build()
+    store, part = documented.store, read_manifest(documented.store).parts[0].name
+    place = pa.array([True])
+
+    def flipped(rows: pa.Table) -> pa.Table:
+        at = rows.schema.get_field_index("overlapping")
+        flags = pa.concat_arrays([place, rows.column("overlapping").combine_chunks()[1:]])
+        return rows.set_column(at, rows.schema.field(at), flags)
+
+    forge(store, part, "channels", flipped)
+    assert [each.kind for each in value_findings(store)] == ["lake_differs"]
+
+
 def test_parts_without_raw_rows_or_segments_are_compared_as_far_as_they_go(documented: Filler) -> None:
     store = merged(documented)
     documented.release()

@@ -25,8 +25,7 @@ EDGE_BLOCKS = 10  # a jump nearer to an end of its run is part of the turn-on sc
 SHORTEST_RUN_BLOCKS = 60  # in a shorter run a jump cannot be separated from a slow change
 _EXACT = 120  # positions at which the norm of a whitened step is computed; it is interpolated between them
 _MOTION = ("input_rate", "rate_o", "rate_s", "table_rate")
-_LINE_OF_MOTION, _STRONG_MOTION = 100.0, 1e4  # power over that of the frequencies beside it
-_MOST_PEAKS, _MULTIPLES = 4, 8
+_LINE_OF_MOTION = 100.0  # power over that of the frequencies beside it
 _INDEPENDENT = 0.3  # share of the positions that count as independent tests
 
 
@@ -49,7 +48,7 @@ class StrongestLine:
 def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -> StrongestLine | None:
     """Strongest line of whitened residuals; None if the runs are too short.
 
-    Frequencies at which the unit was moved are left out, and their multiples: what is there follows the motion.
+    Frequencies at which the unit was moved are left out: what is there follows the motion.
     """
     pieces = [piece for record, residual in zip(records, residuals, strict=True) for piece in _by_run(record, residual)]
     longest = max(piece.size for piece, _ in pieces)
@@ -73,7 +72,7 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
 
 
 def _of_motion(records: Sequence[UnitRecord], size: int) -> BoolArray:
-    """Marks the frequencies of a transform at which a rate of unit or table has a line, and multiples of these."""
+    """Marks the frequencies of a transform at which a rate of unit or table has a line."""
     marked = np.zeros(size // 2 + 1, dtype=np.bool_)
     for name in _MOTION:
         total = np.zeros(marked.size)
@@ -84,11 +83,7 @@ def _of_motion(records: Sequence[UnitRecord], size: int) -> BoolArray:
             ndimage.median_filter(total, _WINDOW, mode="nearest"), 1e-12 * max(total.max(), 1e-300)
         )
         marked |= level > _LINE_OF_MOTION
-        peaks = np.flatnonzero((level > _STRONG_MOTION) & (total >= ndimage.maximum_filter1d(total, 4 * _PADDING + 1)))
-        for peak in peaks[np.argsort(-total[peaks])][:_MOST_PEAKS]:
-            multiples = np.arange(2, _MULTIPLES + 1) * peak % size
-            marked[np.minimum(multiples, size - multiples)] = True
-    return np.asarray(ndimage.binary_dilation(marked, iterations=2 * _PADDING) if marked.any() else marked)
+    return np.asarray(ndimage.binary_dilation(marked, iterations=_PADDING) if marked.any() else marked)
 
 
 def _about_mean(name: str, run: RunBlocks) -> FloatArray:
