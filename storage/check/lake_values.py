@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import duckdb
+import pyarrow as pa
 
 from storage.findings import Finding, Severity
 from storage.lake.part import build_part
-from storage.lake.tables import COLUMNS_VERSION, SAMPLES_FILE, TABLES
+from storage.lake.tables import COLUMNS_VERSION, SAMPLES_FILE, TABLES, open_table
 from storage.manifests.lake import read_manifest
 from storage.manifests.part import Part
 from storage.sql.sandbox.guard import plain_message
@@ -64,16 +65,18 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
                 continue
             try:
                 paths = [each / file for each in fresh]
-                if lacking := _lacking(connection, where / file, name):
-                    what = f"it has no column {', '.join(lacking)}"
-                    if part.columns >= COLUMNS_VERSION:
-                        why = f"{what}: its file was written anew since"
-                        yield Finding("lake_differs", Severity.DAMAGE, str(where / file), why, _REMEDY)
-                        continue
-                    why = f"{what}, as one of an earlier version: the others are compared"
-                    yield Finding("lake_not_compared", Severity.NOTE, str(where / file), why)
+                lacking, others = _other_columns(where / file, name)
+                if others or (lacking and part.columns >= COLUMNS_VERSION):
+                    what = f"its columns are others ({', '.join(lacking + others)}): its file was written anew since"
+                    yield Finding("lake_differs", Severity.DAMAGE, str(where / file), what, _REMEDY)
+                    continue
+                if lacking:
+                    what = (
+                        f"it has no column {', '.join(lacking)}, as one of an earlier version: the others are compared"
+                    )
+                    yield Finding("lake_not_compared", Severity.NOTE, str(where / file), what)
                 differing = _differing(connection, where / file, paths, name)
-            except duckdb.Error as error:
+            except (duckdb.Error, pa.ArrowException, OSError) as error:
                 what = f"its values were not compared with the log: {plain_message(error)}"
                 yield Finding("lake_not_compared", Severity.DAMAGE, str(where / file), what, _REMEDY)
                 continue
@@ -82,12 +85,12 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
                 yield Finding("lake_differs", Severity.DAMAGE, str(where / file), what, _REMEDY)
 
 
-def _lacking(connection: duckdb.DuckDBPyConnection, kept: Path, table: str) -> list[str]:
-    """Columns that a file of this version should have and has not."""
-    path = str(kept).replace("'", "''")
-    rows = connection.execute(f"select name from parquet_schema('{path}')").fetchall()  # noqa: S608
-    found = {name for (name,) in rows}
-    return [name for name in TABLES[table].names if name not in found]
+def _other_columns(kept: Path, table: str) -> tuple[list[str], list[str]]:
+    """Columns that a file should have and has not, and those that it has beyond them; in these letters."""
+    with open_table(kept) as file:
+        found = list(file.schema_arrow.names)
+    known = list(TABLES[table].names)
+    return [name for name in known if name not in found], [name for name in found if name not in known]
 
 
 def _differing(connection: duckdb.DuckDBPyConnection, kept: Path, fresh: list[Path], table: str) -> int:

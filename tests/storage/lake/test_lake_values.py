@@ -134,7 +134,10 @@ def test_a_column_that_is_taken_away_is_found(documented: Filler, table: str, co
     part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
     forge(store, part, table, lambda rows: rows.drop_columns([column]))
     (finding,) = value_findings(store)
-    assert finding.what.startswith(f"it has no column {column}")
+    assert finding.what.startswith(f"its columns are others ({column})")
+    forge(store, part, table, lambda rows: rows.append_column(column.upper(), pa.nulls(rows.num_rows, pa.int64())))
+    (finding,) = value_findings(store)  # SQL reads it whatever its case
+    assert finding.what.startswith(f"its columns are others ({column}, {column.upper()})")
 
 
 def test_a_flag_of_a_channel_is_compared_where_a_part_is_of_one_segment(documented: Filler) -> None:
