@@ -109,7 +109,7 @@ def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps
         reader = _HeaderReader(titles, options, stamps)
         _add_all(reader, titles)
         columns = reader.columns
-        _refuse_repeated("signal", [signal.name for signal in columns.signals])
+        _refuse_repeated_signals(columns.signals)
         _refuse_repeated("column", [word.word for word in columns.words])
         _check_complete(columns, titles, options)
     except BadInput as error:
@@ -135,6 +135,16 @@ def _add_all(reader: "_HeaderReader", titles: Sequence[str]) -> None:
 def _refuse_repeated(kind: str, names: Sequence[str]) -> None:
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise BadInput(f"{kind} {repeated[0]!r} stands in the header more than once; remove or rename one")
+
+
+def _refuse_repeated_signals(signals: Sequence[SignalColumn]) -> None:
+    for name, count in Counter(signal.name for signal in signals).items():
+        if count > 1:
+            first, second = [signal.title for signal in signals if signal.name == name][:2]
+            raise BadInput(
+                f"signal {name!r} stands in the header more than once, as {first!r} and {second!r}; give one another "
+                f"name: --rename '{second}=NAME'"
+            )
 
 
 class _HeaderReader:
@@ -214,7 +224,7 @@ class _HeaderReader:
     def _add_signal(self, title: str, name: str, unit: str, *, is_foreign: bool) -> None:
         is_foreign = is_foreign or re.search(r"\s", name) is not None
         signal = re.sub(r"[\s/*$?#]+", "_", name).strip("_.@").lower() if is_foreign else name
-        is_standard = name.lower() in STANDARD_CHANNELS and name not in STANDARD_CHANNELS
+        is_standard = name.lower() in STANDARD_CHANNELS and name not in STANDARD_CHANNELS and title not in self._renames
         signal = name.lower() if is_standard else signal
         try:
             if is_standard or (is_foreign and name != signal and not _is_usable(name)):

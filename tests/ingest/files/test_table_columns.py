@@ -1,5 +1,6 @@
 """The header contract."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,10 @@ def test_every_kind_of_column_is_recognised() -> None:
         (["Time[s]", "clock[s]", "rate[deg/s]"], "'Time[s]' is not it: rename it"),
         (["time[s]", "rate[deg/s]", "rate[deg/s]"], "more than once"),
         (["time[s]", "rate[deg/s]", "rate[rad/s]"], "signal 'rate' stands in the header more than once"),
+        (
+            ["time[s]", "Temperature[degC]", "temperature[degC]", "rate[deg/s]"],
+            "as 'Temperature[degC]' and 'temperature[degC]'; give one another name: --rename 'temperature[degC]=NAME'",
+        ),
         (["time[s]", "rate[deg/s]", ""], "column 3 has no title"),
         (["time[s]", "rate[deg/s", "x[1]"], "cannot be read"),
         (["time[s]", "[deg/s]"], "cannot be read"),
@@ -54,6 +59,15 @@ def test_a_header_that_breaks_the_contract_is_refused(titles: list[str], message
         read_header(Path("a.csv"), titles, G1)
     assert message in str(caught.value)
     assert str(caught.value).startswith("a.csv: ")
+
+
+def test_a_standard_name_in_another_case_is_that_name_unless_renamed() -> None:
+    titles = ["time[s]", "rate[deg/s]", "Temperature[degC]", "Humidity (%)", "SUPPLY_VOLTAGE[V]"]
+    columns = read_header(Path("a.csv"), titles, G1)
+    assert [each.name for each in columns.signals] == ["rate", "temperature", "humidity", "supply_voltage"]
+    assert "column 'Temperature[degC]' is signal temperature" in columns.remarks
+    renamed = replace(G1, renames=(("Temperature[degC]", "Temperature"),))
+    assert "Temperature" in [each.name for each in read_header(Path("a.csv"), titles, renamed).signals]
 
 
 @pytest.mark.parametrize(
