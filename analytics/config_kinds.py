@@ -9,8 +9,8 @@ import click
 import msgspec
 
 from stream.errors import BadInput, GyrofleetError
-from stream.pem_text import fault_of_pem
 from stream.roles.config_file import check_config
+from stream.security.pem_text import fault_of_pem
 from stream.security.site_rules import RULES_FILE
 from stream.terminal.console import counted
 from stream.toml_text import decode_toml

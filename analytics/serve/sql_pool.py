@@ -15,8 +15,7 @@ from analytics.serve.doors.rate_limit import RateLimit
 from analytics.serve.doors.roles import Person
 from analytics.serve.problems import TooMany
 from analytics.serve.shared_lake import LakeState
-from storage.sql.advice import Advice
-from storage.sql.door import QueryLimits, SqlDoor
+from storage.sql.door import Advice, QueryLimits, SqlDoor
 from storage.store import Store, writer_is_active
 from stream.closing import Closing
 from stream.errors import GyrofleetError

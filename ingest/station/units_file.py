@@ -14,7 +14,7 @@ from ingest.station.station import SlotTable
 from stream.errors import BadInput
 from stream.events import UnitMounted
 from stream.identity import check_name
-from stream.pem_text import fault_of_pem
+from stream.security.pem_text import fault_of_pem
 
 STDIN = "-"
 COLUMNS = ("serial", "slot", "lot", "operator", "fixture", "firmware", "product")

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from stream.errors import BadInput, StoreError
-from stream.file_modes import fault_of_secret
+from stream.security.file_modes import fault_of_secret
 
 _HEX_DIGITS = 16
 

@@ -26,6 +26,7 @@ _MERGED = {
     "arrival_first_ns": "min", "arrival_last_ns": "max", "irregular": "bool_or", "dt_ns": "min",
 }  # fmt: skip
 _NOT_OF_SEGMENTS = {"overlapping"}  # what two segments together show
+_AGAIN = "repair that, and run `gyrofleet verify --values` again"
 _REMEDY = "build the lake from the log again: `gyrofleet rebuild`"
 
 
@@ -33,7 +34,8 @@ def value_findings(store: Store, progress: Callable[[float], None] = lambda _don
     """Parts of the lake whose rows are not those that this version makes of their segments.
 
     It takes as long as building the lake, and as much space in the folder for temporary files as its largest part.
-    Parts whose segments the log no longer has, or that are damaged, are left to the other findings.
+    Parts whose segments the log no longer has are noted. Where it has them, and they cannot be built, as on a full
+    disk, the store is not sound.
     """
     parts = read_manifest(store, with_sources=True).parts
     with duckdb.connect() as connection:
@@ -57,7 +59,9 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
             ]  # fmt: skip
         except (StoreError, OSError) as error:
             what = f"its values were not compared with the log: {error}"
-            yield Finding("lake_not_compared", Severity.NOTE, str(where), what)
+            is_there = all((store.log / f"{segment}.mcap").exists() for segment in part.segments)
+            severity = Severity.UNFINISHED if is_there else Severity.NOTE
+            yield Finding("lake_not_compared", severity, str(where), what, _AGAIN if is_there else "")
             return
         for name in TABLES:
             file = f"{name}.parquet"

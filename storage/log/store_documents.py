@@ -29,8 +29,8 @@ from stream.events import (
     StoreNoted,
     encode_event,
 )
-from stream.file_modes import fault_of_secret
 from stream.identity import Place
+from stream.security.file_modes import fault_of_secret
 from stream.wire.acknowledgement import StreamId
 
 LAKE = Place("store", "lake")

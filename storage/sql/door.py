@@ -18,7 +18,6 @@ import msgspec
 
 import stream.errors
 from storage.object_lake.range_service import RangeService
-from storage.sql.advice import COMMAND_LINE, Advice
 from storage.sql.lake_source import source_of
 from storage.sql.sandbox.child import Closed, FrameKind, read_frame, write_frame
 from storage.store import Store
@@ -59,6 +58,23 @@ class Result:
         import pyarrow as pa
 
         return pa.Table.from_batches(self.batches, self.schema)
+
+
+class Advice(NamedTuple):
+    """What who asks can do: to keep a result, and of a statement with too many rows, too much time or memory."""
+
+    kept: str
+    rows: str
+    time: str
+    memory: str
+
+
+COMMAND_LINE = Advice(
+    kept="to keep a result use --csv or --parquet FILE",
+    rows="ask for less, or for more rows (--max-rows, QueryLimits.rows)",
+    time="ask for less, or give it more time (--max-time, QueryLimits.time_s)",
+    memory="ask for less, or give it more (--max-memory, QueryLimits.memory_bytes)",
+)
 
 
 class SqlDoor(Closing):

@@ -22,9 +22,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import BadInput
-from stream.file_modes import fault_of_secret
 from stream.security.access import ACCESS_FILE, AccessList
 from stream.security.credentials import CERTIFICATE, KEY, SITE_CERTIFICATE
+from stream.security.file_modes import fault_of_secret
 from stream.security.rights import Principal, Role, principal_named, principal_of
 from stream.security.site_rules import RULES_FILE, SiteRules, read_site_rules
 

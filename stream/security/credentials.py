@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stream.errors import BadInput, BusError
-from stream.file_modes import fault_of_secret
 from stream.security.access import ACCESS_FILE, AccessList, read_access_list
+from stream.security.file_modes import fault_of_secret
 from stream.security.rights import Principal, Role, principal_of
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ FAR = 100.0  # an outlier leaves the readings of the seconds beside it by more t
 CALM = 0.1  # an outlier is not motion if the three readings on either side differ by less than this part of it
 FEW, ALONE = 3.0, 0.6  # outliers of a second, at most, and the part by which one leaves the mean: motion has more
 _BESIDE = 3  # pieces on either side whose range tells motion
-_MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
+MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _sample_variance(pieces: Pieces, number: IntArray) -> FloatArray:
     pairs = np.bincount(block, minlength=blocks)
     own = np.bincount(block, variance, minlength=blocks) / np.maximum(pairs, 1)
     middle, average = (float(np.median(variance)), float(variance.mean())) if variance.size else (0.0, 0.0)
-    typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
+    typical = middle / MEDIAN_OF_SQUARE if middle > 0 else average
     return np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
 
 

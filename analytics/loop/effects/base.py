@@ -64,7 +64,7 @@ def range_over(channel: str, runs: Sequence[RunBlocks]) -> tuple[float, float] |
     """
     known = [run.channels[channel] for run in runs if channel in run.channels]
     means = [each.mean[np.isfinite(each.mean)] for each in known]
-    seconds = [each.inside.mean for each in known if each.inside is not None]
+    seconds = [each.inside.mean[np.isfinite(each.inside.mean)] for each in known if each.inside is not None]
     ends = [np.quantile(np.concatenate(each), (0.002, 0.998)) for each in (means, seconds) if sum(map(len, each))]
     return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
 

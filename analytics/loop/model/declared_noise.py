@@ -10,6 +10,7 @@ import numpy as np
 from analytics.curves.noise_coefficients import MOST_MISFIT
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.blocks.signal_blocks import MEDIAN_OF_SQUARE
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
 from stream.decoding import decode_json
@@ -20,7 +21,6 @@ _KEYS = ("angle_random_walk", "bias_instability", "rate_random_walk")
 _QUANTILE = 0.25
 _OF_LIMIT = 1.0 / 3.0
 _NORMAL_PER_MAD = 1.4826
-_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal number
 _RATES = ("input_rate", "table_rate")
 _MOST_DRIVEN = (
     4.0  # above this ratio of variances, whole and left of a line in the rate, a run's Allan fit is of motion
@@ -139,7 +139,7 @@ def _white_of_blocks(runs: Sequence[RunBlocks]) -> float:
     """
     squares = np.concatenate([[], *(np.diff(run.value) ** 2 * run.block_s / 3600.0 for run in runs)])
     squares = squares[np.isfinite(squares)]
-    return math.sqrt(float(np.median(squares)) / (2.0 * _MEDIAN_OF_SQUARE)) if squares.size else 0.0
+    return math.sqrt(float(np.median(squares)) / (2.0 * MEDIAN_OF_SQUARE)) if squares.size else 0.0
 
 
 def _value(coefficient: dict[str, Any]) -> float:

@@ -26,7 +26,7 @@ from analytics.serve.doors.roles import Person, Role
 from stream.atomic_file import write_durably
 from stream.decoding import converted
 from stream.errors import BadInput
-from stream.file_modes import fault_of_rules
+from stream.security.file_modes import fault_of_rules
 from stream.toml_text import decode_toml
 
 RoleWord = Literal["viewer", "operator", "engineer", "approver"]

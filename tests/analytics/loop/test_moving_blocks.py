@@ -8,6 +8,7 @@ import pytest
 from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.blocks.inside import Inside, inside_of
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.base import range_over
 from analytics.loop.effects.block_kernels import mean_excess, mean_inside, mean_magnitude, share_above
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
@@ -156,6 +157,20 @@ def test_an_asymmetry_is_right_where_every_block_moves(tested: TestedUnits, *, s
     assert [each.name for each in found.effects] == ["scale_factor_asymmetry"]
     (coefficient,) = found.effects[0].coefficients
     assert abs(coefficient.value - 0.36) < 3.0 * (coefficient.hi - coefficient.lo) / 3.92
+
+
+def test_the_range_of_a_rate_goes_by_the_seconds_that_are_known() -> None:
+    """Where steps do not name the axis of a table the rate is not known, nor are its seconds."""
+    number = np.repeat(np.arange(8), 30)
+    value = np.repeat(np.tile([-100.0, 100.0], 8), 15)
+    blocks = (np.zeros(8), np.full(8, 100.0), np.zeros(8, np.bool_))
+    inside = inside_of(number, np.ones(240, int), value, np.zeros(240), blocks)
+    assert inside is not None
+    along = np.array([1.0, np.nan] * 4)
+    rate = Channel(np.zeros(8) * along, np.full(8, 100.0), "deg/s", inside=inside.scaled(along))
+    one = np.ones(8)
+    run = RunBlocks("U", "r", "rate", np.arange(8), 30.0, 0, one, one.astype(int), one, "deg/h", {"input_rate": rate})
+    assert range_over("input_rate", [run]) == (-100.0, 100.0)
 
 
 def test_only_blocks_that_move_far_more_than_the_others_have_pieces() -> None:

@@ -1,5 +1,7 @@
 """A lake whose values were changed, and whose hashes were made to fit, is found: its rows are compared with the log."""
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from storage.check import lake_values
 from storage.check.lake_values import value_findings
 from storage.check.verify_lake import lake_problems
 from storage.lake.builder import builder_lock
@@ -152,6 +155,18 @@ def test_a_flag_of_a_channel_is_compared_where_a_part_is_of_one_segment(document
 
     forge(store, part, "channels", flipped)
     assert [each.kind for each in value_findings(store)] == ["lake_differs"]
+
+
+def test_a_part_that_cannot_be_built_is_not_called_sound(documented: Filler, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = merged(documented)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(lake_values, "build_part", full)
+    found = list(value_findings(store))
+    assert {(each.kind, each.severity.value) for each in found} == {("lake_not_compared", "unfinished")}
+    assert len(found) == len(read_manifest(store).parts)
 
 
 def test_parts_without_raw_rows_or_segments_are_compared_as_far_as_they_go(documented: Filler) -> None:

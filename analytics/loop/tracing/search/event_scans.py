@@ -24,7 +24,7 @@ _WINDOW = 401  # grid points, about 100 independent ones, over which the spectru
 EDGE_BLOCKS = 10  # a jump nearer to an end of its run is part of the turn-on scatter
 SHORTEST_RUN_BLOCKS = 60  # in a shorter run a jump cannot be separated from a slow change
 _EXACT = 120  # positions at which the norm of a whitened step is computed; it is interpolated between them
-_MOTION = ("input_rate", "rate_o", "rate_s", "table_rate")
+_MOTION = frozenset({"input_rate", "rate_o", "rate_s", "table_rate"})
 _LINE_OF_MOTION = 100.0  # power over that of the frequencies beside it
 _INDEPENDENT = 0.3  # share of the positions that count as independent tests
 
@@ -74,15 +74,14 @@ def scan_lines(records: Sequence[UnitRecord], residuals: Sequence[FloatArray]) -
 def _of_motion(records: Sequence[UnitRecord], size: int) -> BoolArray:
     """Marks the frequencies of a transform at which a rate of unit or table has a line."""
     marked = np.zeros(size // 2 + 1, dtype=np.bool_)
-    for name in _MOTION:
+    for name in {each for record in records for run in record.stack.runs for each in run.channels.keys() & _MOTION}:
         total = np.zeros(marked.size)
         for record in records:
             for piece, _ in _by_run(record, record.stack.column(partial(_about_mean, name))):
                 total += np.abs(fft.rfft(piece, size)) ** 2
-        level = total / np.maximum(
-            ndimage.median_filter(total, _WINDOW, mode="nearest"), 1e-12 * max(total.max(), 1e-300)
-        )
-        marked |= level > _LINE_OF_MOTION
+        if total.any():
+            beside = np.maximum(ndimage.median_filter(total, _WINDOW, mode="nearest"), 1e-12 * total.max())
+            marked |= total > _LINE_OF_MOTION * beside
     return np.asarray(ndimage.binary_dilation(marked, iterations=_PADDING) if marked.any() else marked)
 
 

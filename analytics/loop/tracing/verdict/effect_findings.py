@@ -84,15 +84,11 @@ def findings(candidates: Candidates, found: Search) -> list[FoundEffect]:
 
 
 def _stood_still(cause: Effect, runs: Sequence[RunBlocks]) -> bool:
-    """Whether a channel of a cause is recorded in all runs and never moved: then it did not cause what moves."""
-    return any(all(channel in run.channels for run in runs) and _is_constant(channel, runs) for channel in cause.needs)
-
-
-def _is_constant(channel: str, runs: Sequence[RunBlocks]) -> bool:
-    means = np.concatenate([run.mean(channel) for run in runs])
-    means = means[np.isfinite(means)]
-    moved = any(np.any(run.channels[channel].spread > 0.0) for run in runs)
-    return bool(means.size and np.ptp(means) == 0.0 and not moved)
+    """Whether a channel of a cause has readings in all runs and never moves: then it did not cause what moves."""
+    has_readings = all(
+        channel in run.channels and np.isfinite(run.mean(channel)).any() for channel in cause.needs for run in runs
+    )
+    return has_readings and cause.unavailable(runs) is not None
 
 
 def unreplicated(fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffect]:
