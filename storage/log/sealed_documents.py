@@ -1,15 +1,16 @@
 """Messages with documents of sealed segments, which never change: kept by the process that has read them once.
 
 Beside a recorder a server asks for the documents that are not in the lake again and again, and nearly all that it would
-read each time are samples.
+read each time are samples: of a segment, only the chunks are read that hold documents.
 """
 
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
-from storage.segments.reader import read_chunks, spans_in
+from storage.segments.reader import read_chunks_of, spans_in
 from storage.segments.records import LogRecord
 from stream.errors import BadInput
 from stream.identity import EventKey, parse_key
@@ -42,6 +43,7 @@ def documents_of_sealed(path: Path) -> tuple[LogRecord, ...]:
     return found
 
 
+@lru_cache(maxsize=100_000)
 def is_of_documents(topic: str) -> bool:
     """Whether messages of a topic are documents."""
     try:
@@ -52,10 +54,7 @@ def is_of_documents(topic: str) -> bool:
 
 def _read(path: Path) -> Iterator[LogRecord]:
     channels: dict[int, tuple[str, str]] = {}
-    is_document: dict[str, bool] = {}
-    for content in read_chunks(path):
+    for content in read_chunks_of(path, is_of_documents):
         for topic, schema, arrival_ns, publish_ns, begin, end, _ in spans_in(path, content, channels):
-            if topic not in is_document:
-                is_document[topic] = is_of_documents(topic)
-            if is_document[topic]:
+            if is_of_documents(topic):
                 yield LogRecord(topic, schema, arrival_ns, publish_ns, content[begin:end])

@@ -3,7 +3,7 @@
 import mmap
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -42,6 +42,9 @@ from stream.errors import StoreError
 
 _HEAD_BYTES = 4096
 _FOOTER_BYTES = FRAME.size + 8 + 8 + 4
+_CHANNEL = struct.Struct("<HHI")  # number, schema, length of the topic that follows
+_CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log time, begin, length, size of what follows
+_PLACE = struct.Struct("<HQ")  # of a channel in the chunk
 _DAMAGE = (McapError, ValueError, LookupError, EOFError, struct.error, zstandard.ZstdError, UnicodeDecodeError)
 
 
@@ -120,6 +123,39 @@ def read_chunks(path: Path) -> Iterator[bytes]:
             position = after
         if position != end or zlib.crc32(content[summed:end], crc) != _crc_at(content, end):
             raise ValueError("the CRC of its data does not match")
+
+
+def read_chunks_of(path: Path, is_wanted: Callable[[str], bool]) -> Iterator[bytes]:
+    """Contents of the chunks that hold messages of wanted topics, in their order; StoreError if one is damaged.
+
+    The summary names them, whose CRC is checked; other chunks are not read. A chunk without indexes is read as well.
+    """
+    with _damage_of(path), _mapped(path) as content:
+        end = _end_of_data(content)
+        for begin in _chunks_of(content, end, is_wanted):
+            if (chunk := chunk_at(content, begin, end)) is None:
+                raise ValueError(f"the chunk at byte {begin} is damaged")
+            yield chunk.content
+
+
+def _chunks_of(content: Buffer, end: int, is_wanted: Callable[[str], bool]) -> Iterator[int]:
+    """Where the chunks begin, from the summary behind the data."""
+    wanted: set[int] = set()
+    position = end + FRAME.size + 4
+    while content[position] != Opcode.FOOTER:  # all channels come before the chunks
+        opcode, length = FRAME.unpack_from(content, position)
+        at = position + FRAME.size
+        if opcode == Opcode.CHANNEL:
+            number, _, size = _CHANNEL.unpack_from(content, at)
+            begin = at + _CHANNEL.size
+            if is_wanted(content[begin : begin + size].decode()):
+                wanted.add(number)
+        elif opcode == Opcode.CHUNK_INDEX:
+            _, _, chunk, _, size = _CHUNK_INDEX.unpack_from(content, at)
+            begin = at + _CHUNK_INDEX.size
+            if not size or any(number in wanted for number, _ in _PLACE.iter_unpack(content[begin : begin + size])):
+                yield chunk
+        position = at + length
 
 
 def _crc_at(content: Buffer, end: int) -> int:

@@ -1,13 +1,18 @@
 """Documents beyond the lake: a sealed segment is read for them once, and what is read is always what the log has."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from storage.log import sealed_documents
+from storage.log.sealed_documents import is_of_documents
 from storage.log.tail import documents_beyond
+from storage.log.writer import SegmentWriter
 from storage.segments import reader
+from storage.segments.chunks import messages_of
+from storage.segments.reader import SegmentScan, read_chunks_of
 from stream.errors import StoreError
 from stream.events import RunStarted
 from tests.storage.log.test_log_tail import Writer
@@ -33,13 +38,13 @@ def writer(tmp_path: Path) -> Iterator[Writer]:
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the sealed segments that were read, each time."""
     names: list[str] = []
-    read_chunks = reader.read_chunks
+    read_chunks_of = reader.read_chunks_of
 
-    def counted(path: Path) -> Iterator[bytes]:
+    def counted(path: Path, is_wanted: Callable[[str], bool]) -> Iterator[bytes]:
         names.append(path.name)
-        return read_chunks(path)
+        return read_chunks_of(path, is_wanted)
 
-    monkeypatch.setattr(sealed_documents, "read_chunks", counted)
+    monkeypatch.setattr(sealed_documents, "read_chunks_of", counted)
     return names
 
 
@@ -78,14 +83,55 @@ def test_a_segment_that_is_sealed_while_it_is_read_is_read_once(writer: Writer, 
     assert found == ["r1", "r2", "r3", "r4"]
 
 
+def damage(path: Path, chunk: int) -> None:
+    """Change a byte of a chunk, which the library for MCAP finds."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    content = bytearray(path.read_bytes())
+    at = summary.chunk_indexes[chunk]
+    content[at.chunk_start_offset + at.chunk_length - 1] ^= 1
+    path.write_bytes(content)
+
+
 def test_damage_that_comes_later_is_found(writer: Writer) -> None:
     assert runs(writer) == ["r1", "r2", "r3"]
-    path = writer.store.log / "00000002.mcap"
-    content = bytearray(path.read_bytes())
-    content[len(content) // 3] ^= 1
-    path.write_bytes(content)
+    damage(writer.store.log / "00000002.mcap", 0)
     with pytest.raises(StoreError, match="00000002"):
         runs(writer)
+
+
+def test_chunks_of_samples_are_not_read(writer: Writer) -> None:
+    for count in (1, 2, 3):
+        writer.samples("r4", count)
+        writer.log.sync()  # ends a chunk
+        writer.event(RunStarted(run=f"r4.{count}", t_ns=0))
+        writer.log.sync()
+    writer.seal()
+    path = writer.store.log / "00000003.mcap"
+    for chunk in (1, 3, 5):
+        damage(path, chunk)
+    assert runs(writer) == ["r1", "r2", "r3", "r4.1", "r4.2", "r4.3"]
+    damage(path, 4)
+    with pytest.raises(StoreError, match="00000003"):
+        list(read_chunks_of(path, is_of_documents))
+
+
+def test_a_chunk_without_indexes_is_read(writer: Writer, tmp_path: Path) -> None:
+    """Recovery keeps a chunk whose indexes are damaged."""
+    content = bytearray((writer.store.log / "00000003.mcap.open").read_bytes())
+    content[-1] ^= 1  # of the last index
+    path = tmp_path / "copy" / "00000001.mcap"
+    path.parent.mkdir()
+    path.with_suffix(".mcap.open").write_bytes(content)
+    scan = SegmentScan(path.with_suffix(".mcap.open"))
+    records = list(scan)
+    assert scan.summary.chunks[-1].message_index_offsets == {}
+    copy = SegmentWriter(path, found=(memoryview(bytes(content[: scan.whole_bytes])), scan.summary))
+    copy.sync()
+    copy.seal({})
+    found = {record for content in read_chunks_of(path, is_of_documents) for record in messages_of(content, {})}
+    assert found == set(records)
 
 
 def test_segments_of_many_documents_are_not_kept(
