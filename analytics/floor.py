@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from storage.log.follower import FollowedMessage
+from storage.log.follower import ContinuedBatch, FollowedMessage
 from stream.errors import GyrofleetError
 from stream.events import (
     AnyDocument,
@@ -84,7 +84,7 @@ class UnitNow:
     checks: dict[Limit, Check] = field(default_factory=dict)
     decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
     estimates: dict[tuple[str, str], EstimatePublished] = field(default_factory=dict)
-    temperatures: dict[str, RawBatch] = field(default_factory=dict)  # the newest message by signal
+    temperatures: dict[str, RawBatch | ContinuedBatch] = field(default_factory=dict)  # the newest message by signal
 
     @property
     def is_instrument(self) -> bool:
@@ -134,7 +134,10 @@ class UnitNow:
     def temperature(self, signal: str) -> tuple[float, str] | None:
         """The newest value of a temperature signal and its unit of measure."""
         raw = self.temperatures.get(signal)
-        return None if raw is None else (float(raw.decoded().value_array[-1]), raw.message.unit_of_measure)
+        if raw is None:
+            return None
+        batch = raw.decoded()
+        return float(batch.value_array[-1]), batch.unit_of_measure
 
     @property
     def worst(self) -> Check | None:
@@ -181,7 +184,7 @@ class Floor:
         if place is None or isinstance(content, GyrofleetError):
             return None
         key = parsed_key(place.stream.key)
-        if isinstance(content, RawBatch):
+        if isinstance(content, RawBatch | ContinuedBatch):
             assert isinstance(key, SampleKey)
             self.sampled(key.place, key.unit, place.run, place.last_ns, arrival_ns)
             if key.signal.endswith("temperature") and key.unit in self.units:

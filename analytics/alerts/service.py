@@ -52,7 +52,7 @@ class AlertService(Closing):
         self._book.hold(self._now_ns())
         self._floor, self._hearing = Floor(), Hearing()
         done = {segment for segment in sealed if segment < self._book.segment}
-        self._follower = LogFollower(store, without=done & self._fill_floor())
+        self._follower = LogFollower(store, without=done & self._fill_floor(), unread=True)
         self._kept: dict[str, tuple[int, list[Finding]]] = {}
         self._log_at = 0.0
         self._looked_s = time.monotonic()

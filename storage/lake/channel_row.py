@@ -26,13 +26,16 @@ class ChannelRow:
     def add(self, batch: RawBatch, arrival_ns: int) -> None:
         """Count a message."""
         message, last_ns = batch
-        n, seq, t0_ns = message.samples, message.seq, message.t0_ns
-        self._samples += n
         self._irregular |= message.irregular
+        self.add_regular(message.seq, message.seq + message.samples, message.t0_ns, last_ns, arrival_ns)
+
+    def add_regular(self, seq: int, next_seq: int, t0_ns: int, last_ns: int, arrival_ns: int) -> None:
+        """Count a message at the channel's interval, by its numbers and the times of its first and last sample."""
+        self._samples += next_seq - seq
         if self._seq is None:
-            self._seq, self._t_ns, self._arrival_ns = (seq, seq + n), (t0_ns, last_ns), (arrival_ns, arrival_ns)
+            self._seq, self._t_ns, self._arrival_ns = (seq, next_seq), (t0_ns, last_ns), (arrival_ns, arrival_ns)
             return
-        self._seq = min(self._seq[0], seq), max(self._seq[1], seq + n)
+        self._seq = min(self._seq[0], seq), max(self._seq[1], next_seq)
         self._t_ns = min(self._t_ns[0], t0_ns), max(self._t_ns[1], last_ns)
         self._arrival_ns = min(self._arrival_ns[0], arrival_ns), max(self._arrival_ns[1], arrival_ns)
 

@@ -7,19 +7,47 @@ from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 from storage.log.files import is_own
+from storage.log.message_form import MessageForms
 from storage.log.recovery import reached_in
 from storage.log.sequence import LogPlace, parse_record
 from storage.segments.growing import GrowingSegment
 from storage.segments.records import LogRecord
 from storage.store import Store
+from stream.batch import SampleBatch
+from stream.bounds import MAX_MOMENT_NS, MAX_SEQ, MIN_MOMENT_NS
 from stream.closing import Closing
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
 from stream.wire.acknowledgement import StreamId
-from stream.wire.batches import RawBatch
+from stream.wire.batches import RawBatch, decode_batch
 
 _FILE = re.compile(r"(\d+)\.mcap(\.open|\.abandoned-(\d+))?")
 _TICK_NS = 100_000_000  # within which two changes of a folder may have the same time
+
+
+class ContinuedBatch(NamedTuple):
+    """A sample batch as logged, unread: all but its number, its times and its samples is that of `like`.
+
+    `place` is where it is in its stream.
+    """
+
+    payload: bytes
+    like: RawBatch
+    place: LogPlace
+
+    @property
+    def t0_ns(self) -> int:
+        """Time of its first sample."""
+        return self.place.first_ns
+
+    @property
+    def last_ns(self) -> int:
+        """Time of its last sample."""
+        return self.place.last_ns
+
+    def decoded(self) -> SampleBatch:
+        """The batch with its arrays."""
+        return decode_batch(self.payload)
 
 
 class FollowedMessage(NamedTuple):
@@ -28,7 +56,7 @@ class FollowedMessage(NamedTuple):
     segment: str
     record: LogRecord
     place: LogPlace | None
-    content: RawBatch | AnyDocument | GyrofleetError
+    content: RawBatch | ContinuedBatch | AnyDocument | GyrofleetError
 
 
 class LogFollower(Closing):
@@ -42,6 +70,7 @@ class LogFollower(Closing):
     ----------
     without: Segments that are not read, such as those in the lake.
     wanted: Which keys are read; all if left out.
+    unread: Give batches that continue their streams as a `ContinuedBatch`; that takes a third of the time.
 
     >>> with LogFollower(Store.open(Path("night"))) as follower:  # doctest: +SKIP
     ...     while True:
@@ -51,8 +80,9 @@ class LogFollower(Closing):
     """
 
     def __init__(
-        self, store: Store, without: Collection[str] = (), *, wanted: Callable[[str], bool] | None = None
-    ) -> None:
+        self, store: Store, without: Collection[str] = (), *, wanted: Callable[[str], bool] | None = None,
+        unread: bool = False,
+    ) -> None:  # fmt: skip
         self.damaged_bytes: dict[str, int] = {}  # by segment
         self._store, self._without, self._wanted = store, frozenset(without), wanted
         self._names: set[str] = set()
@@ -60,6 +90,8 @@ class LogFollower(Closing):
         self._files: dict[str, GrowingSegment | None] = {}  # to be read; a sealed one is opened then
         self._reached: dict[StreamId, int] = {}
         self._copied: dict[str, dict[StreamId, int]] = {}  # by segment: what its sealed copy has, which is not read
+        self._forms = MessageForms() if unread else None
+        self._like: dict[str, RawBatch] = {}  # by topic: the batch that its form was learnt of
 
     def poll(self) -> Iterator[FollowedMessage]:
         """Messages that are new since the last time; those that are not taken come again."""
@@ -90,6 +122,10 @@ class LogFollower(Closing):
         """The message, if it is numbered, wanted, and beyond what has been read of its stream."""
         if self._wanted is not None and not self._wanted(record.topic):
             return None
+        if self._forms is not None and not self._copied:
+            if (continued := self._continued(record)) is not None:
+                return FollowedMessage(number, record, continued.place, continued)
+            self._forms.forget(record.topic)
         try:
             parsed = parse_record(record)
         except GyrofleetError as error:
@@ -102,7 +138,25 @@ class LogFollower(Closing):
         if self._copied and next_seq <= self._copied.get(number, {}).get(stream, 0):
             return None
         self._reached[stream] = next_seq
+        if self._forms is not None and isinstance(parsed.content, RawBatch):
+            self._forms.learn(record, parsed.place)
+            self._like[record.topic] = parsed.content
         return FollowedMessage(number, record, *parsed)
+
+    def _continued(self, record: LogRecord) -> ContinuedBatch | None:
+        """The batch that continues the one before it of its topic; None if it is to be read."""
+        assert self._forms is not None
+        form = self._forms.by_topic.get(record.topic)
+        if form is None or not form.follow(record.data, 0, len(record.data)):
+            return None
+        stream, next_seq, t0_ns = form.stream, form.next_seq, form.t0_ns
+        last_ns = t0_ns + form.span_ns
+        if next_seq > MAX_SEQ or t0_ns < MIN_MOMENT_NS or last_ns > MAX_MOMENT_NS:
+            return None  # beyond its bounds: left to be read, and judged, alone
+        self._reached[stream] = next_seq
+        like = self._like[record.topic]
+        place = LogPlace(stream, next_seq - form.samples, next_seq, t0_ns, last_ns, like.message.run)
+        return ContinuedBatch(record.data, like, place)
 
     def _look(self) -> None:
         """Take up new segments, and what has become of the others."""

@@ -95,6 +95,16 @@ class RawBatch(NamedTuple):
     message: samples_pb2.SampleBatch
     last_ns: int
 
+    @property
+    def like(self) -> "RawBatch":
+        """Itself: what continues a batch has the like of it."""
+        return self
+
+    @property
+    def t0_ns(self) -> int:
+        """Time of its first sample."""
+        return self.message.t0_ns
+
     def check_bounds(self) -> None:
         """WireError if a number is beyond its bounds."""
         message = self.message

@@ -15,7 +15,7 @@ from analytics.serve.live.floor_rows import FloorRows
 from analytics.serve.live.rows import LiveRows, RowTables
 from analytics.serve.live.tail import LiveTail
 from analytics.serve.shared_lake import SharedLake
-from storage.log.follower import FollowedMessage, LogFollower
+from storage.log.follower import ContinuedBatch, FollowedMessage, LogFollower
 from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError
@@ -131,7 +131,7 @@ class FloorFollower(Closing):
         self._is_filled.set()
         told_s = published_s = 0.0
         rows = LiveRows(self.fresh.version + 1, self.fresh.documents + 1)
-        with LogFollower(self._store, state.segments) as messages:
+        with LogFollower(self._store, state.segments, unread=True) as messages:
             while not self._ends.is_set():
                 began_s = time.monotonic()
                 new = messages.poll()
@@ -164,8 +164,8 @@ class FloorFollower(Closing):
             place = parsed_key(message.place.stream.key).place
             self.course.take(message.segment, place, entered, message.record.arrival_ns)
         rows.take(message)
-        if isinstance(message.content, RawBatch) and message.place is not None:
-            self.tail.take(message.segment, message.content)
+        if isinstance(message.content, RawBatch | ContinuedBatch):
+            self.tail.take(message.segment, message.content, len(message.record.data))
         elif isinstance(message.content, EstimatePublished):
             self.tail.take_estimate(message.content)
 

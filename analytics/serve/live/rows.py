@@ -10,7 +10,7 @@ from storage.lake.channel_row import ChannelRow
 from storage.lake.quarantine import event_row
 from storage.lake.segment_content import channel_id
 from storage.lake.tables import TABLES
-from storage.log.follower import FollowedMessage
+from storage.log.follower import ContinuedBatch, FollowedMessage
 from stream.bounds import beyond_bounds
 from stream.errors import GyrofleetError
 from stream.events import EstimatePublished
@@ -19,6 +19,7 @@ from stream.wire.batches import RawBatch
 
 # a request may still look at the version of the lake before
 _KEPT_S = 15.0
+_NONE = (None, "", None)
 
 
 class RowTables(NamedTuple):
@@ -38,6 +39,7 @@ class LiveRows:
     def __init__(self, version: int = 0, documents: int = 0) -> None:
         self.version, self.documents = version, documents
         self._channels: dict[str, dict[tuple[object, ...], ChannelRow]] = {}  # by segment
+        self._continued: dict[str, tuple[RawBatch | None, str, ChannelRow | None]] = {}  # by topic
         self._columns: dict[str, pa.Table] = {}  # of those to which no message has come since
         self._events: dict[str, list[pa.Table]] = {}
         self._new_events: dict[str, list[dict[str, Any]]] = {}  # not columns yet
@@ -49,25 +51,38 @@ class LiveRows:
         segment, record, place, content = message
         if place is None or isinstance(content, GyrofleetError | EstimatePublished):
             return
-        if not isinstance(content, RawBatch):
+        if isinstance(content, ContinuedBatch):
+            like, of_segment, channel = self._continued.get(record.topic, _NONE)
+            if like is content.like and of_segment == segment and channel is not None:
+                _, seq, next_seq, t0_ns, last_ns, *_ = place
+                channel.add_regular(seq, next_seq, t0_ns, last_ns, record.arrival_ns)
+                self._columns.pop(segment, None)
+                self._has_news = True
+                return
+        elif not isinstance(content, RawBatch):
             if beyond_bounds(content) is None:
                 row = event_row(parse_key(record.topic).place, content, record.arrival_ns)
                 self._new_events.setdefault(segment, []).append(row)
                 self._has_news = True
             return
-        head = content.message
+        like = content.like
+        head = like.message
         name = (record.topic, head.run, head.epoch, not head.values, head.unit_of_measure, head.scale, head.offset)
         try:
-            content.check_bounds()
+            like.check_bounds()  # the numbers of what continues it are within them
             channels = self._channels.setdefault(segment, {})
-            channel = channels.get(name)
-            if channel is None:
+            known = channels.get(name)
+            if known is None:
                 first = content.decoded()
                 key = parse_key(record.topic)
-                channel = channels[name] = ChannelRow(channel_id(record.topic, first), key.place, first)
+                known = channels[name] = ChannelRow(channel_id(record.topic, first), key.place, first)
         except GyrofleetError:
             return  # quarantined when the lake is built
-        channel.add(content, record.arrival_ns)
+        if isinstance(content, RawBatch):
+            known.add(content, record.arrival_ns)
+        else:
+            known.add_regular(place.seq, place.next_seq, place.first_ns, place.last_ns, record.arrival_ns)
+            self._continued[record.topic] = like, segment, known
         self._columns.pop(segment, None)
         self._has_news = True
 
@@ -89,6 +104,7 @@ class LiveRows:
             self._channels.pop(segment, None)
             self._columns.pop(segment, None)
             self._events.pop(segment, None)
+            self._continued.clear()
 
     def beyond(self, in_lake: Collection[str]) -> RowTables:
         """Rows of the segments that are not in a version of the lake, as of the last `publish`."""

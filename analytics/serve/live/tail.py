@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from storage.log.follower import ContinuedBatch
 from stream.batch import FloatArray, IntArray
 from stream.events import EstimatePublished
 from stream.wire.batches import RawBatch
@@ -35,21 +36,21 @@ class LiveTail:
     """Keeps messages of samples until the lake has them; of more than 1 GiB the oldest segments are left out."""
 
     def __init__(self) -> None:
-        self._batches: dict[SignalName, list[tuple[str, RawBatch]]] = defaultdict(list)
+        self._batches: dict[SignalName, list[tuple[str, RawBatch | ContinuedBatch]]] = defaultdict(list)
         self._bytes: dict[str, int] = defaultdict(int)  # by segment
         self._in_lake: dict[str, float] = {}  # segments, and since when
         self._taken: dict[SignalName, int] = defaultdict(int)
         self._curves: dict[SignalName, EstimatePublished] = {}
         self._lock = threading.Lock()
 
-    def take(self, segment: str, raw: RawBatch) -> None:
-        """Keep a message."""
-        head = raw.message
+    def take(self, segment: str, raw: RawBatch | ContinuedBatch, size_bytes: int) -> None:
+        """Keep a message of so many bytes."""
+        head = raw.like.message
         name = (head.unit, head.run, head.signal)
         with self._lock:
             self._batches[name].append((segment, raw))
             self._taken[name] += 1
-            self._bytes[segment] += head.ByteSize()
+            self._bytes[segment] += size_bytes
 
     def take_estimate(self, document: EstimatePublished) -> None:
         """Keep the newest Allan deviation of a signal."""
@@ -98,7 +99,7 @@ class LiveTail:
         """Units and signals of a run of which it has samples, with their unit of measure."""
         with self._lock:
             return {
-                (unit, signal): batches[-1][1].message.unit_of_measure
+                (unit, signal): batches[-1][1].like.message.unit_of_measure
                 for (unit, of_run, signal), batches in self._batches.items()
                 if of_run == run and batches
             }
@@ -111,11 +112,11 @@ class LiveTail:
             found = [raw for segment, raw in self._batches.get(name, ()) if segment not in in_lake]
         if not found:
             return None
-        head = found[-1].message
+        head = found[-1].like.message
         inside = [
             raw.decoded()
             for raw in found
-            if (first_ns is None or raw.last_ns >= first_ns) and (stop_ns is None or raw.message.t0_ns < stop_ns)
+            if (first_ns is None or raw.last_ns >= first_ns) and (stop_ns is None or raw.t0_ns < stop_ns)
         ]
         empty = np.empty(0)
         t_ns = np.concatenate([empty.astype(np.int64), *(batch.time_array for batch in inside)])

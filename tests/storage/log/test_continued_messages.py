@@ -9,16 +9,19 @@ from uuid import UUID
 import numpy as np
 import pytest
 
+from analytics.serve.live.rows import LiveRows
+from analytics.serve.live.tail import LiveTail
 from storage.check.ahead import ahead
 from storage.check.continued_messages import ContinuedMessages
 from storage.check.verify_log import LogState, verify_log
 from storage.log.event_log import EventLog
+from storage.log.follower import ContinuedBatch, LogFollower
 from storage.log.sequence import place_of
 from storage.segments.records import SAMPLES, LogRecord
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.identity import Place, sample_key
-from stream.wire.batches import encode_batch
+from stream.wire.batches import RawBatch, encode_batch
 
 START_NS, DT_NS = 1_763_683_200 * 10**9, 10**7
 PLACE = Place("plant", "bench")
@@ -116,6 +119,32 @@ def test_both_ways_find_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.
         alone = verify_log(store)
     assert outcome(state) == outcome(alone)
     assert state.check.lost
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_follower_finds_the_same_in_batches_that_it_leaves_unread(seed: int, tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "store")
+    write(store, seed)
+    found: dict[bool, list[Any]] = {}
+    for unread in (True, False):
+        rows, tail = LiveRows(), LiveTail()
+        with LogFollower(store, unread=unread) as follower:
+            messages = list(follower.poll())
+        places = []
+        for message in messages:
+            rows.take(message)
+            assert isinstance(message.content, RawBatch | ContinuedBatch)
+            tail.take(message.segment, message.content, len(message.record.data))
+            places.append((message.segment, message.place, message.content.t0_ns, message.content.last_ns))
+        rows.publish()
+        found[unread] = [places, rows.beyond(()).channels.to_pylist(), tail.channels("r1")]
+        for unit in ("U0", "U1", "U2", "U3"):
+            samples = tail.samples((unit, "r1", "rate"), ())
+            assert samples is not None
+            found[unread].append([each.tolist() if isinstance(each, np.ndarray) else each for each in samples])
+        unread_of = [each.content.decoded() for each in messages if isinstance(each.content, ContinuedBatch)]
+        assert (len(unread_of) > 100) == unread  # most, else nothing is compared
+    assert found[True] == found[False]
 
 
 def test_a_message_that_differs_in_any_byte_before_its_samples_is_read_alone(tmp_path: Path) -> None:
