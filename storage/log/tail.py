@@ -172,7 +172,7 @@ def records_of(
             continue
         for path in left_open(store):
             name = path.name.partition(".mcap")[0] + ".mcap"
-            found = (record for record in _open_segment(path) if wanted(record.topic))
+            found = (record for record in _open_segment(path, wanted) if wanted(record.topic))
             for record in islice(found, begun[name], None):
                 begun[name] += 1
                 yield record
@@ -193,10 +193,10 @@ def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocum
             yield decode_event(record.data).document, record.arrival_ns
 
 
-def _open_segment(path: Path) -> Iterator[LogRecord]:
+def _open_segment(path: Path, is_wanted: Callable[[str], bool] | None = None) -> Iterator[LogRecord]:
     _, _, durable = path.name.partition(".abandoned-")
     with suppress(FileNotFoundError):  # sealed in between
-        yield from SegmentScan(path, int(durable) if durable else None)
+        yield from SegmentScan(path, int(durable) if durable else None, is_wanted=is_wanted)
 
 
 def _sealed(store: Store, known: Collection[str] = ()) -> list[str]:

@@ -44,6 +44,7 @@ _HEAD_BYTES = 4096
 _FOOTER_BYTES = FRAME.size + 8 + 8 + 4
 _CHANNEL = struct.Struct("<HHI")  # number, schema, length of the topic that follows
 _CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log time, begin, length, size of what follows
+_INDEXED = struct.Struct("<H")  # number of the channel, at the begin of an index
 _PLACE = struct.Struct("<HQ")  # of a channel in the chunk
 _DAMAGE = (McapError, ValueError, LookupError, EOFError, struct.error, zstandard.ZstdError, UnicodeDecodeError)
 
@@ -200,11 +201,16 @@ class SegmentScan:
 
     From byte `limit` on the file is not valid; a `sealed` one was finished, so that it cannot be torn. `damaged` are
     unreadable bytes, `torn` those of an incomplete record at the end. `whole_bytes` is the length of the undamaged
-    beginning, up to the end of a chunk and its indexes, and `summary` its summary.
+    beginning, up to the end of a chunk and its indexes, and `summary` its summary. With `is_wanted`, chunks are left
+    out that hold no message of a wanted topic by the indexes after them; then the last two are not complete.
     """
 
-    def __init__(self, path: Path, limit: int | None = None, *, sealed: bool = False) -> None:
-        self.path, self.limit, self._sealed = path, limit, sealed
+    def __init__(
+        self, path: Path, limit: int | None = None, *, sealed: bool = False,
+        is_wanted: Callable[[str], bool] | None = None,
+    ) -> None:  # fmt: skip
+        self.path, self.limit, self._sealed, self._is_wanted = path, limit, sealed, is_wanted
+        self._unwanted: set[int] = set()
         self.damaged: list[ByteSpan] = []
         self.torn: ByteSpan | None = None
         self.whole_bytes = 0
@@ -222,7 +228,10 @@ class SegmentScan:
                 except ValueError:
                     self.damaged.append(ByteSpan(chunk.begin, chunk.begin + chunk.head.frame_bytes))
                     continue
-                self._extend(content, chunk, index, end)
+                if self._is_wanted is None:
+                    self._extend(content, chunk, index, end)
+                else:
+                    self._unwanted |= {each for each in index if not self._is_wanted(channels[each][0])}
 
     def _chunks(self, content: Buffer, end: int) -> Iterator[Chunk]:
         """Intact chunks; what is between them and not a record is damaged."""
@@ -233,6 +242,9 @@ class SegmentScan:
             self.damaged.append(ByteSpan(0, len(MAGIC)))
         while position < end:
             frame = frame_at(content, position, end)
+            if frame is not None and frame[0] == Opcode.CHUNK and self._is_unwanted(content, frame[1], end):
+                position = frame[1]
+                continue
             chunk = chunk_at(content, position, end) if frame is not None and frame[0] == Opcode.CHUNK else None
             if chunk is not None:
                 yield chunk
@@ -253,6 +265,19 @@ class SegmentScan:
             elif frame[0] == Opcode.DATA_END:
                 return  # what follows in a sealed segment only repeats
             position = frame[1]
+
+    def _is_unwanted(self, content: Buffer, position: int, end: int) -> bool:
+        """Whether the indexes from a chunk's end on show that it has unwanted messages only."""
+        begin = position
+        while self._unwanted and (frame := frame_at(content, position, end)) is not None:
+            if frame[0] == Opcode.CHUNK:
+                return position > begin
+            if frame[0] != Opcode.MESSAGE_INDEX or not is_plain(content, position, *frame):
+                return False
+            if _INDEXED.unpack_from(content, position + FRAME.size)[0] not in self._unwanted:
+                return False
+            position = frame[1]
+        return False  # of the last chunk, some indexes may not be written yet
 
     def _extend(self, content: Buffer, chunk: Chunk, index: ChannelIndex, end: int) -> None:
         """Extend the undamaged beginning by this chunk, if it reaches up to it."""

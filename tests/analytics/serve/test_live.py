@@ -156,7 +156,7 @@ def test_a_run_is_answered_before_the_lake_has_it(beside: Served, command_server
                 was_open |= answer.json()["run"]["outcome"] == "open"
                 counted.append(answer.json()["run"]["samples"])
                 assert sum(each["kind"] == "RunStarted" for each in answer.json()["documents"]) == 1
-                        # by the time of measurement: what is simulated faster than the clock began earlier
+                # by the time of measurement: what is simulated faster than the clock began earlier
                 assert [run["run"] for run in client.get("/api/runs").json()["runs"]] == ["before", "now"]
                 if not any(each["unit"] == "SIM-0002" for each in answer.json()["units"]):
                     continue  # the run has begun, and nothing of this unit is in the log yet

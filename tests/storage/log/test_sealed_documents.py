@@ -15,7 +15,7 @@ from storage.segments.chunks import messages_of
 from storage.segments.reader import SegmentScan, read_chunks_of
 from stream.errors import StoreError
 from stream.events import RunStarted
-from tests.storage.log.test_log_tail import Writer
+from tests.storage.log.test_log_tail import KEY, Writer
 
 
 @pytest.fixture
@@ -146,3 +146,23 @@ def test_the_oldest_are_forgotten(writer: Writer, reads: list[str], monkeypatch:
     monkeypatch.setattr(sealed_documents, "_MOST_SEGMENTS", 1)
     assert runs(writer) == runs(writer) == ["r1", "r2", "r3"]
     assert reads == ["00000001.mcap", "00000002.mcap"] * 2
+
+
+def test_chunks_of_samples_of_an_open_segment_are_not_read(writer: Writer) -> None:
+    """All but the last one, whose indexes may not be whole; those with documents are, wherever the file ends."""
+    for count in (1, 2, 3):
+        writer.samples("r4", count)
+        writer.log.sync()
+        writer.event(RunStarted(run=f"r4.{count}", t_ns=0))
+        writer.log.sync()
+    writer.samples("r4", 4)
+    writer.log.sync()
+    path = writer.store.log / "00000003.mcap.open"
+    assert runs(writer) == ["r1", "r2", "r3", "r4.1", "r4.2", "r4.3"]
+    scan = SegmentScan(path, is_wanted=is_of_documents)
+    assert [record.topic for record in scan].count(KEY) == 2 + 1  # of 6: beside a document, and the last
+    assert not scan.damaged
+    for limit in range(path.stat().st_size):
+        whole = [each for each in SegmentScan(path, limit) if is_of_documents(each.topic)]
+        some = SegmentScan(path, limit, is_wanted=is_of_documents)
+        assert [each for each in some if is_of_documents(each.topic)] == whole
