@@ -14,7 +14,7 @@ from analytics.loop.tracing.whitening.noise_variance import correlated_variance
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from analytics.loop.tracing.whitening.white_variance import record_of
 from analytics.methods.distributions import chi_square_quantile
-from stream.batch import BoolArray, FloatArray
+from stream.batch import BoolArray, FloatArray, IntArray
 from stream.estimators.confidence import deviation_bounds, least_edf
 
 CONFIDENCE = 0.95
@@ -131,9 +131,9 @@ def _differences(grid: FloatArray, factor: int) -> FloatArray:
     """Differences of adjacent averages, at every block, without those that contain a gap."""
     if grid.shape[1] < 2 * factor:
         return np.empty((2, 0))
-    sums = np.concatenate([np.zeros((2, 1)), np.cumsum(np.nan_to_num(grid), axis=1)], axis=1)
-    missing = np.concatenate([[0], np.cumsum(np.isnan(grid[0]))])
-    means = (sums[:, factor:] - sums[:, :-factor]) / factor
+    sums: FloatArray = np.concatenate([np.zeros((2, 1)), np.cumsum(np.nan_to_num(grid), axis=1)], axis=1)
+    missing: IntArray = np.concatenate([[0], np.cumsum(np.isnan(grid[0]))])
+    means: FloatArray = (sums[:, factor:] - sums[:, :-factor]) / factor
     apart = means[:, factor:] - means[:, :-factor]
     return np.asarray(apart[:, missing[2 * factor :] == missing[: -2 * factor]])
 
