@@ -4,10 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
+from stream.defects.rate_changes import RateChange, RateChanges, remark_on_rate_changes
 from stream.defects.stillness import Stillness, remark_on_stillness
 from stream.errors import BadInput, NotEnoughData, NotFound
 from stream.estimators.allan_variance import AllanDeviation
@@ -49,6 +50,7 @@ class AllanCurve:
     longest_still: int = 0  # samples of the longest stretch in which all are alike
     left_out_tau_s: tuple[float, ...] = ()  # averaging times that were asked for and the record has no deviation at
     longest_tau_s: float | None = None  # the longest averaging time of the record, where any was left out
+    rate_changes: tuple[RateChange, ...] = ()  # places where the sample rate changes; empty where unknown
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -83,13 +85,21 @@ class AllanCurve:
     @property
     def remark(self) -> tuple[str, str] | None:
         """What a reader must know of the record, in English and Chinese."""
-        still = remark_on_stillness(self.longest_still, self.samples)
-        if not self.left_out_tau_s:
-            return still
-        taus = ", ".join(f"{each:g} s" for each in self.left_out_tau_s)
-        en = f"no deviation at {taus}: this record reaches {self.longest_tau_s:g} s, less where samples are missing"
-        zh = f"在 {taus} 处没有结果：本记录最长平均时间为 {self.longest_tau_s:g} s，缺采样处更短"
-        return (en, zh) if still is None else (f"{still[0]}; {en}", f"{still[1]}；{zh}")
+        found = [remark_on_stillness(self.longest_still, self.samples)]
+        if (changes := remark_on_rate_changes(self.rate_changes)) is not None:
+            interval = f"{self.sample_interval_s:g} s"
+            found.append((
+                f"{changes[0]}: where no sample is every {interval}, it is taken as missing",
+                f"{changes[1]}：凡间隔 {interval} 处没有采样，均按缺失处理",
+            ))  # fmt: skip
+        if self.left_out_tau_s:
+            taus = ", ".join(f"{each:g} s" for each in self.left_out_tau_s)
+            found.append((
+                f"no deviation at {taus}: this record reaches {self.longest_tau_s:g} s, less where samples are missing",
+                f"在 {taus} 处没有结果：本记录最长平均时间为 {self.longest_tau_s:g} s，缺采样处更短",
+            ))  # fmt: skip
+        remarks = [each for each in found if each is not None]
+        return ("; ".join(en for en, _ in remarks), "；".join(zh for _, zh in remarks)) if remarks else None
 
     def document(self) -> dict[str, Any]:
         """The curve as JSON, with the same keys for every kind of deviation."""
@@ -127,13 +137,13 @@ def allan_curve(
         if taus_s:
             raise BadInput("given averaging times need every window: leave --overlap out, or say --overlap full")
         strided = AllanDeviation(points_per_octave=points_per_octave)
-        still = _feed(strided, catalog, record, resample_s)
-        return _curve(record, strided, strided.estimate(), deviation, overlap, still)
+        fed = _feed(strided, catalog, record, resample_s)
+        return _curve(record, strided, strided.estimate(), deviation, overlap, fed)
     with FullOverlap(scratch) as full:
-        still = _feed(full, catalog, record, resample_s)
+        fed = _feed(full, catalog, record, resample_s)
         factors = [_factor(tau_s, full.sample_interval_s) for tau_s in taus_s] or None
         points = full.evaluate(deviation, points_per_octave, factors)
-        curve = _curve(record, full, points, deviation, overlap, still)
+        curve = _curve(record, full, points, deviation, overlap, fed)
         given = {round(tau_s / full.sample_interval_s) for tau_s in curve.tau_s}
         missing = [tau_s for tau_s, factor in zip(taus_s, factors or (), strict=bool(factors)) if factor not in given]
         if not missing:
@@ -149,17 +159,25 @@ def _factor(tau_s: float, interval_s: float) -> int:
     return factor
 
 
-def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> Stillness:
-    still = Stillness()
+class _Fed(NamedTuple):
+    """What was seen in the samples beside their deviation."""
+
+    still: Stillness
+    rate_changes: tuple[RateChange, ...]
+
+
+def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> _Fed:
+    still, rates = Stillness(), RateChanges()
     means = None if resample_s is None else BlockMeans(resample_s)
     for batch in read_signal(catalog, record):
         if resample_s is not None and not record.irregular:
             _check_blocks(resample_s, batch.dt_ns / 1e9)
+        rates.follow(batch.time_array)
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
             still.follow(block_means.value_array)  # of what counts as a sample of the curve
             estimator.update(block_means)
-    return still
+    return _Fed(still, tuple(rates.found))
 
 
 def _check_blocks(block_s: float, interval_s: float) -> None:
@@ -176,13 +194,15 @@ def _check_blocks(block_s: float, interval_s: float) -> None:
 
 def _curve(
     record: SignalRecord, estimator: _Estimator, points: tuple[EstimatePoint, ...] | NoEstimate, deviation: Deviation,
-    overlap: Overlap, still: Stillness,
+    overlap: Overlap, fed: _Fed,
 ) -> AllanCurve:  # fmt: skip
     if isinstance(points, NoEstimate):
         where = f"unit {record.unit}, signal {record.signal}"
         reason = points.reason.removeprefix(f"{where}: ")
         raise NotEnoughData(f"{where}, run {record.run}: no {FORMS[deviation].name}: {reason}")
-    return curve_of_points((record.unit, record.signal, record.run), estimator, points, deviation, overlap, still)
+    of = (record.unit, record.signal, record.run)
+    curve = curve_of_points(of, estimator, points, deviation, overlap, fed.still)
+    return replace(curve, rate_changes=fed.rate_changes)
 
 
 def curve_of_points(

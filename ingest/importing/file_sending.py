@@ -22,6 +22,7 @@ from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, Table
 from storage.recording.knowledge import Knowledge
 from stream.batch import SampleBatch
 from stream.decoding import decode_json
+from stream.defects.rate_changes import RateChange
 from stream.delivery.publisher import Sender
 from stream.errors import BadInput, StoreError
 from stream.events import (
@@ -64,6 +65,7 @@ class SignalImport:
     in_lake: int | None
     sample_interval_s: float
     irregular: bool
+    rate_changes: tuple[RateChange, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -278,7 +280,7 @@ class FileSending:
             *name, unit_of_measure=signal.unit_of_measure, in_file=signal.sampling.samples,
             added=signal.sampling.samples - self._common[name], already_stored=self._common[name],
             in_lake=None if in_lake is None else in_lake[name], sample_interval_s=signal.sampling.dt_ns / 1e9,
-            irregular=signal.sampling.irregular,
+            irregular=signal.sampling.irregular, rate_changes=signal.sampling.rate_changes,
         )  # fmt: skip
 
     def _epoch(self, content: str, unit: str, run: str) -> UUID:

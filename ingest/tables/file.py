@@ -20,7 +20,13 @@ from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
-from ingest.tables.time_remarks import coarse_times_remark, future_remark, repeated_hour_remark, repeated_times_advice
+from ingest.tables.time_remarks import (
+    coarse_times_remark,
+    future_remark,
+    rate_change_remarks,
+    repeated_hour_remark,
+    repeated_times_advice,
+)
 from ingest.tables.times import RunClock
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
@@ -126,6 +132,7 @@ class TableFile:
         if (zone := self._reader.local_zone) is not None:
             found.append(repeated_hour_remark(first_ns, last_ns, zone))
         yield from filter(None, found)
+        yield from rate_change_remarks(signals)
         coarse = Counter(
             (each.sampling.step_ns, each.sampling.dt_ns, each.sampling.missing_share > _MANY_MISSING)
             for each in signals if each.sampling.step_ns

@@ -8,6 +8,7 @@ import numpy as np
 
 from stream.batch import IntArray
 from stream.bounds import MAX_INTERVAL_NS
+from stream.defects.rate_changes import RateChange, RateChanges
 
 MEDIAN_INTERVALS = 10_000
 _GRID_TOLERANCE = 0.1
@@ -45,6 +46,7 @@ class Sampling:
     worst_ns: int  # largest distance of such an interval from a multiple of the nominal one, nanoseconds
     gaps: int  # intervals longer than 1.5 nominal ones
     step_ns: int = 0  # to which the times of even samples are rounded, if it is over a quarter of the interval; else 0
+    rate_changes: tuple[RateChange, ...] = ()
 
     @property
     def missing_share(self) -> float:
@@ -65,8 +67,9 @@ class SamplingGrid:
 
     >>> grid = SamplingGrid()
     >>> grid.add(np.array([0, 10, 20, 50, 61]))
-    >>> grid.finish()
-    Sampling(samples=5, t_first_ns=0, t_last_ns=61, dt_ns=10, off_grid=0, worst_ns=1, gaps=1, step_ns=0)
+    >>> found = grid.finish()
+    >>> found.dt_ns, found.worst_ns, found.gaps
+    (10, 1, 1)
     """
 
     def __init__(self, nominal: Callable[[IntArray, int], int] | None = None) -> None:
@@ -75,6 +78,7 @@ class SamplingGrid:
         self._samples = self._first_ns = self._last_ns = 0
         self._dt_ns: int | None = None
         self._off_grid = self._worst_ns = self._gaps = self._step_ns = 0
+        self._rates = RateChanges()
 
     def add(self, times_ns: IntArray) -> None:
         """Add the times that follow, strictly increasing, nanoseconds."""
@@ -83,6 +87,7 @@ class SamplingGrid:
         if not self._samples:
             self._first_ns = int(times_ns[0])
         self._samples += len(times_ns)
+        self._rates.follow(times_ns)
         if self._dt_ns is not None:
             self._judge(np.diff(times_ns, prepend=np.int64(self._last_ns)), self._dt_ns)
         else:
@@ -96,7 +101,7 @@ class SamplingGrid:
         dt_ns = self._settle() if self._dt_ns is None else self._dt_ns
         return Sampling(
             self._samples, self._first_ns, self._last_ns, dt_ns, self._off_grid, self._worst_ns, self._gaps,
-            self._step_ns,
+            self._step_ns, tuple(self._rates.found),
         )  # fmt: skip
 
     def _settle(self) -> int:

@@ -1,11 +1,15 @@
 """Remarks on the times of a table: dates in the future, local times that the end of summer time repeats, times that
-are written too coarsely for the samples.
+are written too coarsely for the samples, sample rates that change.
 """
 
 import shlex
 import time
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
+
+from ingest.tables.sample_file import SignalSummary
+from stream.defects.rate_changes import RateChange, remark_on_rate_changes
 
 _DAY_NS = 86_400 * 10**9
 _MOST_DAYS = 4000
@@ -72,6 +76,26 @@ def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, h
         f"{dt_ns / 1e9:.6g} s on average: their times are taken as they are, as irregular, and single losses are not "
         f"seen; {even}"
     )
+
+
+def rate_change_remarks(signals: Sequence[SignalSummary]) -> Iterator[str]:
+    """Warnings on signals whose sample rate changes in the file, one for all that change alike."""
+    alike: dict[tuple[str, str, tuple[RateChange, ...]], list[SignalSummary]] = {}
+    for each in signals:
+        alike.setdefault((each.unit, each.run, each.sampling.rate_changes), []).append(each)
+    for (unit, run, changes), found in alike.items():
+        if (remark := remark_on_rate_changes(changes)) is None:
+            continue
+        names = ", ".join(each.signal for each in found)
+        sampling = found[0].sampling
+        effect = (
+            "it is taken as irregular, and its Allan deviation needs --resample" if sampling.irregular else
+            f"what is computed of the run takes one sample every {sampling.dt_ns / 1e9:g} s, and the others as missing"
+        )  # fmt: skip
+        yield (
+            f"warning: unit {unit}, run {run}, {names}: {remark[0]}; {effect}; to judge each rate by itself, import "
+            "the parts as runs of their own"
+        )
 
 
 def repeated_times_advice(title: str, repeated: int, rows: int) -> str:

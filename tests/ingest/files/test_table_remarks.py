@@ -1,6 +1,8 @@
 """Remarks on units, times and names of a table that can be read in two ways."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -94,3 +96,31 @@ def test_whole_numbers_beyond_the_floats_are_said(tmp_path: Path) -> None:
     pq.write_table(pa.table({"time[s]": [0, 1], "turns[1]": [1, 2**61 + 1]}), tmp_path / "c.parquet")
     (remark,) = TableFile(tmp_path / "c.parquet", TableOptions(unit="U1")).check().remarks
     assert remark.startswith("warning: 1 whole number of signal turns is beyond 2**53")
+
+
+@pytest.mark.parametrize(
+    ("later_s", "effect"), [(0.1, "takes one sample every 0.01 s"), (0.015, "is taken as irregular")]
+)
+def test_a_sample_rate_that_changes_is_said(later_s: float, effect: str, tmp_path: Path) -> None:
+    times_s = [*(i / 100 for i in range(600)), *(6.0 + later_s * i for i in range(100))]
+    text = "time[s],rate[deg/h],bias[deg/h]\n" + "".join(f"{at:.3f},{i % 7},1\n" for i, at in enumerate(times_s))
+    summary = checked(tmp_path / "a.csv", text)
+    (change,) = summary.signals[0].sampling.rate_changes
+    assert (change.from_hz, change.to_hz) == pytest.approx((100.0, 1 / later_s))
+    (remark,) = summary.remarks
+    assert remark.startswith("warning: unit U1, run a, rate, bias: the sample rate changes at 6 s from 100 Hz to ")
+    assert effect in remark
+    assert not checked(tmp_path / "b.csv", "".join(text.splitlines(keepends=True)[:601])).remarks
+
+
+def test_a_sample_rate_that_changes_is_said_beside_the_deviation(
+    run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    times_s = [*(i / 100 for i in range(600)), *(6.0 + 0.1 * i for i in range(100))]
+    rows = "".join(f"{at:.2f},{i * i % 97}\n" for i, at in enumerate(times_s))
+    (tmp_path / "a.csv").write_text(f"time[s],rate[deg/h]\n{rows}")
+    imported = run_command("import", "a.csv", "--unit", "U1", "--json", cwd=tmp_path).json
+    (change,) = imported["files"][0]["signals"][0]["rate_changes"]
+    assert change == {"t_ns": 6 * 10**9, "from_hz": pytest.approx(100.0), "to_hz": pytest.approx(10.0)}
+    shown = run_command("allan", "--unit", "U1", "--signal", "rate", cwd=tmp_path).out
+    assert "the sample rate changes at 6 s from 100 Hz to 10 Hz: where no sample is every 0.01 s" in shown
