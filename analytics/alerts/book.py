@@ -7,12 +7,14 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from analytics.alerts.finding import Finding
 from analytics.alerts.kept_alerts import Alert, AlertFile, Delivery, LogDocument
 from analytics.alerts.rules import Rule
+from analytics.loop.bilingual import Bilingual
 from storage.store import Store
 from stream.closing import Closing
 from stream.events import AlertCleared, AlertRaised, AlertSent
 
 RAISED = "raised"
 CLEARED = "cleared"
+ENDED = "ended"  # without passing
 _KEPT_NS = 90 * 86_400 * 10**9
 LONGEST_WAIT_S = 600.0
 
@@ -72,7 +74,7 @@ class AlertBook(Closing):
                 )  # fmt: skip
                 self._alerts[alert.id] = self._current[rule.name, finding.key] = alert
                 self._changed.add(alert.id)
-            alert.seen_ns = now_ns
+            alert.seen_ns, alert.ending, alert.ending_zh = now_ns, None, ""
             is_due = finding.is_event or now_ns - alert.since_ns >= rule.after_s * 1e9
             if alert.raised_ns is None and is_due:
                 alert.raised_ns, alert.text, alert.text_zh = wall_ns, str(finding.text), finding.text.zh
@@ -84,10 +86,14 @@ class AlertBook(Closing):
                 )  # fmt: skip
                 self._log(raised)
 
-    def settle(self, rules: Iterable[Rule], now_ns: int, wall_ns: int, unknown: Collection[str] = ()) -> None:
+    def settle(
+        self, rules: Iterable[Rule], now_ns: int, wall_ns: int, unknown: Collection[str] = (),
+        ending: Callable[[Alert], Bilingual | None] = lambda _: None,
+    ) -> None:  # fmt: skip
         """Clear lasting alerts that were not found for as long as their rule asks; forget old ones.
 
-        Of the rules `unknown` nothing is known now: what they have found stays as it is.
+        Of the rules `unknown` nothing is known now: what they have found stays as it is. `ending` says how an alert
+        ended that is no longer found, and is asked once; None if it passed.
         """
         clear_after = {rule.name: rule.clear_after_s for rule in rules}
         with self.lock:
@@ -95,6 +101,10 @@ class AlertBook(Closing):
                 if alert.rule in unknown and not alert.is_event and alert.cleared_ns is None:
                     alert.seen_ns = now_ns
                 gone_s = (now_ns - alert.seen_ns) / 1e9
+                if gone_s > 0.0 and alert.raised_ns and not alert.is_event and alert.ending is None:
+                    found = None if alert.cleared_ns is not None else ending(alert)
+                    alert.ending, alert.ending_zh = ("", "") if found is None else (str(found), found.zh)
+                    self._changed.add(alert.id)
                 if alert.raised_ns is None and gone_s > 0.0:
                     self._forget(alert)  # it did not last
                 elif not alert.is_event and alert.cleared_ns is None and gone_s > clear_after.get(alert.rule, 0.0):
@@ -211,10 +221,16 @@ class AlertBook(Closing):
         alert.cleared_ns = wall_ns
         self._current.pop((alert.rule, alert.key), None)
         alert.deliveries += [
-            Delivery(target=each.target, event=CLEARED) for each in alert.deliveries if each.event == RAISED
+            Delivery(target=each.target, event=ENDED if alert.ending else CLEARED)
+            for each in alert.deliveries
+            if each.event == RAISED
         ]
         self._mark_changed(alert)
-        self._log(AlertCleared(run="", t_ns=wall_ns, alert=alert.id))
+        self._log(
+            AlertCleared(
+                run="", t_ns=wall_ns, alert=alert.id, text=alert.ending or "", text_zh=alert.ending_zh, unit=alert.unit
+            )
+        )
 
     def _log(self, document: LogDocument) -> None:
         self._number += 1

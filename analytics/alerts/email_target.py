@@ -14,7 +14,8 @@ from analytics.alerts.targets import Message, NotSent, Target, clean, one_line, 
 
 _ANSWER_S = 15.0
 _ZH = {
-    "warning": "警告", "alarm": "报警", "raised": "出现", "cleared": "消除", "test": "测试", "rule": "规则",
+    "warning": "警告", "alarm": "报警", "raised": "出现", "cleared": "消除", "ended": "终止",
+    "test": "测试", "rule": "规则",
     "store": "数据库", "alerts": "条报警",
 }  # fmt: skip
 _LONGEST = 900  # characters of a line that every server takes
@@ -92,7 +93,7 @@ class EmailTarget(Target, frozen=True, kw_only=True):
             _fill(mail, "\n\n".join(parts))
             return mail
         severity = max((each.severity for each in messages), key=lambda each: each == "alarm")
-        counts = {event: sum(each.event == event for each in messages) for event in ("raised", "cleared")}
+        counts = {event: sum(each.event == event for each in messages) for event in ("raised", "cleared", "ended")}
         counted = ", ".join(f"{count:,} {self._word(event)}" for event, count in counts.items() if count)
         mail["Subject"] = self._subject(severity, f"{len(messages):,} {self._word('alerts')}: {counted}")
         mail["Message-ID"] = f"<{identity}.together@gyrofleet>"

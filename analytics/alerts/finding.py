@@ -47,3 +47,7 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """What is found now."""
         raise NotImplementedError
+
+    def ending(self, key: str, raised_ns: int, view: AlertView) -> Bilingual | None:  # noqa: ARG002
+        """How something ended that is no longer found, raised at a time by the computer's clock; None if it passed."""
+        return None

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Collection
 
-from analytics.alerts.book import CLEARED, LONGEST_WAIT_S, AlertBook, Parcel
+from analytics.alerts.book import CLEARED, ENDED, LONGEST_WAIT_S, AlertBook, Parcel
 from analytics.alerts.kept_alerts import Alert
 from analytics.alerts.patience import Patience
 from analytics.alerts.rules import ALARM, QuietHours
@@ -123,6 +123,8 @@ class TargetSender(Closing):
 
     def _message(self, alert: Alert, event: str) -> Message:
         over, over_zh = ("over: ", "已结束：") if event == CLEARED else ("", "")
+        if event == ENDED:
+            over, over_zh = f"{alert.ending}: ", f"{alert.ending_zh}："
         return Message(
             id=alert.id, event=event, rule=alert.rule, severity=alert.severity, subject=alert.subject,
             text=over + alert.text, text_zh=over_zh + alert.text_zh, raised_ns=alert.raised_ns or 0, store=self._store,

@@ -8,11 +8,13 @@ from pathlib import Path
 from analytics.alerts.book import AlertBook
 from analytics.alerts.finding import AlertView, Finding
 from analytics.alerts.hearing import Hearing
+from analytics.alerts.kept_alerts import Alert
 from analytics.alerts.rules import Rule, Rules
 from analytics.alerts.rules_file import RulesFile
 from analytics.alerts.sender import TargetSender
 from analytics.first_floor import fill_floor
 from analytics.floor import Floor
+from analytics.loop.bilingual import Bilingual
 from storage.log.files import sealed_segments
 from storage.log.follower import LogFollower
 from storage.manifests.lake import read_manifest
@@ -82,7 +84,13 @@ class AlertService(Closing):
                 self._book.acknowledge(document.alert, document.by, document.t_ns)
         if segment:  # its earlier ones are complete; it may still be open
             self._book.read_to(segment)
-        self._book.settle(self.rules.rules, now_ns, wall_ns, unknown)
+        conditions = {rule.name: rule.condition for rule in self.rules.rules}
+
+        def ending(alert: Alert) -> Bilingual | None:
+            condition = conditions.get(alert.rule)
+            return None if condition is None else condition.ending(alert.key, alert.raised_ns or 0, view)
+
+        self._book.settle(self.rules.rules, now_ns, wall_ns, unknown, ending)
         self._save()
         self._log()
         for name, sender in self._senders.items():

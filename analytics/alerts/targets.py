@@ -23,7 +23,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     """What a target receives of an alert."""
 
     id: str
-    event: str  # ``raised``, ``cleared`` or ``test``
+    event: str  # ``raised``, ``cleared``, ``ended`` without passing, or ``test``
     rule: str
     severity: str
     subject: str

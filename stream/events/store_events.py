@@ -121,9 +121,12 @@ class AlertRaised(Document, frozen=True, kw_only=True, tag=True):
 
 
 class AlertCleared(Document, frozen=True, kw_only=True, tag=True):
-    """The condition of an alert has passed."""
+    """The condition of an alert has passed; with a `text`, it ended without passing, as a run with a silent unit."""
 
     alert: str
+    text: str = ""
+    text_zh: str = ""
+    unit: str | None = None
 
 
 class AlertSent(Document, frozen=True, kw_only=True, tag=True):

@@ -41,6 +41,20 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
                     )
                 yield Finding(f"{run}/{name}", name, text, unit=name)
 
+    def ending(self, key: str, raised_ns: int, view: AlertView) -> Bilingual | None:
+        """That its run is over, or it has no power, and it was not heard again before."""
+        run, _, name = key.rpartition("/")
+        unit = view.units.get(name)
+        if unit is not None and unit.arrival_ns > raised_ns:  # perhaps in another run
+            return None
+        if unit is None or unit.run.run != run or unit.run.outcome != "open":
+            return Bilingual("the run ended while the unit was silent", "试验在该产品无记录期间结束")
+        return (
+            Bilingual("the unit was switched off while it was silent", "该产品在无记录期间断电")
+            if unit.is_off
+            else None
+        )
+
 
 def _is_awaited(unit: UnitNow | None, run: str) -> bool:
     """Whether the first sample of a unit is still to come: it is neither off nor released."""

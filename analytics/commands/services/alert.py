@@ -115,7 +115,7 @@ def list_alerts(folder: Path, *, is_all: bool, as_json: bool) -> None:
         waiting = sum(delivery.sent_ns is None for delivery in each.deliveries)
         sent = "all" if not waiting else f"{waiting} waiting"
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime((each.raised_ns or 0) / 1e9))
-        state = each.acknowledged_by or ("cleared" if each.cleared_ns else "")
+        state = each.acknowledged_by or ((each.ending or "cleared") if each.cleared_ns else "")
         table.add_row(each.id, since, each.severity, each.rule, each.text, sent, state)
     results().print(table)
 

@@ -38,6 +38,8 @@ class AlertRow(msgspec.Struct, frozen=True, kw_only=True):
     raised_ns: int | None
     raised: str | None
     cleared_ns: int | None
+    ending: str  # how it ended without passing; empty otherwise
+    ending_zh: str
     acknowledged_ns: int | None
     acknowledged_by: str
     sent: list[str]
@@ -79,6 +81,7 @@ def alert_row(alert: Alert) -> AlertRow:
     values = {name: getattr(alert, name) for name in (*names, "acknowledged_ns", "acknowledged_by")}
     sent = [each.target for each in alert.deliveries if each.sent_ns is not None]
     not_sent = {each.target: each.error for each in alert.deliveries if each.sent_ns is None}
+    values |= {"ending": alert.ending or "", "ending_zh": alert.ending_zh}
     return AlertRow(**values, is_open=_is_open(alert), raised=iso(alert.raised_ns), sent=sent, not_sent=not_sent)
 
 

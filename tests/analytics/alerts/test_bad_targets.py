@@ -18,6 +18,8 @@ from aiosmtpd.smtp import SMTP
 from analytics.alerts.email_target import EmailTarget
 from analytics.alerts.targets import Message
 from analytics.alerts.webhook_target import WebhookTarget
+from analytics.loop.bilingual import Bilingual
+from stream.events import AlertCleared
 from tests.analytics.alerts.targets import LineServer, book_with, finding, read_post, sender, until
 from tests.free_ports import free_endpoint
 
@@ -219,6 +221,21 @@ def test_cleared_comes_after_raised_also_where_raised_was_refused(tmp_path: Path
             until(lambda: not book.waiting())
     events = [str(mail["Subject"]).split("] ")[1].split(":")[0] for _, mail in box.mails]
     assert events == ["raised", "cleared"]
+
+
+def test_what_ends_without_passing_is_sent_with_its_ending(tmp_path: Path, box: Box) -> None:
+    now_ns = time.time_ns()
+    with book_with(tmp_path, finding("a", is_event=False)) as book:
+        asked = [Bilingual("the run ended while the unit was silent", "试验在该产品无记录期间结束")]
+        for later in (1, 2):  # it is asked once: later the floor may no longer know
+            at_ns = now_ns + later * 10**9
+            book.settle([], at_ns, at_ns, ending=lambda _: asked.pop())
+        with sender(book, box.target(), []):
+            until(lambda: not book.waiting())
+        logged = [each for each in book.to_log(10) if isinstance(each, AlertCleared)]
+    assert [each.text for each in logged] == ["the run ended while the unit was silent"]
+    assert [str(mail["Subject"]).split("] ")[1].split(":")[0] for _, mail in box.mails] == ["raised", "ended"]
+    assert "the run ended while the unit was silent: unit" in box.mails[1][1].get_content()
 
 
 @pytest.mark.long

@@ -72,6 +72,25 @@ def test_units_that_fall_silent_together_have_a_common_cause(
         assert ("see that recorder, bus and station are at work" in str(each.text)) != asks_for_wiring
 
 
+@pytest.mark.parametrize(
+    ("run", "outcome", "heard_s", "is_off", "ending"),
+    [
+        ("r", "open", 90, False, None), ("r", "completed", 90, False, None), ("r2", "open", 90, False, None),
+        ("r", "completed", 10, False, "the run ended while the unit was silent"),
+        ("r2", "open", 0, False, "the run ended while the unit was silent"),
+        ("r", "open", 10, True, "the unit was switched off while it was silent"),
+    ],
+)  # fmt: skip
+def test_a_silence_that_ends_with_its_run_is_no_recovery(
+    run: str, outcome: str, heard_s: int, is_off: bool, ending: str | None
+) -> None:
+    of_run = SimpleNamespace(run=run, outcome=outcome)
+    unit = SimpleNamespace(run=of_run, arrival_ns=heard_s * S, is_off=is_off)
+    found: Any = SimpleNamespace(units={"A": unit})
+    assert UnitSilentCondition().ending("r/A", 50 * S, cast("AlertView", found)) == ending
+    assert UnitSilentCondition().ending("r/B", 50 * S, cast("AlertView", found)) is not None
+
+
 def test_a_decision_at_the_end_of_the_record_is_not_early() -> None:
     def decision(fraction: float) -> EarlyDecision:
         return EarlyDecision(
