@@ -138,6 +138,7 @@ class FileSending:
         """Compare the file with the store; raises BadInput if they contradict each other."""
         self._stored = StoredSamples(knowledge, self.path, self._summary)
         self._common = self._stored.check(self._file)
+        self._other_names = self._stored.under_other_names(self._file)
         self._held = _held(knowledge, self.runs)
         self._known_uids = frozenset(self._stored.known.uids)
         self._ends: dict[tuple[str | None, str, int | None], int] = {
@@ -270,7 +271,7 @@ class FileSending:
             file=str(self.path), rows=summary.rows, bad_row_count=summary.bad_rows, bad_rows=summary.bad,
             steps=summary.steps, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
-            counted=summary.counted, damage=summary.damage, remarks=(*warnings, *summary.remarks),
+            counted=summary.counted, damage=summary.damage, remarks=(*warnings, *self._other_names, *summary.remarks),
             frames=summary.frames if isinstance(summary, CanSummary) else None,
         )  # fmt: skip
 
@@ -338,7 +339,7 @@ class FileSending:
         text = note_of_import(self.path.name, content, units, added)
         if self._summary.bad_rows:
             text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"
-        for remark in filter(None, (self._summary.damage, *self._summary.remarks)):
+        for remark in filter(None, (self._summary.damage, *self._other_names, *self._summary.remarks)):
             text += f"; {remark}"
         t_ns = self._last_ns(run)
         uid = _uid("noted", run, content, str(self._common.total()), str(t_ns), *units)

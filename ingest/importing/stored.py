@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from ingest.importing.other_names import other_names
 from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge, KnownStep
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
@@ -24,9 +25,10 @@ class StoredSamples:
         self._knowledge, self._path, self._summary = knowledge, path, summary
         self._signals: dict[_Name, SignalSummary] = {(s.unit, s.run, s.signal): s for s in summary.signals}
         names = sorted({s.run for s in summary.signals})
+        self._known_signals = knowledge.signals(names)
         self._stored = {
             (known.unit, known.run, known.signal): (known.unit_of_measure, known.t_first_ns, known.t_last_ns)
-            for known in knowledge.signals(names)
+            for known in self._known_signals
         }
         self.known = knowledge.runs(names)
         self.runs, self.open_runs = self.known.dated, set(self.known.open)
@@ -47,6 +49,10 @@ class StoredSamples:
             if self._overlaps(name):
                 common[name] += self._check_chunk(chunk)
         return common
+
+    def under_other_names(self, file: SampleFile) -> list[str]:
+        """Warnings on signals of the file that are stored under another name."""
+        return other_names(self._knowledge, self._known_signals, self._summary.signals, file)
 
     def new(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
         """Mask of the samples that are not stored; `check` has found the others equal."""

@@ -38,3 +38,22 @@ def test_a_file_of_several_units_and_runs_is_no_copy_of_itself(run_command: Call
     done = run_command("import", "all.csv", "--store", "s", "--json", cwd=tmp_path)
     assert done.code == 0
     assert not [remark for remark in done.json["files"][0]["remarks"] if "very content" in remark]
+
+
+def test_samples_that_are_stored_under_another_name_are_named(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    """As of a file that was imported before names such as Temperature were unified; a constant is no evidence."""
+
+    def named(rows: int, *arguments: str) -> list[str]:
+        lines = [f"{i},{i * 7 % 11},{20 + i % 5},1\n" for i in range(rows)]
+        (tmp_path / "a.csv").write_text("time[s],rate[deg/h],Temperature (degC),valid[1]\n" + "".join(lines))
+        done = run_command("import", "a.csv", "--unit", "A", *arguments, "--store", "s", "--json", cwd=tmp_path)
+        assert done.code == 0
+        return [remark for remark in done.json["files"][0]["remarks"] if "under both names" in remark]
+
+    before = ("--rename", "Temperature=Temperature", "--rename", "valid=ok")
+    assert named(90, *before) == []
+    assert named(90, *before) == []
+    (remark,) = named(99)  # it has grown
+    assert remark.startswith("warning: unit A, run a: the store has the samples of temperature as Temperature already")
+    assert named(99) == []
+    assert named(99, "--run", "r2") == []
