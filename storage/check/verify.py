@@ -1,7 +1,7 @@
 """Verification of a store: log, lake, and the estimators' checkpoints, compared with each other."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -77,6 +77,7 @@ def _verify(
         in_force = read_manifest(store).parts
     except StoreError:
         in_force = ()
+    findings += meanwhile(store, state, in_force)
     verification = Verification(
         store=str(store.folder), segments=len(state.samples), messages=state.messages,
         samples=sum(state.samples.values()), parts=len(in_force), lake_samples=sum(part.samples for part in in_force),
@@ -149,6 +150,28 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
         what = f"{len(missing)} sealed segments are not in it: {', '.join(missing[:5])}"
         found.append(Finding("lake_behind", Severity.UNFINISHED, str(store.lake), what, "bring them to the lake"))
     return found
+
+
+def meanwhile(store: Store, state: LogState, parts: Sequence[Part]) -> Iterator[Finding]:
+    """Why the log and the lake have other numbers of samples while a writer works: which segments one of them lacks."""
+    if not writer_is_active(store.folder):
+        return
+    where, held = str(store.lake), {segment for part in parts for segment in part.segments}
+    ahead = [samples for name, samples in state.samples.items() if name.removesuffix(".mcap") not in held]
+    if sum(ahead):
+        what = (
+            f"{sum(ahead):,} samples of {len(ahead):,} sealed segments are not in the lake yet: a recorder is at work, "
+            "and the newest segments come last; its open segment is not counted"
+        )
+        yield Finding("lake_follows", Severity.NOTE, where, what)
+    newest = max(state.samples, default="")
+    later = [each for each in held if each > newest and f"{each}.mcap" not in state.samples]
+    if later:
+        what = (
+            f"the lake has the samples of {len(later):,} segments that a recorder sealed after the log was read: they "
+            "are not among those of the log"
+        )
+        yield Finding("lake_follows", Severity.NOTE, where, what)
 
 
 def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | None:

@@ -9,10 +9,11 @@ from uuid import UUID
 import pytest
 
 from storage.check.recover import recover
-from storage.check.verify import verify
+from storage.check.verify import meanwhile, verify
 from storage.lake.builder import builder_lock
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
+from storage.manifests.lake import read_manifest
 from storage.manifests.log import read_log_manifest
 from storage.recording.recorder import Recorder
 from storage.store import Store, WriterLock
@@ -104,6 +105,23 @@ def test_a_lost_lake_is_made_anew(store: Store) -> None:
     assert kinds(store) == ["lake_behind"]
     assert [action.what for action in recover(store)] == ["lake_built"] * 3
     assert verify(store)[0].is_sound
+
+
+def test_beside_a_recorder_other_numbers_of_samples_in_the_lake_are_explained(store: Store) -> None:
+    _, state = verify(store)
+    with WriterLock(store, "gyrofleet record"):
+        assert kinds(store) == []
+        parts = read_manifest(store).parts
+        del state.samples[max(state.samples)]  # as if the last one was sealed after the log was read
+        (note,) = meanwhile(store, state, parts)
+        assert "the lake has the samples of 1 segments that a recorder sealed after the log was read" in note.what
+        shutil.rmtree(store.lake)
+        store.lake.mkdir()
+        found, _ = verify(store)
+    assert found.is_sound
+    (note,) = found.findings
+    assert note.kind == "lake_follows"
+    assert note.what.startswith("3,000 samples of 3 sealed segments are not in the lake yet: a recorder is at work")
 
 
 def test_recover_leaves_a_store_alone_that_is_being_written(store: Store) -> None:
