@@ -113,9 +113,21 @@ def _segments(store: Store, stated: Statement, found: LogManifest) -> Iterator[F
                 f"listed with {entry.size:,} and {entry.sha256[:12]}"
             )
             yield Finding("attested_changed", Severity.DAMAGE, where, what, _ASK)
+        elif entry_digest(entry) != each.entry and _is_relisted(entry, each.entry):
+            what = (
+                f"the line of segment {each.name} in the log's manifest was lost, and written again from the segment: "
+                "its content is the attested one"
+            )
+            yield Finding("attested_relisted", Severity.NOTE, where, what)
         elif entry_digest(entry) != each.entry:
             what = f"the line of segment {each.name} in the log's manifest is another one than was attested"
             yield Finding("attested_changed", Severity.DAMAGE, where, what, _ASK)
+
+
+def _is_relisted(entry: SegmentEntry, attested: str) -> bool:
+    """Whether an entry of a segment that was found without a line is the attested one, but for its origin."""
+    others = (msgspec.structs.replace(entry, origin=origin) for origin in ("recorded", "recovered", "salvaged"))
+    return entry.origin == "found" and attested in map(entry_digest, others)
 
 
 def _order(store: Store, stated: Statement, found: LogManifest) -> Iterator[Finding]:

@@ -1,6 +1,7 @@
 """Repair of a store: destroys nothing, and documents losses in the log."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from uuid import NAMESPACE_OID, uuid5
 
@@ -14,16 +15,16 @@ from storage.lake.builder import build_missing, builder_lock
 from storage.lake.lake import Lake
 from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
-from storage.log.files import quarantine_unknown
+from storage.log.files import quarantine_unknown, sealed_segments
 from storage.log.misplaced import put_back
-from storage.log.recovery import Recovery, examine_segment, salvage_segment
+from storage.log.recovery import Recovery, examine_segment, salvage_segment, unlisted_entry
 from storage.log.sequence import LostStretch
 from storage.log.store_documents import append_document, store_document
 from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LOST, ManifestWriter, manifest_path, read_log_manifest, rewrite_manifest
 from storage.specifications.copies import mend_copies
 from storage.store import Store, WriterLock
-from storage.store_marker import MARKER, copy_fault, write_markers
+from storage.store_marker import MARKER, copy_fault, is_replica, write_markers
 from stream.errors import StoreError
 from stream.events import StoreNoted, new_uid
 from stream.identity import Place, event_key
@@ -83,11 +84,10 @@ def _repair_log(store: Store) -> Iterator[Action]:
     if renamed:
         for name in Lake(store).drop_of_segments(renamed):
             yield Action("lake_mended", str(store.lake / name), "made of a segment under another name; taken out")
+    yield from _list_in_place(store)
     log = EventLog(store)
     for entry in log.listed:
-        yield Action(
-            "segment_listed", str(store.log / entry.segment), f"read, {entry.samples:,} samples; it was sealed"
-        )
+        yield _listed(store, entry)
     for recovery in log.recovered:
         yield Action("segment_sealed", str(store.log / recovery.segment), _describe(recovery))
     state = verify_log(store)
@@ -123,6 +123,35 @@ def _repair_manifest(store: Store) -> Iterator[Action]:
         aside = rewrite_manifest(store, [*found.entries.values(), *found.lost.values()])
         kept = "" if aside is None else f"; the old file: {aside}"
         yield Action("manifest_written", str(store.log), f"its valid entries are kept{kept}")
+
+
+def _list_in_place(store: Store) -> Iterator[Action]:
+    """List sealed segments without a line before later ones, where an attestation has them; `EventLog` adds newer ones.
+
+    The manifest of a replica is in the order of arrival.
+    """
+    found = read_log_manifest(store, whole=True)
+    newest = max(found.entries, default="")
+    fresh = []
+    for path in sealed_segments(store):
+        if path.name < newest and path.name not in found.entries:
+            with suppress(StoreError):  # a damaged one is salvaged later
+                fresh.append(unlisted_entry(store, path)[0])
+    if not fresh or is_replica(store.folder):
+        return
+    listed = list(found.entries.values())
+    for entry in fresh:
+        place = next(at for at, other in enumerate(listed) if other.segment > entry.segment)
+        listed.insert(place, entry)
+    lost = found.lost.keys() - {each.segment for each in fresh}
+    rewrite_manifest(store, [*listed, *(found.lost[name] for name in sorted(lost))])
+    for entry in fresh:
+        yield _listed(store, entry)
+
+
+def _listed(store: Store, entry: SegmentEntry) -> Action:
+    text = f"read, {entry.samples:,} samples; it was sealed"
+    return Action("segment_listed", str(store.log / entry.segment), text)
 
 
 def _of_damage(store: Store, state: LogState, only: list[str]) -> Iterator[StoreNoted]:

@@ -139,6 +139,20 @@ def test_the_stores_own_attestations_are_a_chain(store: Store, key: SigningKey) 
     assert ("attestation_changed", paths[1].name) in [(each.kind, Path(each.where).name) for each in found]
 
 
+@pytest.mark.parametrize("lost", [1, 4])
+def test_a_lost_line_that_recover_writes_again_is_at_its_place(store: Store, key: SigningKey, lost: int) -> None:
+    """The line after a lost one does not fit the chain any more, and is written again as well."""
+    kept = attest(store, key).attestation
+    path = manifest_path(store)
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(line for at, line in enumerate(lines, 1) if at != lost))
+    listed = [Path(action.where).name for action in recover(store) if action.what == "segment_listed"]
+    assert listed == NAMES[lost - 1 : lost + 1]
+    assert list(read_log_manifest(store).entries) == NAMES
+    assert what(store, kept) == [("attested_relisted", name) for name in listed]
+    assert verify(store)[0].is_sound
+
+
 def test_keys_that_others_can_read_are_refused(key: SigningKey, tmp_path: Path) -> None:
     path = tmp_path / "keys" / "attest.pem"
     assert path.stat().st_mode & 0o777 == 0o600
