@@ -6,6 +6,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from analytics.loop.bilingual import Bilingual
+
 # what stands in a summary, in this order
 _SUMMARY = (
     "action", "number", "procedure", "step", "specification", "name", "revision", "version", "stage", "product", "lot",
@@ -34,6 +36,17 @@ def kind_name(kind: str, language: str) -> str:
 def is_known_kind(kind: str) -> bool:
     """Whether there are documents of this kind."""
     return kind in _content()["kinds"]
+
+
+def store_note(what: str, text: str) -> Bilingual:
+    """What a store notes of itself, its word first; in Chinese as far as `reasons.toml` has the text.
+
+    >>> store_note("arrival_clock_step", "the recorder's clock, which gives arrival times, was set by +3.000 s").zh
+    '记录时钟被调整：记录程序的时钟（到达时间由其给出）被调整 +3.000 s'
+    """
+    from analytics.evaluation.reasons import in_chinese
+
+    return Bilingual(f"{what}: {text}", f"{_of(_content()['words']['what'], what, 'zh')}：{in_chinese(text)}")
 
 
 def summary(document: Mapping[str, Any], language: str = "en") -> str:

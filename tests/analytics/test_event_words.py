@@ -1,15 +1,26 @@
 """Names of documents and their words for people, in both languages."""
 
+import re
 import typing
 from enum import StrEnum
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import pytest
 
-from analytics.event_words import kind_name, summary
+from analytics.event_words import kind_name, store_note, summary
+from storage.check.recover import recover
+from storage.lake.builder import build_missing
+from storage.log.event_log import EventLog
+from storage.recording.disk_watch import DiskWatch
+from storage.recording.intake import ClockStep, NumberConflict
+from storage.recording.reports import Reports
+from storage.sql.catalog import Catalog
 from stream.events import AnyDocument, CommandOutcome, RunAction
 from stream.events.store_events import SpecificationAction
+from tests.storage.verified_store import filled
 
 KINDS = [each.__name__ for each in typing.get_args(AnyDocument)]
 
@@ -27,6 +38,39 @@ def test_the_words_of_documents_are_in_chinese(field: str, words: type[StrEnum])
     for word in words:
         assert summary({field: word.value}, "zh") != word.value
         assert summary({field: word.value}, "en") == word.value
+
+
+def test_notes_of_a_store_are_in_chinese(tmp_path: Path) -> None:
+    """Of a segment that is damaged, one that is gone, and clocks, numbers and a disk as the recorder notes them."""
+    store = filled(tmp_path / "S", range(2), range(2, 4), range(4, 6))
+    path = store.log / "00000002.mcap"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 :] = bytes(len(content) - len(content) // 2)
+    path.write_bytes(content)
+    (store.log / "00000001.mcap").unlink()
+    list(recover(store))
+    log = EventLog(store)
+    intake: Any = SimpleNamespace(
+        clock_steps=[ClockStep("gyro/v1/a/b/U1/rate", "r1", 5, 10**9)],
+        conflicts=[NumberConflict("gyro/v1/a/b/U1/rate", "e", 3, 9)] * 2,
+    )  # fmt: skip
+    reports = Reports(store, log, intake, lambda _: None)
+    reports.clock_steps()
+    reports.conflicts(0.0)
+    disk: Any = SimpleNamespace(space=lambda _: SimpleNamespace(free=10**9, total=10**11))
+    _, warning = DiskWatch(store.folder, disk).look(10.0)
+    disk.space = lambda _: SimpleNamespace(free=10**7, total=10**11)
+    full, _ = DiskWatch(store.folder, disk).look(10.0)
+    reports.append("disk_low", str(warning), {})
+    reports.append("recording_paused", f"recording resumes after a pause of 3.0 s: {full}", {})
+    log.seal()
+    list(build_missing(store))
+    with Catalog(store) as catalog:
+        rows = catalog.rows("select document->>'$.what', document->>'$.text' from events where kind = 'StoreNoted'")
+    assert {what for what, _ in rows} >= {"segment_missing", "segment_salvaged", "numbers_missing", "number_conflict"}
+    for what, text in rows:
+        chinese = store_note(what, text).zh
+        assert not re.search(r"[a-z]+ [a-z]+ [a-z]+", chinese), chinese
 
 
 def test_what_people_wrote_stays_and_what_the_program_wrote_is_translated() -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from analytics.alerts.finding import AlertView, Condition, Finding
+from analytics.event_words import store_note
 from analytics.loop.bilingual import Bilingual
 from stream.events import StoreNoted
 
@@ -19,7 +20,7 @@ class StoreNotedCondition(Condition, frozen=True, kw_only=True, tag="store_noted
         """Notes since the last look."""
         for document in view.documents:
             if isinstance(document, StoreNoted) and document.what in self.what:
-                text = Bilingual(f"{document.what}: {document.text}", f"{document.what}：{document.text}")
+                text = store_note(document.what, document.text)
                 yield Finding(document.uid, document.what, text, is_event=True)
 
 

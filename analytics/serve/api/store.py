@@ -5,6 +5,7 @@ from typing import Any, TypedDict
 
 import msgspec
 
+from analytics.event_words import store_note
 from analytics.serve.api.jobs import result_of
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import dictionaries, iso
@@ -179,7 +180,10 @@ def store(call: Call, asked: Nothing) -> StoreDocument:
 def _of_lake(call: Call) -> tuple[list[DeliveryRow], list[dict[str, Any]], list[dict[str, Any]]]:
     """Delivery, clocks and notes: they change with the lake alone."""
     delivery = [DeliveryRow(**row) for row in dictionaries(call.views, _DELIVERY)]
-    notes = [row | {"time": iso(row["t_ns"])} for row in dictionaries(call.views, _NOTES)]
+    notes = [
+        row | {"time": iso(row["t_ns"]), "in_chinese": store_note(row["what"], row["text"]).zh}
+        for row in dictionaries(call.views, _NOTES)
+    ]
     return delivery, dictionaries(call.views, _CLOCKS), notes
 
 
