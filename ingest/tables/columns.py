@@ -26,12 +26,14 @@ from stream.identity import check_name
 
 _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\])?\s*")
 _ROUND_TITLE = re.compile(r"\s*([^\[\]]*?)\s*\(((?:[^()\[\]]|\([^()\[\]]*\))*)\)\s*")
-_LOOKS_LIKE_TIME = frozenset({"t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime"})
+_LOOKS_LIKE_TIME = frozenset({
+    "t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime", "zeit", "zeitstempel",
+})  # fmt: skip
 _CHINESE_TIMES = frozenset({"时间", "时刻", "时间戳", "采样时间", "记录时间", "日期时间", "日期", "相对时间"})
 _SLASH_TITLE = re.compile(r"\s*([^\[\]()/]*[\u4e00-\u9fff][^\[\]()/]*?)\s*/\s*([^\[\]]+?)\s*")  # 量/单位, GB/T 3101
 _FULL_WIDTH = str.maketrans("（）［］【】／", "()[][]/")
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
-_TEMPERATURE = re.compile(r"(?i)t|temp|temperature|gyro_?temp(erature)?|(陀螺|产品)?温度")
+_TEMPERATURE = re.compile(r"(?i)t|temp|temperature?|gyro_?temp(erature)?|(陀螺|产品)?温度")
 _LARGE_SECONDS = re.compile("[MG]s(ec)?")  # megaseconds, where milliseconds are meant
 _MOST_PROBLEMS = 8  # in one error
 _SQUARE = "name it like 'rate[deg/s]'"
@@ -317,7 +319,7 @@ def _check_complete(columns: Columns, titles: Sequence[str], options: TableOptio
     if not columns.signals:
         raise BadInput("no column holds a signal; name at least one like 'rate[deg/s]'")
     if columns.time is None and options.sample_rate_hz is None:
-        near = [title for title in titles if _is_time_name(_parts(title)[0])]
+        near = [title for title in titles if _is_time_name(_parts(title)[0]) or _is_of_time(_parts(title)[1])]
         hint = f" ({near[0]!r} is not it: rename it, as with --rename '{near[0]}=time')" if near else ""
         raise BadInput(f"no column 'time[s]' or 'time[ns]'{hint}; add one, or give --sample-rate")
     if columns.time is not None and options.sample_rate_hz is not None:

@@ -12,6 +12,7 @@ from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
 from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, without_blanks
+from ingest.tables.encodings import how_to_convert, utf16_of
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, match_stamp, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
 from stream.batch import IntArray
@@ -26,6 +27,7 @@ _PARTS = 8
 _SPARE_DIGITS = 15
 _ARROW_BLOCK_BYTES = 1 << 20
 _BOM = b"\xef\xbb\xbf"
+_BEGIN_BYTES = 4096
 _SAMPLE_LINES = 1000
 
 
@@ -138,12 +140,13 @@ class CsvTable:
         lines: list[tuple[str, int]] = []
         rows = end = 0
         with self._path.open("rb") as file:
+            if (encoding := utf16_of(file.read(_BEGIN_BYTES))) is not None:
+                raise BadInput(f"{self._path}: {encoding} text; {how_to_convert(self._path, encoding)}")
+            file.seek(0)
             while rows <= _SAMPLE_LINES and (raw := file.readline(LONGEST_LINE_BYTES)):
                 end += len(raw)
                 if not lines:
                     raw = raw.removeprefix(_BOM)
-                if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-                    raise BadInput(f"{self._path}: UTF-16 text; save it as UTF-8")
                 if rows and len(raw) == LONGEST_LINE_BYTES:
                     break  # found with its line when the rows are read
                 try:
@@ -187,7 +190,8 @@ class CsvTable:
             raise self._not_text(line + block.count(b"\n", 0, error.start)) from error
 
     def _not_text(self, line: int) -> BadInput:
-        return BadInput(f"{self._path}, line {line}: not UTF-8 (nor GB18030) text; save the file as UTF-8")
+        advice = f"{how_to_convert(self._path, 'CP1252')} (CP1252 is that of Western Windows)"
+        return BadInput(f"{self._path}, line {line}: not UTF-8 (nor GB18030) text; {advice}")
 
     def _whole_lines(self, file: BinaryIO, line: int) -> Iterator[bytes]:
         rest = b""

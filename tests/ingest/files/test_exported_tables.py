@@ -128,3 +128,21 @@ def test_stamps_with_and_without_a_zone_are_not_mixed(
     assert "a zone, as in the first row" in " ".join(done.err.split())
     done = run_command(*words, "--skip-bad", "--json", cwd=tmp_path)
     assert done.json["files"][0]["bad_row_count"] == 20
+
+
+def test_german_titles_are_read_or_the_message_says_how(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    rows = "".join(f"{i / 100:.2f};{i % 7 / 8:.3f};2{i % 5},5\n".replace(".", ",") for i in range(40))
+
+    def imported(time: str, *arguments: str) -> Any:
+        (tmp_path / "log.csv").write_text(f"{time} [s];Drehrate [°/s];Temperatur [°C]\n{rows}", encoding="utf-8")
+        return run_command("import", "log.csv", "--unit", "U", *arguments, "--store", "s", "--json", cwd=tmp_path)
+
+    refused = imported("Dauer")
+    assert refused.code != 0
+    assert "'Dauer [s]' is not it: rename it, as with --rename 'Dauer [s]=time'" in refused.json["error"]["message"]
+    (file,) = imported("Dauer", "--rename", "Dauer [s]=time", "--run", "r1").json["files"]
+    assert [each["signal"] for each in file["signals"]] == ["Drehrate", "Temperatur"]
+    assert any("--rename 'Temperatur [°C]=temperature'" in each for each in file["remarks"])
+    renames = ("--rename", "Drehrate=rate", "--rename", "Temperatur=temperature")
+    (file,) = imported("Zeit", *renames, "--run", "r2").json["files"]
+    assert [(each["signal"], each["in_file"]) for each in file["signals"]] == [("rate", 40), ("temperature", 40)]

@@ -44,6 +44,8 @@ def parquet_bytes() -> bytes:
         ("r.csv", b"time[s],rate[deg/s]\n0,\n", "not one sample"),
         ("r.csv", "time[s],rate[deg/s]\n0,1\n1,2é\n".encode("latin-1"), "line 3: not UTF-8"),
         ("r.csv", "time[s],rate[deg/s]\n0,1\n".encode("utf-16"), "UTF-16"),
+        ("r.csv", "Zeit [s];Rate [°/s]\n0;1\n".encode("utf-16-le"), "iconv -f UTF-16LE -t UTF-8"),
+        ("r.csv", "时间(s),角速率(°/s)\n0,1\n".encode("utf-16-be"), "iconv -f UTF-16BE -t UTF-8"),
         ("r.csv", b"time[s],rate[deg/s]\r0,1\r", "carriage return alone"),
         ("r.csv", b'time[s],"rate[deg/s]\n0,1\n', "line 1: found"),
         ("r.csv", b"0.0,1.5\n0.1,1.6\n", "the first line must be the header"),
