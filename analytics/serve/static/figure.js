@@ -4,6 +4,7 @@ import {Plot} from "./plot.js";
 import {colour, faint, onTheme} from "./colours.js";
 import {LANG, asked, element, figure, moment, say} from "./texts.js";
 
+const ALIKE = 1e-9; // of a number: nearer ones are the same, computed otherwise or set apart by distinct()
 const LEVELS = {limit: "fail", control: "marginal", centre: "ink"}; // with their colours
 const DASHES = [[], [7, 4], [2, 3]], CURVES = 8, TOLD = 5, MANY = 60, DAY_S = 86_400;
 
@@ -104,14 +105,18 @@ function titled(axis) {
 function around(from, to, axis) {
   if (axis.scale === "log") return [10 ** Math.floor(Math.log10(from) + 1e-9), 10 ** Math.ceil(Math.log10(to) - 1e-9)];
   if (axis.scale === "names") return [-0.6, Math.max(axis.names.length - 0.4, 0.6)];
-  const edge = to > from ? (to - from) * 0.03 : axis.scale === "time" ? DAY_S / 2 : Math.max(Math.abs(from) * 0.1, 1);
+  const edge = differ(from, to) ? (to - from) * 0.03 : axis.scale === "time" ? DAY_S / 2 : Math.max(Math.abs(from) * 0.1, 1);
   return [from - edge, to + edge];
+}
+
+function differ(from, to) {
+  return to - from > ALIKE * Math.max(Math.abs(from), Math.abs(to));
 }
 
 function room(from, to, scale, bars) {
   if (scale === "log") return [10 ** Math.floor(Math.log10(from)), 10 ** Math.ceil(Math.log10(to))];
   if (bars) return [Math.min(0, from), to > 0 ? to * 1.08 : 1];
-  const edge = to > from ? (to - from) * 0.08 : Math.max(Math.abs(to) * 0.1, 1e-12);
+  const edge = differ(from, to) ? (to - from) * 0.08 : Math.max(Math.abs(to) * 0.1, 1e-12);
   return [from - edge, to + edge];
 }
 

@@ -26,6 +26,13 @@ function numbers(plot, splits, axis, _space, step) {
   return splits.map(each => (each === null || each === undefined ? "" : isLog || Math.abs(each) >= 1e9 ? String(Number(each.toPrecision(6))) : String(Number(each.toFixed(decimals)) === 0 ? 0 : each.toFixed(decimals))));
 }
 
+/** The range of y as uPlot's; values that differ in the last digits of a float alone are one. */
+function rounded(_plot, low, high) {
+  if (low === null || low === undefined) return [null, null];
+  const isOne = high - low <= 1e-12 * Math.max(Math.abs(low), Math.abs(high));
+  return uPlot.rangeNum(isOne ? high : low, high, 0.1, true);
+}
+
 /**
  * A plot in `host`, `height` pixels high. `options(colours)` gives uPlot's, `label()` says what it shows, `read(i)` the
  * values at point i.
@@ -61,9 +68,11 @@ export class Plot {
     const isTime = given.scales?.x?.time !== false;
     if (isTime && !given.axes?.[0]?.values) axes[0] = {space: 90, ...axes[0], values: clock};
     axes.forEach((each, i) => { if (!each.values && !(i === 0 && isTime)) each.values = numbers; });
+    const y = given.scales?.y ?? {};
+    const scales = {...given.scales, y: y.range || y.distr === 3 ? y : {...y, range: rounded}};
     this.uplot?.destroy();
     const tzDate = seconds => uPlot.tzDate(new Date(seconds * 1e3), ZONE);
-    this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: this.height, tzDate, ...given, axes}, this.data, this.frame);
+    this.uplot = new uPlot({width: this.frame.clientWidth || 600, height: this.height, tzDate, ...given, scales, axes}, this.data, this.frame);
     this.frame.setAttribute("aria-label", this.parts.label());
     this.uplot.over.addEventListener("mousemove", () => this.#read(this.uplot.cursor.idx));
   }

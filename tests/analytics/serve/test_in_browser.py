@@ -242,6 +242,31 @@ def test_no_page_is_wider_than_the_window(window: Browser, served: Served, page:
     assert window.ask(BEYOND) == []
 
 
+def test_rows_with_parameters_are_no_columns_of_words_on_a_small_screen(window: Browser, served: Served) -> None:
+    window.open(served.url + "/units/FOG-0001", width=390)
+    rows = "[...document.querySelectorAll('#unit-metrics tbody tr')].map(each => each.offsetHeight)"
+    assert max(until(lambda: window.ask(rows), 120.0)) < 150
+
+
+def test_points_at_one_temperature_have_plain_numbers_below_them(window: Browser, served: Served) -> None:
+    """Equal places are set apart in their last digits: the axis had 25.00000000002."""
+    window.open(served.url + SIGNAL)
+    name = {"en": "", "zh": ""}
+    curve = {"name": name, "x": [25.0, 25.0, 25.0], "y": [1.0, 2.0, 3.0], "style": "points"}
+    axis = {"label": name, "unit": "degC", "scale": "linear"}
+    picture = json.dumps({"title": name, "x": axis, "y": axis, "curves": [curve]})
+    window.ask(f"""(() => {{
+      const pen = CanvasRenderingContext2D.prototype, write = pen.fillText;
+      window.written = [];
+      pen.fillText = function (text, ...at) {{ window.written.push(text); return write.call(this, text, ...at); }};
+      import("/static/figure.js").then(module => module.draw(document.querySelector("main"), {picture}));
+    }})()""")
+    until(lambda: "3.0" in window.ask("window.written"))
+    numbers = [float(each) for each in window.ask("window.written") if each.replace(".", "").isdigit()]
+    assert 25.0 in numbers or {24.0, 26.0} <= set(numbers)
+    assert all(len(each) <= 4 for each in window.ask("window.written") if each.startswith(("24", "25", "26")))
+
+
 def test_what_a_first_visit_loads_is_small(window: Browser, served: Served) -> None:
     plotted(window, served.url + SIGNAL)
     loaded = window.ask(
