@@ -104,7 +104,9 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         stop = stack.enter_context(until_stopped())
         says_yes, listens = asked.says_yes, not asked.says_yes or sys.stdin.isatty()
         operator = stack.enter_context(
-            ConsoleOperator(notes(), stop, says_yes=says_yes, quiet=as_json, listens=listens)
+            ConsoleOperator(
+                notes(), stop, says_yes=says_yes, quiet=as_json, listens=listens, takes_s=job.clock.computer_s
+            )
         )
         # nothing is made on disk before everybody is reached
         bus = stack.enter_context(run_path.recorder_at(None if phase == "ended" else destination.connect))

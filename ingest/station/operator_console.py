@@ -22,10 +22,17 @@ _HELP = "p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C stops, to resum
 
 
 class ConsoleOperator:
-    """Attends a run at a terminal, or, where there is none, reports its progress; `quiet`, it reports troubles only."""
+    """Attends a run at a terminal, or, where there is none, reports its progress; `quiet`, it reports troubles only.
 
-    def __init__(self, console: Console, stop: Stop, *, says_yes: bool, quiet: bool, listens: bool) -> None:
+    `takes_s` is how long so many seconds at the station take for people, as `gyrofleet status` has it.
+    """
+
+    def __init__(
+        self, console: Console, stop: Stop, *, says_yes: bool, quiet: bool, listens: bool,
+        takes_s: Callable[[float], float] = float,
+    ) -> None:  # fmt: skip
         self._console, self._stop, self._says_yes, self._quiet = console, stop, says_yes, quiet
+        self._takes_s = takes_s
         self._words: SimpleQueue[str] = SimpleQueue()
         self._paused = self._aborted = False
         self._done = 0
@@ -115,9 +122,8 @@ class ConsoleOperator:
         """Show the step, what is done, and the time left at the station."""
         self.doing, self.left_s = doing, left_s
         self._total_s = max(self._total_s, left_s)
-        minutes = round(left_s / 60.0)
-        left = f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
         most = "at most " if self.may_end_early else ""
+        left = _left(self._takes_s(left_s))
         text = f"step {step.number} {step.words.step or ''}: {doing}, {most}{left} left"
         self._progress.update(self._task, description=text, completed=1.0 - left_s / max(self._total_s, 1e-9))
         now = time.monotonic()
@@ -142,3 +148,15 @@ class ConsoleOperator:
                 else:
                     self._aborted = self._aborted or _WORDS[word] == "abort"
                     self._paused = _WORDS[word] == "pause"
+
+
+def _left(seconds: float) -> str:
+    """Time that is left, as fine as it matters.
+
+    >>> _left(7.6), _left(95.0), _left(5400.0)
+    ('8 s', '2 min', '1 h 30 min')
+    """
+    minutes = round(seconds / 60.0)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    return f"{minutes} min" if seconds >= 60.0 else f"{seconds:.0f} s"

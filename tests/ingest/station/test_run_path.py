@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from ingest.procedures.plan import PlannedStep
 from ingest.run.run_path import Destination, TroubleWatch
+from ingest.station import operator_console
 from ingest.station.operator_console import ConsoleOperator
+from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.delivery import spool as spool_module
 from stream.delivery.publisher import DurablePublisher
 from stream.delivery.spool import Spool
 from stream.errors import BadInput
+from stream.events import StepWords
 from stream.identity import ACKNOWLEDGEMENT_KEY, Place, sample_key
 from stream.terminal.console import Stop
 from stream.transport.bus import LocalBus
@@ -74,3 +78,15 @@ def test_a_folder_that_could_not_be_made_is_refused(tmp_path: Path) -> None:
     Destination.chosen("陀" * 66, tmp_path, None, None, 1)
     with pytest.raises(BadInput, match="has 201 bytes in UTF-8"):
         Destination.chosen("陀" * 67, tmp_path, None, None, 1)
+
+
+def test_the_time_left_at_the_terminal_is_that_of_the_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a simulated station that is fifty times as fast."""
+    said, clock = StringIO(), StationClock(speed=50.0)
+    monkeypatch.setattr(operator_console, "_REPORT_EVERY_S", 0.0)
+    operator = ConsoleOperator(
+        Console(file=said, width=500), Stop(), says_yes=True, quiet=False, listens=False, takes_s=clock.computer_s
+    )
+    operator.at(PlannedStep(number=8, words=StepWords(step="rate"), record_s=450.0), "recording", 450.0)
+    assert "recording, 9 s left" in said.getvalue()
+    assert clock.computer_s(operator.left_s) == 9.0  # in the status of the run
