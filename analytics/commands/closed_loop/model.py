@@ -88,6 +88,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     """Show a version: its terms and coefficients, what it rests on, and how it was used."""
     import msgspec
 
+    from analytics.commands.closed_loop.reference_points import reference_points, reference_sentence
     from analytics.loop.model.model_registry import ModelRegistry, no_version
     from analytics.loop.model.model_use import InUse, logged_documents, uses_of
     from analytics.loop.report.wording import measured
@@ -108,7 +109,9 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     history = [each for each in of_unit if each.model == version.hash]
     if as_json:
         content: dict[str, Any] = msgspec.to_builtins(version)
-        print_json({"hash": version.hash, "stage": use.stage(version.hash).value, **content, "history": history})
+        points = reference_points(version.model)
+        stage = use.stage(version.hash).value
+        print_json({"hash": version.hash, "stage": stage, **content, "reference_points": points, "history": history})
         return
     console = results()
     console.print(f"{unit} version {version.version}, {use.stage(version.hash).value}: {version.text}")
@@ -116,6 +119,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
         version.model.labels(), version.model.coefficients, version.model.errors, version.model.units, strict=False
     ):
         console.print(f"  {label}: {measured(value, error)} {per} (standard error {error:.2g})")
+    console.print(f"  {reference_sentence(reference_points(version.model))}", soft_wrap=True)
     confirmed = "confirmed by the held-out runs" if version.is_confirmed else "not confirmed by held-out runs"
     added = f"added {', '.join(version.added)}; {confirmed}" if version.added else "added nothing to the declared model"
     console.print(f"verdict {version.verdict}; {added}")

@@ -173,6 +173,7 @@ def test_a_damaged_version_does_not_hide_the_others(store: Store) -> None:
     assert "does not match its hash" in listed.stderr
     shown = CliRunner().invoke(model, ["show", "--store", str(store.folder), "--unit", "U1", "--version", "2"])
     assert shown.exit_code == 0
+    assert "temperature 25 degC; 0 of each other channel" in shown.stdout
 
 
 def test_a_lost_version_can_be_taken_out_of_use(store: Store) -> None:
@@ -209,6 +210,8 @@ def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
     shown = run("show", "--unit", "U1")
     assert shown["history"][0]["reason"] == "trial"
     assert shown["model"]["coefficients"] == [10.0, 0.5]
+    (point,) = shown["reference_points"]
+    assert point == {"term": "temperature", "channel": "temperature", "value": 25.0, "unit_of_measure": "degC"}
     assert run("rollback", "--unit", "U1", "--reason", "no good")[0]["stage"] == "off"
     assert (
         "no version of its error model is live"
