@@ -142,7 +142,7 @@ class _Asked:
 
 
 def _print_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> None:
-    from storage.sql.tables import columns_of, described_tables, examples
+    from storage.sql.tables import FUNCTIONS, columns_of, described_tables, examples
 
     console = results()
     rows = described_tables(catalog) if name is None else columns_of(catalog, name)
@@ -154,6 +154,6 @@ def _print_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> Non
         table.add_row(*(cell(value) for value in row.values()))
     console.print(table)
     if name is None:
-        console.print("functions: adev('UNIT', 'SIGNAL') as a table; deg_per_h(value, unit), deg_c(value, unit)\n")
+        console.print(f"{FUNCTIONS}\n", soft_wrap=True, markup=False)
         for question, statement in examples().items():
             console.print(f"{question}\n  {statement}", soft_wrap=True, markup=False)

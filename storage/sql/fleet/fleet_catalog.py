@@ -21,7 +21,7 @@ from stream.errors import StoreError
 
 _ADEV = """
 create macro adev(wanted_unit, wanted_signal) as table
-select plant, run, tau_s, value, lo, hi, unit_of_measure, edf, n, "time"
+select plant, run, tau_s, value, lo, hi, unit_of_measure, edf, n, "time", final, 'strided' as overlap
 from estimates
 where unit = wanted_unit and signal = wanted_signal and estimator = 'allan_deviation' and reason is null
 qualify t_ns = max(t_ns) over (partition by plant, run)

@@ -114,7 +114,8 @@ def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
         *(layer.columns for layer in layers()),
     ]
     with Catalog(store) as catalog:
-        columns = {name: {row["column"] for row in columns_of(catalog, name)} for name in known_tables()}
+        names = (*known_tables(), "adev")
+        columns = {name: {row["column"] for row in columns_of(catalog, name)} for name in names}
     for words in written:
         for table, reported in words.items():
             held = set().union(*columns.values()) if table == "every" else columns[table]
@@ -241,6 +242,14 @@ def test_units_of_measure_are_turned_by_macros(store: Store) -> None:
             "where signal = 'temperature'"
         )
         assert least == most == pytest.approx(23.0, abs=1e-9)
+
+
+def test_adev_says_that_it_is_the_estimate_of_live_data(store: Store) -> None:
+    with Catalog(store) as catalog:
+        assert set(catalog.rows("select final, overlap from adev('FOG-0231', 'rate')")) == {(True, "strided")}
+        texts = {row["column"]: str(row["what"]) for row in columns_of(catalog, "adev")}
+    assert "about 1 % from the value with every window" in texts["overlap"]
+    assert all(texts.values())
 
 
 def test_adev_is_the_last_estimate_of_each_run(store: Store) -> None:
