@@ -59,7 +59,7 @@ class FleetCatalog(Catalog):
         self.store, self.progress, self.kept, self.frozen = Store(folder, ""), None, folder, True
         self.parts, self._unfilled, self._live, self._has_views = (), [], None, True
         self._deferred, self._defining = DeferredDefinitions(self._run_definition), threading.RLock()
-        self._notes = tuple(note for each in plants for note in each.notes)
+        self._notes, self._known_to_read = tuple(note for each in plants for note in each.notes), set()
         self._connection = duckdb.connect(":memory:")
         try:
             self._define(plants, {**dict.fromkeys(VIEWS, "main"), **dict.fromkeys(tables, "fleet")})
