@@ -23,6 +23,7 @@ _Estimator = AllanDeviation | FullOverlap
 
 FULL_AT_MOST = 1_000_000
 _TAU_TOLERANCE = 1e-3
+_SAME_RATE = 0.05
 _MANY = 50  # samples a block: one more or less of them changes nothing
 
 
@@ -87,11 +88,8 @@ class AllanCurve:
         """What a reader must know of the record, in English and Chinese."""
         found = [remark_on_stillness(self.longest_still, self.samples)]
         if (changes := remark_on_rate_changes(self.rate_changes)) is not None:
-            interval = f"{self.sample_interval_s:g} s"
-            found.append((
-                f"{changes[0]}: where no sample is every {interval}, it is taken as missing",
-                f"{changes[1]}：凡间隔 {interval} 处没有采样，均按缺失处理",
-            ))  # fmt: skip
+            en, zh = self._effect_of_rates()
+            found.append((f"{changes[0]}: {en}", f"{changes[1]}：{zh}"))
         if self.left_out_tau_s:
             taus = ", ".join(f"{each:g} s" for each in self.left_out_tau_s)
             found.append((
@@ -100,6 +98,20 @@ class AllanCurve:
             ))  # fmt: skip
         remarks = [each for each in found if each is not None]
         return ("; ".join(en for en, _ in remarks), "；".join(zh for _, zh in remarks)) if remarks else None
+
+    def _effect_of_rates(self) -> tuple[str, str]:
+        """What changes of the sample rate do to the curve, in English and Chinese."""
+        interval = f"{self.sample_interval_s:g} s"
+        rates_hz = {each for change in self.rate_changes for each in (change.from_hz, change.to_hz)}
+        if any(abs(self.sample_interval_s * rate_hz - 1.0) < _SAME_RATE for rate_hz in rates_hz):
+            return (
+                f"where no sample is every {interval}, it is taken as missing",
+                f"凡间隔 {interval} 处没有采样，均按缺失处理",
+            )
+        return (
+            f"blocks of {interval} are means of other numbers of samples then, with another white noise",
+            f"{interval} 的平均块此后所含采样数不同，白噪声也不同",
+        )
 
     def document(self) -> dict[str, Any]:
         """The curve as JSON, with the same keys for every kind of deviation."""

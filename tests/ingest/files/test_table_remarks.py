@@ -124,3 +124,5 @@ def test_a_sample_rate_that_changes_is_said_beside_the_deviation(
     assert change == {"t_ns": 6 * 10**9, "from_hz": pytest.approx(100.0), "to_hz": pytest.approx(10.0)}
     shown = run_command("allan", "--unit", "U1", "--signal", "rate", cwd=tmp_path).out
     assert "the sample rate changes at 6 s from 100 Hz to 10 Hz: where no sample is every 0.01 s" in shown
+    resampled = run_command("allan", "--unit", "U1", "--signal", "rate", "--resample", "1", cwd=tmp_path).out
+    assert "10 Hz: blocks of 1 s are means of other numbers of samples then" in resampled
