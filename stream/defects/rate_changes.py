@@ -32,7 +32,7 @@ class RateChange:
         """The moment in words: in UTC, or in seconds where the run has no date."""
         if abs(self.t_ns) < _DATED_NS:
             return f"{self.t_ns / 1e9:.9g} s"
-        moment = datetime.fromtimestamp(self.t_ns / 1e9, UTC)
+        moment = datetime.fromtimestamp(round(self.t_ns / 1e6) / 1e3, UTC)
         return moment.isoformat(timespec="milliseconds").removesuffix("+00:00").removesuffix(".000") + "Z"
 
 
