@@ -184,7 +184,7 @@ def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resampl
     for batch in read_signal(catalog, record):
         if resample_s is not None and not record.irregular:
             _check_blocks(resample_s, batch.dt_ns / 1e9)
-        rates.follow(batch.time_array)
+        rates.follow_batch(batch)
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
             still.follow(block_means.value_array)  # of what counts as a sample of the curve

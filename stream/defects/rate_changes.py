@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from stream.batch import IntArray
+from stream.batch import IntArray, SampleBatch
 
 _WINDOW = 32  # intervals that a rate lasts at least
 _NEAR = 0.25  # of the median interval: rounded times differ from each other by up to this
@@ -64,6 +64,17 @@ class RateChanges:
             self._judge(times_ns, np.diff(times_ns))
             self._tail = times_ns[-_WINDOW - 1 :].copy()
         self._pending = pending[whole:].copy()
+
+    def follow_batch(self, batch: SampleBatch) -> None:
+        """Take in the times of a batch that follows; of an even one, only those at its ends are looked at."""
+        n, dt_ns = len(batch), batch.dt_ns
+        if batch.times_ns is not None or n < 8 * _WINDOW:
+            self.follow(batch.time_array)
+            return
+        ends = np.arange(4 * _WINDOW)
+        self.follow(batch.t0_ns + dt_ns * ends)
+        self._tail = batch.t0_ns + dt_ns * (ends[-_WINDOW - 1 :] + n - len(ends))
+        self._pending = self._pending[:0]
 
     def _judge(self, times_ns: IntArray, intervals_ns: IntArray) -> None:
         level_ns = self._level_ns

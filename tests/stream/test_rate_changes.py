@@ -1,11 +1,13 @@
 """Changes of the sample rate are found at their place, however the times come; losses and jitter are none."""
 
+from uuid import UUID
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.batch import IntArray
+from stream.batch import IntArray, SampleBatch
 from stream.defects.rate_changes import RateChange, RateChanges
 
 
@@ -43,3 +45,18 @@ def test_what_keeps_its_rate_has_no_change(kind: str) -> None:
     else:
         times_ns = times_ns + np.repeat(np.arange(50) * 77_000_000, 100)
     assert found(times_ns, [1000, 1017, 4000]) == []
+
+
+@given(st.lists(st.tuples(st.integers(1, 900), st.sampled_from([10**7, 10**7 + 3, 10**8])), min_size=1, max_size=8))
+def test_even_batches_are_judged_by_their_ends(pieces: list[tuple[int, int]]) -> None:
+    by_batch, t0_ns, times = RateChanges(), 0, []
+    for n, dt_ns in pieces:
+        batch = SampleBatch("U1", "rate", "r1", UUID(int=1), 0, t0_ns, dt_ns, "deg/s", values=np.zeros(n))
+        by_batch.follow_batch(batch)
+        times.append(batch.time_array)
+        t0_ns += n * dt_ns
+    whole = found(np.concatenate(times), [])
+    assert len(by_batch.found) == len(whole)
+    for one, other in zip(by_batch.found, whole, strict=True):
+        assert abs(one.t_ns - other.t_ns) <= 2 * 10**8
+        assert (one.from_hz, one.to_hz) == pytest.approx((other.from_hz, other.to_hz), rel=0.03)
