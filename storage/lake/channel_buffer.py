@@ -12,6 +12,7 @@ from storage.lake.channel_row import OF_FIRST
 from storage.lake.clock_stretches import Messages, clock_rows
 from storage.lake.rollups import Rollup, joined, roll_up
 from storage.lake.tables import MESSAGE_COLUMNS, ROW_GROUP, SAMPLE_COLUMNS
+from storage.log.follower import ContinuedBatch
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
 from stream.wire.batches import RawBatch
@@ -69,6 +70,13 @@ class ChannelBuffer:
             self._flags[at] = flags
         self.irregular |= message.irregular
         self._messages.extend((message.seq, n, message.t0_ns, last_ns, message.dt_ns, arrival_ns))
+
+    def add_continued(self, batch: ContinuedBatch, arrival_ns: int) -> None:
+        """Add a batch that continues one that was added."""
+        _, seq, next_seq, t0_ns, last_ns, *_ = batch.place
+        self.samples += next_seq - seq
+        self._data.append(batch.payload[batch.begin : batch.end])
+        self._messages.extend((seq, next_seq - seq, t0_ns, last_ns, batch.like.message.dt_ns, arrival_ns))
 
     def row(self) -> dict[str, Any]:
         """Its row in the table of channels."""

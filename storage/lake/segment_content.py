@@ -8,6 +8,7 @@ import msgspec
 from storage.lake.channel_buffer import ChannelBuffer
 from storage.lake.drops import Drops
 from storage.lake.quarantine import Quarantine, event_row
+from storage.log.follower import ContinuedBatch
 from storage.log.sequence import parse_record
 from storage.segments.records import EVENTS, SAMPLES, LogRecord
 from stream.batch import SampleBatch
@@ -37,6 +38,7 @@ class SegmentContent:
         self.arrival_first_ns: int | None = None
         self.arrival_last_ns: int | None = None
         self._seen: set[str] = set()
+        self._continued: dict[str, tuple[RawBatch, ChannelBuffer]] = {}  # by topic: of the batch that was continued
 
     def add(self, record: LogRecord) -> None:
         """Add a message; one that cannot be built is quarantined."""
@@ -51,10 +53,12 @@ class SegmentContent:
             content = error
         self.take(record, content)
 
-    def take(self, record: LogRecord, content: RawBatch | AnyDocument | Exception) -> None:
+    def take(self, record: LogRecord, content: RawBatch | ContinuedBatch | AnyDocument | Exception) -> None:
         """Add a message that has been parsed, or the reason why it cannot be."""
         try:
-            if isinstance(content, RawBatch):
+            if isinstance(content, ContinuedBatch):
+                self._add_continued(record, content)
+            elif isinstance(content, RawBatch):
                 self._add_samples(record, content)
             elif isinstance(content, Exception):
                 raise content
@@ -70,16 +74,20 @@ class SegmentContent:
 
     def _add_samples(self, record: LogRecord, batch: RawBatch) -> None:
         batch.check_bounds()
-        message = batch.message
-        name = (
-            record.topic, message.run, message.epoch, not message.values, message.unit_of_measure, message.scale,
-            message.offset,
-        )  # fmt: skip
+        name = _channel_name(record, batch)
         channel = self.channels.get(name)
         if channel is None:
             first = batch.decoded()
             channel = self.channels[name] = ChannelBuffer(channel_id(record.topic, first), _place(record), first)
         channel.add(batch, record.arrival_ns)
+
+    def _add_continued(self, record: LogRecord, batch: ContinuedBatch) -> None:
+        like, channel = self._continued.get(record.topic, (None, None))
+        if like is batch.like and channel is not None:
+            channel.add_continued(batch, record.arrival_ns)
+            return
+        self._add_samples(record, batch.read())
+        self._continued[record.topic] = batch.like, self.channels[_channel_name(record, batch.like)]
 
     def event_rows(self) -> list[dict[str, Any]]:
         """Rows of the table of events, with those on quarantined messages."""
@@ -109,6 +117,14 @@ def channel_id(key: str, batch: SampleBatch) -> int:
         [key, batch.run, batch.epoch.hex, kind, batch.unit_of_measure, repr(batch.scale), repr(batch.offset)]
     )
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big", signed=True)
+
+
+def _channel_name(record: LogRecord, batch: RawBatch) -> tuple[object, ...]:
+    message = batch.message
+    return (
+        record.topic, message.run, message.epoch, not message.values, message.unit_of_measure, message.scale,
+        message.offset,
+    )  # fmt: skip
 
 
 def _place(record: LogRecord) -> Place:

@@ -19,7 +19,7 @@ from stream.closing import Closing
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
 from stream.wire.acknowledgement import StreamId
-from stream.wire.batches import RawBatch, decode_batch
+from stream.wire.batches import RawBatch, decode_batch, read_raw_batch
 
 _FILE = re.compile(r"(\d+)\.mcap(\.open|\.abandoned-(\d+))?")
 _TICK_NS = 100_000_000  # within which two changes of a folder may have the same time
@@ -28,12 +28,14 @@ _TICK_NS = 100_000_000  # within which two changes of a folder may have the same
 class ContinuedBatch(NamedTuple):
     """A sample batch as logged, unread: all but its number, its times and its samples is that of `like`.
 
-    `place` is where it is in its stream.
+    `place` is where it is in its stream, `begin` and `end` where the bytes of its samples are in the payload.
     """
 
     payload: bytes
     like: RawBatch
     place: LogPlace
+    begin: int
+    end: int
 
     @property
     def t0_ns(self) -> int:
@@ -44,6 +46,10 @@ class ContinuedBatch(NamedTuple):
     def last_ns(self) -> int:
         """Time of its last sample."""
         return self.place.last_ns
+
+    def read(self) -> RawBatch:
+        """The batch, read in full."""
+        return read_raw_batch(self.payload)
 
     def decoded(self) -> SampleBatch:
         """The batch with its arrays."""
@@ -156,7 +162,7 @@ class LogFollower(Closing):
         self._reached[stream] = next_seq
         like = self._like[record.topic]
         place = LogPlace(stream, next_seq - form.samples, next_seq, t0_ns, last_ns, like.message.run)
-        return ContinuedBatch(record.data, like, place)
+        return ContinuedBatch(record.data, like, place, *form.data)
 
     def _look(self) -> None:
         """Take up new segments, and what has become of the others."""

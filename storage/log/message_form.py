@@ -41,12 +41,13 @@ class MessageForm:
     """What is the same in all messages of a stream, and what the last one has reached.
 
     `stream`, `samples` of each message, `next_seq`, and `span_ns` from its first sample to its last one. `has_followed`
-    tells whether a message has continued it; then `t0_ns` is the time of its first sample.
+    tells whether a message has continued it; then `t0_ns` is the time of its first sample, and `data` is where the
+    bytes of its samples begin and end.
     """
 
     __slots__ = (
-        "_count", "_mask", "_more", "_prefix", "_proof", "_proof_bytes", "_tails", "_time", "_time_bytes", "next_seq",
-        "samples", "span_ns", "stream",
+        "_count", "_mask", "_more", "_prefix", "_proof", "_proof_bytes", "_tails", "_time", "_time_bytes", "data",
+        "next_seq", "samples", "span_ns", "stream",
     )  # fmt: skip
 
     def __init__(self, place: LogPlace, span_ns: int, prefix: bytes, count: bytes, time_bytes: int) -> None:
@@ -55,6 +56,7 @@ class MessageForm:
         self._tails: dict[int, bytes] = {}  # from the time to the samples, by the bytes from there to the end
         self._proof, self._proof_bytes = b"", 0  # how the proof after the samples begins, and its length
         self._time = b""  # of the last message that was followed
+        self.data = (0, 0)
         self._time_bytes = time_bytes
         self._more = int.from_bytes(b"\x80" * (time_bytes - 1), "little")
         last = b"\xc0" if time_bytes == _MOST_TIME_BYTES else b"\x80"
@@ -76,6 +78,7 @@ class MessageForm:
         if self._proof and not content.startswith(self._proof, end - self._proof_bytes):
             return False
         self._time = time
+        self.data = at + len(tail), end - self._proof_bytes
         self.next_seq += self.samples
         return True
 

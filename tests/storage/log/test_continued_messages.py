@@ -7,6 +7,7 @@ from typing import Any
 from uuid import UUID
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from analytics.serve.live.rows import LiveRows
@@ -14,6 +15,7 @@ from analytics.serve.live.tail import LiveTail
 from storage.check.ahead import ahead
 from storage.check.continued_messages import ContinuedMessages
 from storage.check.verify_log import LogState, verify_log
+from storage.lake.segment_content import SegmentContent
 from storage.log.event_log import EventLog
 from storage.log.follower import ContinuedBatch, LogFollower
 from storage.log.sequence import place_of
@@ -127,17 +129,21 @@ def test_a_follower_finds_the_same_in_batches_that_it_leaves_unread(seed: int, t
     write(store, seed)
     found: dict[bool, list[Any]] = {}
     for unread in (True, False):
-        rows, tail = LiveRows(), LiveTail()
+        rows, tail, content = LiveRows(), LiveTail(), SegmentContent(store.identity, "all")
         with LogFollower(store, unread=unread) as follower:
             messages = list(follower.poll())
         places = []
         for message in messages:
             rows.take(message)
             assert isinstance(message.content, RawBatch | ContinuedBatch)
+            content.take(message.record, message.content)
             tail.take(message.segment, message.content, len(message.record.data))
             places.append((message.segment, message.place, message.content.t0_ns, message.content.last_ns))
         rows.publish()
-        found[unread] = [places, rows.beyond(()).channels.to_pylist(), tail.channels("r1")]
+        found[unread] = [places, rows.beyond(()).channels.to_pylist(), tail.channels("r1"), content.event_rows()]
+        for channel in content.channels.values():
+            tables = pa.concat_tables(channel.message_tables())
+            found[unread] += [channel.row(), tables.to_pylist()]
         for unit in ("U0", "U1", "U2", "U3"):
             samples = tail.samples((unit, "r1", "rate"), ())
             assert samples is not None
