@@ -120,7 +120,11 @@ def _repair_manifest(store: Store) -> Iterator[Action]:
     found = read_log_manifest(store, whole=True)
     is_missing = not manifest_path(store).exists() and any(store.log.glob("*.mcap"))
     if found.damage or is_missing:
-        aside = rewrite_manifest(store, [*found.entries.values(), *found.lost.values()])
+        entries = list(found.entries.values())
+        if not is_replica(store.folder):  # a recorder may have listed them last since
+            own = [entry for entry in entries if entry.origin != "found"]
+            entries = _in_place(own, [entry for entry in entries if entry.origin == "found"])
+        aside = rewrite_manifest(store, [*entries, *found.lost.values()])
         kept = "" if aside is None else f"; the old file: {aside}"
         yield Action("manifest_written", str(store.log), f"its valid entries are kept{kept}")
 
@@ -139,14 +143,20 @@ def _list_in_place(store: Store) -> Iterator[Action]:
                 fresh.append(unlisted_entry(store, path)[0])
     if not fresh or is_replica(store.folder):
         return
-    listed = list(found.entries.values())
-    for entry in fresh:
-        place = next(at for at, other in enumerate(listed) if other.segment > entry.segment)
-        listed.insert(place, entry)
+    listed = _in_place(list(found.entries.values()), fresh)
     lost = found.lost.keys() - {each.segment for each in fresh}
     rewrite_manifest(store, [*listed, *(found.lost[name] for name in sorted(lost))])
     for entry in fresh:
         yield _listed(store, entry)
+
+
+def _in_place(listed: list[SegmentEntry], fresh: list[SegmentEntry]) -> list[SegmentEntry]:
+    """Entries with those of segments that were found without a line, each before the first later segment."""
+    whole = list(listed)
+    for entry in fresh:
+        place = next((at for at, other in enumerate(whole) if other.segment > entry.segment), len(whole))
+        whole.insert(place, entry)
+    return whole
 
 
 def _listed(store: Store, entry: SegmentEntry) -> Action:

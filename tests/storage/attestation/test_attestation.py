@@ -14,6 +14,7 @@ from storage.attestation.comparison import against
 from storage.attestation.signing_key import SigningKey, create_key, fingerprint
 from storage.check.recover import recover
 from storage.check.verify import verify
+from storage.log.event_log import EventLog
 from storage.manifests.log import manifest_path, read_log_manifest, rewrite_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store
@@ -139,14 +140,18 @@ def test_the_stores_own_attestations_are_a_chain(store: Store, key: SigningKey) 
     assert ("attestation_changed", paths[1].name) in [(each.kind, Path(each.where).name) for each in found]
 
 
+@pytest.mark.parametrize("is_recorded_first", [False, True])
 @pytest.mark.parametrize("lost", [1, 4])
-def test_a_lost_line_that_recover_writes_again_is_at_its_place(store: Store, key: SigningKey, lost: int) -> None:
-    """The line after a lost one does not fit the chain any more, and is written again as well."""
+def test_a_lost_line_that_is_written_again_is_at_its_place(
+    store: Store, key: SigningKey, lost: int, is_recorded_first: bool
+) -> None:
+    """The line after a lost one does not fit the chain any more, and is written again as well; by a recorder last."""
     kept = attest(store, key).attestation
     path = manifest_path(store)
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(line for at, line in enumerate(lines, 1) if at != lost))
-    listed = [Path(action.where).name for action in recover(store) if action.what == "segment_listed"]
+    listed = [entry.segment for entry in EventLog(store).listed] if is_recorded_first else []
+    listed += [Path(action.where).name for action in recover(store) if action.what == "segment_listed"]
     assert listed == NAMES[lost - 1 : lost + 1]
     assert list(read_log_manifest(store).entries) == NAMES
     assert what(store, kept) == [("attested_relisted", name) for name in listed]
