@@ -243,7 +243,7 @@ def _features(residuals: Residuals) -> _Features:
         of_runs = [_of_channel(run, name) for run in stack.runs]
         for kind in zip(*of_runs, strict=True):
             column = np.concatenate([each[rows] for each, rows in zip(kind, stack.rows, strict=True)])
-            if np.nanstd(column) > 0:
+            if np.isfinite(column).any() and np.nanstd(column) > 0:
                 columns.append(column)
                 channel.append(name)
     return _Features(np.column_stack(columns) if columns else np.empty((len(stack), 0)), tuple(channel))
@@ -256,6 +256,8 @@ def _of_channel(run: RunBlocks, name: str) -> tuple[FloatArray, ...]:
     time_s = run.time_s
     slope = np.gradient(mean, time_s) if len(run) > 1 else np.zeros(len(run))
     share = -np.expm1(-run.block_s / _LAG_S)
-    start = mean[:1] if np.isfinite(mean[:1]).all() else np.zeros(1)
-    lagged = np.asarray(lfilter([share], [1.0, share - 1.0], mean, zi=(1.0 - share) * start)[0])
+    known = np.isfinite(mean)
+    # a block without a reading would leave none of those after it
+    filled = np.interp(time_s, time_s[known], mean[known]) if known.any() else np.zeros(len(run))
+    lagged = np.asarray(lfilter([share], [1.0, share - 1.0], filled, zi=(1.0 - share) * filled[:1])[0])
     return mean, slope, mean - lagged

@@ -23,6 +23,7 @@ _STANDARD_UNITS = (
     (("angle",), "deg"),
     (("time_since_power_on",), "s"),
 )
+_ONE_TIME_S = 1e-5  # times this near are one: grids of samples are rounded to ns
 _HALF_TURN_DEG = 180.0
 _TURNING_DEG, _TRUSTED_DEG = 10.0, 15.0
 """Angle between two readings above which a rate is compared with them, and the largest accepted difference."""
@@ -45,10 +46,14 @@ class StandardUnit(NamedTuple):
     factor: float = 1.0
     offset: float = 0.0
 
-    def channel(self, mean: FloatArray, spread: FloatArray, inside: Inside | None = None) -> Channel:
+    def channel(
+        self, mean: FloatArray, spread: FloatArray, inside: Inside | None = None, slope_per_s: FloatArray | None = None
+    ) -> Channel:
         """A channel of stored values."""
         moved = None if inside is None else inside.scaled(self.factor, self.offset)
-        return Channel(mean * self.factor + self.offset, spread * abs(self.factor), self.name, inside=moved)
+        slope = None if slope_per_s is None else slope_per_s * self.factor
+        value, scatter = mean * self.factor + self.offset, spread * abs(self.factor)
+        return Channel(value, scatter, self.name, inside=moved, slope_per_s=slope)
 
     def is_impossible(self, value: FloatArray) -> BoolArray:
         """Whether stored values are temperatures below absolute zero, such as the fill value -999."""
@@ -96,10 +101,20 @@ def interpolated(at_s: FloatArray, readings: Readings, tolerance_s: float) -> Fl
 
 
 def joined_blocks(signal: SignalBlocks, found: SignalBlocks, unit: StandardUnit, tolerance_s: float) -> Channel:
-    """A channel with several readings a block at the blocks of a signal: its means, interpolated where it has none."""
+    """A channel with several readings a block at the blocks of a signal: its means, interpolated where it has none.
+
+    Readings of another rate have another mean time in a block; the means are moved to that of the signal. A block at
+    the end of a record of fast swings, which does not say how they go on, then has no mean.
+    """
     at = np.clip(np.searchsorted(found.slot, signal.slot), 0, len(found.slot) - 1)
     is_same = found.slot[at] == signal.slot
-    mean = np.where(is_same, found.mean[at], np.nan)
+    later_s = np.where(is_same, signal.centre_s - found.centre_s[at], 0.0)
+    # of samples dt apart a mean is that of the time they stand for, less dt**2/24 times its mean second derivative
+    second_s2 = 0.5 * later_s**2 + (found.interval_s[at] ** 2 - signal.interval_s**2) / 24.0
+    is_one = (np.abs(later_s) < _ONE_TIME_S) & (np.abs(second_s2) < _ONE_TIME_S)
+    later_s, second_s2 = np.where(is_one, 0.0, later_s), np.where(is_one, 0.0, second_s2)
+    moved = found.mean[at] + later_s * found.slope_per_s[at] + second_s2 * found.curve_per_s2[at]
+    mean = np.where(is_same & ~(found.is_open[at] & ~is_one), moved, np.nan)
     spread = np.where(is_same, found.spread[at], 0.0)
     if not is_same.all():
         between = interpolated(signal.centre_s, Readings(found.centre_s, found.mean), tolerance_s)
@@ -108,8 +123,9 @@ def joined_blocks(signal: SignalBlocks, found: SignalBlocks, unit: StandardUnit,
     if inside is not None:
         rows = np.full(len(found.slot), -1)
         rows[at[is_same]] = np.flatnonzero(is_same)
-        inside = inside.at(rows)
-    return unit.channel(mean, spread, inside)
+        inside = inside.at(rows).later(later_s, second_s2)
+    slope = found.slope_per_s[at] + later_s * found.curve_per_s2[at]
+    return unit.channel(mean, spread, inside, np.where(is_same & found.is_smooth[at], slope, np.nan))
 
 
 def joined_readings(signal: SignalBlocks, readings: Readings, unit: StandardUnit, tolerance_s: float) -> Channel:

@@ -75,7 +75,10 @@ def with_motion(
         if table is not None:
             spread = table.spread * np.abs(np.nan_to_num(along))
             inside = None if table.inside is None else table.inside.scaled(along)
-            channels["input_rate"] = Channel(table.mean * along, spread, table.unit_of_measure, inside=inside)
+            slope = None if table.slope_per_s is None else table.slope_per_s * along
+            channels["input_rate"] = Channel(
+                table.mean * along, spread, table.unit_of_measure, inside=inside, slope_per_s=slope
+            )
         elif np.isfinite(commanded).any():
             channels["input_rate"] = Channel(commanded * along, none, "deg/s")
     if "table_acceleration" not in channels and table is not None and table.unit_of_measure == "deg/s":

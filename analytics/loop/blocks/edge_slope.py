@@ -12,8 +12,8 @@ from stream.compiled import kernel
 def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) -> FloatArray:
     """Mean time derivative within each block of a channel that may step, such as a rate; per second.
 
-    Of a block without a reading in the blocks beside it, that between the readings before and after it, or NaN if not
-    `across_gaps`.
+    Where the channel moves without steps it is that of its pieces, see `slopes_of`. Of a block without a reading in the
+    blocks beside it, it is that between the readings before and after it, or NaN if not `across_gaps`.
 
     A step within the third block, of which only the mean is known:
 
@@ -26,7 +26,8 @@ def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) 
     [0.0, 0.0, 1.0, 0.0, 0.0]
     """
     its = run.channels[channel]
-    return np.asarray(_edge_slope(run.slot, its.mean, its.spread, across_gaps) / run.block_s)
+    slope = _edge_slope(run.slot, its.mean, its.spread, across_gaps) / run.block_s
+    return slope if its.slope_per_s is None else np.where(np.isfinite(its.slope_per_s), its.slope_per_s, slope)
 
 
 @kernel

@@ -5,12 +5,10 @@ from typing import Self
 
 import numpy as np
 
+from analytics.loop.blocks.piece_slopes import MOVES, WIDE, Slopes, is_noise
 from stream.batch import BoolArray, FloatArray, IntArray
 
-MOVES = 5.0  # spread of the readings over the lower quartile of all blocks, from which a channel moves in a block
 _LEAST_OF_RANGE = 1e-3  # the same, of the range of the means
-_WIDE = 0.02  # of that range, from which it moves where its pieces follow one another otherwise than noise does
-_NO_NOISE = 10.0  # over the root of the pieces: five standard deviations of the ratio of von Neumann
 _MOST_PIECES = 500_000  # of a channel of a run, 32 bytes each
 
 
@@ -22,11 +20,22 @@ class Inside:
     n: FloatArray  # readings in each
     mean: FloatArray
     spread: FloatArray  # standard deviation of the readings in each
+    slope_per_s: FloatArray | None = None  # mean rate of change in each
+    curve_per_s2: FloatArray | None = None  # that of the rate of change
 
     def scaled(self, factor: float | FloatArray, offset: float = 0.0) -> Self:
         """In another unit; a factor of each block as an array."""
         own = factor if isinstance(factor, float) else factor[self.row]
-        return replace(self, mean=self.mean * own + offset, spread=self.spread * np.abs(own))
+        slope, curve = (None if each is None else each * own for each in (self.slope_per_s, self.curve_per_s2))
+        mean, spread = self.mean * own + offset, self.spread * np.abs(own)
+        return replace(self, mean=mean, spread=spread, slope_per_s=slope, curve_per_s2=curve)
+
+    def later(self, by_s: FloatArray, half_square_s2: FloatArray) -> Self:
+        """Means over other times; of each block, how much later, and the factor of the mean second derivative."""
+        if self.slope_per_s is None or self.curve_per_s2 is None:
+            return self
+        moved = self.slope_per_s * by_s[self.row] + self.curve_per_s2 * half_square_s2[self.row]
+        return replace(self, mean=self.mean + moved)
 
     def at(self, rows: IntArray) -> Self:
         """Pieces at the rows that these blocks have elsewhere, increasing; those of a row below 0 are left out.
@@ -38,7 +47,11 @@ class Inside:
         """
         row = rows[self.row]
         kept = row >= 0
-        return replace(self, row=row[kept], n=self.n[kept], mean=self.mean[kept], spread=self.spread[kept])
+        slope, curve = (None if each is None else each[kept] for each in (self.slope_per_s, self.curve_per_s2))
+        mean, spread = self.mean[kept], self.spread[kept]
+        return replace(
+            self, row=row[kept], n=self.n[kept], mean=mean, spread=spread, slope_per_s=slope, curve_per_s2=curve
+        )
 
     def part(self, rows: BoolArray | slice, blocks: int) -> Self:
         """Pieces of some of so many blocks."""
@@ -59,8 +72,9 @@ class Inside:
 
 
 def inside_of(
-    number: IntArray, n: IntArray, mean: FloatArray, m2: FloatArray, blocks: tuple[FloatArray, FloatArray, BoolArray]
-) -> Inside | None:
+    number: IntArray, n: IntArray, mean: FloatArray, m2: FloatArray, blocks: tuple[FloatArray, FloatArray, BoolArray],
+    slopes: Slopes | None = None,
+) -> Inside | None:  # fmt: skip
     """Pieces of the blocks in which a channel moves, None where it does in none.
 
     It moves in a block whose spread is far above that of most blocks, as at a step; in all wide blocks if squares of
@@ -77,8 +91,8 @@ def inside_of(
     full = float(np.ptp(of_block[finite]))
     least = max(MOVES * usual, _LEAST_OF_RANGE * full)
     pieces = np.bincount(number, minlength=spread.size)
-    if not _is_noise(number, mean, pieces):
-        least = min(least, _WIDE * full)
+    if not is_noise(number, mean, pieces):
+        least = min(least, WIDE * full)
     moves = finite & (spread > least) & (pieces > 1)
     if pieces[moves].sum() > _MOST_PIECES:
         widest = np.flatnonzero(moves)[np.argsort(-spread[moves], kind="stable")]
@@ -86,16 +100,8 @@ def inside_of(
     chosen = moves[number]
     if not chosen.any():
         return None
-    return Inside(number[chosen], n[chosen].astype(np.float64), mean[chosen], np.sqrt(m2[chosen] / n[chosen]))
-
-
-def _is_noise(number: IntArray, mean: FloatArray, pieces: IntArray) -> bool:
-    """Whether pieces within blocks follow one another like white noise (von Neumann, DOI 10.1214/aoms/1177731677)."""
-    steps = np.diff(mean)[np.diff(number) == 0]
-    degrees = mean.size - int(np.count_nonzero(pieces))
-    if not steps.size or degrees < 1:
-        return True
-    of_block = np.bincount(number, mean, minlength=pieces.size) / np.maximum(pieces, 1)
-    variance = float(np.sum((mean - of_block[number]) ** 2)) / degrees
-    ratio = float(np.mean(steps**2)) / variance if variance > 0.0 else 2.0
-    return bool(abs(ratio - 2.0) <= _NO_NOISE / steps.size**0.5)
+    spreads = np.sqrt(m2[chosen] / n[chosen])
+    found = Inside(number[chosen], n[chosen].astype(np.float64), mean[chosen], spreads)
+    if slopes is None:
+        return found
+    return replace(found, slope_per_s=slopes.of_pieces[chosen], curve_per_s2=slopes.curve_of_pieces[chosen])

@@ -1,6 +1,6 @@
 """Pieces of stored signals, of which blocks consist: a second of a rollup, or a thirty-second part of a block."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ class Pieces:
     """Pieces of a signal of one run in the order of time; each shape (pieces,), times in ns."""
 
     start_ns: IntArray  # of the piece, or its first sample
-    t_ns: IntArray  # mean time of its samples
+    t_ns: IntArray  # mean time of its samples, see `_of_grid`
     end_ns: IntArray  # its last sample
     n: IntArray  # samples in each
     mean: FloatArray
@@ -53,6 +53,11 @@ _WANTED = """join (
   ) w on s.unit = w.unit and s.signal = w.signal and s.run = w.run
 where list_contains($all_units, s.unit) and list_contains($all_signals, s.signal) and list_contains($all_runs, s.run)"""
 """The conditions on the lists repeat what the join says, so that only the files that have these signals are read."""
+_SAMPLING = """
+select unit, signal, run, t_first_ns, t_last_ns, round(sample_interval_s * 1e9)::bigint from signals
+where list_contains($units, unit) and list_contains($signals, signal) and list_contains($runs, run) and not irregular
+"""
+_ON_GRID = 0.1  # of an interval by which the last sample may leave the grid of the first
 
 _ROLLED_UP = """
 select w.number, s.t_ns as start_ns, s.t_ns + 500000000 as t_ns, s.t_ns + 1000000000 * (s.n - 1) // s.n as end_ns,
@@ -87,8 +92,38 @@ def pieces_of(
         return
     whole = block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
     parameters = {} if whole else {"piece_ns": piece_ns}
+    sampling = _sampling(catalog, grids) if whole else {}
     for key, columns in rows_of(catalog, _ROLLED_UP if whole else _FROM_SAMPLES, grids, "start_ns", parameters):
+        if key in sampling:
+            columns["t_ns"] = _of_grid(columns["start_ns"], columns["n"], *sampling[key])
         yield key, Pieces(**columns)
+
+
+def _sampling(catalog: Catalog, keys: Iterable[SignalKey]) -> dict[SignalKey, tuple[int, int]]:
+    """First sample and interval of signals whose samples lie on one grid, in ns."""
+    wanted = set(keys)
+    names = ("units", "signals", "runs")
+    asked = {name: sorted(set(each)) for name, each in zip(names, zip(*wanted, strict=True), strict=True)}
+    found = {}
+    for unit, signal, run, first_ns, last_ns, interval_ns in catalog.rows(_SAMPLING, asked):
+        key = SignalKey(unit, signal, run)
+        if key in wanted and interval_ns:
+            off = (last_ns - first_ns) / interval_ns
+            if abs(off - round(off)) <= _ON_GRID:
+                found[key] = int(first_ns), int(interval_ns)
+    return found
+
+
+def _of_grid(start_ns: IntArray, n: IntArray, first_ns: int, interval_ns: int) -> IntArray:
+    """Mean times of the samples in seconds of a rollup: of those on the grid, or of half a second where some lack.
+
+    >>> _of_grid(np.array([0, SECOND_NS]), np.array([10, 9]), 0, SECOND_NS // 10).tolist()
+    [450000000, 1500000000]
+    """
+    before_ns = (first_ns - start_ns) % interval_ns
+    full = (SECOND_NS - 1 - before_ns) // interval_ns + 1
+    middle = before_ns + (n - 1) * interval_ns // 2
+    return np.asarray(start_ns + np.where(n == full, middle, SECOND_NS // 2), np.int64)
 
 
 def _of_readings(t_ns: IntArray, value: FloatArray, t0_ns: int, piece_ns: int) -> Pieces:

@@ -28,12 +28,14 @@ class Channel:
     # of an angle, shape (HARMONICS, blocks): mean of exp(1j*k*angle), k = 1, 2, ...; `mean` is unwrapped
     phasors: ComplexArray | None = None
     inside: Inside | None = None  # of the blocks in which it moves, where its readings are more than one a block
+    slope_per_s: FloatArray | None = None  # mean rate of change in blocks where it moves without steps, else NaN
 
     def part(self, rows: BoolArray | slice) -> "Channel":
         """The channel at some of the blocks."""
         phasors = None if self.phasors is None else self.phasors[:, rows]
         inside = None if self.inside is None else self.inside.part(rows, self.mean.size)
-        return Channel(self.mean[rows], self.spread[rows], self.unit_of_measure, phasors, inside)
+        slope = None if self.slope_per_s is None else self.slope_per_s[rows]
+        return Channel(self.mean[rows], self.spread[rows], self.unit_of_measure, phasors, inside, slope)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analytics.loop.blocks.inside import Inside, inside_of
+from analytics.loop.blocks.piece_slopes import slopes_of
 from analytics.loop.blocks.pieces import Grid, Pieces, SignalKey, pieces_of
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
@@ -23,7 +24,7 @@ MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 class SignalBlocks:
     """A signal of one run in blocks, in its own unit; each shape (blocks,).
 
-    Times are seconds from the start of slot 0; from rollups as of samples spread evenly from a whole second on.
+    Times are seconds from the start of slot 0.
     """
 
     slot: IntArray  # increasing numbers of the blocks
@@ -33,10 +34,15 @@ class SignalBlocks:
     centre_s: FloatArray  # mean time of the samples
     first_s: FloatArray
     last_s: FloatArray
+    interval_s: FloatArray  # of the block for each sample
     white_variance: FloatArray  # of each mean, from the scatter within the block; NaN where unknown
     is_far: BoolArray  # whether the block contains an outlier, so that its mean is wrong
     far_reading: FloatArray  # that outlier, else NaN
     lowest: FloatArray  # reading
+    slope_per_s: FloatArray  # mean rate of change
+    curve_per_s2: FloatArray  # that of the rate of change
+    is_smooth: BoolArray  # whether it moves without a step at the edges of the block
+    is_open: BoolArray  # whether the mean cannot be moved to another time, see `Slopes`
     farthest: float = 0.0  # outlier of the run; 0 where there is none
     inside: Inside | None = None  # pieces of the blocks in which the signal moves
 
@@ -86,6 +92,7 @@ def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
         far_reading[number[at]] = extreme[at]
     is_far = np.isfinite(far_reading)
     mean, spread = total(pieces.n * pieces.mean) / weight, np.sqrt(total(pieces.m2) / weight + between)
+    slopes = slopes_of(pieces.start_ns, np.where(far, np.nan, pieces.mean), np.sqrt(pieces.m2 / pieces.n), number)
     return SignalBlocks(
         slot=slot[first],
         n=weight,
@@ -94,12 +101,17 @@ def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
         centre_s=total(pieces.n * ((pieces.t_ns - t0_ns) / 1e9)) / weight,
         first_s=np.minimum.reduceat(since_ns, first) / 1e9,
         last_s=np.maximum.reduceat(pieces.end_ns - t0_ns, first) / 1e9,
+        interval_s=block_ns / 1e9 / weight,
         white_variance=_sample_variance(pieces, number) / weight,
         is_far=is_far,
         far_reading=far_reading,
         lowest=np.minimum.reduceat(pieces.lo, first),
         farthest=float(extreme[np.where(far, beyond, -np.inf).argmax()]) if is_far.any() else 0.0,
-        inside=inside_of(number, pieces.n, pieces.mean, pieces.m2, (mean, spread, is_far)),
+        slope_per_s=slopes.of_blocks,
+        curve_per_s2=slopes.curve_of_blocks,
+        is_smooth=slopes.is_smooth,
+        is_open=slopes.is_open,
+        inside=inside_of(number, pieces.n, pieces.mean, pieces.m2, (mean, spread, is_far), slopes),
     )
 
 

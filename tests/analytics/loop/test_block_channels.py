@@ -38,7 +38,7 @@ def test_channels_of_unit_and_station_are_joined_by_time(tested: TestedUnits) ->
     }
     np.testing.assert_allclose(run.mean("temperature"), 25.0 + centre_s / 100.0, rtol=1e-12)
     np.testing.assert_allclose(channels["temperature"].spread, np.std(t_s[:300]) / 100.0, rtol=1e-9)
-    np.testing.assert_allclose(run.mean("chamber_temperature"), 20.0 + 0.01 * (run.time_s - 2.5), rtol=1e-9)
+    np.testing.assert_allclose(run.mean("chamber_temperature"), 20.0 + 0.01 * centre_s, rtol=1e-9)
     np.testing.assert_allclose(run.mean("supply_voltage"), 5.0 + (run.time_s - 15.0 + 15.0) / 1000.0, atol=1e-3)
     np.testing.assert_allclose(run.mean("day"), run.time_s / 86_400.0)
     np.testing.assert_allclose(run.mean("time_since_power_on"), run.time_s)
