@@ -5,7 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from analytics.methods.repeatability import KINDS, Layout, deviations_of, scatter
+from analytics.methods.repeatability import (
+    KINDS,
+    Layout,
+    ValuesNoise,
+    deviations_of,
+    means_noise,
+    pooled,
+    scatter,
+    scatters,
+)
 from storage.sql.catalog import Catalog
 
 # GJB asks for 6 measurements, JJF 2014 leaves Q open
@@ -16,8 +25,10 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     """Rows of the metric: a row for each kind and standard.
 
     The kinds are those of the bias repeatability, of the relative scale factors K_i/mean(K). ``run_to_run`` is the
-    deviation within a day, pooled over days; ``day_to_day`` that of the means of days. The uncertainty of the K_i is
-    not subtracted: most of it is nonlinearity, which is the same in all.
+    deviation within a day, pooled over days; ``day_to_day`` that of the means of days. What the noise of the means at
+    the rates adds is in the parameter ``uncertainty_of_means``, and subtracted in ``beyond_uncertainty`` and in the
+    components. The misfit of the line is not in it: it is nonlinearity, which is the same in all. The upper bounds of
+    components subtract nothing, since the least that the noise can be is not known.
     """
     rows = catalog.reader(sql).read_all().to_pylist()
     means = [sum(row["scales"]) / len(row["scales"]) if row["scales"] else None for row in rows]
@@ -27,8 +38,13 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     days = [day for row, scales in zip(rows, relative, strict=True) if scales for day in row["days"]]
     layout = Layout.of_names([len(scales) for scales in relative], days)
     found = scatter(np.array([each for scales in relative for each in scales], np.float64), layout)
+    noise = _noise(rows, means, layout)
     is_dated = np.array([bool(row["is_dated"]) for row in rows], dtype=bool)
-    of_kinds = {kind: deviations_of(found, kind, "scale factors", is_dated) for kind in KINDS}
+    of_kinds = {
+        kind: deviations_of(found, kind, "scale factors", is_dated, noise if kind.endswith("component") else None)
+        for kind in KINDS
+    }
+    parts = {kind: scatters(found, noise, kind) for kind in KINDS}
     for at, (row, mean) in enumerate(zip(rows, means, strict=True)):
         parameters = {"scale_factors": len(row["scales"] or []), "mean": mean}
         parameters["days"] = len(set(row["days"] or [])) if row["is_dated"] else None
@@ -36,8 +52,21 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
         for kind, (estimates, reasons) in of_kinds.items():
             reason = _lack(row, int(found.values[at]), kind) or reasons[at]
             value = {name: float(each[at]) for name, each in estimates._asdict().items()} if reason is None else {}
-            common = {"n": parameters["scale_factors"], "parameters": {"kind": kind} | parameters, "reason": reason}
+            shares = {name: float(each[at]) if np.isfinite(each[at]) else None for name, each in parts[kind].items()}
+            named = {"kind": kind} | parameters | shares
+            common = {"n": parameters["scale_factors"], "parameters": named, "reason": reason}
             yield row | common | value
+
+
+def _noise(rows: Sequence[Mapping[str, Any]], means: Sequence[float | None], layout: Layout) -> ValuesNoise:
+    """What the noise of the means at the rates adds to the scatter of relative scale factors, in ppm."""
+    with_scales = [(row, mean) for row, mean in zip(rows, means, strict=True) if mean]
+    uncertainties = np.array(
+        [np.nan if u is None else abs(u / mean) * 1e6 for row, mean in with_scales for u in row["uncertainties"]]
+    )
+    freedoms = np.array([np.nan if of is None else of for row, _ in with_scales for of in row["freedoms"]], np.float64)
+    likely = means_noise(pooled(uncertainties, freedoms, layout), freedoms, layout)
+    return ValuesNoise(likely, means_noise(np.zeros(len(freedoms)), freedoms, layout))
 
 
 def _lack(row: Mapping[str, Any], values: int, kind: str) -> str | None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.analytics.conftest import SECOND_NS, START_NS
-from tests.analytics.metrics.rate_table import Gyro, Table, cubic
+from tests.analytics.metrics.rate_table import BOTH, Gyro, Table, cubic
 
 
 def scaled(gyro: Gyro, factor: float) -> Gyro:
@@ -106,7 +106,9 @@ def test_repeatability(tested: Any, table: Callable[..., Table]) -> None:
     day_ns = 86_400 * SECOND_NS
     slopes = []
     for i, each in enumerate(scatter):
-        rig = table(f"r{i}", lambda rate, e=each: 0.02 * rate * (1 + e), t_ns=START_NS + (i // 2) * day_ns + i * 10**12)
+        rig = table(
+            f"r{i}", lambda rate, e=each: 0.02 * rate * (1 + e), seed=i, t_ns=START_NS + (i // 2) * day_ns + i * 10**12
+        )
         rate, mean = rig.rates(procedure="scale_factor")
         slopes.append(np.polyfit(rate[1:-1], mean[1:-1], 1)[0])
     k = np.array(slopes)
@@ -120,11 +122,33 @@ def test_repeatability(tested: Any, table: Callable[..., Table]) -> None:
             assert found[standard, kind]["run"] is None
             if (standard, kind) != ("GJB2426A", "day_to_day"):
                 assert found[standard, kind]["value"] == pytest.approx(value, rel=1e-7)
-        assert found[standard, "within_day_component"]["value"] == pytest.approx(within, rel=1e-7)
+        own = found[standard, "run_to_run"]
+        # of 22 means of 100 samples of 0.001 deg/s; their uncertainty allows for correlation
+        of_white_noise = 1e-4 / (np.array([*BOTH]).std() * np.sqrt(len(BOTH))) / 0.02 * 1e6
+        assert 0.9 < own["uncertainty_of_means"] / of_white_noise < 1.5
+        beyond = np.sqrt(max(within**2 - own["uncertainty_of_means"] ** 2, 0.0))
+        assert own["beyond_uncertainty"] == pytest.approx(beyond, rel=1e-7)
+        component = found[standard, "within_day_component"]
+        assert component["value"] == pytest.approx(beyond, rel=1e-7)
+        assert component["lo"] < own["lo"], "what is noise in the scatter is not known either"
         assert "6 scale factors of 3 days, several of one" in found[standard, "all"]["reason"]
     # as of the bias, days count from day to day
     assert found["GJB2426A", "day_to_day"]["reason"] == "scale factors of 3 days, 6 or more are asked for"
     assert len(found) == 10
+
+
+@pytest.mark.long
+def test_rates_of_other_tests_make_no_rows_of_repeatability(tested: Any, table: Callable[..., Table]) -> None:
+    """Each run of two other procedures with a few rates had ten rows without a value beside those of scale factors."""
+    for i in range(2):
+        table(f"r{i}", t_ns=START_NS + i * 10**13).rates(procedure="scale_factor")
+    for i in range(3):
+        rig = table(f"o{i}", t_ns=START_NS + (i + 3) * 10**13)
+        for procedure in ("vibration_survey", "rate_check"):
+            rig.rates((10.0, -10.0, 20.0, -20.0), procedure=procedure)
+    rows = tested.metric("scale_factor_repeatability")
+    assert {(row["run"], *row["runs"]) for row in rows} == {(None, "r0", "r1")}
+    assert [row["kind"] for row in rows if row["value"] is not None] == ["all", "run_to_run", "within_day_component"]
 
 
 @pytest.mark.long
