@@ -12,7 +12,9 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.signal_blocks import MEDIAN_OF_SQUARE
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
+from analytics.methods.distributions import chi_square_isf
 from storage.sql.catalog import Catalog
+from stream.batch import FloatArray
 from stream.decoding import decode_json
 from stream.estimators.base import NoEstimate
 from stream.quantities import ANGULAR_RATE_UNIT
@@ -21,6 +23,8 @@ _KEYS = ("angle_random_walk", "bias_instability", "rate_random_walk")
 _QUANTILE = 0.25
 _OF_LIMIT = 1.0 / 3.0
 _NORMAL_PER_MAD = 1.4826
+_LEAST_DOUBLINGS, _MOST_DOUBLINGS = 2, 12  # of the blocks in an average
+_LEAST_DEGREES = 4.0  # of a variance from which the random walk is bounded
 _RATES = ("input_rate", "table_rate")
 _MOST_DRIVEN = (
     4.0  # above this ratio of variances, whole and left of a line in the rate, a run's Allan fit is of motion
@@ -38,7 +42,8 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     declared model by least squares (1.4826 times the median distance from the median); of a single run it is unknown,
     and the bias instability is taken instead. Flicker and random walk appear at long averaging times only, where a
     short run shows its effects: they are taken from the runs at least half as long as the longest of those whose fits
-    count. A power-on within a run has the fit of the whole run.
+    count. A power-on within a run has the fit of the whole run. The random walk is at most what averages of the blocks
+    beside the declared model bound: the Allan curve of a temperature cycle has that of the declared temperature term.
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
@@ -81,6 +86,7 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
         shown = _white_of_blocks([run for run in runs if {run.run, run.whole_run} & usable.keys()])
         most = max(float(fit[_KEYS[0]]["hi"]) for fit in usable.values())
         white = max(white, min(shown, most))
+    walk = min(walk, _most_walk(runs, model))
     return with_turn_on(GivenNoise(white, flicker, walk, None), runs, model)
 
 
@@ -142,6 +148,34 @@ def _white_of_blocks(runs: Sequence[RunBlocks]) -> float:
     return math.sqrt(float(np.median(squares)) / (2.0 * MEDIAN_OF_SQUARE)) if squares.size else 0.0
 
 
+def _most_walk(runs: Sequence[RunBlocks], model: ErrorModel) -> float:
+    """Upper bound (95 %) of the random walk beside the declared model, deg/h/sqrt(h); infinite where there is none.
+
+    Of averages over tau next to each other half the mean square difference is at least K**2*tau/3 (IEEE 952-2020).
+    """
+    found = fit_constants(runs, model)
+    most = math.inf
+    for number in range(_LEAST_DOUBLINGS, _MOST_DOUBLINGS):
+        blocks = 2**number
+        steps = np.concatenate([[], *(np.diff(_averages(run, left, blocks)) for run, left in found.residuals)])
+        steps = steps[np.isfinite(steps)]
+        degrees = steps.size / 2.0  # differences next to each other share an average
+        if degrees < _LEAST_DEGREES:
+            break
+        hours = blocks * runs[0].block_s / 3600.0
+        square = 0.5 * float(steps @ steps) / steps.size * degrees / float(chi_square_isf(0.95, degrees))
+        most = min(most, math.sqrt(3.0 * square / hours))
+    return most
+
+
+def _averages(run: RunBlocks, value: FloatArray, blocks: int) -> FloatArray:
+    """Averages over so many blocks one after the other; NaN where a block lacks."""
+    number = run.slot - run.slot[0]
+    every = np.full((int(number[-1]) // blocks + 1) * blocks, np.nan)
+    every[number] = value
+    return np.asarray(every.reshape(-1, blocks).mean(axis=1))
+
+
 def _value(coefficient: dict[str, Any]) -> float:
     if coefficient["observable"] or coefficient["value"] > 0.0:
         return float(coefficient["value"])
@@ -150,14 +184,26 @@ def _value(coefficient: dict[str, Any]) -> float:
 
 def run_constants(runs: Sequence[RunBlocks], model: ErrorModel) -> list[tuple[RunBlocks, float]]:
     """Constant of each run beside the model's terms, by least squares; without runs that have no whole block."""
-    both = [np.column_stack([model.columns(run), run.value]) for run in runs]
-    both = [each[np.isfinite(each).all(axis=1)] for each in both]
+    return fit_constants(runs, model).constants
+
+
+class ConstantsFit(NamedTuple):
+    """Constants of runs beside a model, and what is left of their blocks; without runs that have no whole block."""
+
+    constants: list[tuple[RunBlocks, float]]
+    residuals: list[tuple[RunBlocks, FloatArray]]  # NaN where a channel of the model has no value
+
+
+def fit_constants(runs: Sequence[RunBlocks], model: ErrorModel) -> ConstantsFit:
+    """Fit the model's terms and a constant of each run by least squares."""
+    every = [np.column_stack([model.columns(run), run.value]) for run in runs]
+    both = [each[np.isfinite(each).all(axis=1)] for each in every]
     row = np.repeat(np.arange(len(runs)), list(map(len, both)))
     terms, value = np.split(np.concatenate(both), [-1], axis=1)
     value = value[:, 0]
     present = np.unique(row)
     if len(present) == 0:
-        return []
+        return ConstantsFit([], [])
     own = (row[:, None] == present).astype(np.float64)
     means = (own.T @ np.column_stack([terms, value])) / own.sum(axis=0)[:, None]
     terms, value = terms - own @ means[:, :-1], value - own @ means[:, -1]
@@ -165,4 +211,8 @@ def run_constants(runs: Sequence[RunBlocks], model: ErrorModel) -> list[tuple[Ru
     is_known = scale > 1e-9 * (np.abs(means[:, :-1]).max(axis=0, initial=0.0) + 1e-300) * np.sqrt(len(row))
     found, *_ = np.linalg.lstsq(terms[:, is_known], value, rcond=None)
     constants = means[:, -1] - means[:, :-1][:, is_known] @ found
-    return [(runs[at], float(constant)) for at, constant in zip(present, constants, strict=True)]
+    left = [every[at][:, -1] - every[at][:, :-1][:, is_known] @ found for at in present]
+    return ConstantsFit(
+        [(runs[at], float(constant)) for at, constant in zip(present, constants, strict=True)],
+        [(runs[at], each - constant) for at, constant, each in zip(present, constants, left, strict=True)],
+    )

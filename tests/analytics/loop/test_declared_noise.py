@@ -58,6 +58,36 @@ def test_flicker_and_walk_come_from_long_runs(tested: TestedUnits) -> None:
     np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.02, 0.1, 0.1])
 
 
+def test_the_walk_of_a_declared_temperature_term_is_none(tested: TestedUnits) -> None:
+    """Allan curves of temperature cycles gave 0.24 deg/h/sqrt(h) for 0.01, and a caveat in nine of ten units."""
+    rng = np.random.default_rng(10)
+    seconds = np.arange(7200)
+    for at in range(4):
+        run, warmer = f"r{at}", (-1.0) ** at * np.interp(seconds, [600, 2400, 3600, 6000, 7200], [0, 20, 20, -15, 0])
+        tested.run(run)
+        walk = np.cumsum(rng.normal(0.0, 0.01 / 60.0, seconds.size))
+        output = 0.08 * warmer + walk + rng.normal(0.0, 0.6, seconds.size)
+        tested.samples(run, "U1", "temperature", 25 + warmer, t0_ns=START_NS, dt_ns=10**9, unit_of_measure="degC")
+        tested.samples(run, "U1", "rate", output, t0_ns=START_NS, dt_ns=10**9)
+        keys = ("angle_random_walk", "bias_instability", "rate_random_walk")
+        fit: dict[str, Any] = {
+            key: {"value": value, "observable": True, "lo": 0.0, "hi": 9.0}
+            for key, value in zip(keys, (0.01, 0.02, 0.24), strict=True)
+        }
+        tested.document(
+            NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit | {"misfit": 0.0})
+        )
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate").reduce("U1").runs
+        alone, beside = (
+            declared_noise(catalog, runs, ErrorModel.parse(each)) for each in ("bias", "bias + temperature")
+        )
+    assert not isinstance(alone, NoEstimate)
+    assert not isinstance(beside, NoEstimate)
+    assert pytest.approx(0.24) == alone.K, "of a term that is not declared it is left to the search"
+    assert 0.01 < beside.K < 0.1
+
+
 @pytest.mark.long
 def test_allan_fits_of_runs_in_which_the_unit_was_turned_do_not_count(tested: TestedUnits) -> None:
     """They are of the motion: white noise of 15 deg/sqrt(h) would hide everything."""
