@@ -247,14 +247,16 @@ def _of_groups(trend: Trend) -> Iterator[Words]:
 
 def _of_scatters(trend: Trend) -> Iterator[Words]:
     """Levels of groups that scatter more than the others; where there are none, those that scatter less."""
-    plain = [each for each in trend.scatters if each.chance <= FALSE_ALARM and not each.lo <= 1.0 <= each.hi]
+    found = trend.scatters.differences
+    between = "scatter_first" if len(set(trend.series.unit)) < trend.series.value.size else "scatter_all"
+    plain = [each for each in found if each.chance <= FALSE_ALARM and not each.lo <= 1.0 <= each.hi]
     for name in dict.fromkeys(each.group for each in plain):
         own = [each for each in plain if each.group == name]
         for each in [each for each in own if each.ratio > 1.0] or own:
             group = group_name(name)
             yield words(
                 "scatter", group=Words(_capitalised(group.en), group.zh), level=each.level, against=group,
-                of=words("scatter_within" if each.is_within_units else "scatter_all"), ratio=each.ratio, lo=each.lo,
+                of=words("scatter_within" if each.is_within_units else between), ratio=each.ratio, lo=each.lo,
                 hi=each.hi,
             )  # fmt: skip
 
@@ -358,6 +360,8 @@ def _left_out(trend: Trend) -> Iterator[Words]:
     if not isinstance(trend.comparison, NotComputed):
         for each in trend.comparison.left_out:
             yield words("not_compared", each=each)
+    if trend.scatters.left_out:
+        yield words("not_compared", each=joined(trend.scatters.left_out))
     if series.without_value:
         yield words("without_value", n=series.without_value, metric=series.metric)
     if not series.dated:

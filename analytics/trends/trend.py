@@ -22,7 +22,7 @@ from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, poin
 from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components, product_columns
 from analytics.trends.groups.level_drifts import LevelDrift, drift_columns, level_drifts
 from analytics.trends.groups.mixed_model import ComponentDeviation
-from analytics.trends.groups.scatter_differences import ScatterDifference, scatter_differences
+from analytics.trends.groups.scatter_differences import ScatterComparison, scatter_differences
 from analytics.trends.levels.change_points import ChangePoint, Changes, change_points
 from analytics.trends.levels.drift import Drift, drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts, level_shifts
@@ -101,7 +101,7 @@ class Trend:
     shifts: LevelShifts | NotComputed  # level shifts of single stations, from all values
     drifts: tuple[LevelDrift, ...]  # stations and fixtures that drift against the others
     comparison: GroupComparison | NotComputed  # between stations, fixtures and lots
-    scatters: tuple[ScatterDifference, ...]  # stations, fixtures and lots, by the scatter of their values
+    scatters: ScatterComparison  # stations, fixtures and lots, by the scatter of their values
     specification: SpecifiedLimits  # of all values
     specifications: tuple[SpecifiedLimits, ...]  # of each chart, in the order of the charts, as the capabilities
     capabilities: tuple[Capability | NotComputed, ...]

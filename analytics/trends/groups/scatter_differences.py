@@ -1,12 +1,14 @@
 """Stations, fixtures and lots whose values scatter more, or less, than those of the others."""
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
+from analytics.trends.words import Words, group_name, listed, words
 from stream.batch import BoolArray, FloatArray
 
 LEAST_PAIRS = 8
@@ -27,40 +29,79 @@ class ScatterDifference(NamedTuple):
     chance: float  # probability of such a ratio by chance, adjusted for all levels that were compared
 
 
-def scatter_differences(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> tuple[ScatterDifference, ...]:
+class ScatterComparison(NamedTuple):
+    """The scatter of levels of groups against that of the others, and what was not compared."""
+
+    differences: tuple[ScatterDifference, ...]
+    left_out: tuple[Words, ...]
+
+
+def scatter_differences(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> ScatterComparison:
     """Compare the scatter of each level of groups with that of the other levels.
 
-    Values at one level are taken in pairs. Where units were measured more than once, a pair is of one unit, each value
-    taken from the mean of its day at the level and station; days with few values give no result.
-    Else a pair are neighbours in time of one station, fixture, lot and product. So neither a step nor a slow drift
-    widens the differences. The square roots of the distances within pairs, nearly normal, are compared by Welch's
-    test; the ratio is the square of that of their means.
+    Values at one level are taken in pairs. The first values of units, where each unit is of one level, as of one lot:
+    a pair are neighbours in time of one station, fixture, lot and product. Measurements of one unit, where units were
+    measured more than once: a pair is of one unit, each value taken from the mean of its day at the level and station;
+    days with few values give no result. So neither a step nor a slow drift widens the differences. The square roots of
+    the distances within pairs, nearly normal, are compared by Welch's test; the ratio is the square of that of their
+    means.
     """
-    is_repeated = len(set(series.unit)) < series.value.size
-    like = zip(*(series.groups.get(name, [""] * series.value.size) for name in (*GROUPS, "product")), strict=True)
-    alike = series.unit if is_repeated else ["\0".join(each) for each in like]
     found: list[ScatterDifference] = []
+    left_out: list[Words] = []
     for group in groups:
-        levels = np.array(series.groups[group])
-        if np.unique(levels).size > _MOST_LEVELS:
+        if not 1 < len(set(series.groups[group])) <= _MOST_LEVELS:
             continue
-        value, is_kept = series.value, np.ones(levels.size, np.bool_)
-        if is_repeated:
-            if (off := _within_days(series, levels)) is None:
-                continue
-            value, is_kept = off
-        roots = _roots_of_levels(series, levels, alike, value, is_kept)
-        for level, own in roots.items():
-            others = [each for name, each in roots.items() if name != level]
-            if others and own.any() and np.concatenate(others).any():
-                found.append(ScatterDifference(group, level, is_repeated, *_ratio(own, np.concatenate(others))))
-    return tuple(each._replace(chance=min(1.0, each.chance * len(found))) for each in found)
+        for compare in (_between_units, _within_units):
+            differences, why_not = compare(series, group)
+            found += differences
+            left_out += why_not
+    adjusted = (each._replace(chance=min(1.0, each.chance * len(found))) for each in found)
+    return ScatterComparison(tuple(adjusted), tuple(left_out))
+
+
+_Compared = tuple[list[ScatterDifference], list[Words]]
+
+
+def _between_units(series: MetricSeries, group: str) -> _Compared:
+    """The scatter from unit to unit, by the first value of each."""
+    if len(set(zip(series.unit, series.groups[group], strict=True))) > len(set(series.unit)):
+        return [], []  # the same units were measured at several levels: these say nothing of their spread
+    first = series.first_of_units()
+    like = zip(*(first.groups.get(name, [""] * first.value.size) for name in (*GROUPS, "product")), strict=True)
+    alike = ["\0".join(each) for each in like]
+    roots = _roots_of_levels(first, group, alike, first.value, np.ones(first.value.size, np.bool_))
+    return _compared(first, group, roots, is_within_units=False)
+
+
+def _within_units(series: MetricSeries, group: str) -> _Compared:
+    """The scatter of measurements of one unit."""
+    if len(set(series.unit)) == series.value.size:
+        return [], []
+    off = _within_days(series, group)
+    if off is None:
+        of = words("scatter_of", of=words("scatter_within"), group=group_name(group))
+        return [], [words("scatter_days", of=of, least=_FEWEST_OF_DAY)]
+    return _compared(series, group, _roots_of_levels(series, group, series.unit, *off), is_within_units=True)
+
+
+def _compared(series: MetricSeries, group: str, roots: Mapping[str, FloatArray], *, is_within_units: bool) -> _Compared:
+    found = []
+    for level, own in roots.items():
+        others = [each for name, each in roots.items() if name != level]
+        if others and own.any() and np.concatenate(others).any():
+            found.append(ScatterDifference(group, level, is_within_units, *_ratio(own, np.concatenate(others))))
+    few = sorted(set(series.groups[group]) - set(roots))
+    of = words(
+        "scatter_of", of=words("scatter_within" if is_within_units else "scatter_first"), group=group_name(group)
+    )
+    return found, [words("scatter_few", of=of, names=listed(few), least=LEAST_PAIRS)] if few else []
 
 
 def _roots_of_levels(
-    series: MetricSeries, levels: "np.ndarray[Any, Any]", alike: list[str], value: FloatArray, is_kept: BoolArray
+    series: MetricSeries, group: str, alike: list[str], value: FloatArray, is_kept: BoolArray
 ) -> dict[str, FloatArray]:
     """Square roots of the distances within pairs of values that are alike, of each level with enough of them."""
+    levels = np.array(series.groups[group])
     kinds = np.unique(np.array(alike), return_inverse=True)[1]
     found = {}
     for level in np.unique(levels):
@@ -75,14 +116,14 @@ def _roots_of_levels(
     return found
 
 
-def _within_days(series: MetricSeries, levels: "np.ndarray[Any, Any]") -> tuple[FloatArray, BoolArray] | None:
+def _within_days(series: MetricSeries, group: str) -> tuple[FloatArray, BoolArray] | None:
     """Values less the mean of their day at their level and station, scaled to the scatter of one, and which have one.
 
     None where most days have fewer than three values there.
     """
     if not series.dated or not series.value.size:
         return None
-    names = zip(levels.tolist(), series.groups["station"], (series.t_ns // NS_PER_DAY).tolist(), strict=True)
+    names = zip(series.groups[group], series.groups["station"], (series.t_ns // NS_PER_DAY).tolist(), strict=True)
     numbers: dict[tuple[str, str, int], int] = {}
     day = np.array([numbers.setdefault(name, len(numbers)) for name in names])
     counts = np.bincount(day)[day]

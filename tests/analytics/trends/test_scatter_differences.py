@@ -21,7 +21,7 @@ def rotated(rng: np.random.Generator, deviations: tuple[float, ...], step: float
 
 
 def of_third(series: MetricSeries) -> ScatterDifference:
-    (found,) = [each for each in scatter_differences(series) if each.level == "F2"]
+    (found,) = [each for each in scatter_differences(series).differences if each.level == "F2"]
     return found
 
 
@@ -38,7 +38,7 @@ def test_equal_scatter_is_seldom_called_different_whatever_the_level_does() -> N
         alarms = 0
         for seed in range(TRIALS):
             series = rotated(np.random.default_rng(seed), (0.1, 0.1, 0.1), step)
-            alarms += any(each.chance <= 0.01 for each in scatter_differences(series))
+            alarms += any(each.chance <= 0.01 for each in scatter_differences(series).differences)
         assert alarms <= binom.ppf(1 - 1e-4, TRIALS, 0.01)
 
 
@@ -46,8 +46,30 @@ def test_values_of_different_units_are_compared_where_none_was_measured_again() 
     rng = np.random.default_rng(4)
     lot = np.repeat([0, 1], 100)
     value = np.where(lot == 1, 0.3, 0.1) * rng.standard_normal(200)
-    (first, second) = scatter_differences(series_of(value, np.arange(200), lot=lot))
+    (first, second) = scatter_differences(series_of(value, np.arange(200), lot=lot)).differences
     assert not second.is_within_units
     assert second.lo < 3.0 < second.hi
     assert np.isclose(first.ratio * second.ratio, 1.0)
-    assert scatter_differences(series_of(value[:20], np.arange(20), lot=lot[:20])) == ()
+    few = scatter_differences(series_of(value[90:110], np.arange(20), lot=lot[90:110]))
+    assert few.differences == ()
+    (why,) = few.left_out
+    assert "fewer than 8 pairs" in why.en
+    assert "L0, L1" in why.en
+
+
+def test_a_second_station_takes_no_spread_of_a_lot_away() -> None:
+    """The same units measured once more elsewhere: the lots are compared by the first value of each, as before."""
+    rng = np.random.default_rng(5)
+    unit, lot = np.arange(90), np.repeat([0, 1, 2], 30)
+    own = rng.normal(0, np.array([0.03, 0.15, 0.03])[lot])
+    first, again = (own + rng.normal(0, 0.01, 90) for _ in range(2))
+    once = scatter_differences(series_of(first, unit, lot=lot))
+    station = np.repeat([0, 1], 90)
+    twice = scatter_differences(series_of(np.r_[first, again], np.tile(unit, 2), lot=np.tile(lot, 2), station=station))
+    of_lots = [each for each in twice.differences if not each.is_within_units]
+    assert {each.level: each.ratio for each in of_lots} == {each.level: each.ratio for each in once.differences}
+    (wide,) = [each for each in of_lots if each.level == "L1"]
+    assert wide.chance <= 0.01
+    assert wide.lo < 5.0 < wide.hi
+    # each unit only once at each station: their repeatability is not compared, and this is said
+    assert any("measurements of one unit by station" in each.en for each in twice.left_out)
