@@ -65,7 +65,8 @@ def _write_title(figure: Figure, trend: Trend, more: int) -> None:
     if any(chart.has_changed or chart.shifts for chart in trend.charts):
         marks += " Shaded: where a change of level lies (95 %)."
     if any(chart.is_adjusted for chart in trend.charts):
-        marks += " Points: each unit's own level taken off."
+        whose = "what is found of stations and fixtures" if trend.by == "unit" else "each unit's own level"
+        marks += f" Points: {whose} taken off."
     figure.text(0.87, 0.1 / height, marks, fontsize=7, color=SOFT, ha="right")
 
 

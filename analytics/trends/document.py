@@ -39,6 +39,10 @@ def document(trend: Trend) -> dict[str, Any]:
         "specification": _specification(trend.specification),
         **_shifts(trend.shifts, series),
         "drifts": [_flat(each) for each in trend.drifts],
+        "drifting_units": list(trend.found.drifting),
+        "wild_left_out": [
+            {"unit": series.unit[at], "run": series.run[at], "time": moment(series, at)} for at in trend.found.wild
+        ],
         **_comparison(trend.comparison),
         "scatters": [each._asdict() for each in trend.scatters.differences],
         "scatters_not_compared": [each._asdict() for each in trend.scatters.left_out],

@@ -76,7 +76,7 @@ def _head(trend: Trend) -> Words:
     else:
         each = NOTHING if trend.by == "unit" else words("charts_of_first")
         if any(chart.is_adjusted for chart in trend.charts):
-            each = words("charts_adjusted")
+            each = words("charts_of_units_adjusted" if trend.by == "unit" else "charts_adjusted")
         charted = words("charts", charts=charts, s="s" * (charts > 1), by=group_name(trend.by), each=each)
     return words(
         "head", name=series.metric if header is None else Words(header.en, header.zh), variant=series.variant,
@@ -314,7 +314,17 @@ def _of_components(trend: Trend) -> Iterator[Words]:
         value, lo, hi = (f"{each:.2g}" for each in found[name])
         whose, unit = words(names.get(name, "between_levels"), group=group_name(name)), trend.series.unit_of_measure
         parts.append(words("component", name=whose, unit=unit, value=value, lo=lo, hi=hi))
-    yield words("components", parts=joined(parts))
+    yield words("components", parts=joined(parts), without=_without(trend))
+
+
+def _without(trend: Trend) -> Words:
+    """What was taken off before the components were computed."""
+    drifting = list(trend.found.drifting)
+    taken = {
+        "of_shifts": bool(trend.found.shifts), "of_drifts": bool(trend.drifts), "of_drifting": bool(drifting),
+    }  # fmt: skip
+    what = [words(key, names=listed(drifting)) for key, is_so in taken.items() if is_so]
+    return words("components_without", what=joined(what, ", ", "、")) if what else NOTHING
 
 
 def _of_capability(trend: Trend) -> Iterator[Words]:
@@ -357,6 +367,9 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         named = [name for name in names if name]
         whose = words("no_limits_of", names=listed(named)) if named else NOTHING
         yield words("no_limits", whose=whose, why=why)
+    if trend.found.wild:
+        wild = [f"{series.unit[at]}, {moment(series, at)}" for at in trend.found.wild]
+        yield words("wild_left_out", values=listed(wild) if len(wild) == 1 else listed([f"({each})" for each in wild]))
     if not isinstance(trend.comparison, NotComputed):
         for each in trend.comparison.left_out:
             yield words("not_compared", each=each)

@@ -19,12 +19,13 @@ from analytics.trends.charts.control_chart import (
     individuals_chart,
 )
 from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
-from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components, product_columns
-from analytics.trends.groups.level_drifts import LevelDrift, drift_columns, level_drifts
+from analytics.trends.groups.between_stations import GroupComparison, components
+from analytics.trends.groups.level_drifts import LevelDrift, level_drifts
 from analytics.trends.groups.mixed_model import ComponentDeviation
 from analytics.trends.groups.scatter_differences import ScatterComparison, scatter_differences
 from analytics.trends.levels.change_points import ChangePoint, Changes, change_points
-from analytics.trends.levels.drift import Drift, drift
+from analytics.trends.levels.drift import Drift, drift, shared_noises
+from analytics.trends.levels.found_effects import FoundEffects, found_effects
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts, level_shifts
 from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
 from analytics.trends.wander import NOISES
@@ -42,7 +43,8 @@ class Chart(NamedTuple):
     name: str  # unit, or level of the group; empty where all units share one chart
     series: MetricSeries
     # shape (points,); the values; for a station or fixture that measured units more than once, the level there plus the
-    # deviation of each value from that expected of its unit (`LevelShifts.points`)
+    # deviation of each value from that expected of its unit (`LevelShifts.points`); for a unit, the values without what
+    # stations and fixtures do (`FoundEffects.of_units`)
     charted: FloatArray
     is_adjusted: bool  # whether these differ
     limits: IndividualsChart | NotComputed  # centre and control limits; none below zero where values cannot be negative
@@ -100,16 +102,23 @@ class Trend:
     charts: tuple[Chart, ...]  # in order of the groups' names
     shifts: LevelShifts | NotComputed  # level shifts of single stations, from all values
     drifts: tuple[LevelDrift, ...]  # stations and fixtures that drift against the others
-    comparison: GroupComparison | NotComputed  # between stations, fixtures and lots
+    found: (
+        FoundEffects  # what is taken off before groups are compared, and the comparison of stations, fixtures and lots
+    )
     scatters: ScatterComparison  # stations, fixtures and lots, by the scatter of their values
     specification: SpecifiedLimits  # of all values
     specifications: tuple[SpecifiedLimits, ...]  # of each chart, in the order of the charts, as the capabilities
     capabilities: tuple[Capability | NotComputed, ...]
 
+    @property
+    def comparison(self) -> GroupComparison | NotComputed:
+        """Between stations, fixtures and lots."""
+        return self.found.comparison
+
     @cached_property
     def components(self) -> dict[str, ComponentDeviation]:
-        """Scatter of units, of measurements, and of groups."""
-        return components(self.series.within_products(), GROUPS)
+        """Scatter of units, of measurements, and of groups, without what is found of all or of single units."""
+        return components(self.found.rest, GROUPS)
 
 
 def trend_of(
@@ -119,7 +128,8 @@ def trend_of(
 ) -> Trend:  # fmt: skip
     """Make the control charts of a series and compare its groups.
 
-    One chart for each unit, product, lot, station or fixture. A chart of a unit has all its values. A chart of a
+    One chart for each unit, product, lot, station or fixture. A chart of a unit has all its values, without what the
+    report finds of stations and fixtures. A chart of a
     station or fixture has all values measured there; where units were measured more than once, each is charted by its
     deviation from the value expected of its unit. Other charts have the first value of each unit, since values of one
     unit are correlated. The limits are computed from the first `baseline` points, by default from all. `specification`:
@@ -128,20 +138,24 @@ def trend_of(
     """
     if by is None and len(set(series.unit)) == 1:
         by = "unit"
-    alike = series.within_products()
-    shifts = level_shifts(alike, false_alarm=FALSE_ALARM)
-    parts = _parts(series, by, shifts)
-    tested = sum(part.charted.size >= LEAST_POINTS for part in parts)  # the others cannot give a false alarm
-    charts = tuple(_chart(part, max(1, tested), baseline, spread) for part in parts)
+    shifts = level_shifts(series.within_products(), false_alarm=FALSE_ALARM)
     drifts = level_drifts(series, false_alarm=FALSE_ALARM)
-    beside = np.column_stack([product_columns(series), drift_columns(series, drifts)])
-    comparison = compare_groups(alike, GROUPS, beside=beside)
+    found = found_effects(series, shifts, drifts, false_alarm=FALSE_ALARM)
+    parts = _parts(series, by, shifts, found.of_units)
+    tested = sum(part.charted.size >= LEAST_POINTS for part in parts)  # the others cannot give a false alarm
+    noises: list[FloatArray | None] = [None] * len(parts)
+    if by == "unit":  # all are measured in the same places
+        noises = [*shared_noises([(_days(part.series), part.charted) for part in parts])]
+    charts = tuple(
+        _chart(part, max(1, tested), baseline, spread, of_part) for part, of_part in zip(parts, noises, strict=True)
+    )
     limits = [specification] * len(charts)
     if limits_of is not None and specification.why_not is not None and by != "unit":
         limits = [limits_of(chart.series) for chart in charts]
     capabilities = tuple(_capability(*each, by) for each in zip(charts, limits, strict=True))
-    scatters = scatter_differences(series)
-    return Trend(series, by, charts, shifts, drifts, comparison, scatters, specification, tuple(limits), capabilities)
+    kept = np.setdiff1d(np.arange(series.value.size), found.wild)
+    scatters = scatter_differences(series.where(kept), of_units=found.of_units[kept])
+    return Trend(series, by, charts, shifts, drifts, found, scatters, specification, tuple(limits), capabilities)
 
 
 class _Part(NamedTuple):
@@ -156,13 +170,19 @@ class _Part(NamedTuple):
     is_unsteady: bool = False
 
 
-def _parts(series: MetricSeries, by: str | None, shifts: LevelShifts | NotComputed) -> list[_Part]:
+def _parts(
+    series: MetricSeries, by: str | None, shifts: LevelShifts | NotComputed, of_units: FloatArray
+) -> list[_Part]:
     found = []
     places = {"": np.arange(series.value.size)} if by is None else series.places(by)
     for name, at in places.items():
         part = series.where(at)
-        if by == "unit" or isinstance(shifts, NotComputed):
-            part = part if by == "unit" else part.first_of_units()
+        if by == "unit":
+            is_adjusted = not np.allclose(of_units[at], part.value, rtol=1e-9, atol=0.0)
+            found.append(_Part(name, part, of_units[at] if is_adjusted else part.value, is_adjusted))
+            continue
+        if isinstance(shifts, NotComputed):
+            part = part.first_of_units()
             found.append(_Part(name, part, part.value, is_adjusted=False))
             continue
         is_adjusted = by in {"station", "fixture"}
@@ -201,16 +221,21 @@ def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray
     return Changes(changes, tuple(float(each.mean()) for each in stretches), sigma, FALSE_ALARM)
 
 
-def _chart(part: _Part, tested: int, baseline: int | None, spread: Spread) -> Chart:
-    """The chart of a part, one of so many that are `tested`."""
+def _days(series: MetricSeries) -> FloatArray:
+    """Days from the first value; numbers of the points where dates are unknown."""
+    if not series.dated:
+        return np.arange(series.value.size, dtype=np.float64)
+    return np.asarray((series.t_ns - series.t_ns[:1]) / NS_PER_DAY, np.float64)
+
+
+def _chart(part: _Part, tested: int, baseline: int | None, spread: Spread, noises: FloatArray | None) -> Chart:
+    """The chart of a part, one of so many that are `tested`; `noises`: what other charts say of its noise."""
     share = FALSE_ALARM / tested
     values = part.charted
     limits = individuals_chart(values, baseline=baseline, spread=spread)
     changes = change_points(values, false_alarm=share) if part.changes is None else part.changes
     series = part.series
-    # days from the first value; numbers of the points where dates are unknown
-    days = (series.t_ns - series.t_ns[:1]) / NS_PER_DAY if series.dated else np.arange(series.value.size)
-    slope = drift(np.asarray(days, np.float64), values)
+    slope = drift(_days(series), values, noises=noises)
     has_steps = bool(part.shifts) or (isinstance(changes, Changes) and bool(changes.points))
     # a step gives a slope too; where there are steps, they are reported
     drifts = isinstance(slope, Drift) and slope.chance <= share and not has_steps

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.groups.mixed_model import ContrastEstimate, holm, ols_estimates
+from analytics.trends.groups.mixed_model import ContrastEstimate, holm, less_block_means, ols_estimates
 from analytics.trends.series import NS_PER_DAY, MetricSeries
 from stream.batch import FloatArray
 
@@ -88,18 +88,12 @@ def _slopes(series: MetricSeries, group: str) -> list[LevelDrift]:
     else:
         own[0] = -k / (k - 1)
         own[np.arange(1, k), np.arange(k - 1)] = k / (k - 1)
-    effects = ols_estimates(_within(y, block), _within(columns, block), contrasts, blocks=int(block.max()) + 1)
+    effects = ols_estimates(
+        less_block_means(y, block), less_block_means(columns, block), contrasts, blocks=int(block.max()) + 1
+    )
     order = sloping[1:] if k == 2 else sloping
     return [
         LevelDrift(group, str(levels[number]), effect, 1.0, int(blocks[number]), int((code == number).sum()))
         for number, effect in zip(order, effects, strict=True)
         if effect is not None and effect.freedom >= LEAST_FREEDOM
     ]
-
-
-def _within(values: FloatArray, block: np.ndarray) -> FloatArray:
-    """Values less the mean of their block."""
-    counts = np.bincount(block)
-    flat = values.reshape(len(values), -1)
-    means = np.column_stack([np.bincount(block, column) / counts for column in flat.T])
-    return np.asarray((flat - means[block]).reshape(values.shape), np.float64)

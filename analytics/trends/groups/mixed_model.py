@@ -59,13 +59,14 @@ class MixedModel:
 
     @cached_property
     def _sums(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Cross products of [random, fixed, y], their sums in each unit, and values in each unit."""
+        """Cross products within units of [random, fixed, y], their sums in each unit, and values in each unit."""
         random = [] if self.random is None else [self.random]
         columns = np.column_stack([*random, self.fixed, (self.y - self.y.mean())[:, None]])
         counts = np.bincount(self.unit)
         order = np.argsort(self.unit, kind="stable")
         starts = np.r_[0, np.cumsum(counts)[:-1]]
-        return columns.T @ columns, np.add.reduceat(columns[order], starts, axis=0), counts
+        within = less_block_means(columns, self.unit)
+        return within.T @ within, np.add.reduceat(columns[order], starts, axis=0), counts
 
     @property
     def has_repeats(self) -> bool:
@@ -112,8 +113,9 @@ class MixedModel:
         products, sums, counts = self._sums
         log_residual = float(logs[0])
         ratio = np.exp(logs[1] - log_residual) if self.has_repeats else 0.0
-        weight = ratio / (1 + ratio * counts)
-        inner = products - sums.T @ (weight[:, None] * sums)
+        # what lies between units is added to what lies within: no difference of large numbers
+        weight = 1 / (counts * (1 + ratio * counts))
+        inner = products + sums.T @ (weight[:, None] * sums)
         log_det = self.y.size * log_residual + float(np.log1p(ratio * counts).sum())
         if self.random is not None:
             q = self.random.shape[1]
@@ -209,6 +211,18 @@ def paired_difference(differences: FloatArray) -> ContrastEstimate:
     """Mean of at least 2 paired differences with bounds by Student's t."""
     n = differences.size
     return _estimate(float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n)), float(n - 1))
+
+
+def less_block_means(values: FloatArray, block: IntArray) -> FloatArray:
+    """Values of shape (n,) or (n, k) less the mean of their block, blocks counted from 0.
+
+    >>> less_block_means(np.array([1.0, 3.0, 5.0]), np.array([0, 0, 1])).tolist()
+    [-1.0, 1.0, 0.0]
+    """
+    counts = np.bincount(block)
+    flat = values.reshape(len(values), -1)
+    means = np.array([np.bincount(block, column) / counts for column in flat.T]).reshape(flat.shape[1], counts.size)
+    return np.asarray((flat - means.T[block]).reshape(values.shape), np.float64)
 
 
 def ols_estimates(

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
+from analytics.trends.groups.mixed_model import less_block_means
 from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
 from analytics.trends.words import Words, group_name, listed, words
 from stream.batch import BoolArray, FloatArray
@@ -36,23 +38,26 @@ class ScatterComparison(NamedTuple):
     left_out: tuple[Words, ...]
 
 
-def scatter_differences(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> ScatterComparison:
+def scatter_differences(
+    series: MetricSeries, groups: tuple[str, ...] = GROUPS, *, of_units: FloatArray | None = None
+) -> ScatterComparison:
     """Compare the scatter of each level of groups with that of the other levels.
 
     Values at one level are taken in pairs. The first values of units, where each unit is of one level, as of one lot:
     a pair are neighbours in time of one station, fixture, lot and product. Measurements of one unit, where units were
-    measured more than once: a pair is of one unit, each value taken from the mean of its day at the level and station;
-    days with few values give no result. So neither a step nor a slow drift widens the differences. The square roots of
-    the distances within pairs, nearly normal, are compared by Welch's test; the ratio is the square of that of their
-    means.
+    measured more than once: a pair is of one unit, each value less its unit's own mean, then taken from the mean of its
+    day at the level and station; days with few values give no result. So neither a step nor a slow drift widens the
+    differences. The square roots of the distances within pairs, nearly normal, are compared by Welch's test; the ratio
+    is the square of that of their means. `of_units`: the values without what is found of stations and fixtures; by
+    default as they are.
     """
     found: list[ScatterDifference] = []
     left_out: list[Words] = []
+    within = series if of_units is None else replace(series, value=of_units)
     for group in groups:
         if not 1 < len(set(series.groups[group])) <= _MOST_LEVELS:
             continue
-        for compare in (_between_units, _within_units):
-            differences, why_not = compare(series, group)
+        for differences, why_not in (_between_units(series, group), _within_units(within, group)):
             found += differences
             left_out += why_not
     adjusted = (each._replace(chance=min(1.0, each.chance * len(found))) for each in found)
@@ -129,7 +134,9 @@ def _within_days(series: MetricSeries, group: str) -> tuple[FloatArray, BoolArra
     counts = np.bincount(day)[day]
     if np.median(counts) < _FEWEST_OF_DAY:
         return None
-    off = series.value - (np.bincount(day, series.value) / np.bincount(day))[day]
+    # units differ by more than each scatters: the mean of a day is not to depend on which of them were there
+    unit = np.unique(np.array(series.unit), return_inverse=True)[1]
+    off = less_block_means(less_block_means(series.value, unit), day)
     return off / np.sqrt(1.0 - 1.0 / np.maximum(counts, 2)), counts >= _FEWEST_OF_DAY
 
 

@@ -252,3 +252,12 @@ def test_probabilities_are_adjusted_as_holm_does() -> None:
     assert holm([]) == []
     assert holm([0.2]) == [0.2]
     assert holm([0.5, 0.001, 0.02]) == pytest.approx([0.5, 0.003, 0.04])
+
+
+def test_units_that_differ_by_far_more_than_they_scatter_have_components() -> None:
+    """As values in another unit of measure among others: the residual is a hundred-thousandth of the rest."""
+    unit = np.r_[np.arange(5), 5 + np.arange(23) % 3]
+    own = np.r_[np.full(5, 3528.0), 1.0, 2.0, 3.0]
+    noise = np.random.default_rng(20260733).normal(0, 0.04, unit.size)
+    found = components(series_of(own[unit] + noise, unit), GROUPS)
+    assert found["residual"].lo <= 0.04 <= found["residual"].hi

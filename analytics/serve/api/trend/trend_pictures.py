@@ -112,11 +112,17 @@ def chart_picture(chart: dict[str, Any], found: dict[str, Any], title: Label) ->
     shown = Label(title.en if not chart["name"] else chart["name"], title.zh if not chart["name"] else chart["name"])
     # limits are of values, not of what is left of them
     specified = [] if is_adjusted else _specified(chart, found["dated"], x, [point["t_ns"] for point in points])
-    note = Label(
+    of_units = Label(
+        "Each value without what the report finds of stations and fixtures. The limits of the specification do not "
+        "apply to these points; a point's text has its value.",
+        "各点已扣除报告所指出的试验台与夹具影响。规范限值不适用于这些点；测得值见各点文字。",
+    )
+    of_places = Label(
         "Each value without its unit's own level: the level there plus the deviation from the value expected of the "
         "unit. The limits of the specification do not apply to these points; a point's text has its value.",
         "各点已扣除产品自身水平：为该处水平加上与该产品期望值之差。规范限值不适用于这些点；测得值见各点文字。",
     )
+    note = of_units if found["by"] == "unit" else of_places
     return Picture(
         title=shown, x=axis, y=Axis(label=title, unit=found["unit_of_measure"]), curves=[*curves, *specified],
         note=note if is_adjusted else None,
