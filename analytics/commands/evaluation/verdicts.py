@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _FAILED = 3
 _KINDS = ("all", "product", "lot", "station", "fixture", "day", "week", "month")
 _SHOWN = 200
+_SHOWN_PARTLY = 12
 _COLOURS = {"PASS": "green", "FAIL": "red", "MARGINAL": "yellow", "NO_DATA": "dim"}
 _ZH_VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
 _ZH = {
@@ -142,13 +143,14 @@ def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) ->
     if as_json:
         print_json({"risks": rows})
         return
-    titles = ("lot", "characteristic", "rule", "accepted", "rejected", "consumer", "producer", "of process")
+    titles = ("lot", "characteristic", "revision", "rule", "accepted", "rejected", "consumer", "producer", "of process")
     table = _table(titles, language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
         process = (row["process_consumer_risk"], row["process_producer_risk"])
         table.add_row(
-            named(row, "lot"), _name(row["metric"], language) + of, row["decision_rule"], str(row["accepted"]),
+            named(row, "lot"), _name(row["metric"], language) + of, f"{row['specification']}-{row['revision'] or '?'}",
+            row["decision_rule"], str(row["accepted"]),
             str(row["rejected"]), _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
             _risk(row["specific_producer_risk"], row["global_producer_risk"]),
             "" if None in process else f"{process[0]:.2%} / {process[1]:.2%}",
@@ -175,6 +177,14 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
                 text += f"; a unit counts in each {by} in which it was measured"
                 zh += f"；产品在其测量过的每个{_ZH[by]}中各计一次"
             console.print(text if language == "en" else zh)
+        partly = [row for row in shares if row["not_all_limits"]]
+        for row in partly[:_SHOWN_PARTLY]:
+            console.print(_not_all_limits(row, by, language))
+        if len(partly) > _SHOWN_PARTLY:
+            more = len(partly) - _SHOWN_PARTLY
+            console.print(
+                f"以及另外 {more} 组（--json 给出全部）" if language == "zh" else f"and {more} more (--json gives all)"
+            )
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
         if with_values:
@@ -189,6 +199,18 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
     for row in found.warnings:
         reason = row["reason_zh"] if language == "zh" else row["reason"]
         notes().print(f"warning: unit {named(row, 'unit')}: {reason}", soft_wrap=True)
+
+
+def _not_all_limits(row: dict[str, Any], by: str, language: str) -> str:
+    """That units passed by some of their limits only."""
+    metrics = ", ".join(_name(metric, language) for metric in row["not_judged"])
+    n, passed = row["not_all_limits"], row["passed"]
+    if language == "zh":
+        return f"{_group_name(row, language)}：{passed} 个合格产品中有 {n} 个在该处未按其全部限值判定（{metrics}）"
+    return (
+        f"{by} {_group_name(row, language)}: {n} of {passed} units that passed were not judged there by every limit that "
+        f"they were judged by elsewhere ({metrics})"
+    )
 
 
 def _conformity(row: dict[str, Any], language: str) -> str:
@@ -254,6 +276,11 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
     return table
 
 
+def _group_name(row: dict[str, Any], language: str) -> str:
+    del language
+    return "?" if row["name"] is None else named(row, "name")
+
+
 def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:
     counted_as = ("passed units", "failed units", "marginal units", "units without data")
     titles = (by, "units", *counted_as, "yield", "95 % interval") if language == "zh" else (
@@ -265,8 +292,7 @@ def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Resu
         share = ("", "") if row["yield"] is None else (
             f"{row['yield']:.1%}", f"{row['yield_lo']:.1%} .. {row['yield_hi']:.1%}"
         )  # fmt: skip
-        name = "?" if row["name"] is None else named(row, "name")
-        table.add_row(name, *counts, *share)
+        table.add_row(_group_name(row, language), *counts, *share)
     return table
 
 

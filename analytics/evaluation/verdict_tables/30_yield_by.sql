@@ -25,7 +25,7 @@ create or replace macro internal.verdicts_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
   of_run := '', of_units := [], since_ns := null, of_since_day := ''
 ) as table
-select unit, signal, metric, subject, standard, specification, verdict, decision_rule, product, lot, station, fixture, day,
+select unit, signal, metric, subject, standard, specification, revision, verdict, decision_rule, product, lot, station, fixture, day,
   t_ns
 from verdicts
 where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
@@ -41,7 +41,8 @@ where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
 
 -- How many units are good: of all, and of each product, lot, station, fixture, day, week or month, of those in a group.
 -- Each kind of group judges a unit by what was measured in it. The yield is of the units that are decided or marginal;
--- its 95 % interval is Wilson's. Units without a verdict are NO_DATA wherever they were measured.
+-- its 95 % interval is Wilson's. Units without a verdict are NO_DATA wherever they were measured. Units that pass in a
+-- group though a limit of the revision that judged them there was judged elsewhere only are counted, with these metrics.
 create or replace macro internal.yield_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
   of_run := '', of_units := [], since_ns := null, of_since_day := ''
@@ -65,8 +66,22 @@ with judged as (
   union all select 'month', internal.month_of(day), * from judged
 ), each_limit as (                      -- as in unit_verdicts
   select kind, name, unit, specification,
-    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
+    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank,
+    signal, metric, subject, max(revision) as revision
   from placed group by kind, name, unit, signal, metric, subject, standard, specification
+), limit_of_unit as (                   -- that were judged anywhere
+  select distinct unit, signal, metric, subject, specification from verdicts
+  where specification is not null and verdict <> 'NO_DATA'
+), judged_by as (
+  select distinct kind, name, unit, specification, revision from each_limit where rank <> 3
+), not_judged as (
+  select b.kind, b.name, b.unit, l.metric
+  from judged_by b join limit_of_unit l using (unit, specification)
+  semi join internal.limit_editions e
+    on e.specification = b.specification and e.revision = b.revision and e.metric = l.metric and e.subject = l.subject
+  anti join (from each_limit where rank <> 3) j
+    on j.kind = b.kind and j.name is not distinct from b.name and j.unit = b.unit and j.specification = b.specification
+    and j.metric = l.metric and j.subject = l.subject and j.signal is not distinct from l.signal
 ), each_unit as (
   select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict
   from each_limit group by kind, name, unit
@@ -87,6 +102,11 @@ with judged as (
     count(*) filter (verdict = 'MARGINAL') as marginal,
     count(*) filter (verdict = 'NO_DATA') as no_data
   from every_unit group by kind, name
+), partly as (
+  select u.kind, u.name, count(distinct u.unit) as not_all_limits, list(distinct n.metric order by n.metric) as not_judged
+  from each_unit u join not_judged n
+    on n.kind = u.kind and n.name is not distinct from u.name and n.unit = u.unit
+  where u.verdict = 'PASS' group by u.kind, u.name
 ), rules as (
   select kind, name, list(distinct decision_rule order by decision_rule) filter (decision_rule is not null)
       as decision_rules
@@ -99,9 +119,11 @@ with judged as (
 select s.kind, s.name, units, passed, failed, marginal, no_data, share as yield,
   greatest(0, (share + z * z / (2 * n) - z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_lo,
   least(1, (share + z * z / (2 * n) + z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_hi,
+  coalesce(p.not_all_limits, 0) as not_all_limits, coalesce(p.not_judged, []) as not_judged,
   coalesce(r.decision_rules, []) as decision_rules,
   case when n is null then 'none of its units has a verdict: all are NO_DATA' end as reason
 from shares s left join rules r on r.kind = s.kind and r.name is not distinct from s.name
+left join partly p on p.kind = s.kind and p.name is not distinct from s.name
 order by s.kind, s.name nulls last;
 create or replace view yield_by as from internal.yield_in();
 comment on view yield_by is 'yield by product, lot, station, fixture, day, week and month (column kind), with its 95 % interval';

@@ -98,6 +98,26 @@ def test_a_unit_is_judged_in_each_station_by_what_was_measured_there(judged: Jud
     assert verdicts_of(catalog).units[0]["verdict"] == "FAIL"
 
 
+def test_units_that_pass_by_some_of_their_limits_only_are_counted(judged: Judged) -> None:
+    """U0 to U3 are measured by both limits at S1, by one at S2; U4 by one alone, which is NO_DATA and no pass."""
+    other = 'metric = "bias_stability"\nupper = 1.0\nunit_of_measure = "deg/h"'
+    judged.specify(limits(BIAS, other))
+    good = {"value": 0.0, "lo": -0.1, "hi": 0.1}
+    units = [f"U{i}" for i in range(4)]
+    runs = [{"unit": unit, "run": run, "station": at} for unit in units for run, at in (("r1", "S1"), ("r2", "S2"))]
+    values: list[dict[str, Any]] = [{"unit": unit, "run": run, **good} for unit in units for run in ("r1", "r2")]
+    values += [{"unit": unit, "run": "r1", "metric": "bias_stability", **good} for unit in units]
+    catalog = judged.catalog([*runs, {"unit": "U4", "run": "r1"}], [*values, {"unit": "U4", "run": "r1", **good}])
+    found = {
+        row["name"]: (row["passed"], row["not_all_limits"], row["not_judged"]) for row in yield_by(catalog, "station")
+    }
+    assert found == {"S1": (4, 0, []), "S2": (4, 4, ["bias_stability"])}
+    (everything,) = yield_by(catalog, "all")
+    assert (everything["passed"], everything["no_data"], everything["not_all_limits"]) == (4, 1, 0)
+    (at_second,) = yield_by(catalog, "all", Group(station="S2"))
+    assert (at_second["not_all_limits"], at_second["not_judged"]) == (4, ["bias_stability"])
+
+
 @pytest.mark.long
 def test_the_most_frequent_failure_comes_first(judged: Judged) -> None:
     judged.specify(limits(BIAS, 'metric = "bias_stability"\nupper = 1.0\nunit_of_measure = "deg/h"'))

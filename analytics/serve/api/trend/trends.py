@@ -159,6 +159,8 @@ YieldGroup = TypedDict(
         "yield": float | None,
         "yield_lo": float | None,
         "yield_hi": float | None,
+        "not_all_limits": int,
+        "not_judged": list[str],
         "decision_rules": list[str],
         "reason": str | None,
     },
