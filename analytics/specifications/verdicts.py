@@ -10,6 +10,8 @@ from stream.errors import NotFound
 Row = dict[str, Any]
 GroupKind = Literal["all", "product", "lot", "station", "fixture", "day", "week", "month"]
 GROUP_KINDS: tuple[GroupKind, ...] = get_args(GroupKind)
+UNGIVEN = "(not given)"  # name of the lot, station or other place of what has none; filters take it
+UNGIVEN_ZH = "（未给出）"
 
 
 class Group(NamedTuple):

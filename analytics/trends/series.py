@@ -12,9 +12,8 @@ import numpy as np
 
 from analytics.evaluation.selection import evaluated
 from analytics.metric_registry.registry import MetricHeader, check_metrics, metrics
-from analytics.specifications.verdicts import rows_of
+from analytics.specifications.verdicts import UNGIVEN, rows_of
 from analytics.trends.values_sql import METRIC_VALUES
-from analytics.trends.words import UNGIVEN
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
@@ -157,7 +156,11 @@ def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
         choice.signal in {None, row["signal"]},
         choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
         choice.since_ns is None or (row["date_known"] and _moment(row) >= choice.since_ns),
-        *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in (*GROUPS, "product")),
+        *(
+            wanted in {None, row[name] or UNGIVEN}
+            for name, wanted in choice._asdict().items()
+            if name in (*GROUPS, "product")
+        ),
         *(parameter_text(own.get(name)) == parameter_text(value) for name, value in choice.parameters.items()),
     )
     return all(asked)

@@ -7,6 +7,8 @@ from functools import cache
 from importlib.resources import files
 from typing import NamedTuple
 
+from analytics.specifications.verdicts import UNGIVEN, UNGIVEN_ZH
+
 
 class Words(NamedTuple):
     """A text in English and in Chinese."""
@@ -22,8 +24,6 @@ class NotComputed(NamedTuple):
 
 
 NOTHING = Words("", "")
-UNGIVEN = "(not given)"
-_UNGIVEN_ZH = "（未给出）"
 _GROUPS_ZH = {"station": "试验台", "fixture": "夹具", "lot": "批次", "unit": "产品", "product": "产品型号"}
 
 
@@ -92,7 +92,7 @@ def listed(names: list[str], most: int = 5) -> Words:
     Words(en='A, B and 1 more', zh='A、B 等 3 个')
     """
     shown = names[:most]
-    in_chinese = "、".join(_UNGIVEN_ZH if name == UNGIVEN else name for name in shown)
+    in_chinese = "、".join(UNGIVEN_ZH if name == UNGIVEN else name for name in shown)
     if len(names) <= most:
         return Words(", ".join(names), in_chinese)
     return Words(f"{', '.join(shown)} and {len(names) - most} more", f"{in_chinese} 等 {len(names)} 个")

@@ -41,16 +41,25 @@ _ZH = {
 }  # fmt: skip
 
 
+def _not_empty(context: click.Context, option: click.Parameter, value: str) -> str:
+    """Refuse an empty name, as of a shell variable that is not set: it would choose nothing and give all."""
+    if not value and context.get_parameter_source(str(option.name)) is click.core.ParameterSource.COMMANDLINE:
+        raise click.BadParameter(
+            f"it is empty: leave it out for all, or give '(not given)' for what has no {option.name}", context, option
+        )
+    return value
+
+
 @click.command("verdicts")
 @store_option
 @click.option(
     "--unit", "units", type=UNIT, multiple=True, help="Only this unit, with each of its values; may be repeated."
 )
 @click.option("--by", type=click.Choice(_KINDS), help="Yield of each of these instead; `all`: of all units.")
-@click.option("--product", default="", help="With --by: only what was measured of this product.")
-@click.option("--lot", default="", help="With --by: only this lot.")
-@click.option("--station", default="", help="With --by: only this station.")
-@click.option("--fixture", default="", help="With --by: only this fixture.")
+@click.option("--product", default="", callback=_not_empty, help="With --by: only what was measured of this product.")
+@click.option("--lot", default="", callback=_not_empty, help="With --by: only this lot.")
+@click.option("--station", default="", callback=_not_empty, help="With --by: only this station.")
+@click.option("--fixture", default="", callback=_not_empty, help="With --by: only this fixture.")
 @click.option(
     "--since", default="", help="With --by: only runs that began then or later, as 2026-11-21, a day of the station."
 )
@@ -119,10 +128,11 @@ def verdicts(
 def _nothing_in(catalog: "Catalog", group: "Group") -> str:
     """That nothing was measured in a group, with the names that there are."""
     from analytics.metric_registry.registry import alike
+    from analytics.specifications.verdicts import UNGIVEN
 
     for kind in ("product", "lot", "station", "fixture"):
         if name := getattr(group, kind):
-            rows = catalog.rows(f"select distinct {kind} from verdicts where {kind} is not null order by all")  # noqa: S608
+            rows = catalog.rows(f"select distinct coalesce({kind}, $1) from verdicts order by all", [UNGIVEN])  # noqa: S608
             known = [str(each) for (each,) in rows]
             if name not in known:
                 return f"nothing was judged of {kind} {name!r}; {alike(name, known, f'{kind}s are')}"
@@ -147,9 +157,10 @@ def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) ->
     table = _table(titles, language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
+        revision = f"{row['specification']}-{row['revision'] or '?'}"
         process = (row["process_consumer_risk"], row["process_producer_risk"])
         table.add_row(
-            named(row, "lot"), _name(row["metric"], language) + of, f"{row['specification']}-{row['revision'] or '?'}",
+            _group_name(row, language, "lot"), _name(row["metric"], language) + of, revision,
             row["decision_rule"], str(row["accepted"]),
             str(row["rejected"]), _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
             _risk(row["specific_producer_risk"], row["global_producer_risk"]),
@@ -181,9 +192,9 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         for row in partly[:_SHOWN_PARTLY]:
             console.print(_not_all_limits(row, by, language))
         if len(partly) > _SHOWN_PARTLY:
-            more = len(partly) - _SHOWN_PARTLY
+            rest = len(partly) - _SHOWN_PARTLY
             console.print(
-                f"以及另外 {more} 组（--json 给出全部）" if language == "zh" else f"and {more} more (--json gives all)"
+                f"以及另外 {rest} 组（--json 给出全部）" if language == "zh" else f"and {rest} more (--json gives all)"
             )
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
@@ -208,8 +219,8 @@ def _not_all_limits(row: dict[str, Any], by: str, language: str) -> str:
     if language == "zh":
         return f"{_group_name(row, language)}：{passed} 个合格产品中有 {n} 个在该处未按其全部限值判定（{metrics}）"
     return (
-        f"{by} {_group_name(row, language)}: {n} of {passed} units that passed were not judged there by every limit that "
-        f"they were judged by elsewhere ({metrics})"
+        f"{by} {_group_name(row, language)}: {n} of {passed} units that passed were not judged there by every limit "
+        f"that they were judged by elsewhere ({metrics})"
     )
 
 
@@ -276,9 +287,12 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
     return table
 
 
-def _group_name(row: dict[str, Any], language: str) -> str:
-    del language
-    return "?" if row["name"] is None else named(row, "name")
+def _group_name(row: dict[str, Any], language: str, column: str = "name") -> str:
+    """The name of a lot, station or other group; that of units without one."""
+    from analytics.specifications.verdicts import UNGIVEN, UNGIVEN_ZH
+
+    ungiven = UNGIVEN_ZH if language == "zh" else UNGIVEN
+    return named(row | {column: ungiven} if row[column] is None else row, column)
 
 
 def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:

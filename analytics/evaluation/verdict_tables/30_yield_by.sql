@@ -11,12 +11,13 @@ where lack is not null;
 create or replace macro internal.week_of(day) as strftime(day, '%G-W%V');
 create or replace macro internal.month_of(day) as strftime(day, '%Y-%m');
 -- Whether something was measured in a group: of a product, lot, station, fixture, day, ISO week or month, in a run, of
--- some units, since a moment or a day. Days are those of the station. Empty asks for all.
+-- some units, since a moment or a day. Days are those of the station. Empty asks for all, '(not given)' for what has none.
+create or replace macro internal.is_of(name, asked) as asked = '' or coalesce(name, '(not given)') = asked;
 create or replace macro internal.is_in_group(
   product, lot, station, fixture, day, run, unit, t_ns,
   of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns, of_since_day
-) as (of_product = '' or product = of_product) and (of_lot = '' or lot = of_lot)
-  and (of_station = '' or station = of_station) and (of_fixture = '' or fixture = of_fixture)
+) as internal.is_of(product, of_product) and internal.is_of(lot, of_lot)
+  and internal.is_of(station, of_station) and internal.is_of(fixture, of_fixture)
   and (of_day = '' or day::varchar = of_day) and (of_week = '' or internal.week_of(day) = of_week)
   and (of_month = '' or internal.month_of(day) = of_month)
   and (of_run = '' or run = of_run) and (len(of_units) = 0 or list_contains(of_units, unit)) and (since_ns is null or t_ns >= since_ns)

@@ -10,7 +10,7 @@ from analytics.serve.api.trend import trend_pictures as pictures
 from analytics.serve.api.trend import trends as api
 from analytics.serve.pages.frame.page import shown
 from analytics.serve.pages.frame.zones import DEFAULT, common_zone, zoned
-from analytics.specifications.verdicts import GROUP_KINDS, GroupKind
+from analytics.specifications.verdicts import GROUP_KINDS, UNGIVEN, GroupKind
 
 _MOST_CHARTS = 24
 _OF_PAGE = ("yield_by", "group")
@@ -66,6 +66,7 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
         "here": fields,
         "in_group": group,
         "kinds": GROUP_KINDS,
+        "ungiven": UNGIVEN,
         "data": link("api", "trends", **fields) if asked.metric else "/api/metrics",
         "has_table": not asked.metric,
         "zone": DEFAULT,  # the trend itself gives its times in UTC

@@ -34,6 +34,8 @@ def test_yield_by_lot_station_fixture_and_day_with_wilsons_interval(judged: Judg
         1,
     ]
     assert (rest["name"], rest["units"], rest["passed"]) == (None, 10, 10)
+    (without,) = yield_by(catalog, "all", Group(lot="(not given)"))
+    assert (without["units"], without["passed"]) == (10, 10)
     interval = stats.binomtest(21, 29).proportion_ci(method="wilson")
     assert (first["yield"], first["yield_lo"], first["yield_hi"]) == pytest.approx((21 / 29, *interval), rel=1e-12)
     assert [row["name"] for row in yield_by(catalog, "station")] == ["S0", "S1"]

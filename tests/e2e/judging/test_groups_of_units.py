@@ -56,6 +56,13 @@ def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
     bare = ask("verdicts", "--by", "lot")
     groups = {row["name"]: row for row in bare["yield"]}
     assert {name: (row["units"], row["no_data"]) for name, row in groups.items()} == {"L1": (5, 5), None: (1, 1)}
+    plain = CliRunner().invoke(main, ["verdicts", "--by", "lot", "--store", str(tmp_path / "S")]).output
+    (without,) = ask("verdicts", "--by", "all", "--lot", "(not given)")["yield"]
+    assert "(not given)" in plain
+    assert without["units"] == 1
+    refused = CliRunner().invoke(main, ["verdicts", "--by", "all", "--lot", "", "--store", str(tmp_path / "S")])
+    assert refused.exit_code == 2
+    assert "it is empty: leave it out for all" in refused.output
     (tmp_path / "limits.toml").write_text(LIMITS)
     ask("limits", "add", tmp_path / "limits.toml")
     by_lot = {row["name"]: row for row in ask("verdicts", "--by", "lot")["yield"]}

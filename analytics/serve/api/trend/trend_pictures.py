@@ -8,6 +8,7 @@ import msgspec
 from analytics.plots.picture import Axis, Curve, Label, Mark, Picture, Style
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.trend import trends
+from analytics.specifications.verdicts import UNGIVEN, UNGIVEN_ZH
 from stream.errors import NotFound
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def trend_values(call: Call, asked: trends.TrendAsked) -> Picture:
         values = [float(series.value[i]) for i in rows]
         curves.append(
             Curve(
-                name=Label.same(level or "?"), x=[times[i] for i in rows], y=list(values), style="points",
+                name=_shown(level), x=[times[i] for i in rows], y=list(values), style="points",
                 lo=_bounds(series, 0, rows), hi=_bounds(series, 1, rows),
                 texts=[f"{series.unit[i]} {series.run[i]}" for i in rows],
                 links=[link("units", series.serial[i]) for i in rows],
@@ -134,17 +135,17 @@ def yield_picture(call: Call, asked: trends.YieldAsked) -> Picture:
     """Yield of all, or of each lot, station or other part, with its 95 % interval."""
     groups: list[dict[str, Any]] = msgspec.to_builtins(trends.list_yield(call, asked).groups)
     found = [row for row in groups if row["yield"] is not None]
-    names = [row["name"] or "?" for row in found]
+    names = [row["name"] or UNGIVEN for row in found]
     percent = {name: [100 * row[name] for row in found] for name in ("yield", "yield_lo", "yield_hi")}
     curve = Curve(
         name=Label("yield", "合格率"), x=[float(i) for i in range(len(found))], y=list(percent["yield"]), style="bars",
         lo=list(percent["yield_lo"]), hi=list(percent["yield_hi"]), texts=names,
-        links=[link("verdicts", **asked.asked_group | _part(asked.by, row["name"])) for row in found],
+        links=[link("verdicts", **asked.asked_group | _part(asked.by, name)) for name in names],
     )  # fmt: skip
     none = Label("No unit was judged.", "没有已判定的产品。")
     return Picture(
         title=Label("Yield with its 95 % interval", "合格率及其 95 % 区间"),
-        x=Axis(label=_GROUPS[asked.by], scale="names", names=[Label.same(name) for name in names]),
+        x=Axis(label=_GROUPS[asked.by], scale="names", names=[_shown(name) for name in names]),
         y=Axis(label=Label("yield", "合格率"), unit="%"),
         curves=[curve] if found else [], reason=None if found else none,
     )  # fmt: skip
@@ -176,6 +177,11 @@ def pareto_picture(call: Call, asked: trends.YieldAsked) -> Picture:
 def _part(kind: str, name: str | None) -> dict[str, str]:
     """The field of a question that names a part of a group."""
     return {kind: name} if name and kind != "all" else {}
+
+
+def _shown(name: str) -> Label:
+    """The name of a group; that of what has none is in the language of the page."""
+    return Label(UNGIVEN, UNGIVEN_ZH) if name in {"", UNGIVEN} else Label.same(name)
 
 
 _GROUPS = {

@@ -7,7 +7,7 @@ import msgspec
 
 from analytics.serve.api.operation import Call, Nothing, get, link
 from analytics.serve.api.rows import Limit, Name, dictionaries, page_of
-from analytics.specifications.verdicts import GROUP_ARGUMENTS, Group, GroupKind
+from analytics.specifications.verdicts import GROUP_ARGUMENTS, UNGIVEN, Group, GroupKind
 from stream.errors import BadInput, NotFound
 
 if TYPE_CHECKING:
@@ -279,8 +279,8 @@ def list_yield(call: Call, asked: YieldAsked) -> Yield:
     from analytics.specifications.verdicts import failures_in, yield_by
 
     groups = cast("list[YieldGroup]", yield_by(call.metrics, asked.by, asked.group))
-    if asked.name and asked.name not in (names := [row["name"] for row in groups]):
-        raise NotFound(f"no {asked.by} is named {asked.name!r}; there are {', '.join(map(str, names[:20])) or 'none'}")
+    if asked.name and asked.name not in (names := [row["name"] or UNGIVEN for row in groups]):
+        raise NotFound(f"no {asked.by} is named {asked.name!r}; there are {', '.join(names[:20]) or 'none'}")
     pareto = failures_in(call.metrics, asked.group.part(asked.by, asked.name))
     return Yield(by=asked.by, name=asked.name, groups=groups, pareto=pareto)
 
