@@ -295,7 +295,10 @@ class BlockReducer:
         notes += notes_on.positions({step.position for run in runs for step in run.steps if step.position}, numbers)
         notes += notes_on.no_power_on([run.name for run in runs if not run.has_power_on], len(runs))
         interval_s = max((run.reference.interval_s for run in runs if run.reference is not None), default=0.0)
-        notes += notes_on.not_resolved({run.name: run.is_unresolved for run in runs}, interval_s, self.block_s)
+        lossy = [(run.reference, run.blocks.t0_ns) for run in runs if run.is_unresolved.any()]
+        held_s = [self._joiner.held_s(source, t0_ns) for source, t0_ns in lossy if source is not None]
+        rows = {run.name: run.is_unresolved for run in runs}
+        notes += notes_on.not_resolved(rows, interval_s, self.block_s, float(np.median(held_s)) if held_s else 0.0)
         return notes
 
     def _parts(self, unit: str, runs: Sequence[UnitRun]) -> list[list[RunBlocks]]:

@@ -25,6 +25,7 @@ _STANDARD_UNITS = (
 )
 _ONE_TIME_S = 1e-5  # times this near are one: grids of samples are rounded to ns
 _HALF_TURN_DEG = 180.0
+_HELD = 0.01  # of the range of a channel, within which it stays where it is
 _TURNING_DEG, _TRUSTED_DEG = 10.0, 15.0
 """Angle between two readings above which a rate is compared with them, and the largest accepted difference."""
 
@@ -152,6 +153,22 @@ def ranges(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: 
     least = np.minimum.reduceat(np.append(lo, np.inf), edges)[::2]
     most = np.maximum.reduceat(np.append(hi, -np.inf), edges)[::2]
     return np.asarray(most - least, dtype=np.float64)
+
+
+def held(t_s: FloatArray, lo: FloatArray, hi: FloatArray) -> float:
+    """Median time for which a channel stays where it is, by seconds as in `ranges`; 0 where it never does.
+
+    >>> value = np.repeat([0.0, 7.0, -7.0], 20)
+    >>> held(np.arange(60.0), value, value)
+    19.0
+    """
+    if len(t_s) < 2:
+        return 0.0
+    moves = np.maximum(hi[1:], hi[:-1]) - np.minimum(lo[1:], lo[:-1]) > _HELD * (hi.max() - lo.min())
+    edges = np.flatnonzero(np.concatenate([[True], moves, [True]]))
+    lengths = np.diff(edges) - 1
+    lengths = lengths[lengths > 1]
+    return float(np.median(lengths) * np.median(np.diff(t_s))) if lengths.size else 0.0
 
 
 class AngleBlocks:

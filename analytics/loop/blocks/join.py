@@ -10,6 +10,7 @@ import numpy as np
 from analytics.loop.blocks.channels import (
     AngleBlocks,
     Readings,
+    held,
     interpolated,
     joined_blocks,
     joined_readings,
@@ -138,6 +139,10 @@ class ChannelJoiner:
         """Range of a channel about each block, in its standard unit, see `ranges`."""
         factor = standard_unit(source.name, source.unit_of_measure).factor
         return ranges(slot, self._block_s, *self._stored.extremes(source, t0_ns)) * abs(factor)
+
+    def held_s(self, source: ChannelSource, t0_ns: int) -> float:
+        """How long a channel that steps stays where it is, in whole seconds, see `held`."""
+        return held(*self._stored.extremes(source, t0_ns))
 
     def expect_changes(self, wanted: Sequence[tuple[ChannelSource, int]]) -> None:
         """Announce the channels, with the begin of slot 0, whose `changes` will be asked for."""

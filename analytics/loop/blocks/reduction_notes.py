@@ -8,6 +8,8 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray
 from stream.defects.outliers import IsolatedOutliers
 
+_BLOCKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+_BLOCKS_A_RATE, _FEWEST_A_RATE = 8, 4  # that fit into a rate that is held, one at each end being lost
 LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 
 
@@ -101,9 +103,17 @@ def partial(rows: Mapping[str, BoolArray]) -> list[Note]:
     return _blocks_left_out("partial", rows, why)
 
 
-def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: float) -> list[Note]:
-    """Note blocks in which the reference rate changes faster than its readings resolve."""
-    if interval_s >= 0.5 * block_s:
+def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: float, held_s: float) -> list[Note]:
+    """Note blocks in which the reference rate changes faster than its readings resolve; `held_s` is that of a rate."""
+    fitting_s = max((each for each in _BLOCKS_S if each <= held_s / _BLOCKS_A_RATE), default=0.0)
+    if held_s < _FEWEST_A_RATE * block_s and interval_s <= fitting_s < block_s:
+        advice = Bilingual(
+            f"rates are held for {held_s:.3g} s, of which blocks of {block_s:g} s leave little: --block {fitting_s:g}s "
+            f"keeps more, or hold each for {2 * _FEWEST_A_RATE * block_s:g} s",
+            f"各角速率仅保持{held_s:.3g} s，{block_s:g} s的数据块所剩无几：用--block {fitting_s:g}s可保留更多，"
+            f"或每个角速率保持{2 * _FEWEST_A_RATE * block_s:g} s",
+        )
+    elif interval_s >= 0.5 * block_s:
         advice = Bilingual(
             f"record it more often than once in {interval_s:g} s, or as means over the same times as the signal",
             f"请以高于每{interval_s:g} s一次的频度记录基准，或记录与信号同时段的均值",
