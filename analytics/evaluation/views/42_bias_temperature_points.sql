@@ -49,8 +49,15 @@ with measuring as (
   from test t left join room r
     on r.run = t.run and r.unit = t.unit and r.signal = t.signal and r."procedure" is not distinct from t."procedure"
     and r.position is not distinct from t.position and r.again is not distinct from t.again
+), matched as (                         -- one reading, to the digit, at several temperatures is that of a frozen thermometer
+  select *,
+    min(asked) over alike as asked_least, max(asked) over alike as asked_most,
+    coalesce(max(asked) over alike - min(asked) over alike > 5, false) as is_frozen
+  from (select *, coalesce(temperature_command, chamber_temperature) as asked from point)
+  window alike as (partition by run, unit, signal, "procedure", position, again, round(temperature, 6))
 ), counted as (
   select *,
+    any_value({reading: temperature, least: asked_least, most: asked_most}) filter (is_frozen) over curve as frozen,
     count(*) filter (n > 0) over curve as known,
     count(*) filter (is_point) over curve as points,
     (sum(n) over curve)::bigint as all_n,
@@ -58,7 +65,7 @@ with measuring as (
     bool_and(deg_per_h is not null) over curve as is_scaled,
     max(temperature_moved) over curve as moved,
     nullif(count(*) filter (temperature_moved > 2) over curve, 0) as ramps
-  from point
+  from matched
   window curve as (partition by run, unit, signal, "procedure", position, again)
 ), judged as (
   select *,
@@ -69,6 +76,9 @@ with measuring as (
         'the room-temperature point is missing: none of ' || known || ' steps is marked room, and the nearest to 20 '
         || 'degC' || coalesce(' is ' || round(nearest, 1) || ' degC from it, at most 10', ' has no known temperature, 10')
         || ' are allowed'
+      when frozen is not null then
+        format('the thermometer reads {:.2f} degC at each of several steps of {:.0f} to {:.0f} degC: it is frozen, and the temperature '
+          'is not known there', frozen.reading, frozen.least, frozen.most)
       when room_temperature is null then
         'the temperature of the room-temperature step is unknown: record one, or say temperature_command'
       when points = 0 then

@@ -43,6 +43,21 @@ def test_temperature_sensitivity(recorded: Recorded) -> None:
     assert (row["n"], row["steps"]) == (6 * 36_000, [1, 2, 3, 4, 5, 6])
 
 
+def test_a_frozen_thermometer_gives_no_sensitivity(recorded: Recorded) -> None:
+    """One that stopped gave a wrong value, and one that never moved "only the room was measured"."""
+    biases = {20.0: 2.0, 40.0: 2.2, 60.0: 2.4, -20.0: 1.6}
+    metric = "bias_temperature_sensitivity"
+    assert one(recorded(curve(biases), metric))["value"] == exact(0.01)
+    for reading, steps in ((40.25, slice(1, None)), (20.25, slice(None))):
+        rows = curve(biases)
+        for row in rows[steps]:
+            row["temperature"] = reading
+        found = one(recorded(rows, metric))
+        assert found["value"] is None
+        assert f"the thermometer reads {reading:.2f} degC at each of several steps" in found["reason"]
+        assert "-20 to 60 degC: it is frozen" in found["reason"]
+
+
 @pytest.mark.long
 def test_room_temperature_is_the_step_that_says_so_else_the_one_nearest_to_20_degc(recorded: Recorded) -> None:
     metric = "bias_temperature_sensitivity"
