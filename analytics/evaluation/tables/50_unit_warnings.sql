@@ -1,7 +1,23 @@
 -- Names that are probably one unit: alike but for letter case, spaces, hyphens, dots and underscores. And units of which
 -- the last run has an output that nothing judges, beside others that are judged. And units with a record that stands
 -- under another name as well: as many samples of one output with the same mean and standard deviation to nine digits.
--- And units of which runs are of another product than the last one, for which there are no limits.
+-- And units of which runs are of another product than the last one, for which there are no limits. And units whose
+-- sensitivity to temperature was measured over a narrower range, by 5 degC or more, than that of half of the units of
+-- their product.
+
+-- The temperatures over which each unit's sensitivities to temperature were measured, all tests together.
+create or replace view internal.temperature_ranges as
+select m.unit, m.metric, p.product, min(t.temperature) as lowest, max(t.temperature) as highest
+from (
+  select unit, signal, metric, coalesce(run, runs[1]) as run, unnest(steps) as step from unit_metrics
+  where value is not null and len(runs) = 1 and parameters->>'$.room_temperature_deg_c' is not null
+) m
+join static_steps t
+  on t.unit = m.unit and t.signal = m.signal and t.run = m.run and t."index" = m.step and t.temperature is not null
+join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null group by unit) p
+  on p.unit = m.unit
+group by m.unit, m.metric, p.product;
+
 create or replace view unit_warnings as
 with copied as (
   select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records
@@ -64,5 +80,19 @@ from (
     and exists (from internal.limit_editions e where e.product = last.product)
   group by r.unit, r.product
 )
+union all
+select r.unit, [],
+  n.en || ' was measured from ' || printf('%.3g to %.3g', r.lowest, r.highest) || ' degC; of the '
+    || u.units || ' units of product ' || r.product || ' half reach ' || printf('%.3g and half %.3g', u.lowest, u.highest)
+    || ' degC: it says nothing of the rest',
+  n.zh || '的测量温度范围为 ' || printf('%.3g 至 %.3g', r.lowest, r.highest) || ' ℃，' || r.product || ' 型 ' || u.units
+    || ' 个产品的中位范围为 ' || printf('%.3g 至 %.3g', u.lowest, u.highest) || ' ℃：结果不涵盖其余温度'
+from internal.temperature_ranges r
+join (
+  select product, metric, count(*) as units, median(lowest) as lowest, median(highest) as highest
+  from internal.temperature_ranges group by product, metric having count(*) >= 4
+) u using (product, metric)
+join metric_names n using (metric)
+where r.highest <= u.highest - 5 or r.lowest >= u.lowest + 5
 order by 1;
-comment on view unit_warnings is 'units that probably go by two names, units with copied records, and units whose last run nothing judges';
+comment on view unit_warnings is 'units that probably go by two names, units with copied records, units whose last run nothing judges, and units measured over fewer temperatures than others of their product';

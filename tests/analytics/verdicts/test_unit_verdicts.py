@@ -183,6 +183,29 @@ def test_runs_of_a_product_without_limits_are_named_beside_those_that_are_judged
     assert "FOG-SIM" in zh
 
 
+def test_a_sensitivity_over_fewer_temperatures_than_that_of_its_peers_is_named(judged: Judged) -> None:
+    """U1 was never measured at 55 degC, U2 at one degree less than the others, which is nothing."""
+    runs: list[dict[str, Any]] = []
+    values: list[dict[str, Any]] = []
+    for unit in ("U1", "U2", "U3", "U4", "U5"):
+        temperatures = {"U1": (-20.0, 25.0, 40.0), "U2": (-20.0, 25.0, 54.0)}.get(unit, (-20.0, 25.0, 40.0, 55.0))
+        for index, temperature in enumerate(temperatures, 1):
+            step = {"unit": unit, "run": "r1", "signal": "rate", "index": index, "n": 100, "mean": 0.0}
+            runs.append(step | {"procedure": "bias_temperature_sensitivity", "temperature": temperature})
+        of = {"room_temperature_deg_c": 25.0, "points": len(temperatures) - 1}
+        steps = list(range(1, len(temperatures) + 1))
+        values.append(
+            {"unit": unit, "metric": "bias_temperature_sensitivity", "value": 0.03, "parameters": of, "steps": steps}
+        )
+    (found,) = verdicts_of(judged.catalog(runs, values)).warnings
+    assert found["unit"] == "U1"
+    assert found["reason"].startswith(
+        "Bias temperature sensitivity was measured from -20 to 40 degC; of the 5 units of"
+    )
+    assert "half reach -20 and half 55 degC" in found["reason"]
+    assert "零偏温度灵敏度" in found["reason_zh"]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("other", ["fog-0231", "FOG_0231", "FOG0231", "FOG-02.31"])
 def test_a_unit_under_two_names_is_warned_of(judged: Judged, other: str) -> None:
