@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 
@@ -207,6 +208,15 @@ def _in_words(name: str, value: Any) -> str:
     return f"{name} {value}"
 
 
+def _order(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    """The order in time; units of one moment, as of one session, in an order that means nothing.
+
+    By their serials, products or lots would follow each other, and look like a change of level in time.
+    """
+    unit = row["unit"]
+    return _moment(row), crc32(unit.encode()), unit, row["run"] or "", row["signal"], row["steps"] or []
+
+
 def _settings(rows: list[dict[str, Any]]) -> set[str]:
     """Parameters that distinguish kinds of values: words, averaging times, those by which values of one step differ."""
     named: set[str] = set()
@@ -274,7 +284,7 @@ def _series(
     if len(undated) > len(rows) / 2:  # the order in which they were recorded is all that is known of most
         undated = []
     rows = [row for row in rows if row["date_known"] or not undated]
-    rows.sort(key=lambda row: (_moment(row), row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
+    rows.sort(key=_order)
     several = len({row["signal"] for row in rows}) > 1
     groups = {name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")}
     return MetricSeries(

@@ -108,3 +108,16 @@ def test_a_fixture_that_both_products_share_is_compared_within_each(reported: Re
     assert fixture.group == "fixture"
     assert fixture.effect.lo < 3.0 < fixture.effect.hi
     assert fixture.adjusted < 1e-6
+
+
+def test_products_that_are_measured_at_one_time_are_no_change_of_level(reported: Reported) -> None:
+    """Two sessions; in each all units are measured at once, those of one product before the others by their serials."""
+    rng = np.random.default_rng(20261131)
+    rows = [
+        {"unit": f"U{session}{at:02}", "value": (1.0 if at < 12 else 0.4) + rng.normal(0, 0.02),
+         "product": "PQ"[at >= 12], "station": "A", "hour": 24 * session}
+        for session in range(2) for at in range(20)
+    ]  # fmt: skip
+    series = read_series(reported(rows), "bias")
+    assert sorted(series.unit[:20]) == [f"U0{at:02}" for at in range(20)]
+    assert "changes by" not in english(trend_of(series))
