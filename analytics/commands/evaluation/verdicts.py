@@ -188,6 +188,8 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
                 text += f"; a unit counts in each {by} in which it was measured"
                 zh += f"；产品在其测量过的每个{_ZH[by]}中各计一次"
             console.print(text if language == "en" else zh)
+        for line in _of_repeats(shares, by, language):
+            console.print(line)
         partly = [row for row in shares if row["not_all_limits"]]
         for row in partly[:_SHOWN_PARTLY]:
             console.print(_not_all_limits(row, by, language))
@@ -210,6 +212,29 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
     for row in found.warnings:
         reason = row["reason_zh"] if language == "zh" else row["reason"]
         notes().print(f"warning: unit {named(row, 'unit')}: {reason}", soft_wrap=True)
+
+
+def _of_repeats(shares: list[dict[str, Any]], by: str, language: str) -> list[str]:
+    """How many units pass by the first, and by the last, value of each limit, where this is not the same."""
+    found = []
+    for row in shares:
+        first, latest, of = row["first_passed"], row["latest_passed"], row["units"] - row["no_data"]
+        if of and {first, latest} != {row["passed"]}:
+            name, by_first, by_latest = _group_name(row, language), f"{first / of:.1%}", f"{latest / of:.1%}"
+            if language == "zh":
+                found.append(
+                    f"{name}：首次测量合格 {first}/{of}（{by_first}），最近测量合格 {latest}/{of}（{by_latest}）"
+                )
+            else:
+                found.append(
+                    f"{by} {name}: {first} of {of} ({by_first}) pass by their first values, {latest} ({by_latest}) by "
+                    "their latest"
+                )
+    more = len(found) - _SHOWN_PARTLY
+    if more > 0:
+        rest = f"以及另外 {more} 组（--json 给出全部）" if language == "zh" else f"and {more} more (--json gives all)"
+        return [*found[:_SHOWN_PARTLY], rest]
+    return found
 
 
 def _not_all_limits(row: dict[str, Any], by: str, language: str) -> str:

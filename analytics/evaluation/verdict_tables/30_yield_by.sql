@@ -42,7 +42,8 @@ where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
 
 -- How many units are good: of all, and of each product, lot, station, fixture, day, week or month, of those in a group.
 -- Each kind of group judges a unit by what was measured in it. The yield is of the units that are decided or marginal;
--- its 95 % interval is Wilson's. Units without a verdict are NO_DATA wherever they were measured. Units that pass in a
+-- its 95 % interval is Wilson's. `first_passed`, `latest_passed`: units that pass by the first, or the last, value of each
+-- limit there, as before and after a repair. Units without a verdict are NO_DATA wherever they were measured. Units that pass in a
 -- group though a limit of the revision that judged them there was judged elsewhere only are counted, with these metrics.
 create or replace macro internal.yield_in(
   of_product := '', of_lot := '', of_station := '', of_fixture := '', of_day := '', of_week := '', of_month := '',
@@ -68,6 +69,9 @@ with judged as (
 ), each_limit as (                      -- as in unit_verdicts
   select kind, name, unit, specification,
     coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank,
+    coalesce(arg_min(verdict_rank(verdict), (t_ns, verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 3) as first_rank,
+    coalesce(arg_max(verdict_rank(verdict), (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 3)
+      as latest_rank,
     signal, metric, subject, max(revision) as revision
   from placed group by kind, name, unit, signal, metric, subject, standard, specification
 ), limit_of_unit as (                   -- that were judged anywhere
@@ -84,24 +88,27 @@ with judged as (
     on j.kind = b.kind and j.name is not distinct from b.name and j.unit = b.unit and j.specification = b.specification
     and j.metric = l.metric and j.subject = l.subject and j.signal is not distinct from l.signal
 ), each_unit as (
-  select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict
+  select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict,
+    unit_verdict(min(first_rank), count(specification)) as first_verdict,
+    unit_verdict(min(latest_rank), count(specification)) as latest_verdict
   from each_limit group by kind, name, unit
 ), every_unit as (
   from each_unit
-  union select 'all', 'all', unit, 'NO_DATA' from unlimited
-  union select 'product', product, unit, 'NO_DATA' from unlimited
-  union select 'lot', lot, unit, 'NO_DATA' from unlimited
-  union select 'station', station, unit, 'NO_DATA' from unlimited
-  union select 'fixture', fixture, unit, 'NO_DATA' from unlimited
-  union select 'day', day::varchar, unit, 'NO_DATA' from unlimited
-  union select 'week', internal.week_of(day), unit, 'NO_DATA' from unlimited
-  union select 'month', internal.month_of(day), unit, 'NO_DATA' from unlimited
+  union select 'all', 'all', unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'product', product, unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'lot', lot, unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'station', station, unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'fixture', fixture, unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'day', day::varchar, unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'week', internal.week_of(day), unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
+  union select 'month', internal.month_of(day), unit, 'NO_DATA', 'NO_DATA', 'NO_DATA' from unlimited
 ), counted as (
   select kind, name, count(*) as units,
     count(*) filter (verdict = 'PASS') as passed,
     count(*) filter (verdict = 'FAIL') as failed,
     count(*) filter (verdict = 'MARGINAL') as marginal,
-    count(*) filter (verdict = 'NO_DATA') as no_data
+    count(*) filter (verdict = 'NO_DATA') as no_data,
+    count(*) filter (first_verdict = 'PASS') as first_passed, count(*) filter (latest_verdict = 'PASS') as latest_passed
   from every_unit group by kind, name
 ), partly as (
   select u.kind, u.name, count(distinct u.unit) as not_all_limits, list(distinct n.metric order by n.metric) as not_judged
@@ -117,7 +124,7 @@ with judged as (
     1.959963984540054 as z
   from counted
 )
-select s.kind, s.name, units, passed, failed, marginal, no_data, share as yield,
+select s.kind, s.name, units, passed, failed, marginal, no_data, first_passed, latest_passed, share as yield,
   greatest(0, (share + z * z / (2 * n) - z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_lo,
   least(1, (share + z * z / (2 * n) + z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_hi,
   coalesce(p.not_all_limits, 0) as not_all_limits, coalesce(p.not_judged, []) as not_judged,

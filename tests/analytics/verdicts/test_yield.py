@@ -100,6 +100,22 @@ def test_a_unit_is_judged_in_each_station_by_what_was_measured_there(judged: Jud
     assert verdicts_of(catalog).units[0]["verdict"] == "FAIL"
 
 
+def test_a_yield_counts_units_by_their_first_and_by_their_latest_values(judged: Judged) -> None:
+    """U1 fails and is good after a repair; U2 is good and fails a month later; U3 was never measured."""
+    judged.specify(limits(BIAS))
+    good, bad = {"value": 0.0, "lo": -0.1, "hi": 0.1}, {"value": 2.0, "lo": 1.9, "hi": 2.1}
+    runs: list[dict[str, Any]] = [{"unit": "U3", "run": "r1"}]
+    values: list[dict[str, Any]] = []
+    for unit, of_runs in (("U1", (bad, good)), ("U2", (good, bad)), ("U4", (good, good)), ("U5", (bad, good))):
+        for number, value in enumerate(of_runs, 1):
+            runs.append({"unit": unit, "run": f"r{number}", "t_start_ns": JANUARY_NS + 30 * number * DAY_NS})
+            values.append({"unit": unit, "run": f"r{number}", **value})
+    (found,) = yield_by(judged.catalog(runs, values), "all")
+    assert {name: found[name] for name in ("passed", "failed", "no_data", "first_passed", "latest_passed")} == {
+        "passed": 1, "failed": 3, "no_data": 1, "first_passed": 2, "latest_passed": 3,
+    }  # fmt: skip
+
+
 def test_units_that_pass_by_some_of_their_limits_only_are_counted(judged: Judged) -> None:
     """U0 to U3 are measured by both limits at S1, by one at S2; U4 by one alone, which is NO_DATA and no pass."""
     other = 'metric = "bias_stability"\nupper = 1.0\nunit_of_measure = "deg/h"'

@@ -156,6 +156,8 @@ YieldGroup = TypedDict(
         "failed": int,
         "marginal": int,
         "no_data": int,
+        "first_passed": int,
+        "latest_passed": int,
         "yield": float | None,
         "yield_lo": float | None,
         "yield_hi": float | None,
