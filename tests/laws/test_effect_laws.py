@@ -52,7 +52,6 @@ MISSED_BY = MappingProxyType(
         "dead_zone": 0.45,
         "function_of_input_rate": 0.35,
         "function_of_vibration": 0.15,
-        "lock_in": 0.35,
         "rate_clock_rate": 0.25,
         "rate_time_offset": 0.25,
         "saturation": 0.12,
@@ -66,7 +65,7 @@ MISSED_BY = MappingProxyType(
     }
 )
 # a threshold between two that are tried is wrong in all blocks between
-SEEN_BETWEEN = MappingProxyType({"dead_zone": 0.9, "lock_in": 0.9, "temperature_threshold": 0.55})
+SEEN_BETWEEN = MappingProxyType({"dead_zone": 0.9, "temperature_threshold": 0.55})
 
 
 def test_the_library_holds_what_it_should() -> None:

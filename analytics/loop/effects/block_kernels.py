@@ -20,7 +20,6 @@ from stream.quantities import conversion
 Phasor = npt.NDArray[np.complex128]
 
 _LEAST_SPREAD = 1e-12
-_NODES, _AT_ONCE = 201, 10_000
 _SLOPE_HALF_WIDTH_S = 60.0
 
 
@@ -70,31 +69,10 @@ def mean_inside(channel: Channel, half_width: float) -> FloatArray:
     return block_means(channel, inner)
 
 
-def mean_by_quadrature(channel: Channel, of: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Mean of any function of x, which may have kinks; the scatter is cut off at five standard deviations.
-
-    >>> mean_by_quadrature(Channel(np.array([1.0]), np.array([2.0]), "deg/s"), lambda x: x**2).round(3)
-    array([5.])
-    """
-    node = np.linspace(-5.0, 5.0, _NODES)
-    share = _density(node) / _density(node).sum()
-
-    def mean_of(mean: FloatArray, spread: FloatArray) -> FloatArray:
-        found = np.asarray(of(mean))
-        wide = np.flatnonzero(spread > _LEAST_SPREAD)
-        for first in range(0, wide.size, _AT_ONCE):
-            rows = wide[first : first + _AT_ONCE, None]
-            found[rows[:, 0]] = of(mean[rows] + spread[rows] * node) @ share
-        return found
-
-    return block_means(channel, mean_of)
-
-
 def mirrored(channel: Channel) -> Channel:
     """The channel with its sign reversed."""
     inside = None if channel.inside is None else channel.inside.scaled(-1.0)
-    slope = None if channel.slope_per_s is None else -channel.slope_per_s
-    return Channel(-channel.mean, channel.spread, channel.unit_of_measure, inside=inside, slope_per_s=slope)
+    return Channel(-channel.mean, channel.spread, channel.unit_of_measure, inside=inside)
 
 
 def block_means(channel: Channel, of: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:

@@ -6,13 +6,12 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, positive
-from analytics.loop.effects.block_kernels import mean_by_quadrature, mean_excess, mean_inside, mean_magnitude, mirrored
+from analytics.loop.effects.block_kernels import mean_excess, mean_inside, mean_magnitude, mirrored
 from analytics.loop.effects.monomial import Monomial
 from stream.batch import FloatArray
 
 _HALF_WIDTHS = (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032)
 _WIDE_HALF_WIDTHS = (0.045, 0.064, 0.09, 0.13, 0.18, 0.25, 0.32)  # where every rate is beyond the others
-_THRESHOLDS = (0.001, 0.0016, 0.0025, 0.004, 0.0063, 0.01, 0.016, 0.025, 0.04, 0.063, 0.1, 0.16, 0.25)
 _LIMITS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 
 EFFECTS = (
@@ -126,7 +125,7 @@ class DeadZone(Effect):
     )
     cause_zh = "角速率很小时，背向散射使两束光锁定，或电串扰使环路锁定。低于该阈值时输出为零或偏小，超过后误差消失。"
     reference = "IEEE 647-2006, lock-in; IEEE 952-2020, dead band; GJB 2426A-2004, threshold; JJF 2014-2022, threshold"
-    aliases = ("scale_factor_cubic", "lock_in")
+    aliases = ("scale_factor_cubic",)
     separating_test = "fine steps of rate about zero in both directions, below and above the threshold"
     separating_test_zh = "在零速率附近正反向细分角速率，覆盖阈值上下"
 
@@ -146,49 +145,6 @@ class DeadZone(Effect):
         rate = channels["input_rate"]
         seen = np.where(np.abs(rate) >= positive(shape, "half_width"), rate, 0.0)
         return coefficients[0] * (rate - seen)
-
-
-class LockIn(Effect):
-    """Output of sign(r)*sqrt(r**2 - threshold**2), and 0 below the threshold: error relative to the input rate r."""
-
-    name, en, zh = "lock_in", "lock-in about zero rate", "零速率闭锁"
-    needs = ("input_rate",)
-    parameters = (
-        ShapeParameter("threshold", "{input_rate}", _THRESHOLDS, "rate below which it is locked", "闭锁阈值"),
-    )
-    per = "{input_rate}"
-    cause = (
-        "Backscatter in a ring laser, or a mismatch of the modes of a vibratory gyro in whole-angle operation, couples "
-        "the two waves. Below the threshold they lock and the output is zero; above it the output is the root of the "
-        "difference of the squares, so that the error falls off as the inverse of the rate."
-    )
-    cause_zh = (
-        "环形激光器的背向散射，或全角模式振动陀螺的模态失配，使两列波耦合。低于阈值时两波锁定，输出为零；高于阈值时输出为平方差的根，"
-        "误差随角速率反比减小。"
-    )
-    reference = (
-        "IEEE 647-2006, lock-in rate; Aronowitz, The Laser Gyro, 1971; Chow et al. 1985, DOI 10.1103/RevModPhys.57.61"
-    )
-    aliases = ("dead_zone",)
-    separating_test = "fine steps of rate in both directions from zero to ten times the threshold"
-    separating_test_zh = "正反向从零到阈值十倍细分角速率"
-
-    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
-        threshold = positive(shape, "threshold")
-        return mean_by_quadrature(run.channels["input_rate"], lambda rate: _locked(rate, threshold))[:, None]
-
-    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
-        rate, threshold = channels["input_rate"], positive(shape, "threshold")
-        seen = np.sign(rate) * np.sqrt(np.maximum(rate**2 - threshold**2, 0.0))
-        return np.asarray(coefficients[0] * (rate - seen))
-
-
-def _locked(rate: FloatArray, threshold: float) -> FloatArray:
-    """What a gyro with lock-in leaves of the rate."""
-    size = np.abs(rate)
-    beyond = size + np.sqrt(np.maximum(size**2 - threshold**2, 0.0))
-    # r - sqrt(r**2 - t**2) without the difference of nearly equal numbers
-    return np.asarray(np.where(size < threshold, rate, np.sign(rate) * threshold**2 / np.maximum(beyond, threshold)))
 
 
 class Saturation(Effect):

@@ -63,19 +63,6 @@ def test_a_dead_zone_wider_than_usual_is_named(half_width: float) -> None:
     assert coefficient.lo <= -3600.0 <= coefficient.hi
 
 
-@pytest.mark.parametrize("threshold", [0.02, 0.1])
-def test_a_gyro_that_locks_in_is_one_effect_with_its_threshold(threshold: float) -> None:
-    """It was a dead zone and a function of unknown form, both "confirmed"."""
-    levels = symmetric(0.01, 0.03, 0.05, 0.08, 0.12, 0.15, 0.2, 0.5, 1.0, 5.0)
-    rate = np.array(levels)
-    output = np.sign(rate) * np.sqrt(np.maximum(rate**2 - threshold**2, 0.0))
-    found = diagnose([ladder(number, levels, 3600.0 * (output - rate)) for number in range(4)], MODEL)
-    assert found.names == ("lock_in",)
-    (effect_found,) = found.effects
-    assert effect_found.parameters["threshold"] == pytest.approx(threshold, rel=0.02)
-    assert effect_found.coefficients[0].value == pytest.approx(-3600.0, rel=0.04)
-
-
 def test_a_table_rate_that_leaks_into_another_axis_is_no_copy() -> None:
     levels = symmetric(1.0, 5.0, 10.0)
     runs = []
