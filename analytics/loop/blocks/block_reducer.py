@@ -299,6 +299,10 @@ class BlockReducer:
         held_s = [self._joiner.held_s(source, t0_ns) for source, t0_ns in lossy if source is not None]
         rows = {run.name: run.is_unresolved for run in runs}
         notes += notes_on.not_resolved(rows, interval_s, self.block_s, float(np.median(held_s)) if held_s else 0.0)
+        swinging = [run for run in runs if run.reference is not None and run.is_swinging]
+        if swinging:
+            signal_s = float(np.median(np.concatenate([run.found.interval_s for run in swinging])))
+            notes += notes_on.two_rates(interval_s, signal_s)
         return notes
 
     def _parts(self, unit: str, runs: Sequence[UnitRun]) -> list[list[RunBlocks]]:

@@ -9,6 +9,8 @@ from stream.batch import BoolArray
 from stream.defects.outliers import IsolatedOutliers
 
 _BLOCKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+_OTHER_RATE = 1.5
+_LEFT_OF_DELAY = 1e-3  # of an interval; 0.0003 to 0.002 was measured on swings of 0.05 to 0.2 Hz
 _BLOCKS_A_RATE, _FEWEST_A_RATE = 8, 4  # that fit into a rate that is held, one at each end being lost
 LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 
@@ -125,6 +127,21 @@ def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: floa
         f"基准角速率变化快于其读数所示；{advice.zh}",
     )
     return _blocks_left_out("unresolved", rows, why, "input_rate")
+
+
+def two_rates(reference_s: float, signal_s: float) -> list[Note]:
+    """Note a swinging reference that is read at another rate than the signal."""
+    if max(reference_s, signal_s) < _OTHER_RATE * min(reference_s, signal_s):
+        return []
+    least = f"{_LEFT_OF_DELAY * max(reference_s, signal_s):.1g} s"
+    text = Bilingual(
+        f"the reference rate swings, and is read every {reference_s:.3g} s, the signal every {signal_s:.3g} s: a time "
+        f"offset or an effect of angular acceleration that is a delay of less than {least} may be what is left of the "
+        "distance of their times",
+        f"基准角速率持续摆动，其读数间隔为{reference_s:.3g} s，信号为{signal_s:.3g} s："
+        f"相当于{least}以下延时的时间偏移或角加速度效应，可能只是两者时刻之差的残余",
+    )
+    return [Note("two_rates", text, "input_rate", is_limit=True)]
 
 
 def _blocks_left_out(

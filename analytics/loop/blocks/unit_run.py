@@ -21,6 +21,8 @@ from storage.sql.reading import SignalRecord
 from stream.batch import BoolArray
 from stream.quantities import conversion
 
+_SWINGS = 0.02  # of the range of the means: the scatter within a block
+
 
 @dataclass
 class UnitRun:
@@ -42,6 +44,15 @@ class UnitRun:
     def is_lost(self) -> BoolArray:
         """Blocks to leave out for any reason."""
         return np.asarray(self.is_far | self.is_partial | self.is_unresolved)
+
+    @property
+    def is_swinging(self) -> bool:
+        """Whether the reference rate moves within most blocks."""
+        rate = self.blocks.channels.get("input_rate")
+        if rate is None or not (mean := rate.mean[np.isfinite(rate.mean)]).size:
+            return False
+        least = AT_REST_DEG_PER_S / conversion(rate.unit_of_measure, "deg/s")[0]
+        return bool(np.median(rate.spread) > max(_SWINGS * np.ptp(mean), least))
 
     @property
     def reference(self) -> ChannelSource | None:

@@ -214,7 +214,12 @@ def test_means_of_two_sample_rates_are_of_one_time(tested: TestedUnits, frequenc
     """The samples of a second at 10 Hz are 0.045 s earlier than those at 100 Hz: 5,000 deg/h on this table."""
     swinging(tested, frequency_hz, runs=1)
     with tested.catalog() as catalog:
-        (run,) = BlockReducer(catalog, "rate", block_s=2.0).reduce("U1").runs
+        reduction = BlockReducer(catalog, "rate", block_s=2.0).reduce("U1")
+    (run,) = reduction.runs
+    (note,) = [each for each in reduction.notes if each.what == "two_rates"]
+    assert note.text in reduction.limits
+    assert "every 0.1 s, the signal every 0.01 s" in note.text
+    assert "less than 0.0001 s" in note.text
     at_gyro = 40.0 * np.sin(2 * np.pi * frequency_hz * 0.01 * np.arange(60_000)).reshape(-1, 200).mean(axis=1)
     off = run.mean("input_rate") - at_gyro
     assert int(np.isnan(off).sum()) == lost, "how fast swings go on beyond the record is not known"
