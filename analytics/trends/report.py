@@ -242,7 +242,7 @@ def _of_groups(trend: Trend) -> Iterator[Words]:
             continue
         if each.confounded:
             reported.add(each.group)
-        yield _difference(each, trend.comparison, trend.series.unit_of_measure)
+        yield _difference(each, trend.comparison, trend.series.unit_of_measure, _since(each, trend))
 
 
 def _of_scatters(trend: Trend) -> Iterator[Words]:
@@ -261,7 +261,14 @@ def _of_scatters(trend: Trend) -> Iterator[Words]:
             )  # fmt: skip
 
 
-def _difference(found: Difference, comparison: GroupComparison, unit: str) -> Words:
+def _since(found: Difference, trend: Trend) -> Words:
+    """From when on a difference of stations is, where one of them has a change of level."""
+    changed = list(dict.fromkeys(each.station for each in trend.found.shifts if each.station))
+    changed = [each for each in changed if not found.against or each in {found.level, found.against}]
+    return words("since_change", station=listed(changed)) if changed and found.group == "station" else NOTHING
+
+
+def _difference(found: Difference, comparison: GroupComparison, unit: str, since: Words) -> Words:
     effect = found.effect
     higher = effect.value > 0
     lo, hi = (effect.lo, effect.hi) if higher else (-effect.hi, -effect.lo)
@@ -270,7 +277,7 @@ def _difference(found: Difference, comparison: GroupComparison, unit: str) -> Wo
     return words(
         "difference", group=Words(_capitalised(group.en), group.zh), level=found.level,
         size=interval(abs(effect.value), lo, hi, unit), way=words("higher" if higher else "lower"), against=against,
-        why=_attribution(found, comparison, unit),
+        since=since, why=_attribution(found, comparison, unit),
     )  # fmt: skip
 
 

@@ -302,7 +302,7 @@ class BlockReducer:
         swinging = [run for run in runs if run.reference is not None and run.is_swinging]
         if swinging:
             signal_s = float(np.median(np.concatenate([run.found.interval_s for run in swinging])))
-            notes += notes_on.two_rates(interval_s, signal_s)
+            notes += notes_on.two_rates(interval_s, signal_s, self.block_s)
         return notes
 
     def _parts(self, unit: str, runs: Sequence[UnitRun]) -> list[list[RunBlocks]]:

@@ -10,7 +10,8 @@ from stream.defects.outliers import IsolatedOutliers
 
 _BLOCKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 _OTHER_RATE = 1.5
-_LEFT_OF_DELAY = 1e-3  # of an interval; 0.0003 to 0.002 was measured on swings of 0.05 to 0.2 Hz
+_LEFT_OF_DELAY = 0.01  # of an interval; 0.0001 to 0.004 was measured on swings of 0.05 to 0.2 Hz
+_FEW_READINGS = 5.0  # of the reference in a block: with fewer the size of an offset was up to a sixth wrong
 _BLOCKS_A_RATE, _FEWEST_A_RATE = 8, 4  # that fit into a rate that is held, one at each end being lost
 LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 
@@ -129,7 +130,7 @@ def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: floa
     return _blocks_left_out("unresolved", rows, why, "input_rate")
 
 
-def two_rates(reference_s: float, signal_s: float) -> list[Note]:
+def two_rates(reference_s: float, signal_s: float, block_s: float) -> list[Note]:
     """Note a swinging reference that is read at another rate than the signal."""
     if max(reference_s, signal_s) < _OTHER_RATE * min(reference_s, signal_s):
         return []
@@ -141,6 +142,12 @@ def two_rates(reference_s: float, signal_s: float) -> list[Note]:
         f"基准角速率持续摆动，其读数间隔为{reference_s:.3g} s，信号为{signal_s:.3g} s："
         f"相当于{least}以下延时的时间偏移或角加速度效应，可能只是两者时刻之差的残余",
     )
+    if reference_s * _FEW_READINGS > block_s * (1.0 + 1e-9):
+        few, longer = f"{block_s / reference_s:.2g}", f"--block {_FEW_READINGS * reference_s:g}s"
+        text = Bilingual(
+            f"{text}; with {few} readings in a block the size of one is up to a sixth wrong: {longer}",
+            f"{text.zh}；每个数据块仅有{few}个基准读数，其大小误差可达六分之一：用{longer}",
+        )
     return [Note("two_rates", text, "input_rate", is_limit=True)]
 
 

@@ -77,13 +77,13 @@ def _certain(shifts: tuple[LevelShift, ...]) -> tuple[LevelShift, ...]:
 
 
 def _step_columns(series: MetricSeries, shifts: tuple[LevelShift, ...]) -> FloatArray:
-    """Steps, a column each; of one station less its mean there: differences of stations are those of all the time."""
+    """Steps, a column each, 0 after the step of one station: differences of stations are those since then."""
     station, at = np.array(series.groups["station"]), np.arange(series.value.size)
     columns = np.zeros((series.value.size, len(shifts)))
     for column, shift in zip(columns.T, shifts, strict=True):
         is_there = (station == shift.station) | (shift.station == "")
         column[:] = is_there * (at >= shift.at)
-        column[is_there] -= column[is_there].mean()
+        column[is_there] -= 1.0 if shift.station else column[is_there].mean()
     return columns
 
 

@@ -121,3 +121,22 @@ def test_difference_of_stations_is_as_narrow_as_the_measurements_allow() -> None
     assert station.effect.lo < OFFSET < station.effect.hi
     # two standard errors on either side of a difference of two halves of 260 values
     assert station.effect.hi - station.effect.lo < 1.3 * 4 * NOISE * 2 / np.sqrt(260)
+
+
+def test_a_difference_of_stations_is_that_since_one_of_them_changed() -> None:
+    """About the mean of the station that steps both cancel: no difference had been stated."""
+    rng = np.random.default_rng(20261131)
+    unit, week = np.tile(np.arange(16), WEEKS), np.repeat(np.arange(WEEKS), 16)
+    station = (unit + week) % 2
+    value = 1.0 + rng.normal(0, 0.1, 16)[unit] + rng.normal(0, NOISE, unit.size)
+    value += 0.15 * (station == 1) + 0.30 * ((station == 0) & (week >= 6))
+    series = series_of(value, unit, station=station)
+    series = replace(series, t_ns=series.t_ns[0] + 7 * week * NS_PER_DAY, run=[f"r{each}" for each in week])
+    trend = trend_of(series, by="station")
+    assert not isinstance(trend.comparison, NotComputed)
+    (found,) = [each for each in trend.comparison.differences if each.group == "station"]
+    truth = 0.15 if found.effect.value > 0 else -0.15  # 0.15 - 0.30 of the other
+    assert found.effect.lo < truth < found.effect.hi
+    assert found.effect.hi - found.effect.lo < 0.05
+    (sentence,) = [each for each in sentences(trend) if "since the level of " in each.en]
+    assert "水平变化以后" in sentence.zh

@@ -8,6 +8,7 @@ from operator import methodcaller
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
+from analytics.loop.effects import registry
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_text import BIAS
 from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES, Case
@@ -62,9 +63,24 @@ def caveats(
         found.append(_NO_NOISE)
     if is_excess:
         found.append(_EXCESS)
+    found += _shape_caveats(effects)
     block_s = case.training.noise_model.block_s
     events = _event_caveats([each.name for each in effects], block_s)
     return (*found, *holdout_caveats(holdout, effects), *events, *_coincidences(case, effects))
+
+
+def _shape_caveats(effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
+    """Effects whose coefficients depend on a parameter that is searched over a grid."""
+    every = [(found, registry.effect(found.name).parameters) for found in effects if found.name not in {JUMP, LINE}]
+    shaped = [(found, parameters) for found, parameters in every if parameters]
+    if not shaped:
+        return
+    names = ", ".join(f"{found.name} ({', '.join(each.en for each in parameters)})" for found, parameters in shaped)
+    names_zh = "、".join(f"{found.name}（{'、'.join(each.zh for each in parameters)}）" for found, parameters in shaped)
+    yield Bilingual(
+        f"bounds of coefficients hold for the parameters as given, whose own uncertainty is not in them: {names}",
+        f"系数的区间以所给参数为前提，不含参数本身的不确定度：{names_zh}",
+    )
 
 
 def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
