@@ -71,10 +71,11 @@ class RateChanges:
         if batch.times_ns is not None or n < 8 * _WINDOW:
             self.follow(batch.time_array)
             return
-        ends = np.arange(4 * _WINDOW)
-        self.follow(batch.t0_ns + dt_ns * ends)
-        self._tail = batch.t0_ns + dt_ns * (ends[-_WINDOW - 1 :] + n - len(ends))
-        self._pending = self._pending[:0]
+        first = 4 * _WINDOW
+        self.follow(batch.t0_ns + dt_ns * np.arange(first))
+        waiting = (len(self._pending) + n - first) % _WINDOW  # the windows are those without the short cut
+        last = batch.t0_ns + dt_ns * np.arange(n - _WINDOW - 1 - waiting, n)
+        self._tail, self._pending = last[: _WINDOW + 1], last[_WINDOW + 1 :]
 
     def _judge(self, times_ns: IntArray, intervals_ns: IntArray) -> None:
         level_ns = self._level_ns

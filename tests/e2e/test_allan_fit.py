@@ -12,7 +12,7 @@ COEFFICIENTS = ["quantization_noise", "angle_random_walk", "bias_instability", "
 CURVE = [
     "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
     "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible", "longest_still",
-    "left_out_tau_s", "longest_tau_s",
+    "left_out_tau_s", "longest_tau_s", "rate_changes",
 ]  # fmt: skip
 WALK, INTERVAL_S = 0.02, 0.005
 

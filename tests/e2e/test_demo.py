@@ -186,7 +186,7 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
     assert list(coarse) == [
         "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
         "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible", "longest_still",
-        "left_out_tau_s", "longest_tau_s",
+        "left_out_tau_s", "longest_tau_s", "rate_changes",
     ]  # fmt: skip
 
 
