@@ -3,7 +3,8 @@
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from storage.log.follower import ContinuedBatch
 from stream.batch import FloatArray, IntArray
 from stream.events import EstimatePublished
 from stream.wire.batches import RawBatch
+from stream.wire.count_residuals import join_batches
 from stream.worker.limit_checks import ALLAN_DEVIATION
 
 SignalName = tuple[str, str, str]
@@ -108,23 +110,41 @@ class LiveTail:
         self, name: SignalName, in_lake: Collection[str], first_ns: int | None = None, stop_ns: int | None = None
     ) -> LiveSamples | None:
         """Samples of a stretch that segments in the lake do not have; None if it has no message of the signal."""
-        with self._lock:
-            found = [raw for segment, raw in self._batches.get(name, ()) if segment not in in_lake]
+        # a copy at once, without the lock, which who follows the log takes for each message
+        found = [raw for segment, raw in list(self._batches.get(name, ())) if segment not in in_lake]
         if not found:
             return None
         head = found[-1].like.message
         inside = [
-            raw.decoded()
+            raw
             for raw in found
             if (first_ns is None or raw.last_ns >= first_ns) and (stop_ns is None or raw.t0_ns < stop_ns)
         ]
+        parts = [_samples_of(list(own)) for _, own in groupby(inside, lambda raw: id(raw.like))]
         empty = np.empty(0)
-        t_ns = np.concatenate([empty.astype(np.int64), *(batch.time_array for batch in inside)])
-        values = np.concatenate([empty, *(batch.value_array for batch in inside)])
+        t_ns = np.concatenate([empty.astype(np.int64), *(times_ns for times_ns, _ in parts)])
+        values = np.concatenate([empty, *(part for _, part in parts)])
         is_asked = np.isfinite(values)
         if first_ns is not None:
             is_asked &= t_ns >= first_ns
         if stop_ns is not None:
             is_asked &= t_ns < stop_ns
-        irregular = found[-1].decoded().irregular
+        irregular = head.irregular
         return LiveSamples(head.unit_of_measure, head.dt_ns / 1e9, irregular, t_ns[is_asked], values[is_asked])
+
+
+def _samples_of(batches: Sequence[RawBatch | ContinuedBatch]) -> tuple[IntArray, FloatArray]:
+    """Times and values of a batch that was read and those that continue it, which are read together."""
+    alone = [batch.decoded() for batch in batches if isinstance(batch, RawBatch)]
+    times_ns, values = [each.time_array for each in alone], [each.value_array for each in alone]
+    if continued := [batch for batch in batches if isinstance(batch, ContinuedBatch)]:
+        head, data = continued[0].like.message, [each.payload[each.begin : each.end] for each in continued]
+        n = continued[0].place.next_seq - continued[0].place.seq  # of each, as their form is one
+        t0_ns = np.array([each.t0_ns for each in continued])
+        times_ns.append((t0_ns[:, None] + head.dt_ns * np.arange(n)).reshape(-1))
+        if head.values:
+            values.append(np.frombuffer(b"".join(data), "<f8"))
+        else:
+            counts = join_batches(data, np.full(len(data), n))
+            values.append(np.multiply(counts, head.scale, dtype=np.float64) + head.offset)
+    return np.concatenate(times_ns), np.concatenate(values)
