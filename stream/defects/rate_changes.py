@@ -39,9 +39,9 @@ class RateChange:
 class RateChanges:
     """Finds where the sample rate of one signal changes, from its times in pieces of any size.
 
-    A rate is that of at least 32 successive intervals of which nine in ten are within a quarter of their median; it
-    changes where a later one differs by more than a tenth. Gaps, single losses and times without an even interval are
-    none. `found` has the first 1000.
+    A rate is that of a window of 32 intervals of which nine in ten are within a quarter of their median: one that lasts
+    63 is always seen. It changes where a later one differs by more than a tenth. Gaps, single losses and times without
+    an even interval are none. `found` has the first 1000.
 
     >>> changes = RateChanges()
     >>> changes.follow(np.concatenate([np.arange(500) * 10**7, 5 * 10**9 + np.arange(70) * 10**8]))
