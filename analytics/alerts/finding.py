@@ -48,6 +48,7 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         """What is found now."""
         raise NotImplementedError
 
-    def ending(self, key: str, raised_ns: int, view: AlertView) -> Bilingual | None:  # noqa: ARG002
+    def ending(self, key: str, raised_ns: int, view: AlertView) -> Bilingual | None:
         """How something ended that is no longer found, raised at a time by the computer's clock; None if it passed."""
+        del key, raised_ns, view
         return None

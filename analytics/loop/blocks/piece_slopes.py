@@ -56,14 +56,15 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     is_open = np.zeros(size, np.bool_)
     known = mean[np.isfinite(mean)]
     moves = known.size > 0 and not is_noise(np.zeros(known.size, np.int64), known, np.array([known.size]))
+    bend = np.abs(np.diff(mean, 2))
     for pieces in _STENCILS if moves else ():
         if size < pieces:
             break
         about = np.lib.stride_tricks.sliding_window_view(mean, pieces)
-        bends = np.abs(np.diff(about, 2))
+        bends, squares = (np.lib.stride_tricks.sliding_window_view(each, pieces - 2) for each in (bend, bend**2))
         smooth = np.lib.stride_tricks.sliding_window_view(joined, pieces - 1).all(axis=1)
         smooth &= (bends.max(axis=1) <= _KINK * bends.sum(axis=1)) & (np.ptp(about, axis=1) > WIDE * np.ptp(known))
-        swings = np.mean(bends**2, axis=1) > _FAST * np.var(about, axis=1)
+        swings = squares.mean(axis=1) > _FAST * np.var(about, axis=1)
         for at, (weight, of_slope) in enumerate(zip(*_at_edges(pieces), strict=True)):
             of = np.flatnonzero(smooth)
             if at != pieces // 2:  # beside a gap or an end, where no other pieces are

@@ -71,5 +71,5 @@ def test_a_second_station_takes_no_spread_of_a_lot_away() -> None:
     (wide,) = [each for each in of_lots if each.level == "L1"]
     assert wide.chance <= 0.01
     assert wide.lo < 5.0 < wide.hi
-    # each unit only once at each station: their repeatability is not compared, and this is said
+    # each unit only once at each station: the repeatability is not compared, and the report says so
     assert any("measurements of one unit by station" in each.en for each in twice.left_out)
