@@ -187,12 +187,16 @@ def _sorted_samples(lake: "Lake", group: list[Part], stack: ExitStack) -> Iterat
     """Samples by channel and number, in tables of a row group at most."""
     shared: dict[pq.ParquetFile, tuple[int, pa.Table]] = {}  # the last of each file
 
+    def read(file: "pq.ParquetFile", number: int) -> pa.Table:
+        # files differ in which columns they say are never null
+        return file.read_row_group(number, use_threads=False).cast(TABLES["samples"])
+
     def rows_of(stretch: _Stretch) -> pa.Table:
         file, number = stretch.file, stretch.row_group
         if not stretch.is_shared:
-            return file.read_row_group(number, use_threads=False)
+            return read(file, number)
         if file not in shared or shared[file][0] != number:
-            shared[file] = number, file.read_row_group(number, use_threads=False)
+            shared[file] = number, read(file, number)
         return shared[file][1].slice(stretch.first_row, stretch.rows)
 
     try:

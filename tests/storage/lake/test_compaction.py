@@ -9,14 +9,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from storage.check.verify_lake import lake_problems
-from storage.lake import compaction
+from storage.lake import compaction, tables
 from storage.lake.builder import builder_lock
 from storage.lake.compaction import compact, due
 from storage.lake.lake import Lake
 from storage.lake.rebuild import rebuild
+from storage.lake.tables import SAMPLES_FILE
 from storage.manifests.lake import Manifest, left_aside, read_manifest
 from storage.manifests.part import Part, PartFile
 from storage.sql.catalog import Catalog
@@ -74,6 +76,27 @@ def test_a_finished_day_becomes_one_part_with_the_same_rows(documented: Filler, 
     assert not (store.lake / "00000001").exists()
     export(store, tmp_path / "purged")
     assert_same(tmp_path / "before", tmp_path / "purged")
+
+
+def test_parts_of_an_earlier_version_whose_columns_may_be_null_are_joined_with_newer_ones(
+    days: Filler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = Lake(days.store).missing()
+    with monkeypatch.context() as earlier, builder_lock(days.store):
+        earlier.setattr(tables, "_REQUIRED", {})
+        list(Lake(days.store).bring(missing[: len(missing) // 2], {}))
+    days.build()
+    nullable = [
+        pq.read_schema(days.store.lake / part.name / SAMPLES_FILE).field("seq").nullable
+        for part in read_manifest(days.store).parts
+    ]
+    assert set(nullable) == {True, False}
+    export(days.store, tmp_path / "before")
+    with builder_lock(days.store):
+        assert len(list(compact(Lake(days.store), now_ns=LATER_NS))) == 3
+    export(days.store, tmp_path / "after")
+    assert_same(tmp_path / "before", tmp_path / "after")
+    assert list(lake_problems(days.store)) == []
 
 
 def test_rollups_are_those_of_the_samples(days: Filler) -> None:
