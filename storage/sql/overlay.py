@@ -30,14 +30,15 @@ create view internal.lake_channels_kept as
   union all by name from internal.live_channels;
 create view internal.lake_channels_dropped as
   from {lake}.lake_channels_dropped where run in (from internal.live_runs);
-create view internal.lake_events as
+create table internal.lake_events as
   from (from {lake}.lake_events where run in (from internal.live_runs) and kind in {kinds})
   union all by name from internal.live_events where kind in {kinds};
 """
 _WHOLE = """
 insert into internal.lake_channels
   from {lake}.lake_channels where run not in (from internal.live_runs);
-create or replace view internal.lake_events as
+drop table internal.lake_events;
+create view internal.lake_events as
   from {lake}.lake_events union all by name from internal.live_events;
 """
 _KEPT = """
