@@ -1,9 +1,12 @@
 """What a source sends is in the log and the lake, each sample once, whatever the bus does on the way."""
 
 import random
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from uuid import UUID
 
+import numpy as np
 import pytest
 
 from storage.log.event_log import EventLog
@@ -15,7 +18,7 @@ from storage.store import Store, WriterLock
 from stream.delivery.publisher import DurablePublisher
 from stream.errors import DeliveryError, StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted
-from stream.identity import event_key
+from stream.identity import event_key, sample_key
 from stream.transport.bus import LocalBus
 from stream.wire.batches import decode_batch, encode_batch
 from tests.storage.recorder_samples import KEY, PLACE, batch, lake_values
@@ -132,6 +135,30 @@ def test_segments_rotate_and_carry_everything_once(tmp_path: Path) -> None:
     assert {record.schema for record in records} == {SAMPLES, PREVIEW}
     assert max(int(read_marks(segment)[f"{KEY} {UUID(int=1).hex}"]) for segment in segments) == 30_000
     assert lake_values(store) == list(range(30_000))
+
+
+def test_previews_of_signals_that_begin_together_come_in_turn(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    bus = LocalBus()
+    signals = [f"s{i}" for i in range(30)]
+    with Recorder(store, bus, EventLog(store)) as recorder, DurablePublisher(bus) as publisher:
+        for i in range(90):  # of a second each
+            for signal in signals:
+                part = replace(batch(i, signal=signal), t0_ns=i * 10**9)
+                publisher.send_batch(sample_key(PLACE, "U1", signal), part)
+            publisher.drain()
+    assert recorder.counts.rejected == 0
+    seconds: dict[str, list[int]] = {}
+    for segment in store.log.glob("*.mcap"):
+        for record in read_segment(segment):
+            if record.schema == PREVIEW:
+                seconds.setdefault(record.topic, []).append(record.publish_ns // 10**9)
+    assert len(seconds) == len(signals)
+    for each in seconds.values():
+        assert each[0] == 0  # the first at once
+        assert max(np.diff([*each, 90])) <= 30
+    # 30 signals in one of 30 s by chance: less than 1e-10 that more than 15 meet in one
+    assert max(Counter(second for each in seconds.values() for second in each[1:]).values()) <= 15
 
 
 def test_a_restarted_recorder_knows_how_far_each_stream_is(tmp_path: Path) -> None:
