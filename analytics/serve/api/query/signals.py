@@ -162,7 +162,10 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     of = {name: path[name] for name in ("unit", "signal", "run")}
     name = (of["unit"], of["run"], of["signal"])
     live = call.service.live.tail.samples(name, call.state.segments)
-    found = dictionaries(views, _ABOUT, of)
+    # of one version of the lake: whoever zooms asks again and again
+    found, parts = call.service.of_units.result(
+        ("signal", *name, call.state.tag), lambda: (dictionaries(views, _ABOUT, of), dictionaries(views, _PARTS, of))
+    )
     if not found and live is None:
         find_signal(views, of["unit"], of["signal"], of["run"])  # NotFound lists what there is
     about = _about(found, live)
@@ -174,7 +177,7 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
         begin, end = asked.from_ or f"the first sample, {iso(first_ns)}", asked.to or f"the last, {iso(stop_ns - 1)}"
         raise BadInput(f"the stretch ends ({end}) before it begins ({begin})")
     interval_s = float(about["sample_interval_s"])
-    stretch = _Stretch(first_ns, stop_ns, asked.points, dictionaries(views, _PARTS, of), live)
+    stretch = _Stretch(first_ns, stop_ns, asked.points, parts, live)
     source, bucket_ns, buckets, note = _buckets(views.source, stretch)
     t_ns = buckets.slot.tolist()
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
@@ -207,7 +210,10 @@ def _about(found: list[dict[str, Any]], live: LiveSamples | None) -> dict[str, A
     }  # fmt: skip
     if live.t_ns.size:
         first_ns, last_ns = int(live.t_ns.min()), int(live.t_ns.max())
-        about |= {"t_first_ns": min(about["t_first_ns"], first_ns), "t_last_ns": max(about["t_last_ns"], last_ns)}
+        about = about | {
+            "t_first_ns": min(about["t_first_ns"], first_ns),
+            "t_last_ns": max(about["t_last_ns"], last_ns),
+        }
     return about
 
 
