@@ -1,7 +1,7 @@
 """Estimates of plain arrays, without a store: Allan deviation and noise coefficients."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import UUID
@@ -13,9 +13,10 @@ import numpy.typing as npt
 from analytics.curves.allan_curve import AllanCurve, curve_of_points
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
+from stream.defects.outliers import count_outliers
 from stream.defects.stillness import Stillness
 from stream.errors import BadInput, EstimatorError, NotEnoughData
-from stream.estimators.base import NoEstimate
+from stream.estimators.base import NoEstimate, held_share
 from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
@@ -58,7 +59,7 @@ class DeviationCurve:
 
     @property
     def remark(self) -> str:
-        """What a reader must know of the record, as that its output was frozen; empty for nothing."""
+        """What a reader must know of the record: a frozen output, outliers, missing samples; empty for nothing."""
         return "" if self.curve.remark is None else self.curve.remark[0]
 
     def polars(self) -> "pl.DataFrame":
@@ -125,8 +126,8 @@ def allan_deviation(
         raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}") from None
     with FullOverlap() as record:
         still = Stillness()
-        for begin in range(0, row.size, _PIECE_SAMPLES):
-            piece = row[begin : begin + _PIECE_SAMPLES]
+        pieces = [row[begin : begin + _PIECE_SAMPLES] for begin in range(0, row.size, _PIECE_SAMPLES)]
+        for begin, piece in zip(range(0, row.size, _PIECE_SAMPLES), pieces, strict=True):
             still.follow(piece)
             record.update(
                 SampleBatch("array", "values", "r1", UUID(int=0), begin, begin * interval_ns, interval_ns,
@@ -140,7 +141,8 @@ def allan_deviation(
             raise NotEnoughData(points.reason.removeprefix("unit array, signal values: "))
         exact = 1e9 / (rate_hz * interval_ns)  # intervals count in whole nanoseconds
         points = tuple(msgspec.structs.replace(each, tau_s=each.tau_s * exact) for each in points)
-        return deviation_curve(curve_of_points(("array", "values", ""), record, points, kind, "full", still))
+        curve = curve_of_points(("array", "values", ""), record, points, kind, "full", still)
+        return deviation_curve(replace(curve, outliers=count_outliers(pieces)))
 
 
 def noise_fit(curve: DeviationCurve) -> NoiseFit:
@@ -179,7 +181,7 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
         EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=edf, n=int(n), plausible=plausible)
         for (tau_s, value, lo, hi, edf, n), plausible in zip(columns, noises, strict=True)
     ]
-    found = fit_noise(points)
+    found = fit_noise(points, held=held_share(curve.curve.samples, curve.curve.missing))
     if isinstance(found, NoEstimate):
         raise NotEnoughData(found.reason)
     terms = {name: getattr(found, name) for name in found.__struct_fields__}

@@ -3,6 +3,7 @@
 import operator
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import datetime
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
@@ -141,13 +142,16 @@ class FleetStore:
         NotFound: If the store does not hold the signal, or holds too little of it.
         """
         from analytics.curves.allan_curve import allan_curve
+        from analytics.curves.isolated_outliers import isolated_outliers
+        from storage.sql.reading import find_signal
 
         if deviation not in set(Deviation):
             raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}")
         curve = allan_curve(
             self._catalog, unit, signal, run, points_per_octave=points_per_octave, deviation=Deviation(deviation)
         )
-        return deviation_curve(curve)
+        outliers = isolated_outliers(self._catalog, find_signal(self._catalog, unit, signal, curve.run))
+        return deviation_curve(replace(curve, outliers=outliers))
 
     def metrics(
         self,

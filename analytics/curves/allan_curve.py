@@ -8,11 +8,12 @@ from typing import Any, Literal, NamedTuple
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
+from stream.defects.outliers import IsolatedOutliers
 from stream.defects.rate_changes import RateChange, RateChanges, remark_on_rate_changes
 from stream.defects.stillness import Stillness, remark_on_stillness
 from stream.errors import BadInput, NotEnoughData, NotFound
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import NoEstimate
+from stream.estimators.base import NoEstimate, held_share
 from stream.estimators.block_means import BlockMeans
 from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
@@ -24,6 +25,7 @@ _Estimator = AllanDeviation | FullOverlap
 FULL_AT_MOST = 1_000_000
 _TAU_TOLERANCE = 1e-3
 _SAME_RATE = 0.05
+_MISSING = 0.01  # of all samples: worth a word
 _MANY = 50  # samples a block: one more or less of them changes nothing
 
 
@@ -52,6 +54,7 @@ class AllanCurve:
     left_out_tau_s: tuple[float, ...] = ()  # averaging times that were asked for and the record has no deviation at
     longest_tau_s: float | None = None  # the longest averaging time of the record, where any was left out
     rate_changes: tuple[RateChange, ...] = ()  # places where the sample rate changes; empty where unknown
+    outliers: IsolatedOutliers | None = None  # None where they were not sought
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -96,6 +99,9 @@ class AllanCurve:
                 f"no deviation at {taus}: this record reaches {self.longest_tau_s:g} s, less where samples are missing",
                 f"在 {taus} 处没有结果：本记录最长平均时间为 {self.longest_tau_s:g} s，缺采样处更短",
             ))  # fmt: skip
+        found.append(_remark_on_missing(self.samples, self.missing))
+        if self.outliers is not None and self.outliers.is_worth_a_word:
+            found.append((self.outliers.sentence, self.outliers.chinese))
         remarks = [each for each in found if each is not None]
         return ("; ".join(en for en, _ in remarks), "；".join(zh for _, zh in remarks)) if remarks else None
 
@@ -234,6 +240,24 @@ def curve_of_points(
         plausible=tuple(point.plausible for point in points), windows=tuple(point.n for point in points),
         longest_still=still.longest,
     )  # fmt: skip
+
+
+def _remark_on_missing(samples: int, missing: int) -> tuple[str, str] | None:
+    """What a reader must know of missing samples, in English and Chinese; None if they are few.
+
+    >>> _remark_on_missing(95, 5)[0]
+    '5.0% of the samples are missing: white noise may be shown up to 2.6% too high, which the lower bounds allow for'
+    """
+    if missing < _MISSING * (samples + missing):
+        return None
+    share, excess = missing / (samples + missing), held_share(samples, missing) ** -0.5 - 1.0
+    return (
+        (
+            f"{share:.1%} of the samples are missing: white noise may be shown up to {excess:.1%} too high, which the "
+            "lower bounds allow for"
+        ),
+        f"缺失 {share:.1%} 的采样：白噪声可能偏高至多 {excess:.1%}，置信下限已计入",
+    )
 
 
 def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:

@@ -10,7 +10,7 @@ import numpy as np
 from analytics.curves.allan_curve import AllanCurve
 from stream.batch import FloatArray
 from stream.defects.outliers import IsolatedOutliers
-from stream.estimators.base import NoEstimate
+from stream.estimators.base import NoEstimate, held_share
 from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.estimators.noise.noise_misfit import SIGNIFICANCE
 from stream.estimators.noise.noise_model import (
@@ -137,7 +137,7 @@ def noise_coefficients(curve: AllanCurve, normalised: NoiseCoefficient | NoEstim
         EstimatePoint(tau_s=tau_s, value=y, lo=lo, hi=hi, edf=edf, n=0, plausible=noise)
         for tau_s, y, lo, hi, edf, noise in columns
     ]
-    fit = fit_noise(points, confidence=CONFIDENCE)
+    fit = fit_noise(points, confidence=CONFIDENCE, held=held_share(curve.samples, curve.missing))
     if isinstance(fit, NoEstimate):
         return NoEstimate(f"{who}: {fit.reason}")
     return NoiseCoefficients(fit, normalised)

@@ -38,6 +38,14 @@ class IsolatedOutliers:
             f"{self.raise_n_by:.0%}: leave them out, or find what makes them"
         )
 
+    @property
+    def chinese(self) -> str:
+        """The same in Chinese."""
+        return (
+            f"{self.count:,} 个孤立离群值，最大为噪声的 {self.largest:.3g} 倍，使 N 偏大 {self.raise_n_by:.0%}："
+            "应剔除，或查明其原因"
+        )
+
 
 def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
     """Count the single samples that leave the mean of their neighbours by nine standard deviations of the noise.

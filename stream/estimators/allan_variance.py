@@ -1,5 +1,6 @@
 """Overlapping Allan deviation while the samples flow (IEEE 952-2020, NIST SP 1065 5.2.4, JJF 2014-2022 7.2.20)."""
 
+import math
 from types import MappingProxyType
 from typing import Self
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from stream.batch import FloatArray, IntArray, first_finite
 from stream.errors import EstimatorError
-from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points
+from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points, held_share
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, merge, push
 from stream.estimators.noise.noise_exponent import Identified, identify
@@ -32,7 +33,8 @@ class AllanDeviation(PointEstimator):
     n = 1 .. 31 for k = 0 and 16 .. 31 for k > 0. Up to tau = 16 dt this is the full overlap, beyond it one of 1/16 tau
     or closer, whose equivalent degrees of freedom are those of the full overlap to 0.5 %. Blocks are sums
     relative to the first valid sample and keep the count of their valid samples. A window counts if it holds at least
-    90 % of its samples; the mean of those it holds then stands for all. Taus reach from dt to 2**30 dt and more.
+    90 % of its samples; the mean of those it holds then stands for all, and the lower bound allows for what this adds
+    to white noise (`held_share`). Taus reach from dt to 2**30 dt and more.
 
     Erratum: JJF 2014-2022 7.2.20 (34)-(39) and GJB 2426A-2004 5.12.5.4.2 print clusters of k + 1 terms over k and
     differences of clusters one sample apart, which falls as 1/tau**2 whatever the noise.
@@ -101,8 +103,11 @@ class AllanDeviation(PointEstimator):
             return self._too_large()
         noises = identify(factors, variances, windows, lags)
         rows = zip(factors.tolist(), values.tolist(), windows.tolist(), noises, strict=True)
+        held = held_share(self.samples, self.missing)
         return tuple(
-            allan_point(factor * self.tracker.dt_ns / 1e9, value, n, noise, self.confidence)
+            allan_point(
+                factor * self.tracker.dt_ns / 1e9, value, n, noise, self.confidence, held if factor > 1 else 1.0
+            )
             for factor, value, n, noise in rows
         )
 
@@ -121,9 +126,12 @@ def check_points_per_octave(number: int) -> None:
         raise EstimatorError(f"{number} points per octave: 1, 2, 4 or 8 are offered")
 
 
-def allan_point(tau_s: float, value: float, windows: int, noise: Identified, confidence: float) -> EstimatePoint:
-    """A point of a curve with its confidence bounds."""
+def allan_point(
+    tau_s: float, value: float, windows: int, noise: Identified, confidence: float, held: float = 1.0
+) -> EstimatePoint:
+    """A point of a curve with its confidence bounds, the lower one for averages of a share `held` of their samples."""
     lo, hi = deviation_bounds(value, noise.edf, confidence)
+    lo *= math.sqrt(held)
     return EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=noise.edf, n=windows, plausible=noise.plausible)
 
 

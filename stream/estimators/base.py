@@ -21,6 +21,18 @@ from stream.quantities import report_unit
 LEAST_SHARE = 0.9  # an average counts if it holds this share of its samples
 _PACKAGE = __name__.rpartition(".")[0]
 
+
+def held_share(samples: int, missing: int) -> float:
+    """The least share of their samples that the averages of a record hold as a rule, 1 where none is missing.
+
+    The mean of those that an average holds stands for all. White noise then scatters more, by up to the inverse root.
+
+    >>> held_share(99, 1), held_share(50, 50), held_share(0, 0)
+    (0.99, 0.9, 1.0)
+    """
+    return max(LEAST_SHARE, samples / (samples + missing)) if samples else 1.0
+
+
 Result = TypeVar("Result", covariant=True)
 Points = tuple[EstimatePoint, ...]
 

@@ -8,8 +8,8 @@ import msgspec
 
 from stream.errors import GyrofleetError
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import Estimator, NoEstimate, PointEstimator
-from stream.estimators.noise.noise_fit import fit_noise
+from stream.estimators.base import Estimator, NoEstimate, PointEstimator, held_share
+from stream.estimators.noise.noise_fit import NoiseFit, fit_noise
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
 from stream.events import AnyDocument, EarlyDecision, EstimatePublished, LimitsApplied, NoiseFitted, SpectralLinesFound
@@ -165,7 +165,7 @@ class SignalAnalysis:
         head = self._head(NOISE_COEFFICIENTS, final=True)
         if allan.unit_of_measure != ANGULAR_RATE_UNIT:
             return NoiseFitted(**head, reason=f"the signal is in {allan.unit_of_measure}, not an angular rate")
-        fit = NoEstimate(estimate.reason) if estimate.reason else fit_noise(estimate.points)
+        fit = NoEstimate(estimate.reason) if estimate.reason else _fit(estimate)
         if isinstance(fit, NoEstimate):
             return NoiseFitted(**head, reason=fit.reason)
         return NoiseFitted(**head, coefficients=msgspec.to_builtins(fit))
@@ -201,6 +201,10 @@ class SignalAnalysis:
         analysis._refusal = state.refusal
         analysis._first_ns, analysis._last_ns = state.first_ns, state.last_ns
         return analysis
+
+
+def _fit(estimate: EstimatePublished) -> NoiseFit | NoEstimate:
+    return fit_noise(estimate.points, held=held_share(estimate.samples, estimate.missing))
 
 
 def new_estimators(

@@ -11,7 +11,7 @@ from stream.clock import contiguous_runs
 from stream.closing import Closing
 from stream.errors import EstimatorError
 from stream.estimators.allan_variance import allan_point, check_points_per_octave
-from stream.estimators.base import LEAST_SHARE, NoEstimate, Points, SignalInput
+from stream.estimators.base import LEAST_SHARE, NoEstimate, Points, SignalInput, held_share
 from stream.estimators.confidence import NOISE_EXPONENTS, least_edf
 from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation, squared_differences
 from stream.estimators.full_overlap.prefix_record import PrefixRecord
@@ -42,7 +42,8 @@ class FullOverlap(SignalInput, Closing):
     a linear drift of the samples; the modified Allan deviation separates quantisation from flicker of angle.
 
     Where samples are missing, a window counts if it holds at least 90 % of its samples and the mean of those it holds
-    stands for all; in mdev the same holds for the inner sum. Values that are not finite are missing.
+    stands for all, and the lower bound allows for what this adds to white noise (`held_share`); in mdev the same holds
+    for the inner sum. Values that are not finite are missing.
 
     Bounds are by chi-square with the least equivalent degrees of freedom of the noises that the curve leaves plausible
     for oadev (`noise_exponent`), of all noises for the others (`confidence`).
@@ -166,9 +167,15 @@ class FullOverlap(SignalInput, Closing):
             filtered = [1 if kind is Deviation.MODIFIED_ALLAN else factor for factor in factors]
             edfs = [least_edf(*each, d=len(form.weights)) for each in zip(filtered, freedom, strides, strict=True)]
             noises = tuple(Identified(exponent=0, plausible=NOISE_EXPONENTS, edf=edf) for edf in edfs)
+        held = held_share(self.samples, self.missing)
         return tuple(
             allan_point(
-                factor * self.tracker.dt_ns / 1e9, math.sqrt(variance) * self._factor, n, noise, self.confidence
+                factor * self.tracker.dt_ns / 1e9,
+                math.sqrt(variance) * self._factor,
+                n,
+                noise,
+                self.confidence,
+                held if factor > 1 else 1.0,
             )
             for factor, variance, n, noise in zip(factors, variances, windows, noises, strict=True)
         )

@@ -69,12 +69,12 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
     misfit_chance: float = 1.0
 
 
-def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> NoiseFit | NoEstimate:
+def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95, held: float = 1.0) -> NoiseFit | NoEstimate:
     """Identify the noise coefficients Q, N, B, K, R, and a Markov term where the curve requires one.
 
     `points` are the overlapping Allan deviation in deg/h at any averaging times; those of 0, or of less than 1 degree
     of freedom, are left out; fewer than 6 others are a `NoEstimate`. `confidence`, between 0 and 1, is that of the
-    bounds.
+    bounds, of which the lower ones allow for averages that hold a share `held` of their samples (`held_share`).
 
     Notes
     -----
@@ -121,7 +121,22 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
     given = len(np.unique(taus_s))
     if given < LEAST_POINTS:
         return NoEstimate(f"{LEAST_POINTS} averaging times with a deviation above zero needed, {given} given")
-    return _fitted(taus_s.copy(), deviations.copy(), edf.copy(), confidence)
+    found = _fitted(taus_s.copy(), deviations.copy(), edf.copy(), confidence)
+    return found if held == 1.0 else _of_held(found, math.sqrt(held))
+
+
+def _of_held(found: NoiseFit, factor: float) -> NoiseFit:
+    """A fit with lower bounds of that much less."""
+    terms = {name: getattr(found, name) for name in found.__struct_fields__}
+    lower: dict[str, NoiseCoefficient | MarkovNoise] = {
+        name: msgspec.structs.replace(each, lo=each.lo * factor)
+        for name, each in terms.items()
+        if isinstance(each, NoiseCoefficient)
+    }
+    if (markov := found.markov) is not None:
+        amplitude = msgspec.structs.replace(markov.amplitude, lo=markov.amplitude.lo * factor)
+        lower["markov"] = msgspec.structs.replace(markov, amplitude=amplitude)
+    return msgspec.structs.replace(found, **lower)
 
 
 def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confidence: float) -> NoiseFit:

@@ -177,3 +177,31 @@ def test_integers_that_floats_would_round_are_refused() -> None:
             gf.allan_deviation(counts + offset, 10.0)
     below = gf.allan_deviation(counts + 2**52, 10.0).deviation
     np.testing.assert_allclose(below, gf.allan_deviation(counts, 10.0).deviation, rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.08])
+def test_bounds_cover_the_truth_where_samples_are_missing_here_and_there(share: float) -> None:
+    """At the averaging times of a hundredth to a tenth of a second to seconds: 95 % bounds, 8 records."""
+    covered = asked = coefficients = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        values = rng.normal(0.0, 6.0, 200_000)  # N = 6/60/sqrt(100) deg/sqrt(h)
+        values[rng.random(values.size) < share] = np.nan
+        curve = gf.allan_deviation(values, 100.0, unit_of_measure="deg/h")
+        truth = 0.6 / np.sqrt(curve.tau_s)
+        short = curve.tau_s < 3.0
+        covered += int(np.count_nonzero(((curve.lo <= truth) & (truth <= curve.hi))[short]))
+        asked += int(np.count_nonzero(short))
+        found = gf.noise_fit(curve).angle_random_walk
+        coefficients += found.lo <= 0.01 <= found.hi
+        assert f"{np.isnan(values).mean():.1%} of the samples are missing" in curve.remark
+    # 95 % at least; neighbouring times are correlated, so that about 4 of 9 count: 3 standard deviations
+    assert covered / asked >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / (8 * 4))
+    assert coefficients >= 5  # 2e-4 by chance at 95 %
+
+
+def test_a_curve_says_that_outliers_raise_it() -> None:
+    values = np.random.default_rng(1).normal(size=20_000)
+    assert gf.allan_deviation(values, 10.0).remark == ""
+    values[5000] = 1e6
+    assert "1 isolated outliers, up to 1e+06 times" in gf.allan_deviation(values, 10.0).remark
