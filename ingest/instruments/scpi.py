@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 import msgspec
 
 from ingest.instruments.base import Options
-from ingest.instruments.visa import VisaLine
+from ingest.instruments.visa import UnaskedLine, VisaLine
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 
@@ -71,6 +71,7 @@ class ScpiConnection:
         self._lock = threading.RLock()
         self.identity = ""
         self.reconnects = 0
+        self.unasked = 0  # lines that came without a query
         if not 0.0 < options.timeout_s <= 600.0:
             raise BadInput(f"{self.who}: timeout_s is {options.timeout_s}: more than 0 and at most 600 s")
         for name in ("identity", "acknowledgement"):
@@ -113,6 +114,20 @@ class ScpiConnection:
                 f"check its range and its wiring"
             )
         return value, answer
+
+    def check_in_step(self, most_s: float) -> None:
+        """Raise InstrumentError, and disconnect, if a line comes without a query; waits `most_s` for it at most."""
+        with self._lock:
+            try:
+                if self._line is None or self._line.is_in_step(most_s):
+                    return
+            except OSError:  # closed: the next request connects again
+                return
+            self._disconnect()
+        raise InstrumentError(
+            f"{self.who} sent one line more than it was asked for: what it answered last may belong to other queries, "
+            "and is left out"
+        )
 
     def command(self, command: str) -> None:
         """Send a command, and check that it was accepted."""
@@ -211,6 +226,7 @@ class ScpiConnection:
         try:
             self._line.write(text)
         except Exception as error:
+            self.unasked += isinstance(error, UnaskedLine)
             raise _ConnectionFailed(f"{self.who}: {text!r} cannot be sent: {error}") from error
 
     def _exchange(self, text: str) -> ScpiAnswer:

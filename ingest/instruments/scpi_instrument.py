@@ -159,14 +159,20 @@ class ScpiInstrument(Instrument):
         return self._settling[what].update(reading.t_ns, reading.value)
 
     def sample(self) -> list[Reading]:
-        """Measure every signal once."""
-        readings = []
+        """Measure every signal once; InstrumentError if an answer may belong to another query."""
+        readings, unasked = [], self.connection.unasked
         for signal, query in self.measured_by.items():
             reading = self._read(query)
+            if self.connection.unasked != unasked:
+                raise InstrumentError(
+                    f"{self.who} sent a line without a query since it was read last: a value of that turn may be the "
+                    "answer to another query"
+                )
             for what, settling in self._settling.items():
                 if self._settled_by[what] == query:
                     settling.update(reading.t_ns, reading.value)
             readings.append(reading._replace(signal=signal))
+        self.connection.check_in_step(self.clock.computer_s(self.options.sample_interval_s) / 4)
         return readings
 
     def give(self, name: str, value: float | None = None) -> None:

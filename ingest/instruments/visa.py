@@ -5,6 +5,7 @@ import os
 import re
 import select
 import socket
+import time
 from functools import cache
 from typing import Any
 
@@ -46,6 +47,13 @@ def _manager(backend: str) -> Any:
     return pyvisa.ResourceManager(backend)
 
 
+_LEAST_WAIT_S, _WAIT_TIMES, _FORGETS = 0.05, 1.2, 0.9
+
+
+class UnaskedLine(ConnectionResetError):
+    """A line came without a query."""
+
+
 class VisaLine:
     """An open VISA resource; all but `close` raise errors of pyvisa, of the socket, or bare ones of pyvisa-py."""
 
@@ -53,6 +61,7 @@ class VisaLine:
         self, backend: str, resource: str, timeout_s: float, terminations: tuple[str, str], baud_rate: int | None
     ) -> None:
         self._timeout_s = timeout_s
+        self._written_s = self._answered_s = 0.0  # when it was written last, and how long answers take
         milliseconds = max(1, round(timeout_s * 1e3))
         self._resource = _manager(backend).open_resource(resource, open_timeout=milliseconds)
         self._resource.timeout = milliseconds
@@ -80,9 +89,26 @@ class VisaLine:
             from pyvisa.constants import BufferOperation
 
             self._resource.flush(BufferOperation.discard_read_buffer_no_io)
-            if select.select([self._socket], [], [], 0.0)[0]:
-                raise ConnectionResetError("the instrument closed the connection, or sent a line without a query")
+            if self._has_more(0.0):
+                raise UnaskedLine("the instrument sent a line without a query")
         self._resource.write(text, encoding="latin-1")
+        self._written_s = time.monotonic()
+
+    def is_in_step(self, most_s: float) -> bool:
+        """Whether no further line comes in the time that an answer takes, at most `most_s`.
+
+        One that does is the answer to a query that a surplus line has been taken for. Lines that are no raw TCP
+        connections pair queries and answers themselves, or cannot be waited for.
+        """
+        return not self._has_more(min(max(_LEAST_WAIT_S, _WAIT_TIMES * self._answered_s), most_s))
+
+    def _has_more(self, within_s: float) -> bool:
+        """Whether anything comes within some time; ConnectionResetError if the instrument has closed the connection."""
+        if self._socket is None or not select.select([self._socket], [], [], within_s)[0]:
+            return False
+        if not self._socket.recv(1, socket.MSG_PEEK):
+            raise ConnectionResetError("the instrument closed the connection")
+        return True
 
     def read(self) -> str:
         """Read a line."""
@@ -92,7 +118,9 @@ class VisaLine:
                 raise TimeoutError("no answer")
             if not self._socket.recv(1, socket.MSG_PEEK):
                 raise ConnectionResetError("the instrument closed the connection")
-        return str(self._resource.read(encoding="latin-1"))
+        found = str(self._resource.read(encoding="latin-1"))
+        self._answered_s = max(_FORGETS * self._answered_s, time.monotonic() - self._written_s)
+        return found
 
     def close(self) -> None:
         """Close it."""

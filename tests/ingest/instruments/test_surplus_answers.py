@@ -1,0 +1,103 @@
+"""A line more than an instrument was asked for shifts all answers behind it: none of them becomes a value."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from uuid import UUID
+
+import pytest
+
+from ingest.instruments.power_supply import PowerSupply, PowerSupplyOptions
+from ingest.station.sampling import Sampler
+from ingest.station_clock import StationClock
+from stream.batch import SampleBatch
+from stream.errors import InstrumentError
+
+
+class RepeatingSupply:
+    """A supply of 12 V and 1.5 A behind a terminal server that sends some answers twice, the second 20 ms later."""
+
+    def __init__(self, repeats: set[int]) -> None:
+        self.repeats = repeats  # which of the voltages
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.resource = f"TCPIP::127.0.0.1::{self._listening.getsockname()[1]}::SOCKET"
+        self._voltages = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection = self._listening.accept()[0]
+            except OSError:
+                return
+            threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
+
+    def _answer(self, connection: socket.socket) -> None:
+        def send(text: str) -> None:
+            with suppress(OSError):
+                connection.sendall(text.encode())
+
+        with suppress(OSError), connection, connection.makefile("rb") as lines:
+            for line in lines:
+                if line == b"*IDN?\n":
+                    send("X,Y,1,1\n")
+                elif line == b"SYST:ERR?\n":
+                    send('0,"No error"\n')
+                elif line == b"MEAS:VOLT?\n":
+                    self._voltages += 1
+                    send("12.0\n")
+                    if self._voltages in self.repeats:
+                        threading.Timer(0.02, send, ("12.0\n",)).start()
+                elif line == b"MEAS:CURR?\n":
+                    time.sleep(0.05)
+                    send("1.5\n")
+
+    def close(self) -> None:
+        self._listening.close()
+
+
+@pytest.fixture
+def supply() -> Iterator[RepeatingSupply]:
+    served = RepeatingSupply({3, 7})
+    yield served
+    served.close()
+
+
+def of(supply: RepeatingSupply, interval_s: float) -> PowerSupply:
+    options = PowerSupplyOptions(
+        resource=supply.resource, max_voltage_v=20.0, max_current_a=3.0, sample_interval_s=interval_s
+    )
+    return PowerSupply("psu", options, StationClock())
+
+
+def test_no_answer_of_a_turn_with_a_surplus_line_becomes_a_value(supply: RepeatingSupply) -> None:
+    delivered: list[SampleBatch] = []
+    reports: list[str] = []
+    instrument = of(supply, 0.5)
+    instrument.open()
+    sampler = Sampler(instrument, "r1", UUID(int=1), delivered.append, reports.append)
+    sampler.start()
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until and sum("answers again" in each for each in reports) < 2:
+        time.sleep(0.05)
+    sampler.stop()
+    values = {name: [v for each in delivered if each.signal == name for v in each.value_array] for name in
+              ("supply_voltage", "supply_current")}  # fmt: skip
+    assert set(values["supply_voltage"]) == {12.0}
+    assert set(values["supply_current"]) == {1.5}
+    assert sum("one line more than it was asked for" in each for each in reports) == 2
+    assert any("answers again" in each for each in reports)
+
+
+def test_a_surplus_line_that_comes_after_the_turn_is_reported_with_the_next(supply: RepeatingSupply) -> None:
+    supply.repeats = {1}
+    instrument = of(supply, 0.08)  # 20 ms are waited, the answer takes 30 ms more
+    instrument.open()
+    instrument.sample()
+    time.sleep(0.2)
+    with pytest.raises(InstrumentError, match="a value of that turn may be the answer to another query"):
+        instrument.sample()
+    assert [each.value for each in instrument.sample()] == [12.0, 1.5]
+    instrument.close()
