@@ -11,7 +11,7 @@ from ingest.can.frames import EXTENDED, arbitration_id, id_text
 from ingest.can.mapping_file import ChecksumEntry, CounterEntry, MessageEntry, SignalEntry, read_mapping
 from ingest.can.plan import CanPlan, ChecksumPlan, CounterPlan, MessagePlan, Route, SignalPlan
 from ingest.checksums import CAN_CHECKSUMS
-from ingest.tables.units import database_unit
+from ingest.tables.units import database_remark, database_unit
 from stream.errors import BadInput
 from stream.identity import check_name
 
@@ -175,6 +175,8 @@ class CanMapping:
         measure, is_known = database_unit(text, name)
         if not is_known:
             self._remarks.append(f"message {layout.name}, signal {name}: unit of measure {text!r} is not known")
+        elif remark := database_remark(text, measure, entry.signal):
+            self._remarks.append(f"message {layout.name}, signal {name}: {remark}")
         return SignalPlan(found, _named(where, "signal", entry.signal), measure)
 
     def _routes(self, entry: MessageEntry, message: "Message", plan: MessagePlan, where: str) -> Iterator[Route]:

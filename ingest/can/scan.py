@@ -35,6 +35,7 @@ class SignalScan:
     most: float | None
     varies: bool
     looks_like_counter: bool  # whether it increases by one from frame to frame
+    selects_page: bool = False  # whether it says which signals a frame has: pages in turn look like a counter
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,9 @@ def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> 
     lines = [f"# proposed from {Path(scan.file).name}: rename signals, strike out what is not wanted"]
     for message, found in by_message.items():
         busiest = max(found, key=lambda each: each.frames)
-        wanted = [each for each in busiest.signals if each.varies and not each.looks_like_counter]
+        wanted = [
+            each for each in busiest.signals if each.varies and not (each.looks_like_counter or each.selects_page)
+        ]
         if not wanted:
             continue
         lines += ["", "[[message]]", f"message = {_quoted(message)}"]
@@ -196,7 +199,9 @@ def _id_scan(key: tuple[int, int], seen: _IdFrames, message: "Message | None") -
         came = found.least <= found.most
         least, most = sorted(end * scale + offset for end in (found.least, found.most)) if came else (None, None)
         varies = came and found.least < found.most
-        signals.append(SignalScan(signal.name, measure, is_known, least, most, varies, found.is_counter()))
+        is_selector = bool(signal.is_multiplexer)
+        is_counter = not is_selector and found.is_counter()
+        signals.append(SignalScan(signal.name, measure, is_known, least, most, varies, is_counter, is_selector))
     return IdScan(
         key[0] & ~EXTENDED, bool(key[0] & EXTENDED), key[1], len(times_ns), 1e9 / median_ns if median_ns > 0 else None,
         float(intervals_ns.max()) / 1e9 if len(intervals_ns) else None, tuple(sorted(seen.lengths)),

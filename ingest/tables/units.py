@@ -58,19 +58,36 @@ def database_unit(text: str | None, signal: str) -> tuple[str, bool]:
 
     In a database "g" on an acceleration is standard gravity, not gram, and "C" a temperature, not coulomb.
 
-    >>> database_unit("°/s", "YawRate"), database_unit("smoots", "Length"), database_unit("g", "AccX")
-    (('deg/s', True), ('smoots', False), ('g_0', True))
+    >>> database_unit("°/s", "YawRate"), database_unit("smoots", "Length"), database_unit("mg", "AccX")
+    (('deg/s', True), ('smoots', False), ('mg_0', True))
     """
     written = (text or "").strip()
     plain = _plain(written)
-    if plain in {"g", "gn", "g0"} and _is_acceleration(signal):
-        return "g_0", True
+    if plain in _GRAVITY and _is_acceleration(signal):
+        return _GRAVITY[plain], True
     if plain in _UNITS:
         return _UNITS[plain], True
     try:
         return check_unit(_GERMAN_DEGREE.sub("deg", written)), True
     except UnknownUnit:
         return written, False
+
+
+def database_remark(text: str | None, unit: str, signal: str) -> str:
+    """What a reader must know of a unit that `database_unit` has found; '' for nothing.
+
+    >>> database_remark("furlong", "furlong", "rate")
+    "'rate' is expected to be an angular rate, in deg/s, deg/h or rad/s; furlong is another quantity"
+    >>> database_remark("g", "g", "load")
+    "'g' is taken as a mass; give it unit_of_measure = 'g_0' in a mapping if it is standard gravity"
+    """
+    written = (text or "").strip()
+    if unit == written and written in _MASSES and not _is_mass(signal):
+        return (
+            f"{written!r} is taken as a mass; give it unit_of_measure = {_GRAVITY[written]!r} in a mapping if it is "
+            "standard gravity"
+        )
+    return _unexpected(unit, signal).removeprefix("warning: ")
 
 
 def is_same_unit(one: str, other: str) -> bool:
@@ -118,7 +135,7 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
     if plain in _GRAVITY and _is_acceleration(signal):
         unit = _GRAVITY[plain]
         return unit, f"{written} is taken as standard gravity ({unit}), since {signal!r} is an acceleration"
-    if written in _MASSES and not re.search("mass|weight", signal.lower()):
+    if written in _MASSES and not _is_mass(signal):
         raise BadInput(
             f"unit {written!r} may be standard gravity or a mass; write {_GRAVITY[written]!r} for gravity, "
             f"{written.replace('g', 'gram')!r} for a mass"
@@ -166,6 +183,10 @@ def _plain(written: str) -> str:
 
 def _is_acceleration(signal: str) -> bool:
     return "acc" in signal.lower()
+
+
+def _is_mass(signal: str) -> bool:
+    return re.search("mass|weight", signal.lower()) is not None
 
 
 def _unexpected(unit: str, signal: str) -> str:

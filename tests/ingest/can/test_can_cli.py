@@ -100,3 +100,49 @@ def test_what_is_lacking_is_said(tmp_path: Path, more: list[object], reported: s
     answer = run("import", log, *more, "--store", tmp_path / "store", exit_code=1)
     assert reported in answer["error"]["message"]
     assert not (tmp_path / "store").exists()
+
+
+_PAGES = """VERSION ""
+BU_: GYRO
+BO_ 274 Slow: 8 GYRO
+ SG_ Page M : 0|8@1+ (1,0) [0|255] "" GYRO
+ SG_ TempF m0 : 8|16@1- (0.05,32) [-100|300] "degF" GYRO
+ SG_ AccX m1 : 8|16@1- (0.5,0) [-16000|16000] "mg" GYRO
+ SG_ Load m2 : 8|16@1+ (1,0) [0|9000] "g" GYRO
+ SG_ Rate m2 : 24|16@1+ (1,0) [0|9000] "furlong" GYRO
+"""
+
+
+def test_pages_in_turn_are_no_counter_and_units_of_a_database_are_those_of_gyros(tmp_path: Path) -> None:
+    """Pages 0, 0, 1, 2: with the page as a counter every second frame of page 0 would be a repeated one."""
+    dbc, log, mapping, store = (tmp_path / name for name in ("own.dbc", "own.log", "map.toml", "store"))
+    dbc.write_text(_PAGES)
+    log.write_text(
+        "".join(
+            f"({1_700_000_000 + i * 0.05:.6f}) can0 112#{(0, 0, 1, 2)[i % 4]:02x}{i % 100:02x}0000000000{i % 50:02x}\n"
+            for i in range(800)
+        )
+    )
+    turns = log.with_name("turns.log")  # pages 0, 1, 2, 0: what looks like a counter most
+    turns.write_text(log.read_text())
+    turns.write_text(
+        "".join(f"({1_700_000_000 + i * 0.05:.6f}) can0 112#{i % 3:02x}{i % 100:02x}000000000000\n" for i in range(300))
+    )
+    for each in (log, turns):
+        (slow,) = run("can", "scan", each, "--dbc", dbc)["scan"]["ids"]
+        (page,) = [signal for signal in slow["signals"] if signal["name"] == "Page"]
+        assert (page["looks_like_counter"], page["selects_page"]) == (False, True)
+    run("can", "scan", turns, "--dbc", dbc, "--write", mapping, "--unit", "P1")
+    assert "counter" not in mapping.read_text()
+    assert "Page" not in mapping.read_text()
+    words = ("import", log, "--dbc", dbc, "--mapping", mapping, "--run", "r1", "--store", store)
+    (found,) = run(*words)["files"]
+    assert {each["signal"]: each["in_lake"] for each in found["signals"]} == {
+        "tempf": 400, "accx": 200, "load": 200,
+    }  # fmt: skip
+    every = run("import", log, "--dbc", dbc, "--unit", "P2", "--run", "r2", "--store", store)
+    remarks = " ".join(every["files"][0]["remarks"])
+    assert "'g' is taken as a mass" in remarks
+    assert "'rate' is expected to be an angular rate" in remarks
+    query = "select distinct unit_of_measure as of from signals where signal = 'accx'"
+    assert run("sql", query, "--store", store) == [{"of": "mg_0"}]
