@@ -206,11 +206,21 @@ def _computed(catalog: Catalog, metric: Metric) -> pa.Table:
     rows = resolve_name(metric.header.python)(catalog, metric.sql)
     if isinstance(rows, pa.Table):
         return rows
-    found = [{"runs": [row["run"]], **row, "parameters": parameters_text(row["parameters"])} for row in rows]
+    found = [{"runs": [row["run"]], **row, "parameters": _parameters_of(row)} for row in rows]
     # numbers beside the columns that say how a standard's error enters
     named = words_of(" ".join(each.sensitivity for each in metric.header.influences))
     beside = sorted(named.intersection(*(row.keys() for row in found[:1])) - set(COLUMNS.names))
     return pa.Table.from_pylist(found, schema=pa.schema([*COLUMNS, *((name, pa.float64()) for name in beside)]))
+
+
+def _parameters_of(row: Mapping[str, Any]) -> str:
+    """Parameters of a function's row, which are a mapping; as JSON text they are taken as well."""
+    given = row.get("parameters", {})
+    if isinstance(given, str):
+        given = json.loads(given)
+    if not isinstance(given, Mapping):
+        raise QueryError(f"`parameters` of a row are {given!r}, expected a mapping such as {{'duration_s': 60}}")
+    return parameters_text(given)
 
 
 def _check_columns(metric: Metric, names: Collection[str]) -> None:

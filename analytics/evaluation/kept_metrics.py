@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from importlib.resources import files
 from pathlib import Path
 from typing import Protocol
 
@@ -24,6 +23,7 @@ from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, open_kept, step_records, write_kept_content
 from storage.sql.catalog import Catalog, NotKept
 from storage.sql.parquet_content import ROW_GROUP, ParquetContent
+from stream.own_files import files_of
 
 FILE = "unit_metrics.parquet"
 _RECORDS = """
@@ -139,9 +139,8 @@ def _unit_fingerprints(catalog: Catalog) -> dict[str, str]:
             marks[unit].add(mark)
     text = hashlib.sha256()
     for package in _PACKAGES:
-        for each in sorted(files(package).iterdir(), key=lambda e: e.name):
-            if each.is_file():
-                text.update(each.read_bytes())
+        for each in files_of(package):
+            text.update(each.read_bytes())
     return {
         unit: hashlib.sha256("/".join([text.hexdigest(), *sorted(own)]).encode()).hexdigest()[:32]
         for unit, own in marks.items()

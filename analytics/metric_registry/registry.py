@@ -6,11 +6,11 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from enum import StrEnum
 from functools import cache
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from ingest.measurement_standards import QUANTITIES
 from stream.errors import BadInput, GyrofleetError
+from stream.own_files import files_of
 
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
 _SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{4})?\s+(?P<clause>.+?)\s*")
@@ -157,8 +157,8 @@ def metrics() -> Mapping[str, Metric]:
     'deg/h'
     """
     found = {}
-    for file in sorted(files("analytics.metrics").iterdir(), key=lambda each: each.name):
-        if file.name.endswith(".sql"):
+    for file in files_of("analytics.metrics"):
+        if file.suffix == ".sql":
             text = file.read_text(encoding="utf-8")
             header = parse_header(text, file.name)
             if file.name != f"{header.id}.sql":

@@ -305,6 +305,8 @@ with candidate as materialized (
     null::double as value, null::double as lo, null::double as hi, a.lower, a.upper, a.unit_of_measure, a.parameters,
     []::varchar[] as runs, coalesce(a.standard, n.standard) as standard, n.clause, a.specification, a.revision,
     case when a.lack is not null then a.lack
+      when n.metric is null then 'this gyrofleet has no metric ' || a.metric
+        || ': it is of a later version, or an own file that this installation lacks (GYROFLEET_OWN)'
       when h.unit is null then 'not measured: it needs ' || n.needs
       else 'values of ' || a.metric || ' are there, but none of ' || a.subject
         || ': `gyrofleet metrics --metric ' || a.metric || '` shows which' end as reason,

@@ -171,7 +171,11 @@ class ModelRegistry:
             found.model.labels()
             found.before.labels()
         except (msgspec.MsgspecError, BadInput) as error:
-            raise StoreError(f"error model {path} is not one of this gyrofleet ({error}); upgrade it") from error
+            what = str(error).partition(";")[0]
+            raise StoreError(
+                f"error model {path} is not one of this gyrofleet ({what}); it is of a later version, or an own file "
+                "that this installation lacks (GYROFLEET_OWN)"
+            ) from error
         if found.unit != path.parent.name or found.version != _number(path):
             raise StoreError(
                 f"error model {path} is version {found.version} of unit {found.unit}: it was copied to the wrong "

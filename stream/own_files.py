@@ -1,0 +1,45 @@
+"""A site's own files beside those of the program: its metrics, instruments, effects and conditions of alerts.
+
+The environment variable ``GYROFLEET_OWN`` names a folder, or several as PATH does. Its folders `metrics`,
+`instruments`, `effects` and `conditions` belong to the packages of these, and stay where the program is upgraded.
+"""
+
+import importlib
+import os
+from collections.abc import MutableSequence
+from pathlib import Path
+
+from stream.errors import BadInput
+
+VARIABLE = "GYROFLEET_OWN"
+ROOMS = ("metrics", "instruments", "effects", "conditions")
+
+
+def add_own(path: MutableSequence[str], room: str) -> None:
+    """Add the site's folders to the path of a package; BadInput if one is missing, or has a file of the program's name.
+
+    >>> path = ["analytics/metrics"]
+    >>> add_own(path, "metrics")  # without GYROFLEET_OWN
+    >>> path
+    ['analytics/metrics']
+    """
+    own = Path(path[0])
+    for text in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        folder = Path(text).absolute()
+        if not any((folder / each).is_dir() for each in ROOMS):
+            raise BadInput(
+                f"{VARIABLE} names {text}, where none of the folders {', '.join(ROOMS)} is: name the folder above them"
+            )
+        if not (folder / room).is_dir():
+            continue
+        taken = {each.name for each in own.iterdir()} - {"__init__.py", "__pycache__"}
+        if twice := sorted(taken & {each.name for each in (folder / room).iterdir()}):
+            raise BadInput(f"{folder / room / twice[0]} has the name of a file of gyrofleet: give it another one")
+        path.append(str(folder / room))
+
+
+def files_of(package: str) -> list[Path]:
+    """Files of a package, the site's own among them, in the order of their names."""
+    folders = importlib.import_module(package).__path__
+    found = [each for folder in folders for each in Path(folder).iterdir() if each.is_file()]
+    return sorted(found, key=lambda each: each.name)
