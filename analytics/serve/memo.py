@@ -15,6 +15,7 @@ class Memo:
         self._most = most
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._making: dict[Hashable, threading.Lock] = {}
+        self._newest: dict[str, Hashable] = {}
         self._lock = threading.Lock()
 
     def result(self, key: Hashable, make: Callable[[], Any]) -> Any:
@@ -43,3 +44,17 @@ class Memo:
                 while len(self._kept) > self._most:
                     self._kept.popitem(last=False)
             return found
+
+    def newest(self, name: str, version: Hashable, make: Callable[[], Any]) -> Any:
+        """The same of something large: only that of the version that was asked for last is kept.
+
+        >>> memo = Memo()
+        >>> memo.newest("a", 1, lambda: "x"), memo.newest("a", 2, lambda: "y"), memo.newest("a", 1, lambda: "z")
+        ('x', 'y', 'z')
+        """
+        found = self.result((name, version), make)
+        with self._lock:
+            before, self._newest[name] = self._newest.get(name, version), version
+            if before != version:
+                self._kept.pop((name, before), None)
+        return found

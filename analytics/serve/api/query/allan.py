@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from analytics.serve.api.operation import Call, get
+from analytics.serve.api.query.recorded_signals import recorded_signal
 from analytics.serve.api.rows import dictionaries, iso
 from storage.sql.reading import find_signal
 from stream.decoding import decode_json
@@ -21,9 +22,9 @@ select tau_s, value, lo, hi, edf, n, unit_of_measure, t_ns, final, samples, miss
 where unit = $unit and signal = $signal and run = $run and estimator = 'allan_deviation' and tau_s is not null
 qualify t_ns = max(t_ns) over () order by tau_s
 """
-_SAMPLES = """
-select samples from internal.served_signals where unit = $unit and signal = $signal and run = $run
-"""
+# planning a statement takes longer than looking whether it can find anything
+_RUNS_ESTIMATED = "select distinct run from internal.lake_estimates where estimator = 'allan_deviation'"
+_RUNS_FITTED = "select distinct run from internal.lake_documents where kind = 'NoiseFitted'"
 _FITTED = """
 select document from internal.lake_documents
 where kind = 'NoiseFitted' and run = $run and unit = $unit and document->>'$.signal' = $signal
@@ -89,11 +90,11 @@ def _of_lake(call: Call, of: dict[str, str]) -> Allan:
     """The curve of all samples in the lake."""
     from analytics.curves.allan_curve import allan_curve
 
-    record = find_signal(call.views, of["unit"], of["signal"], of["run"])
     noise = _noise(call, of)
     try:
         curve = allan_curve(call.views, of["unit"], of["signal"], of["run"])
     except (NotEnoughData, NotFound) as error:  # too few samples, or dropped ones
+        record = find_signal(call.views, of["unit"], of["signal"], of["run"])
         return Allan(
             **of, unit_of_measure=record.unit_of_measure, source="samples", final=True, t_ns=None, time=None,
             samples=record.samples, missing=0, sample_interval_s=0.0, tau_s=[], adev=[], lo=[], hi=[], edf=[],
@@ -109,15 +110,27 @@ def known_allan(call: Call) -> Allan | None:
     newest = call.service.live.tail.curve(name)
     if newest is not None and not newest.final:
         return _newest(newest, of)
-    if not call.views.rows(_SAMPLES, of) and call.service.live.tail.version(name):
+    if recorded_signal(call, of["unit"], of["signal"], of["run"]).about is None and call.service.live.tail.version(
+        name
+    ):
         return _not_yet(of)
-    rows = dictionaries(call.views, _LIVE, of)
+    rows = dictionaries(call.views, _LIVE, of) if of["run"] in _runs(call, "allan_deviation", _RUNS_ESTIMATED) else []
     return _stored(rows, of, _noise(call, of)) if rows else None
 
 
 def is_long(call: Call) -> bool:
     """Whether a signal has so many samples that its curve takes seconds."""
-    return any(samples > _QUICK_SAMPLES for (samples,) in call.views.rows(_SAMPLES, _names(call)))
+    of = _names(call)
+    about = recorded_signal(call, of["unit"], of["signal"], of["run"]).about
+    return about is not None and about["samples"] > _QUICK_SAMPLES
+
+
+def _runs(call: Call, what: str, sql: str) -> frozenset[str]:
+    """Runs in the lake that have something."""
+    found: frozenset[str] = call.service.memo.newest(
+        f"runs with {what}", call.state.tag, lambda: frozenset(run for (run,) in call.views.rows(sql))
+    )
+    return found
 
 
 def _names(call: Call) -> dict[str, str]:
@@ -125,6 +138,8 @@ def _names(call: Call) -> dict[str, str]:
 
 
 def _noise(call: Call, of: dict[str, str]) -> dict[str, Any] | None:
+    if of["run"] not in _runs(call, "NoiseFitted", _RUNS_FITTED):
+        return None
     fitted = call.views.rows(_FITTED, of)
     return decode_json(fitted[0][0]) if fitted else None
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from analytics.serve.api.operation import Call, get
 from analytics.serve.api.query.buckets import NO_BUCKETS, Buckets, samples_in_order
+from analytics.serve.api.query.recorded_signals import recorded_signal
 from analytics.serve.api.query.signal_gaps import exact_gaps
-from analytics.serve.api.rows import dictionaries, iso, moment
+from analytics.serve.api.rows import iso, moment
 from analytics.serve.live.tail import LiveSamples
 from storage.lake.tables import SAMPLES_FILE
 from storage.sql.lake_source import LakeSource
@@ -25,16 +26,6 @@ _NS = 10**9
 _MOST_RAW = 6_000_000
 _GAP_INTERVALS = 1.5
 _ROLLUP = ("bucket", "n", "mean", "lo", "hi")
-_ABOUT = """
-select s.unit_of_measure, s.irregular, t_first_ns, t_last_ns, sample_interval_s,
-  coalesce(r.date_known, true) as date_known
-from internal.served_signals s left join internal.served_runs r using (run)
-where s.unit = $unit and s.signal = $signal and s.run = $run
-"""
-_PARTS = """
-select channel, is_kept, filename, samples, t_first_ns, t_last_ns, is_counts, scale, "offset"
-from internal.served_parts where unit = $unit and signal = $signal and run = $run order by t_first_ns
-"""
 
 
 class SignalAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -162,13 +153,10 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     of = {name: path[name] for name in ("unit", "signal", "run")}
     name = (of["unit"], of["run"], of["signal"])
     live = call.service.live.tail.samples(name, call.state.segments)
-    # of one version of the lake: whoever zooms asks again and again
-    found, parts = call.service.of_units.result(
-        ("signal", *name, call.state.tag), lambda: (dictionaries(views, _ABOUT, of), dictionaries(views, _PARTS, of))
-    )
-    if not found and live is None:
+    recorded = recorded_signal(call, of["unit"], of["signal"], of["run"])
+    if recorded.about is None and live is None:
         find_signal(views, of["unit"], of["signal"], of["run"])  # NotFound lists what there is
-    about = _about(found, live)
+    about = _about(recorded.about, live)
     first_ns = moment(asked.from_, "from")
     stop_ns = moment(asked.to, "to")
     first_ns = about["t_first_ns"] if first_ns is None else first_ns
@@ -177,7 +165,7 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
         begin, end = asked.from_ or f"the first sample, {iso(first_ns)}", asked.to or f"the last, {iso(stop_ns - 1)}"
         raise BadInput(f"the stretch ends ({end}) before it begins ({begin})")
     interval_s = float(about["sample_interval_s"])
-    stretch = _Stretch(first_ns, stop_ns, asked.points, parts, live)
+    stretch = _Stretch(first_ns, stop_ns, asked.points, recorded.parts, live)
     source, bucket_ns, buckets, note = _buckets(views.source, stretch)
     t_ns = buckets.slot.tolist()
     ends = (t_ns[0], t_ns[-1] + bucket_ns) if source.startswith("rollup") and t_ns else (first_ns, stop_ns)
@@ -200,17 +188,19 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     )  # fmt: skip
 
 
-def _about(found: list[dict[str, Any]], live: LiveSamples | None) -> dict[str, Any]:
+def _about(found: Mapping[str, Any] | None, live: LiveSamples | None) -> Mapping[str, Any]:
     """What is known of the signal, with the samples that the lake does not have yet."""
     if live is None:
-        return found[0]
-    about: dict[str, Any] = found[0] if found else {
+        assert found is not None
+        return found
+    about = found or {
         "unit_of_measure": live.unit_of_measure, "irregular": live.irregular, "date_known": True,
         "sample_interval_s": live.sample_interval_s, "t_first_ns": 2**63 - 1, "t_last_ns": -(2**63),
     }  # fmt: skip
     if live.t_ns.size:
         first_ns, last_ns = int(live.t_ns.min()), int(live.t_ns.max())
-        about = about | {
+        about = {
+            **about,
             "t_first_ns": min(about["t_first_ns"], first_ns),
             "t_last_ns": max(about["t_last_ns"], last_ns),
         }

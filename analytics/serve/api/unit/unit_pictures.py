@@ -11,6 +11,7 @@ import numpy as np
 from analytics.methods.distributions import student_quantile
 from analytics.plots.picture import Axis, Curve, Label, Picture
 from analytics.serve.api.operation import Call, get, link
+from analytics.serve.api.query.recorded_signals import signals_of
 from analytics.serve.api.rows import Name, dictionaries
 from analytics.serve.api.unit.units import unit_row
 from analytics.trends.values_sql import METRIC_VALUES
@@ -41,14 +42,6 @@ from estimates e join (
 where e.unit = $unit and e.signal = $signal and e.estimator = 'allan_deviation' and e.tau_s is not null
 qualify e.t_ns = max(e.t_ns) over (partition by e.run)
 order by s.t_ns desc, e.run, e.tau_s
-"""
-_SIGNALS = """
-select s.signal, any_value(s.unit_of_measure) as unit_of_measure, count(distinct s.run) as runs,
-  coalesce(any_value(e.curves), 0) as curves
-from internal.served_signals s left join (
-  select signal, count(distinct run) as curves from internal.lake_estimates
-  where unit = $unit and estimator = 'allan_deviation' group by signal
-) e using (signal) where s.unit = $unit group by s.signal order by s.signal
 """
 _STEPS = """
 select run, step, temperature, bias, standard_uncertainty, freedom from temperature_curve
@@ -112,7 +105,7 @@ def unit_history(call: Call, asked: HistoryAsked) -> Picture:
     unit_row(call, unit)
     given = {"unit": unit, "metric": asked.metric, "signal": asked.signal}
     rows = [_in_one_unit(row) for row in dictionaries(call.metrics, _VALUES, given)]
-    if asked.signal and not rows and asked.signal not in (known := _signals(call)):
+    if asked.signal and not rows and asked.signal not in (known := signals_of(call, call.path["unit"])):
         raise NotFound(
             f"unit {unit!r} has no signal {asked.signal!r}; {alike(asked.signal, list(known), 'signals are')}"
         )
@@ -148,7 +141,7 @@ def unit_allan(call: Call, asked: OfSignal) -> Picture:
     signal = _signal_of(call, asked.signal)
     given = {"unit": unit, "signal": signal}
     by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    known = _signals(call).get(signal)
+    known = signals_of(call, call.path["unit"]).get(signal)
     for row in dictionaries(call.views, _ALLAN, given) if known is not None and known["curves"] else ():
         by_run[row["run"]].append(row)
     runs = 0 if known is None else known["runs"]
@@ -180,7 +173,7 @@ def unit_temperature(call: Call, asked: OfSignal) -> Picture:
     """Output of a unit at rest over temperature: bias of static steps, 10 s means of runs whose temperature moves."""
     unit = call.path["unit"]
     signal = _signal_of(call, asked.signal)
-    known = {name: row["unit_of_measure"] for name, row in _signals(call).items()}
+    known = {name: row["unit_of_measure"] for name, row in signals_of(call, call.path["unit"]).items()}
     measure, factor = report_unit(known.get(signal, ""))
     curves: list[Curve] = []
     by_run: dict[str, list[dict[str, Any]]] = defaultdict(list)
@@ -270,20 +263,9 @@ def _signal_of(call: Call, asked: str) -> str:
     unit_row(call, unit)
     if asked:
         return asked
-    known = list(_signals(call).values())
+    known = list(signals_of(call, call.path["unit"]).values())
     known.sort(key=lambda row: (not is_angular_rate(row["unit_of_measure"]), not row["curves"], row["signal"]))
     return known[0]["signal"] if known else ""
-
-
-def _signals(call: Call) -> dict[str, dict[str, Any]]:
-    """Signals of the unit in the lake, with how many runs they are of, and in how many of these they were estimated."""
-    unit = call.path["unit"]
-
-    def find() -> dict[str, dict[str, Any]]:
-        return {row["signal"]: row for row in dictionaries(call.views, _SIGNALS, {"unit": unit})}
-
-    found: dict[str, dict[str, Any]] = call.service.of_units.result(("signals", unit, call.state.tag), find)
-    return found
 
 
 def _kind(row: dict[str, Any]) -> str:
