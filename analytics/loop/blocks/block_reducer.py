@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from analytics.loop.blocks import derived
 from analytics.loop.blocks import reduction_notes as notes_on
-from analytics.loop.blocks.derived import unresolved
 from analytics.loop.blocks.join import ChannelJoiner
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.outliers import RateSeries
@@ -24,6 +23,7 @@ from analytics.loop.blocks.record_checks import (
     copies_left_out,
 )
 from analytics.loop.blocks.reduction_notes import LEAST_SHARE, Note
+from analytics.loop.blocks.reference_edges import unresolved
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
 from analytics.loop.blocks.step_channels import position_numbers, read_steps
@@ -284,13 +284,15 @@ class BlockReducer:
         numbers = position_numbers(self.catalog) if self.positions is None else dict(self.positions)
         turns, notes = derived.assumed_axis({run.name: run.steps for run in runs}, recorded)
         references = [(source, run.blocks.t0_ns) for run in runs if (source := run.reference) is not None]
-        self._joiner.expect_changes(references)
+        self._joiner.expect_motion(references)
         for run in runs:
             run.blocks = derived.with_motion(run.blocks, run.found, run.steps, turns, numbers)
             if (source := run.reference) is not None:
-                changes = self._joiner.changes(source, run.blocks.slot, run.blocks.t0_ns)
+                motion = self._joiner.motion(source, run.blocks.slot, run.blocks.t0_ns)
                 commanded = derived.commanded_in(run.blocks, run.found, run.steps)
-                run.is_unresolved = unresolved(run.blocks, changes, source.interval_s, commanded, run.is_lost)
+                untold_s = notes_on.untold_delay_s(source.interval_s, float(np.median(run.found.interval_s)))
+                run.blocks = replace(run.blocks, untold_delay_s=untold_s)
+                run.is_unresolved = unresolved(run.blocks, motion, run.sample_variance, commanded, run.is_lost)
         notes += derived.source_of_input_rate(recorded, [run.blocks for run in runs])
         notes += notes_on.positions({step.position for run in runs for step in run.steps if step.position}, numbers)
         notes += notes_on.no_power_on([run.name for run in runs if not run.has_power_on], len(runs))

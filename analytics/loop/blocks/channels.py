@@ -1,10 +1,12 @@
 """Channels beside a signal: in standard units, joined to its blocks by time; angles, which may wrap, as phasors."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from analytics.loop.blocks.inside import Inside
+from analytics.loop.blocks.piece_slopes import ORDERS
 from analytics.loop.blocks.pieces import Grid
 from analytics.loop.blocks.run_blocks import HARMONICS, Channel, ComplexArray
 from analytics.loop.blocks.signal_blocks import SignalBlocks
@@ -25,7 +27,6 @@ _STANDARD_UNITS = (
 )
 _ONE_TIME_S = 1e-5  # times this near are one: grids of samples are rounded to ns
 _HALF_TURN_DEG = 180.0
-_HELD = 0.01  # of the range of a channel, within which it stays where it is
 _TURNING_DEG, _TRUSTED_DEG = 10.0, 15.0
 """Angle between two readings above which a rate is compared with them, and the largest accepted difference."""
 
@@ -110,11 +111,10 @@ def joined_blocks(signal: SignalBlocks, found: SignalBlocks, unit: StandardUnit,
     at = np.clip(np.searchsorted(found.slot, signal.slot), 0, len(found.slot) - 1)
     is_same = found.slot[at] == signal.slot
     later_s = np.where(is_same, signal.centre_s - found.centre_s[at], 0.0)
-    # of samples dt apart a mean is that of the time they stand for, less dt**2/24 times its mean second derivative
-    second_s2 = 0.5 * later_s**2 + (found.interval_s[at] ** 2 - signal.interval_s**2) / 24.0
-    is_one = (np.abs(later_s) < _ONE_TIME_S) & (np.abs(second_s2) < _ONE_TIME_S)
-    later_s, second_s2 = np.where(is_one, 0.0, later_s), np.where(is_one, 0.0, second_s2)
-    moved = found.mean[at] + later_s * found.slope_per_s[at] + second_s2 * found.curve_per_s2[at]
+    factors = _taylor(later_s, found.interval_s[at], signal.interval_s)
+    is_one = (np.abs(factors[:, :2]) < _ONE_TIME_S).all(axis=1)
+    factors[is_one] = 0.0
+    moved = found.mean[at] + factors[:, 0] * found.slope_per_s[at] + (factors[:, 1:] * found.further[at]).sum(axis=1)
     mean = np.where(is_same & ~(found.is_open[at] & ~is_one), moved, np.nan)
     spread = np.where(is_same, found.spread[at], 0.0)
     if not is_same.all():
@@ -124,51 +124,32 @@ def joined_blocks(signal: SignalBlocks, found: SignalBlocks, unit: StandardUnit,
     if inside is not None:
         rows = np.full(len(found.slot), -1)
         rows[at[is_same]] = np.flatnonzero(is_same)
-        inside = inside.at(rows).later(later_s, second_s2)
-    slope = found.slope_per_s[at] + later_s * found.curve_per_s2[at]
+        inside = inside.at(rows).later(factors)
+    slope = found.slope_per_s[at] + (factors[:, :-1] * found.further[at]).sum(axis=1)
     return unit.channel(mean, spread, inside, np.where(is_same & found.is_smooth[at], slope, np.nan))
+
+
+def _taylor(later_s: FloatArray, from_s: FloatArray, to_s: FloatArray) -> FloatArray:
+    """Factors of the mean derivatives, from the first on, that move a mean of samples to later ones of other intervals.
+
+    A mean of samples dt apart is that of the time they stand for over sinh(x)/x, x = dt/2 times the derivative.
+
+    >>> _taylor(np.array([0.5]), np.array([1.0]), np.array([1.0])).round(5).tolist()
+    [[0.5, 0.125, 0.02083, 0.0026, 0.00026]]
+    """
+    second = (from_s**2 - to_s**2) / 24.0
+    fourth = from_s**4 / 1920.0 - to_s**4 / 1920.0 - to_s**2 / 24.0 * second
+    one, power = np.ones_like(later_s), [later_s**order / math.factorial(order) for order in range(ORDERS + 1)]
+    own = (one, np.zeros_like(one), second, np.zeros_like(one), fourth)
+    return np.column_stack(
+        [sum(power[order - at] * each for at, each in enumerate(own) if at <= order) for order in range(1, ORDERS + 1)]
+    )
 
 
 def joined_readings(signal: SignalBlocks, readings: Readings, unit: StandardUnit, tolerance_s: float) -> Channel:
     """A channel with fewer readings: interpolated at the mean time of each block's samples."""
     mean = interpolated(signal.centre_s, readings, tolerance_s)
     return unit.channel(mean, np.zeros(len(mean)))
-
-
-def ranges(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: FloatArray) -> FloatArray:
-    """Range of a channel from the last reading before each block to the first after it.
-
-    Readings come as seconds that begin at `t_s`, with the least and the greatest value of each.
-
-    >>> t_s, value = np.array([0.0, 5.0, 10.0, 15.0, 20.0]), np.array([0.0, 0.0, 0.0, 7.0, 7.0])
-    >>> ranges(np.array([0, 1, 2]), 5.0, t_s, value, value).tolist()
-    [0.0, 0.0, 7.0]
-    """
-    if len(t_s) == 0:
-        return np.full(len(slot), np.nan)
-    first = np.maximum(np.searchsorted(t_s + 1.0, slot * block_s, side="right") - 1, 0)
-    beyond = np.searchsorted(t_s, (slot + 1) * block_s, side="left") + 1
-    edges = np.column_stack([first, np.minimum(np.maximum(beyond, first + 1), len(t_s))]).ravel()
-    # one more at the end, since reduceat requires every index below the length
-    least = np.minimum.reduceat(np.append(lo, np.inf), edges)[::2]
-    most = np.maximum.reduceat(np.append(hi, -np.inf), edges)[::2]
-    return np.asarray(most - least, dtype=np.float64)
-
-
-def held(t_s: FloatArray, lo: FloatArray, hi: FloatArray) -> float:
-    """Median time for which a channel stays where it is, by seconds as in `ranges`; 0 where it never does.
-
-    >>> value = np.repeat([0.0, 7.0, -7.0], 20)
-    >>> held(np.arange(60.0), value, value)
-    19.0
-    """
-    if len(t_s) < 2:
-        return 0.0
-    moves = np.maximum(hi[1:], hi[:-1]) - np.minimum(lo[1:], lo[:-1]) > _HELD * (hi.max() - lo.min())
-    edges = np.flatnonzero(np.concatenate([[True], moves, [True]]))
-    lengths = np.diff(edges) - 1
-    lengths = lengths[lengths > 1]
-    return float(np.median(lengths) * np.median(np.diff(t_s))) if lengths.size else 0.0
 
 
 class AngleBlocks:

@@ -21,21 +21,21 @@ class Inside:
     mean: FloatArray
     spread: FloatArray  # standard deviation of the readings in each
     slope_per_s: FloatArray | None = None  # mean rate of change in each
-    curve_per_s2: FloatArray | None = None  # that of the rate of change
+    further: FloatArray | None = None  # shape (pieces, orders): mean second, third, ... derivatives
 
     def scaled(self, factor: float | FloatArray, offset: float = 0.0) -> Self:
         """In another unit; a factor of each block as an array."""
         own = factor if isinstance(factor, float) else factor[self.row]
-        slope, curve = (None if each is None else each * own for each in (self.slope_per_s, self.curve_per_s2))
+        slope, further = (None if each is None else (each.T * own).T for each in (self.slope_per_s, self.further))
         mean, spread = self.mean * own + offset, self.spread * np.abs(own)
-        return replace(self, mean=mean, spread=spread, slope_per_s=slope, curve_per_s2=curve)
+        return replace(self, mean=mean, spread=spread, slope_per_s=slope, further=further)
 
-    def later(self, by_s: FloatArray, half_square_s2: FloatArray) -> Self:
-        """Means over other times; of each block, how much later, and the factor of the mean second derivative."""
-        if self.slope_per_s is None or self.curve_per_s2 is None:
+    def later(self, factors: FloatArray) -> Self:
+        """Means over other times; `factors` of the mean derivatives, from the first on, of each block."""
+        if self.slope_per_s is None or self.further is None:
             return self
-        moved = self.slope_per_s * by_s[self.row] + self.curve_per_s2 * half_square_s2[self.row]
-        return replace(self, mean=self.mean + moved)
+        own = factors[self.row]
+        return replace(self, mean=self.mean + own[:, 0] * self.slope_per_s + (own[:, 1:] * self.further).sum(axis=1))
 
     def at(self, rows: IntArray) -> Self:
         """Pieces at the rows that these blocks have elsewhere, increasing; those of a row below 0 are left out.
@@ -47,10 +47,10 @@ class Inside:
         """
         row = rows[self.row]
         kept = row >= 0
-        slope, curve = (None if each is None else each[kept] for each in (self.slope_per_s, self.curve_per_s2))
+        slope, further = (None if each is None else each[kept] for each in (self.slope_per_s, self.further))
         mean, spread = self.mean[kept], self.spread[kept]
         return replace(
-            self, row=row[kept], n=self.n[kept], mean=mean, spread=spread, slope_per_s=slope, curve_per_s2=curve
+            self, row=row[kept], n=self.n[kept], mean=mean, spread=spread, slope_per_s=slope, further=further
         )
 
     def part(self, rows: BoolArray | slice, blocks: int) -> Self:
@@ -104,4 +104,4 @@ def inside_of(
     found = Inside(number[chosen], n[chosen].astype(np.float64), mean[chosen], spreads)
     if slopes is None:
         return found
-    return replace(found, slope_per_s=slopes.of_pieces[chosen], curve_per_s2=slopes.curve_of_pieces[chosen])
+    return replace(found, slope_per_s=slopes.of_pieces[chosen], further=slopes.further_of_pieces[chosen])

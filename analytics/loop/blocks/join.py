@@ -10,25 +10,24 @@ import numpy as np
 from analytics.loop.blocks.channels import (
     AngleBlocks,
     Readings,
-    held,
     interpolated,
     joined_blocks,
     joined_readings,
     polled_angle,
-    ranges,
     standard_unit,
     without_aliases,
 )
 from analytics.loop.blocks.outliers import RateSeries, is_far_outside, motion, moves
 from analytics.loop.blocks.pieces import Grid, SignalKey
+from analytics.loop.blocks.reference_edges import Motion, bends, held, ranges
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel
 from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
 from analytics.loop.blocks.stored_readings import MOST_READINGS, StoredReadings
-from analytics.loop.blocks.stored_signals import ChannelSource
+from analytics.loop.blocks.stored_signals import REFERENCE_RATES, ChannelSource
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
 
-_DENSE = 4  # readings a block from which on block means are taken
+_DENSE, _DENSE_OF_RATE = 4, 1  # readings a block from which on block means are taken; a rate swings between them
 _BESIDE = 4  # blocks beside a time range from which readings are taken, too
 _TOLERATED = 1.05  # of the interval between readings
 
@@ -135,17 +134,18 @@ class ChannelJoiner:
                     found[name] = polled or without_aliases(angle, table.mean, by_name[name].interval_s)
         return found, outliers, is_far
 
-    def changes(self, source: ChannelSource, slot: IntArray, t0_ns: int) -> FloatArray:
-        """Range of a channel about each block, in its standard unit, see `ranges`."""
-        factor = standard_unit(source.name, source.unit_of_measure).factor
-        return ranges(slot, self._block_s, *self._stored.extremes(source, t0_ns)) * abs(factor)
+    def motion(self, source: ChannelSource, slot: IntArray, t0_ns: int) -> Motion:
+        """What a rate does about each block."""
+        factor = abs(standard_unit(source.name, source.unit_of_measure).factor)
+        changes, bent = (each(slot, self._block_s, *self._stored.extremes(source, t0_ns)) for each in (ranges, bends))
+        return Motion(changes * factor, bent * factor, source.interval_s)
 
     def held_s(self, source: ChannelSource, t0_ns: int) -> float:
         """How long a channel that steps stays where it is, in whole seconds, see `held`."""
         return held(*self._stored.extremes(source, t0_ns))
 
-    def expect_changes(self, wanted: Sequence[tuple[ChannelSource, int]]) -> None:
-        """Announce the channels, with the begin of slot 0, whose `changes` will be asked for."""
+    def expect_motion(self, wanted: Sequence[tuple[ChannelSource, int]]) -> None:
+        """Announce the channels, with the begin of slot 0, whose `motion` will be asked for."""
         self._stored.expect_extremes(wanted)
 
     def _joined(self, source: ChannelSource, signal: SignalBlocks, grid: Grid) -> _Joined:
@@ -223,7 +223,8 @@ class ChannelJoiner:
 
     def _is_dense(self, source: ChannelSource) -> bool:
         """Whether its readings are averaged over each block: there are many, or they are taken with the samples."""
-        if source.kept_raw < source.samples or 0.0 < source.interval_s * _DENSE <= self._block_s:
+        dense = _DENSE_OF_RATE if source.name in REFERENCE_RATES else _DENSE
+        if source.kept_raw < source.samples or 0.0 < source.interval_s * dense <= self._block_s:
             return True
         return source.is_in_step(*self._sampled[source.run])
 

@@ -14,17 +14,19 @@ _STENCILS, _STENCIL_AT_END = (8, 10), 8  # equal pieces whose means a polynomial
 _KINK = (
     0.33  # of the second differences of those pieces in one, from which they step or bend: swings have a fifth in one
 )
+_SHARP = 10.0  # times the usual fourth difference, from which rough pieces are an edge and not noise
 _FAST = 0.5  # mean square of second differences over the variance: of swings of 7.5 pieces, 2 % at their end unknown
 _EVEN = 0.1  # of the time from piece to piece by which it may differ
+ORDERS = 5  # of derivatives: of readings 1 s apart on a swing of 0.1 Hz, 0.2 ms are left of 0.5 s
 
 
 class Slopes(NamedTuple):
-    """Mean rates of change in the pieces of a signal and in its blocks, per second, and those of these rates."""
+    """Mean rates of change in the pieces of a signal and in its blocks, per second, and mean further derivatives."""
 
     of_pieces: FloatArray
     of_blocks: FloatArray
-    curve_of_pieces: FloatArray  # per s^2; 0 where it may step
-    curve_of_blocks: FloatArray
+    further_of_pieces: FloatArray  # shape (pieces, ORDERS - 1): second, third, ... per s^2, ...; 0 where it may step
+    further_of_blocks: FloatArray
     is_smooth: BoolArray  # blocks at whose edges it moves without a step
     is_open: BoolArray  # blocks at a gap or an end, near which edges are not known since it swings within a few pieces
 
@@ -47,16 +49,19 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     first = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
     if size < 2:
         none = np.zeros(first.size, np.bool_)
-        return Slopes(np.zeros(size), np.zeros(first.size), np.zeros(size), np.zeros(first.size), none, none)
+        of_pieces, of_blocks = (np.zeros((each, ORDERS)) for each in (size, first.size))
+        return Slopes(of_pieces[:, 0], of_blocks[:, 0], of_pieces[:, 1:], of_blocks[:, 1:], none, none)
     piece_ns = float(np.median(starts))
     joined = (np.abs(starts - piece_ns) <= _EVEN * piece_ns) & np.isfinite(mean[1:] + mean[:-1])
     before, after = np.append(False, joined), np.append(joined, False)  # whether a piece has one before, and after it
     begin, end = _beside_steps(mean, spread, before, after)
-    turned_in, turned_out = np.full(size, np.nan), np.full(size, np.nan)  # slope at begin and end, where it is smooth
+    # derivatives per piece at begin and end, where it is smooth
+    turned_in, turned_out = (np.full((size, ORDERS - 1), np.nan) for _ in range(2))
     is_open = np.zeros(size, np.bool_)
     known = mean[np.isfinite(mean)]
     moves = known.size > 0 and not is_noise(np.zeros(known.size, np.int64), known, np.array([known.size]))
-    bend = np.abs(np.diff(mean, 2))
+    bend, sharp = np.abs(np.diff(mean, 2)), np.abs(np.diff(mean, 4))
+    usual = float(np.nanmedian(sharp)) if np.isfinite(sharp).any() else 0.0
     for pieces in _STENCILS if moves else ():
         if size < pieces:
             break
@@ -64,14 +69,19 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
         bends, squares = (np.lib.stride_tricks.sliding_window_view(each, pieces - 2) for each in (bend, bend**2))
         smooth = np.lib.stride_tricks.sliding_window_view(joined, pieces - 1).all(axis=1)
         smooth &= (bends.max(axis=1) <= _KINK * bends.sum(axis=1)) & (np.ptp(about, axis=1) > WIDE * np.ptp(known))
+        fourth = np.lib.stride_tricks.sliding_window_view(sharp, pieces - 4)
+        is_rough = (fourth**2).sum(axis=1) > squares.sum(axis=1)  # of swings of six pieces and faster, and short ramps
+        smooth &= ~(is_rough & (fourth.max(axis=1) > _SHARP * usual))
         swings = squares.mean(axis=1) > _FAST * np.var(about, axis=1)
-        for at, (weight, of_slope) in enumerate(zip(*_at_edges(pieces), strict=True)):
+        weights = _at_edges(pieces)
+        for at in range(pieces + 1):
             of = np.flatnonzero(smooth)
             if at != pieces // 2:  # beside a gap or an end, where no other pieces are
                 if pieces != _STENCIL_AT_END:
                     continue
                 of = of[~before[of]] if at < pieces // 2 else of[~after[of + pieces - 1]]
-            value, slope = about[of] @ weight, about[of] @ of_slope
+            derivatives = about[of] @ weights[:, at].T
+            value, slope = derivatives[:, 0], derivatives[:, 1:]
             if at < pieces:
                 is_open[of + at] |= (at < pieces // 2) & swings[of]
                 begin[of + at], turned_in[of + at] = value, slope
@@ -79,14 +89,16 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
                 is_open[of + at - 1] |= (at > pieces // 2) & swings[of]
                 end[of + at - 1], turned_out[of + at - 1] = value, slope
     last = np.append(first[1:], size) - 1
-    seconds = np.add.reduceat(np.full(size, piece_ns / 1e9), first)
-    turned = (turned_out[last] - turned_in[first]) / seconds
+    piece_s = piece_ns / 1e9
+    seconds = np.add.reduceat(np.full(size, piece_s), first)
+    per_s = piece_s ** -np.arange(1.0, ORDERS)
+    turned = (turned_out[last] - turned_in[first]) * per_s / seconds[:, None]
     return Slopes(
-        np.nan_to_num((end - begin) / (piece_ns / 1e9)),
+        np.nan_to_num((end - begin) / piece_s),
         np.nan_to_num((end[last] - begin[first]) / seconds),
-        np.nan_to_num((turned_out - turned_in) / (piece_ns / 1e9) ** 2),
-        np.nan_to_num(turned / (piece_ns / 1e9)),
-        np.isfinite(turned),
+        np.nan_to_num((turned_out - turned_in) * per_s / piece_s),
+        np.nan_to_num(turned),
+        np.isfinite(turned).all(axis=1),
         is_open[first] | is_open[last],
     )
 
@@ -108,18 +120,23 @@ def _beside_steps(
 
 
 @cache
-def _at_edges(pieces: int) -> tuple[FloatArray, FloatArray]:
-    """Weights of the means of equal pieces in value and slope at each edge, of the polynomial that has these means.
+def _at_edges(pieces: int) -> FloatArray:
+    """Weights of the means of equal pieces in derivatives at each edge, of the polynomial that has these means.
 
-    >>> [(each * 2).round(9).tolist() for each in _at_edges(2)]
+    Shape (ORDERS, pieces + 1, pieces), the value first.
+
+    >>> (_at_edges(2)[:2] * 2).round(9).tolist()
     [[[3.0, -1.0], [1.0, 1.0], [-1.0, 3.0]], [[-2.0, 2.0], [-2.0, 2.0], [-2.0, 2.0]]]
     """
-    edges = np.arange(pieces + 1.0)
+    edges = np.arange(pieces + 1.0) - pieces / 2.0
     power = np.arange(1, pieces + 1)
     means = np.diff(edges[:, None] ** power, axis=0) / power  # of x**(power - 1) over each piece
     of_means = np.linalg.inv(means)
-    slopes = (power - 1) * edges[:, None] ** np.maximum(power - 2, 0)
-    return np.asarray(edges[:, None] ** (power - 1) @ of_means), np.asarray(slopes @ of_means)
+    weights, factor = [], np.ones(pieces)
+    for order in range(ORDERS):
+        weights.append((factor * edges[:, None] ** np.maximum(power - 1 - order, 0)) @ of_means)
+        factor = factor * (power - 1 - order)
+    return np.array(weights)
 
 
 def is_noise(number: IntArray, mean: FloatArray, pieces: IntArray) -> bool:

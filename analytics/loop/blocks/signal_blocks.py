@@ -40,9 +40,10 @@ class SignalBlocks:
     far_reading: FloatArray  # that outlier, else NaN
     lowest: FloatArray  # reading
     slope_per_s: FloatArray  # mean rate of change
-    curve_per_s2: FloatArray  # that of the rate of change
+    further: FloatArray  # shape (blocks, orders): mean second, third, ... derivatives, per s^2, s^3, ...
     is_smooth: BoolArray  # whether it moves without a step at the edges of the block
     is_open: BoolArray  # whether the mean cannot be moved to another time, see `Slopes`
+    steady_variance: float = np.nan  # of a sample, the white part less ramps and single edges; NaN if unknown
     farthest: float = 0.0  # outlier of the run; 0 where there is none
     inside: Inside | None = None  # pieces of the blocks in which the signal moves
 
@@ -106,9 +107,10 @@ def _blocks(pieces: Pieces, t0_ns: int, block_ns: int) -> SignalBlocks:
         is_far=is_far,
         far_reading=far_reading,
         lowest=np.minimum.reduceat(pieces.lo, first),
+        steady_variance=_steady_variance(pieces, number),
         farthest=float(extreme[np.where(far, beyond, -np.inf).argmax()]) if is_far.any() else 0.0,
         slope_per_s=slopes.of_blocks,
-        curve_per_s2=slopes.curve_of_blocks,
+        further=slopes.further_of_blocks,
         is_smooth=slopes.is_smooth,
         is_open=slopes.is_open,
         inside=inside_of(number, pieces.n, pieces.mean, pieces.m2, (mean, spread, is_far), slopes),
@@ -129,6 +131,16 @@ def _sample_variance(pieces: Pieces, number: IntArray) -> FloatArray:
     middle, average = (float(np.median(variance)), float(variance.mean())) if variance.size else (0.0, 0.0)
     typical = middle / MEDIAN_OF_SQUARE if middle > 0 else average
     return np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
+
+
+def _steady_variance(pieces: Pieces, number: IntArray) -> float:
+    """The white part of the variance of a sample by the median of second differences; NaN where they are 0."""
+    within = number[2:] == number[:-2]
+    bends = np.diff(pieces.mean, 2)[within]
+    if bends.size < LEAST_PAIRS:
+        return np.nan
+    weights = (1.0 / pieces.n[2:] + 4.0 / pieces.n[1:-1] + 1.0 / pieces.n[:-2])[within]
+    return float(np.median(bends * bends / weights)) / MEDIAN_OF_SQUARE or np.nan
 
 
 def _far(pieces: Pieces) -> tuple[BoolArray, FloatArray, FloatArray]:

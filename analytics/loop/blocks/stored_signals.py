@@ -18,6 +18,7 @@ from stream.errors import BadInput, NotFound, UnknownUnit
 from stream.quantities import conversion, is_angular_rate, report_unit
 
 FAR_NS = 2**62
+REFERENCE_RATES = ("input_rate", "table_rate")
 _FAST_S = 0.5
 _SAME = 1.05
 _SAME_INTERVAL, _SAME_MOMENT = 1e-3, 0.02

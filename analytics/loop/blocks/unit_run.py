@@ -19,7 +19,7 @@ from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord
 from stream.batch import BoolArray
-from stream.quantities import conversion
+from stream.quantities import conversion, report_unit
 
 _SWINGS = 0.02  # of the range of the means: the scatter within a block
 
@@ -52,7 +52,14 @@ class UnitRun:
         if rate is None or not (mean := rate.mean[np.isfinite(rate.mean)]).size:
             return False
         least = AT_REST_DEG_PER_S / conversion(rate.unit_of_measure, "deg/s")[0]
-        return bool(np.median(rate.spread) > max(_SWINGS * np.ptp(mean), least))
+        # of blocks with one reading or none their changes show it
+        moved = max(float(np.median(rate.spread)), float(np.median(np.abs(np.diff(mean)))) if mean.size > 1 else 0.0)
+        return bool(moved > max(_SWINGS * np.ptp(mean), least))
+
+    @property
+    def sample_variance(self) -> float:
+        """Variance of a sample's white noise, less any ramp; NaN if unknown."""
+        return self.found.steady_variance * report_unit(self.record.unit_of_measure)[1] ** 2
 
     @property
     def reference(self) -> ChannelSource | None:

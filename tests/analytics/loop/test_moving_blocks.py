@@ -219,7 +219,7 @@ def test_means_of_two_sample_rates_are_of_one_time(tested: TestedUnits, frequenc
     (note,) = [each for each in reduction.notes if each.what == "two_rates"]
     assert note.text in reduction.limits
     assert "every 0.1 s, the signal every 0.01 s" in note.text
-    assert "less than 0.001 s" in note.text
+    assert "less than 0.0001 s" in note.text
     assert "--block" not in note.text
     at_gyro = 40.0 * np.sin(2 * np.pi * frequency_hz * 0.01 * np.arange(60_000)).reshape(-1, 200).mean(axis=1)
     off = run.mean("input_rate") - at_gyro

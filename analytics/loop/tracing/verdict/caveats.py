@@ -103,6 +103,15 @@ def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Biling
             )
 
 
+def untold_caveat(found: FoundEffect) -> Bilingual:
+    """An effect that may be what is left of joining a gyro and a rate reference of two sample rates."""
+    return Bilingual(
+        f"{found.name} is not confirmed: its bounds contain what the sample rates of gyro and rate reference cannot "
+        "tell of a delay, and zero; record both at one rate",
+        f"{found.name}未获证实：其区间含陀螺与速率基准两种采样率所不能分辨的延时，且含零；请以同一采样率记录两者",
+    )
+
+
 def _steps_at(values: FloatArray, at: int) -> bool:
     """Whether a channel changes within two blocks of a place by a third of its range in the run, between plateaus."""
     before, after = values[max(at - _PLATEAU, 0) : max(at - 1, 0)], values[at + 2 : at + 1 + _PLATEAU]

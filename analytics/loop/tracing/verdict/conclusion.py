@@ -26,16 +26,19 @@ from analytics.loop.tracing.verdict.caveats import (
     differing_caveats,
     undetermined_terms,
     unexplained_error,
+    untold_caveat,
     weak_terms,
 )
 from analytics.loop.tracing.verdict.effect_findings import (
     AGEING,
     findings,
     fitted_model,
+    is_untold,
     unreplicated,
     with_ageing,
     with_causes,
     with_clock_bounds,
+    with_untold_delay,
 )
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
@@ -93,13 +96,18 @@ def conclude(
         remarks.append(agreement.scatter_caveat(differing, scatter, case.stack.runs))
         hiding = remarks[-1] if differing is None else None
     declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
-    effects = tuple(with_clock_bounds(each, declared_model) for each in effects)
+    effects = tuple(
+        with_untold_delay(with_clock_bounds(each, declared_model), declared_model, case.stack.runs) for each in effects
+    )
+    untold = [each for each in effects if is_untold(each, case.stack.runs)]
+    remarks += map(untold_caveat, untold)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
     walks = [each for each in effects if holdout is not None and holdout.may_be_walk(each.name)]
     is_excess = declared is not None and excess.is_excess
+    doubtful = (*walks, *(each for each in untold if each not in walks))
     verdict = verdict_of(
-        [each for each in effects if each not in walks],
-        (*seen_once, *walks),
+        [each for each in effects if each not in doubtful],
+        (*seen_once, *doubtful),
         is_excess=is_excess and (excess.repeats or not (effects or seen_once)),
         within_run=case.replication == "within_run",
     )

@@ -19,7 +19,8 @@ from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
 
-AGEING = "ageing"
+AGEING, SCALE_FACTOR = "ageing", "scale_factor"
+PER_HOUR = "s/h"  # unit of a clock error that grows
 
 
 def unfitted(cause: Effect, *, recorded: bool, evidence_behind: float | None = None) -> ConfoundedEffect:
@@ -76,6 +77,32 @@ def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
     if sensitivity == 0.0:
         return other
     return msgspec.structs.replace(other, implied=abs(other.coefficient) / sensitivity, most=most, implied_unit=unit)
+
+
+def with_untold_delay(found: FoundEffect, declared: ErrorModel, runs: Sequence[RunBlocks]) -> FoundEffect:
+    """A finding that acts as a delay beside the rate reference, with bounds that contain what cannot be told of one.
+
+    It is not confirmed where these bounds contain zero.
+    """
+    own, labels = effect(found.name), declared.labels()
+    untold_s = max(run.untold_delay_s for run in runs)
+    of_clock = own.clock_bound is not None and own.clock_bound[0] == SCALE_FACTOR
+    if untold_s == 0.0 or SCALE_FACTOR not in labels or not (of_clock or own.needs == ("table_acceleration",)):
+        return found
+    reach = untold_s * abs(declared.coefficients[labels.index(SCALE_FACTOR)])
+    if own.clock_bound is not None and own.clock_bound[2] == PER_HOUR:
+        reach /= max(float(run.time_s[-1]) for run in runs) / 3600.0
+    wider = tuple(msgspec.structs.replace(each, lo=each.lo - reach, hi=each.hi + reach) for each in found.coefficients)
+    is_told = all(each.lo > 0.0 or each.hi < 0.0 for each in wider)
+    return msgspec.structs.replace(found, coefficients=wider, confirmed=found.confirmed if is_told else None)
+
+
+def is_untold(found: FoundEffect, runs: Sequence[RunBlocks]) -> bool:
+    """Whether a finding may be a delay that cannot be told, see `with_untold_delay`."""
+    acts = {"input_rate", "table_acceleration"}.intersection(found.roles) and any(run.untold_delay_s for run in runs)
+    own = effect(found.name)
+    is_delay = own.needs == ("table_acceleration",) or own.clock_bound is not None
+    return bool(acts) and is_delay and any(each.lo <= 0.0 <= each.hi for each in found.coefficients)
 
 
 def findings(candidates: Candidates, found: Search) -> list[FoundEffect]:
