@@ -5,6 +5,8 @@ import tomllib
 from functools import cache, lru_cache
 from importlib.resources import files
 
+from analytics.evaluation.system_errors import system_error
+
 _PLACE = re.compile(r"\{(\d)\}")
 _OF_STANDARD = re.compile(r"((?:GJB|JJF) ?\d+[A-Z]?): (.+)")
 _VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
@@ -18,6 +20,8 @@ def in_chinese(reason: str) -> str:
     '记录长 300 s：条款一般要求一小时'
     >>> in_chinese("3 power-ons measured, the clause asks for 6 or more")
     '测得 3 次上电，条款要求不少于 6 次'
+    >>> in_chinese("/data/lake: Input/output error")
+    '/data/lake：输入/输出错误'
     >>> in_chinese("something else")
     'something else'
     """
@@ -36,7 +40,10 @@ def _translated(text: str) -> str | None:
         if (match := pattern.fullmatch(text)) is not None:
             filled = [_VERDICTS.get(part) or in_chinese(part) for part in match.groups()]
             return "".join(filled[int(each[1])] if _PLACE.fullmatch(each) else each for each in _pieces(chinese))
-    return None
+    if (error := system_error(text)) is None:
+        return None
+    before, what, of = error
+    return (f"{in_chinese(before)}：" if before else "") + what + (f"：{of}" if of else "")
 
 
 @cache

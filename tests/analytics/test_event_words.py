@@ -1,5 +1,7 @@
 """Names of documents and their words for people, in both languages."""
 
+import errno
+import os
 import re
 import typing
 from enum import StrEnum
@@ -80,3 +82,21 @@ def test_what_people_wrote_stays_and_what_the_program_wrote_is_translated() -> N
     assert summary({"text": "refused: paused", "text_zh": "已拒绝：暂停中"}, "zh") == "已拒绝：暂停中"
     assert summary({"number": "GYL-2026-0001", "reason": "model corrected"}, "zh") == "GYL-2026-0001，model corrected"
     assert summary(msgspec.to_builtins({"words": {"step": "rate", "position": "X_up"}})) == "rate, X_up"
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.ENOENT, errno.EIO, errno.EROFS, errno.EADDRINUSE])
+def test_errors_of_the_system_are_in_chinese_wherever_they_stand(code: int) -> None:
+    """ "No space left on device" stood in English within Chinese notes."""
+    text, full = os.strerror(code), str(OSError(code, os.strerror(code), "/data/log/1.mcap"))
+    (own,) = {summary({"reason": text}, "zh")}
+    assert re.search("[a-z]", own) is None
+    assert summary({"reason": full}, "zh") == f"{own}：'/data/log/1.mcap'"
+    assert summary({"reason": full}) == full
+    note = store_note("recording_paused", f"recording resumes after a pause of 3.0 s: {text}").zh
+    assert note.endswith(own)
+    assert text not in note
+
+
+def test_a_sentence_that_only_contains_such_a_text_stays() -> None:
+    text = "No space left on device was what we read, see the note"
+    assert summary({"reason": text}, "zh") == text
