@@ -9,6 +9,7 @@ from analytics.loop.blocks.piece_slopes import MOVES, WIDE, Slopes, is_noise
 from stream.batch import BoolArray, FloatArray, IntArray
 
 _LEAST_OF_RANGE = 1e-3  # the same, of the range of the means
+_EVEN = 0.05  # of the spread of readings on a ramp, by which theirs may differ
 _MOST_PIECES = 500_000  # of a channel of a run, 32 bytes each
 
 
@@ -21,6 +22,7 @@ class Inside:
     mean: FloatArray
     spread: FloatArray  # standard deviation of the readings in each
     slope_per_s: FloatArray | None = None  # mean rate of change in each
+    is_even: BoolArray | None = None  # whether the readings are spread evenly, as on a ramp, and not about the mean
     further: FloatArray | None = None  # shape (pieces, orders): mean second, third, ... derivatives
 
     def scaled(self, factor: float | FloatArray, offset: float = 0.0) -> Self:
@@ -48,10 +50,11 @@ class Inside:
         row = rows[self.row]
         kept = row >= 0
         slope, further = (None if each is None else each[kept] for each in (self.slope_per_s, self.further))
-        mean, spread = self.mean[kept], self.spread[kept]
+        even = None if self.is_even is None else self.is_even[kept]
         return replace(
-            self, row=row[kept], n=self.n[kept], mean=mean, spread=spread, slope_per_s=slope, further=further
-        )
+            self, row=row[kept], n=self.n[kept], mean=self.mean[kept], spread=self.spread[kept], slope_per_s=slope,
+            is_even=even, further=further,
+        )  # fmt: skip
 
     def part(self, rows: BoolArray | slice, blocks: int) -> Self:
         """Pieces of some of so many blocks."""
@@ -104,4 +107,7 @@ def inside_of(
     found = Inside(number[chosen], n[chosen].astype(np.float64), mean[chosen], spreads)
     if slopes is None:
         return found
-    return replace(found, slope_per_s=slopes.of_pieces[chosen], further=slopes.further_of_pieces[chosen])
+    slope = slopes.of_pieces[chosen]
+    even = np.abs(slope) * slopes.piece_s * np.sqrt((1.0 - n[chosen] ** -2.0) / 12.0)
+    is_even = (np.abs(spreads - even) <= _EVEN * even) & (n[chosen] > 1)
+    return replace(found, slope_per_s=slope, is_even=is_even, further=slopes.further_of_pieces[chosen])

@@ -137,8 +137,9 @@ class ChannelJoiner:
     def motion(self, source: ChannelSource, slot: IntArray, t0_ns: int) -> Motion:
         """What a rate does about each block."""
         factor = abs(standard_unit(source.name, source.unit_of_measure).factor)
-        changes, bent = (each(slot, self._block_s, *self._stored.extremes(source, t0_ns)) for each in (ranges, bends))
-        return Motion(changes * factor, bent * factor, source.interval_s)
+        read = slot, self._block_s, *self._stored.extremes(source, t0_ns)
+        bent = bends(*read, source.interval_s, is_moved=not source.is_in_step(*self._sampled[source.run]))
+        return Motion(ranges(*read) * factor, bent * factor, source.interval_s)
 
     def held_s(self, source: ChannelSource, t0_ns: int) -> float:
         """How long a channel that steps stays where it is, in whole seconds, see `held`."""

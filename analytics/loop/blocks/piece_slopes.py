@@ -28,6 +28,7 @@ class Slopes(NamedTuple):
     further_of_pieces: FloatArray  # shape (pieces, ORDERS - 1): second, third, ... per s^2, ...; 0 where it may step
     further_of_blocks: FloatArray
     is_smooth: BoolArray  # blocks at whose edges it moves without a step
+    piece_s: float  # length of a piece
     is_open: BoolArray  # blocks at a gap or an end, near which edges are not known since it swings within a few pieces
 
 
@@ -50,7 +51,7 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     if size < 2:
         none = np.zeros(first.size, np.bool_)
         of_pieces, of_blocks = (np.zeros((each, ORDERS)) for each in (size, first.size))
-        return Slopes(of_pieces[:, 0], of_blocks[:, 0], of_pieces[:, 1:], of_blocks[:, 1:], none, none)
+        return Slopes(of_pieces[:, 0], of_blocks[:, 0], of_pieces[:, 1:], of_blocks[:, 1:], none, 0.0, none)
     piece_ns = float(np.median(starts))
     joined = (np.abs(starts - piece_ns) <= _EVEN * piece_ns) & np.isfinite(mean[1:] + mean[:-1])
     before, after = np.append(False, joined), np.append(joined, False)  # whether a piece has one before, and after it
@@ -99,6 +100,7 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
         np.nan_to_num((turned_out - turned_in) * per_s / piece_s),
         np.nan_to_num(turned),
         np.isfinite(turned).all(axis=1),
+        piece_s,
         is_open[first] | is_open[last],
     )
 

@@ -15,6 +15,8 @@ _AS_OFTEN = 1.05  # reference read this much less often than samples come may st
 _MOVING_DEG_PER_S, _ALONG = 0.1, 0.1
 """Change of a reference that is an edge in any run, if the signal follows it by more than this part."""
 _FEWEST_STEADY = 10
+_SEVERAL_S = 0.5  # between readings, up to which a second has several
+_RESOLVED = 4.0  # readings a block, from which they show a ramp
 _FOLLOWED = 0.02  # part of an edge by which the signal may differ where both are means over the same times
 _HELD = 0.01  # of the range of a channel, within which it stays where it is
 
@@ -55,21 +57,41 @@ def held(t_s: FloatArray, lo: FloatArray, hi: FloatArray) -> float:
     return float(np.median(lengths) * np.median(np.diff(t_s))) if lengths.size else 0.0
 
 
-def bends(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: FloatArray) -> FloatArray:
-    """Largest edge that a channel may have in each block, from the bends of the line through its readings.
+def bends(
+    slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: FloatArray, interval_s: float,
+    *, is_moved: bool,
+) -> FloatArray:  # fmt: skip
+    """Largest edge that a channel may have between two of its readings in each block, by what leaves a straight line.
 
-    It is 0 on a ramp. Arguments as of `ranges`; seconds with several readings show half of an edge or more.
+    It is 0 on a ramp; where a ramp begins or ends it is what it would have changed by from one reading to the next, or
+    over a second where means of seconds `is_moved` to other times. `interval_s` is that of the readings, the other
+    arguments as of `ranges`.
 
     >>> t_s = np.arange(12.0)
     >>> value = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0, 0.0, 0.0, 7.0, 7.0])
-    >>> bends(np.array([0, 1, 2]), 4.0, t_s, value, value).tolist()
+    >>> bends(np.array([0, 1, 2]), 4.0, t_s, value, value, 1.0, is_moved=True).tolist()
     [0.0, 2.0, 7.0]
+
+    Of readings 0.1 s apart, a step within a second and a ramp:
+
+    >>> lo, hi = np.array([0.0, 0.0, 0.0, 7.0, 7.0, 7.0]), np.array([0.0, 0.0, 7.0, 7.0, 7.0, 7.0])
+    >>> bends(np.array([0]), 6.0, np.arange(6.0), lo, hi, 0.1, is_moved=False).round(9).tolist()
+    [7.0]
+    >>> lo = np.arange(6.0)
+    >>> bends(np.array([0]), 6.0, np.arange(6.0), lo, lo + 0.9, 0.1, is_moved=True).round(9).tolist()
+    [0.0]
     """
     if len(t_s) < 3:
         return ranges(slot, block_s, t_s, lo, hi)
-    apart = np.diff(t_s)
-    bend = np.abs(np.diff(np.diff(0.5 * (lo + hi)) / apart)) * np.maximum(apart[1:], apart[:-1])
-    bend[(hi > lo)[1:-1]] *= 2.0
+    apart, change = np.diff(t_s), np.diff(0.5 * (lo + hi))
+    bend = np.abs(np.diff(change / apart))
+    if interval_s > _SEVERAL_S:
+        bend *= np.maximum(apart[1:], apart[:-1])
+    else:
+        change = np.abs(change)
+        within = (hi - lo)[1:-1] - np.maximum(change[1:], change[:-1])  # half of a step within a second
+        jump = np.maximum(lo[1:] - hi[:-1], lo[:-1] - hi[1:]) - interval_s / apart * change  # one between two seconds
+        bend = np.max([bend if is_moved else bend * interval_s, 2.0 * within, jump[1:], jump[:-1]], axis=0)
     first, end = (np.searchsorted(t_s, (slot + at) * block_s) for at in (0, 1))
     is_between = end <= first  # no reading is in the block: those before and after it count
     first = np.minimum(np.where(is_between, np.maximum(first - 1, 0), first), len(t_s) - 1)
@@ -98,7 +120,7 @@ def unresolved(
     a ramp does not. A block is left out if that exceeds 3 standard deviations of the white noise of its mean, by the
     run's median, and 10 times what is usual in the run (a tenth of its blocks are better). Where samples come as seldom
     as the readings, both may be means over the same times and show every edge as it is: then the samples decide, see
-    `is_followed`, and ramps count as edges.
+    `is_followed`; of few a block, ramps count as edges.
     """
     channel = run.channels.get("input_rate")
     none = np.zeros(len(run), dtype=np.bool_)
@@ -106,7 +128,8 @@ def unresolved(
         return none
     factor = conversion(channel.unit_of_measure, run.unit_of_measure)[0]
     is_alike = motion.interval_s <= _AS_OFTEN * run.block_s / float(np.median(run.n))
-    edges = np.nan_to_num(motion.changes if is_alike else motion.bends) * factor
+    has_few = run.block_s < _RESOLVED * motion.interval_s
+    edges = np.nan_to_num(motion.changes if is_alike and has_few else motion.bends) * factor
     unsure = edges * motion.interval_s / (np.sqrt(12.0) * run.block_s)
     of_samples = run.white_variance * run.n
     of_samples = of_samples[np.isfinite(of_samples)]

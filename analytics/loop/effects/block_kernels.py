@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analytics.loop.blocks.edge_slope import slope_to_neighbours
+from analytics.loop.blocks.inside import Inside
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from stream.batch import FloatArray, IntArray
 from stream.compiled import kernel
@@ -20,6 +21,7 @@ from stream.quantities import conversion
 Phasor = npt.NDArray[np.complex128]
 
 _LEAST_SPREAD = 1e-12
+_PARTS = 8  # of a second on a ramp
 _SLOPE_HALF_WIDTH_S = 60.0
 
 
@@ -78,7 +80,6 @@ def mirrored(channel: Channel) -> Channel:
 def block_means(channel: Channel, of: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
     """Means over blocks of a function of a channel; `of` gives its mean over readings of some mean and spread.
 
-    >>> from analytics.loop.blocks.inside import Inside
     >>> step = Inside(np.array([1, 1]), np.array([10.0, 20.0]), np.array([1.0, 4.0]), np.zeros(2))
     >>> block_means(Channel(np.array([1.0, 3.0]), np.array([0.0, 1.41]), "deg/s", inside=step), lambda m, s: m**3)
     array([ 1., 43.])
@@ -87,9 +88,27 @@ def block_means(channel: Channel, of: Callable[[FloatArray, FloatArray], FloatAr
     if channel.inside is None or not channel.inside.row.size:
         return found
     inside = channel.inside
-    exact = inside.means(of(inside.mean, np.maximum(inside.spread, _LEAST_SPREAD)), found)
+    exact = inside.means(_of_pieces(inside, of), found)
     has_value = np.isfinite(channel.mean)
     return np.where(has_value if found.ndim == 1 else has_value[:, None], exact, found)
+
+
+def _of_pieces(inside: Inside, of: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
+    """Means of a function over the pieces; where readings are spread evenly, by parts of the piece.
+
+    >>> one, spread = np.ones(1), np.array([3**-0.5])
+    >>> even = Inside(np.array([0]), one, one, spread, is_even=one > 0)
+    >>> _of_pieces(even, lambda m, s: m**2 + s**2).round(9)  # of 0 to 2
+    array([1.33333333])
+    """
+    found = np.asarray(of(inside.mean, np.maximum(inside.spread, _LEAST_SPREAD)))
+    if inside.is_even is None or not inside.is_even.any():
+        return found
+    mean, spread = inside.mean[inside.is_even], inside.spread[inside.is_even]
+    at = np.sqrt(3.0) * (np.arange(1.0, 2 * _PARTS, 2.0) / _PARTS - 1.0)
+    of_parts = [of(mean + each * spread, np.maximum(spread / _PARTS, _LEAST_SPREAD)) for each in at]
+    found[inside.is_even] = np.mean(of_parts, axis=0)
+    return found
 
 
 def _below(z: FloatArray) -> FloatArray:

@@ -104,7 +104,10 @@ def test_a_saturated_output_on_a_table_that_settles_is_one_effect(tested: Tested
     (coefficient,) = found.coefficients
     assert (found.name, found.parameters["limit"]) == ("saturation", pytest.approx(90.0, rel=1e-3))
     assert coefficient.lo <= -3600.0 <= coefficient.hi
-    assert coefficient.hi - coefficient.lo < 1.0
+    assert coefficient.hi - coefficient.lo < 10.0, "0.3 %: only one rate is beyond the limit, which is not known either"
+    low, high = found.parameter_bounds["limit"]
+    assert low <= 90.0 <= high
+    assert high - low < 0.03
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -129,3 +129,22 @@ def test_a_delay_that_two_rates_cannot_tell_is_not_confirmed(tested: TestedUnits
     if delay_s == 1e-4:
         assert found.verdict is ModelVerdict.UNREPLICATED
         assert any("is not confirmed" in each for each in found.limits)
+
+
+def test_at_one_rate_nothing_is_lost_and_a_saturation_is_named(tested: TestedUnits) -> None:
+    """A hard limit at 40 deg/s on a table that always moves: "not in the form of any effect of the library"."""
+    rng, read_s = np.random.default_rng(5), np.arange(0.0, DURATION_S, GYRO_S)
+    for number in range(4):
+        knots_s = np.cumsum(rng.uniform(50.0, 110.0, 30)) - 60.0
+        rate = np.interp(read_s, knots_s, rng.uniform(35.0, 80.0, 30) * np.tile([-1.0, 1.0], 15))
+        stored(tested, np.clip(rate, -40.0, 40.0), rate, GYRO_S, number)
+    reduction = reduced(tested)
+    assert sum(map(len, reduction.runs)) == 4 * DURATION_S / 30
+    (found,) = [each for each in diagnose(reduction.runs, MODEL).effects if each.name != "turn_on"]
+    (coefficient,) = found.coefficients
+    assert (found.name, found.confounded, found.unknown_function_of) == ("saturation", (), ())
+    low, high = found.parameter_bounds["limit"]
+    assert low <= 40.0 <= high
+    assert high - low < 0.2
+    assert found.document()["parameter_bounds"] == {"limit": [low, high]}
+    assert coefficient.lo <= -3600.0 <= coefficient.hi

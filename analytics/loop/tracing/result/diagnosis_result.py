@@ -66,6 +66,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
     significance: float  # equivalent z of a test with one degree of freedom; noise fitted with and without the effect
     evidence: float  # equivalent chi-square of one degree less the multiplicity penalty
     roles: dict[str, str]  # of each of its channels: cause, proxy or alias
+    parameter_bounds: dict[str, tuple[float, float]] = {}  # 95 %, of a shape parameter that was searched
     confounded: tuple[ConfoundedEffect, ...] = ()  # effects that the data cannot separate from it
     companions: tuple[str, ...] = ()  # proxies that follow it
     unknown_function_of: tuple[str, ...] = ()  # channels on which the residual depends in another form
@@ -91,6 +92,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
             values = [getattr(one, bound) for one in each]
             document[bound] = values[0] if len(each) == 1 else values
         return document | {
+            "parameter_bounds": {name: list(bounds) for name, bounds in self.parameter_bounds.items()},
             "significance": self.significance,
             "evidence": self.evidence,
             "roles": self.roles,

@@ -73,6 +73,13 @@ def _shape_caveats(effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
     """Effects whose coefficients depend on a parameter that is searched over a grid."""
     every = [(found, registry.effect(found.name).parameters) for found in effects if found.name not in {JUMP, LINE}]
     shaped = [(found, parameters) for found, parameters in every if parameters]
+    for found, (parameter, *_) in shaped:
+        for low, high in found.parameter_bounds.values():
+            yield Bilingual(
+                f"{found.name}: {parameter.en} {low:.4g} to {high:.4g}; the bounds of the coefficient contain that",
+                f"{found.name}：{parameter.zh}为{low:.4g}至{high:.4g}，系数的区间已含其不确定度",
+            )
+    shaped = [(found, parameters) for found, parameters in shaped if not found.parameter_bounds]
     if not shaped:
         return
     names = ", ".join(f"{found.name} ({', '.join(each.en for each in parameters)})" for found, parameters in shaped)

@@ -31,7 +31,6 @@ from analytics.loop.tracing.verdict.caveats import (
 )
 from analytics.loop.tracing.verdict.effect_findings import (
     AGEING,
-    findings,
     fitted_model,
     is_untold,
     unreplicated,
@@ -40,6 +39,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_clock_bounds,
     with_untold_delay,
 )
+from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
 # standard errors by which the slope must exceed zero where the training runs show an effect in one of them: 1 in 2000
@@ -61,7 +61,7 @@ def conclude(
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
     training = case.training
     found = _replicated_later(case, found)
-    every = [with_causes(each, case.stack.runs, model.effects) for each in findings(candidates, found)]
+    every = [with_causes(each, case.stack.runs, model.effects) for each in bounded_findings(candidates, found)]
     answered = _answered(case, found)
     holdout, kept, box, error = answered.holdout, answered.kept, answered.box, answered.error
     if holdout is not None:
@@ -225,7 +225,7 @@ def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEf
     channels = {channel for each in functions for channel in each.roles}.intersection(found.roles)
     if not channels or found.unknown_function_of:
         return found
-    return msgspec.structs.replace(found, unknown_function_of=tuple(sorted(channels)))
+    return msgspec.structs.replace(found, unknown_function_of=tuple(sorted(channels)), parameter_bounds={})
 
 
 def _alternatives(effects: Sequence[FoundEffect]) -> set[str]:
