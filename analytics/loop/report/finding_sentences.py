@@ -7,7 +7,13 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import LEAST_SHARE, Wording, number
 from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
-from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
+from analytics.loop.tracing.result.diagnosis_result import (
+    BiasTest,
+    ConfoundedEffect,
+    Diagnosis,
+    FoundEffect,
+    ModelVerdict,
+)
 from analytics.loop.tracing.result.holdout import HeldOutAnswer
 from analytics.loop.tracing.verdict.adequacy import WRONG_FORM
 from analytics.loop.unit_diagnosis import UnitsDiagnosis
@@ -44,12 +50,15 @@ _ABSENT = 0.05  # probability below which a unit is named as one without a commo
 def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> Iterator[str]:
     """The evidence of a finding."""
     left = number(found.evidence)
-    yield words.of(
-        f"Significance z = {found.significance:.1f} (one degree of freedom; noise fitted with and without the effect); "
-        f"chi-square less the multiplicity penalty: {left}.",
-        f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别拟合）；"
-        f"扣除多重性惩罚后的卡方：{left}。",
-    )
+    if found.of_biases is not None:
+        yield _of_biases(found, found.of_biases, words)
+    else:
+        yield words.of(
+            f"Significance z = {found.significance:.1f} (one degree of freedom; noise fitted with and without the "
+            f"effect); chi-square less the multiplicity penalty: {left}.",
+            f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别拟合）；"
+            f"扣除多重性惩罚后的卡方：{left}。",
+        )
     if found.by_run and found.name != TURN_ON:
         yield _by_run(found, diagnosis, words)
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
@@ -58,6 +67,11 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
         answer = words.of(*_ANSWERS[slope.answer])
         if slope.may_be_walk:
             answer = words.of(*_WALKS[slope.answer])
+        elif not slope.is_independent:
+            answer = words.of(
+                "no confirmation, since the training runs alone do not show it",
+                "不作为证实，因训练试验单独未显示该效应",
+            )
         yield words.of(
             f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
             f"{answer}.",
@@ -78,6 +92,17 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
             f"Its form does not fit: the residual depends on {channels} in another way.",
             f"其形式不符：残差以其他方式随{channels}变化。",
         )
+
+
+def _of_biases(found: FoundEffect, test: BiasTest, words: Wording) -> str:
+    """The test of an effect that only the biases of all runs show."""
+    size, p_value = words.size(test, found.coefficients[0].unit_of_measure), number(test.p_value)
+    return words.of(
+        f"The biases of all {test.runs} runs follow it: {size}, p = {p_value} (Student's t; {test.tests} causes that "
+        "differ between runs were tested).",
+        f"全部{test.runs}次试验的零偏随其变化：{size}，p = {p_value}"
+        f"（t检验；共检验{test.tests}种仅在试验之间不同的原因）。",
+    )
 
 
 def _by_run(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> str:

@@ -4,7 +4,13 @@ from collections.abc import Sequence
 
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.report.wording import LEAST_SHARE, Wording, number
-from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, Diagnosis, FoundEffect, ModelVerdict
+from analytics.loop.tracing.result.diagnosis_result import (
+    BiasTest,
+    ConfoundedEffect,
+    Diagnosis,
+    FoundEffect,
+    ModelVerdict,
+)
 from analytics.loop.tracing.result.holdout import ErrorGain, HeldOutAnswer, HoldoutSlope
 from analytics.loop.tracing.search.fitted_candidates import JUMP
 
@@ -159,7 +165,7 @@ def _unreplicated(diagnosis: Diagnosis, words: Wording) -> str:
         )
     seen = (*diagnosis.by_size, *diagnosis.unreplicated)
     listed = words.of("; ", "；").join(_seen_once(each, diagnosis, words) for each in seen)
-    if lasting:
+    if lasting or any(each.of_biases for each in seen):
         return words.of(f"seen but not confirmed: {listed}", f"见到但未证实：{listed}")
     return words.of(f"no effect that repeats: {listed}", f"未发现可重现的效应：{listed}")
 
@@ -170,6 +176,8 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
         size = words.coefficient(found)
         return words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
+    if found.of_biases is not None:
+        return _followed(found, found.of_biases, slope, words)
     if found.confirmed is False:
         if slope is not None and slope.may_be_walk:
             return words.of(
@@ -203,6 +211,36 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
         f"{sized}; the held-out runs excite it too little and can neither confirm nor refuse it",
         f"{sized}；留出试验对该效应激励不足，既不能证实也不能否定",
     )
+
+
+def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, words: Wording) -> str:
+    """An effect that the biases of all runs follow, and why nothing confirms it."""
+    size, p_value = words.size(test, found.coefficients[0].unit_of_measure), number(test.p_value)
+    names = words.listed([words.effect(found), *(_alternative(other, words) for other in found.confounded)], _OR)
+    text = words.of(
+        f"the biases of the {test.runs} runs follow {names}: {size} (p = {p_value})",
+        f"{test.runs}次试验的零偏随{names}变化：{size}（p = {p_value}）",
+    )
+    if slope is None:
+        why = words.of("no runs were held out to confirm it", "无留出试验可供证实")
+    elif slope.may_be_walk:
+        why = words.of(
+            "a bias that walks from run to run explains the runs about as well",
+            "零偏在各次试验之间随机游走的解释同样好",
+        )
+    elif found.confirmed is False:
+        why = words.of(
+            f"the held-out runs do not confirm the size that the training runs give (slope {_slope(slope)})",
+            f"留出试验未证实由训练试验得出的大小（斜率{_slope(slope)}）",
+        )
+    elif not slope.is_independent:
+        why = words.of(
+            "only all runs together show it, so that none is left to confirm it",
+            "须合并全部试验才能见到，没有余下的试验可供证实",
+        )
+    else:
+        why = words.of("the held-out runs excite it too little to confirm it", "留出试验对其激励不足，不能证实")
+    return f"{text}{words.of('; ', '；')}{why}"
 
 
 def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
@@ -277,7 +315,8 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     expected = table.gain
     if expected is None or expected.lo is None or expected.hi is None or not mark or not table.is_held_out:
         return text
-    if abs(expected.fraction) < LEAST_SHARE:  # the effect shifts whole runs
+    shifts = abs(expected.fraction) < LEAST_SHARE or all(each.of_biases for each in diagnosis.effects)
+    if shifts:  # whole runs
         return text
     falls, lo, hi = (f"{100 * each:.2g} %" for each in (expected.fraction, expected.lo, expected.hi))
     its = ("its square", "其平方")

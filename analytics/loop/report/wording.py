@@ -8,7 +8,7 @@ from analytics.loop.bilingual import Bilingual, chinese
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import parameter_unit
 from analytics.loop.effects.registry import effect
-from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import BiasTest, ConfoundedEffect, EffectCoefficient, FoundEffect
 from stream.quantities import format_unit
 
 Language = Literal["en", "zh"]
@@ -120,8 +120,12 @@ class Wording:
 
     def _one(self, found: EffectCoefficient) -> str:
         head = f"{found.name} " if found.name else ""
+        return f"{head}{self.size(found, found.unit_of_measure)}"
+
+    def size(self, found: EffectCoefficient | BiasTest, unit_of_measure: str) -> str:
+        """A coefficient with its bounds."""
         bounds = f"{number(found.lo)} {self.of('to', '至')} {number(found.hi)}"
-        return f"{head}{number(found.value)} ({bounds}) {format_unit(found.unit_of_measure)}"
+        return f"{number(found.value)} ({bounds}) {format_unit(unit_of_measure)}"
 
 
 def _short(value: object) -> str:

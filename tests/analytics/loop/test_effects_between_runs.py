@@ -12,8 +12,10 @@ from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
+from analytics.loop.tracing.result.holdout import HeldOutAnswer
 from analytics.loop.tracing.search.between_runs import calibrated_ratio
 from analytics.loop.tracing.search.fitted_candidates import beside
+from analytics.loop.tracing.search.run_biases import RunBiases
 from analytics.loop.tracing.whitening.joint_fit import fit_jointly, nothing_more
 from analytics.loop.tracing.whitening.stack import stacked
 from analytics.loop.tracing.whitening.white_variance import record_of
@@ -163,3 +165,87 @@ def test_runs_without_dates_are_in_the_order_of_the_numbers_in_their_names() -> 
     assert found.runs == tuple(names)
     assert found.holdout is None or found.holdout.runs == tuple(names[8:])
     assert found.training_runs == tuple(names[:8])
+
+
+def noise_of(biases: FloatArray) -> ModelNoise:
+    """The noise of the runs, with the scatter of these very biases: as it is where none is declared."""
+    scatter = 1.4826 * float(np.median(np.abs(biases - np.median(biases))))
+    return ModelNoise(N=WITHIN.N, B=WITHIN.B, K=WITHIN.K, turn_on=scatter)
+
+
+def with_gravity(runs: list[RunBlocks], gravity: FloatArray) -> list[RunBlocks]:
+    """The runs, each in an attitude of its own."""
+    return [
+        replace(run, channels={**run.channels, "gravity_i": Channel(np.full(BLOCKS, each), np.zeros(BLOCKS), "g_0")})
+        for run, each in zip(runs, gravity, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ageing_that_six_training_runs_take_for_scatter_is_found_by_the_biases_of_all_runs(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    biases = SCATTER * rng.standard_normal(9) + 0.06 * np.arange(9)
+    runs = runs_at(np.full(9, 25.0), biases, rng)
+    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    assert (found.verdict, found.names) == (ModelVerdict.EFFECT_FOUND, ("ageing",))
+    test = found.effects[0].of_biases
+    assert test is not None
+    assert test.is_in_training
+    assert test.lo < 0.06 < test.hi
+    size = found.effects[0].coefficients[0]
+    assert size.lo < 0.06 < size.hi
+
+
+def test_an_attitude_that_differs_from_run_to_run_is_found_and_the_others_are_not_named() -> None:
+    rng = np.random.default_rng(3)
+    gravity = np.array([1.0, 0.0, -1.0] * 3)[rng.permutation(9)]
+    biases = SCATTER * rng.standard_normal(9) + 0.3 * gravity
+    runs = with_gravity(runs_at(np.full(9, 25.0), biases, rng), gravity)
+    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    assert (found.verdict, found.names, found.confounded) == (ModelVerdict.EFFECT_FOUND, ("gravity_i",), ())
+
+
+def test_a_drift_that_only_all_runs_show_is_named_and_not_called_found() -> None:
+    rng = np.random.default_rng(4)
+    biases = SCATTER * rng.standard_normal(9) + 0.045 * np.arange(9)
+    runs = runs_at(np.full(9, 25.0), biases, rng)
+    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    assert (found.verdict, found.names) == (ModelVerdict.UNREPLICATED, ("ageing",))
+    test = found.effects[0].of_biases
+    assert test is not None
+    assert not test.is_in_training
+    assert test.lo < 0.045 < test.hi
+    assert found.holdout is not None
+    assert found.holdout.overall is not HeldOutAnswer.CONFIRMED
+    assert "the biases of the 9 runs follow ageing over days: 0.0" in verdict_sentence(found, Wording("en"))
+    assert "9次试验的零偏随长期老化变化" in verdict_sentence(found, Wording("zh"))
+
+
+def test_biases_that_follow_nothing_have_p_values_as_promised() -> None:
+    """Of six runs, one term that differs between them declared: Student's t is exact, whatever their scatter."""
+    rng = np.random.default_rng(11)
+    base, within = np.column_stack([np.ones(6), rng.standard_normal(6)]), 1e-8 * np.eye(6)
+    slopes = [RunBiases(rng.standard_normal(6), within, base).slope(np.arange(6.0)) for _ in range(400)]
+    by_chance = sum(each is not None and each.p_value < 0.05 for each in slopes)
+    assert binom.ppf(0.001, 400, 0.05) <= by_chance <= binom.ppf(0.999, 400, 0.05)
+
+
+@pytest.mark.parametrize("units", [8, pytest.param(80, marks=pytest.mark.long)])
+def test_runs_in_three_attitudes_over_days_are_named_a_cause_no_more_often_than_promised(units: int) -> None:
+    rng = np.random.default_rng(13)
+    named = 0
+    for _ in range(units):
+        biases = SCATTER * rng.standard_normal(9)
+        runs = with_gravity(runs_at(np.full(9, 25.0), biases, rng), np.array([1.0, 0.0, -1.0] * 3))
+        found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+        named += any(each.of_biases is not None for each in (*found.effects, *found.unreplicated))
+    assert named <= binom.ppf(0.999, units, 0.01)
+
+
+def test_the_noise_within_long_and_short_runs_counts() -> None:
+    """Without scatter between them, a slope is as uncertain as the noise of the runs, at least."""
+    runs = RunBiases(np.array([0.0, 0.1, -0.1, 0.1, 0.0]), np.diag([1.0, 1.0, 4.0, 1.0, 1.0]), np.ones((5, 1)))
+    slope = runs.slope(np.arange(5.0))
+    assert slope is not None
+    assert slope.error == pytest.approx(1 / np.sqrt(10.0))  # the third run, in the middle, does not bear it
+    assert runs.slope(np.ones(5)) is None

@@ -57,6 +57,27 @@ class ConfoundedEffect(msgspec.Struct, frozen=True):
         }
 
 
+class BiasTest(msgspec.Struct, frozen=True):
+    """Regression of the biases of all runs, held-out ones as well, on a cause that differs between runs only.
+
+    Parameters
+    ----------
+    runs, tests: Number of biases, and of causes that were tested on them.
+    degrees, p_value: Degrees of freedom of Student's t, and its two-sided p-value, below 1 % over the number of tests.
+    value, lo, hi: The coefficient with its 95 % bounds by Student's t.
+    is_in_training: Whether the training runs alone name this cause, at 5 % over the number of tests.
+    """
+
+    runs: int
+    tests: int
+    degrees: int
+    p_value: float
+    value: float
+    lo: float
+    hi: float
+    is_in_training: bool
+
+
 class FoundEffect(msgspec.Struct, frozen=True):
     """An effect that the declared model lacks."""
 
@@ -78,6 +99,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
     by_run: dict[str, tuple[float, float]] = {}  # first coefficient and its standard error in each run that excites it
     # share of the squared held-out error about the mean of each run that it takes away; None if it predicts nothing
     error_share: float | None = None
+    of_biases: BiasTest | None = None  # if the search did not find it, but the biases of all runs follow it
 
     def document(self) -> dict[str, Any]:
         """JSON form: one coefficient as a number, several as lists in the order of `columns`."""
@@ -102,6 +124,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
             "confirmed": self.confirmed,
             "error_share": self.error_share,
             "by_run": {run: {"coefficient": value, "se": se} for run, (value, se) in self.by_run.items()},
+            "of_biases": msgspec.to_builtins(self.of_biases),
         }
 
 
@@ -168,8 +191,9 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
     def false_alarm(self, found: FoundEffect) -> float:
         """Probability that noise of the fitted model shows an effect as significant in any of the tests."""
+        tests = self.tests if found.of_biases is None else found.of_biases.tests
         p_value = float(chi_square_sf(found.significance**2, 1))
-        return float(-np.expm1(self.tests * np.log1p(-min(p_value, 1.0 - 1e-15))))
+        return float(-np.expm1(tests * np.log1p(-min(p_value, 1.0 - 1e-15))))
 
     @property
     def by_size(self) -> tuple[FoundEffect, ...]:

@@ -15,7 +15,8 @@ class HeldOutAnswer(StrEnum):
 
     CONFIRMED = "confirmed"
     REFUSED = "refused"
-    NO_POWER = "no_power"  # they cannot tell: they excite it too little, or a bias that walks resembles it
+    # they cannot tell: they excite it too little, a bias that walks resembles it, or it was named with their help
+    NO_POWER = "no_power"
 
 
 class HoldoutSlope(msgspec.Struct, frozen=True):
@@ -36,6 +37,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     answer: HeldOutAnswer = HeldOutAnswer.REFUSED
     # log likelihood less that of a bias that walks from run to run; None if the runs themselves show the effect
     walk_log_odds: float | None = None
+    is_independent: bool = True  # whether the training runs name the effect without them
 
     @property
     def may_be_walk(self) -> bool:
@@ -53,6 +55,13 @@ def _beside_walk(slope: HoldoutSlope, log_odds: float) -> HoldoutSlope:
         return judged
     answer = HeldOutAnswer.REFUSED if log_odds < -WALK_LOG_ODDS else HeldOutAnswer.NO_POWER
     return msgspec.structs.replace(judged, accepted=False, answer=answer)
+
+
+def _not_independent(slope: HoldoutSlope) -> HoldoutSlope:
+    judged = msgspec.structs.replace(slope, is_independent=False)
+    if slope.answer is not HeldOutAnswer.CONFIRMED:
+        return judged
+    return msgspec.structs.replace(judged, accepted=False, answer=HeldOutAnswer.NO_POWER)
 
 
 class Holdout(msgspec.Struct, frozen=True):
@@ -104,6 +113,15 @@ class Holdout(msgspec.Struct, frozen=True):
             self,
             total=_beside_walk(self.total, log_odds) if is_only else self.total,
             effects=tuple(_beside_walk(e, log_odds) if e.effect == name else e for e in self.effects),
+        )
+
+    def not_independent(self, name: str) -> "Holdout":
+        """The answers on an effect that the training runs alone do not name: these runs cannot confirm it."""
+        is_only = self.total.effect == name
+        return msgspec.structs.replace(
+            self,
+            total=_not_independent(self.total) if is_only else self.total,
+            effects=tuple(_not_independent(e) if e.effect == name else e for e in self.effects),
         )
 
     def confirms(self, name: str) -> bool | None:

@@ -303,6 +303,12 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
         size = f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
         if slope.may_be_walk:
             yield _walk_caveat(slope)
+        elif not slope.is_independent:
+            yield Bilingual(
+                f"{effect.name}: only all runs together show it, so that the held-out runs, which are among them, do "
+                f"not confirm it (slope {size}): measure more runs",
+                f"{effect.name}：须合并全部试验才能见到，留出试验亦在其中，因此不能予以证实（斜率{size}）：请测量更多试验",
+            )
         elif slope.answer is HeldOutAnswer.NO_POWER:
             advice = _better_holdout(effect)
             yield Bilingual(

@@ -18,6 +18,7 @@ from analytics.loop.tracing.held_out.run_walk import against_walk, follow_order
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.effect_search import Search, provisional
+from analytics.loop.tracing.search.run_causes import RunCause, run_cause
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
 from analytics.loop.tracing.verdict.adequacy import detection_limits
@@ -33,6 +34,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     AGEING,
     fitted_model,
     is_untold,
+    of_biases,
     unreplicated,
     with_ageing,
     with_causes,
@@ -40,6 +42,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_untold_delay,
 )
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
+from analytics.loop.tracing.whitening.white_variance import record_of
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
 # standard errors by which the slope must exceed zero where the training runs show an effect in one of them: 1 in 2000
@@ -61,9 +64,14 @@ def conclude(
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
     training = case.training
     found = _replicated_later(case, found)
+    by_runs = _by_runs(case, candidates, found)
+    found = found if by_runs is None else by_runs.found
     every = [with_causes(each, case.stack.runs, model.effects) for each in bounded_findings(candidates, found)]
+    every = every if by_runs is None else [of_biases(each, by_runs.test, training) for each in every]
     answered = _answered(case, found)
     holdout, kept, box, error = answered.holdout, answered.kept, answered.box, answered.error
+    if holdout is not None and by_runs is not None and not by_runs.test.is_in_training:
+        holdout = holdout.not_independent(by_runs.found.selected[0].name)
     if holdout is not None:
         every = [msgspec.structs.replace(each, confirmed=holdout.confirms(each.name)) for each in every]
     refused = [each for each in every if each.confirmed is False]
@@ -102,7 +110,11 @@ def conclude(
     untold = [each for each in effects if is_untold(each, case.stack.runs)]
     remarks += map(untold_caveat, untold)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
-    walks = [each for each in effects if holdout is not None and holdout.may_be_walk(each.name)]
+    walks = [
+        each
+        for each in effects
+        if (holdout is not None and holdout.may_be_walk(each.name)) or (each.of_biases and not each.confirmed)
+    ]
     is_excess = declared is not None and excess.is_excess
     doubtful = (*walks, *(each for each in untold if each not in walks))
     verdict = verdict_of(
@@ -181,6 +193,16 @@ def _replicated_later(case: Case, found: Search) -> Search:
     if slope is None or not slope.accepted or slope.slope < BEYOND_CHANCE * slope.slope_se:
         return found
     return tried
+
+
+def _by_runs(case: Case, candidates: Candidates, found: Search) -> RunCause | None:
+    """The cause that the biases of all runs follow, where nothing was seen; of a few runs see `scatter_finding`."""
+    is_seen = found.selected or found.unreplicated
+    if is_seen or case.replication == "within_run" or len(case.stack.runs) <= agreement.MOST_RUNS:
+        return None
+    prior = case.training.prior
+    every = record_of(case.stack, prior.center, turn_on_is_declared=prior.turn_on_is_declared)
+    return run_cause(candidates, found, every)
 
 
 def _answered(case: Case, found: Search) -> _Answered:

@@ -9,7 +9,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Role, coefficient_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
-from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import BiasTest, ConfoundedEffect, EffectCoefficient, FoundEffect
 from analytics.loop.tracing.search.effect_search import Search, Selected
 from analytics.loop.tracing.search.event_scans import amplitude_of
 from analytics.loop.tracing.search.fitted_candidates import CONFIDENCE, FittedCandidate
@@ -17,6 +17,7 @@ from analytics.loop.tracing.search.screening import Candidates
 from analytics.loop.tracing.verdict.adequacy import WRONG_FORM, form_p_values, homogeneity
 from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
+from analytics.methods.distributions import student_quantile
 from stream.batch import FloatArray
 
 AGEING, SCALE_FACTOR = "ageing", "scale_factor"
@@ -55,6 +56,17 @@ def with_ageing(found: FoundEffect) -> FoundEffect:
     if AGEING in (found.name, *(each.name for each in found.confounded)):
         return found
     return msgspec.structs.replace(found, confounded=(*found.confounded, unfitted(effect(AGEING), recorded=False)))
+
+
+def of_biases(found: FoundEffect, test: BiasTest, training: UnitRecord) -> FoundEffect:
+    """A finding of the biases of all runs; its bounds are those of as few values as the training has runs."""
+    degrees = max(1, test.degrees - test.runs + len(training.stack.runs))
+    wider = float(student_quantile(0.975, degrees)) / CONFIDENCE
+    coefficients = []
+    for each in found.coefficients:
+        low, high = (each.value + wider * (bound - each.value) for bound in (each.lo, each.hi))
+        coefficients.append(msgspec.structs.replace(each, lo=low, hi=high))
+    return msgspec.structs.replace(found, coefficients=tuple(coefficients), of_biases=test)
 
 
 def with_clock_bounds(found: FoundEffect, declared: ErrorModel) -> FoundEffect:
