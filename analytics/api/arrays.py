@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import UUID
@@ -114,12 +115,12 @@ def allan_deviation(
     True
     """
     row = _row_of(values)
-    interval_ns = _interval_ns(rate_hz)
+    rate_hz = _rate_of(rate_hz)
+    interval_ns = round(1e9 / rate_hz)
     _check_index(values, rate_hz)
     if not isinstance(unit_of_measure, str):
         raise BadInput(f"unit_of_measure is {unit_of_measure!r}, expected a text such as deg/s")
-    if not isinstance(points_per_octave, int | np.integer):
-        raise BadInput(f"points_per_octave is {points_per_octave!r}, expected 1, 2, 4 or 8")
+    check_octave(points_per_octave)
     try:
         kind = Deviation(deviation)
     except ValueError:
@@ -221,7 +222,10 @@ def _check_index(values: object, rate_hz: float) -> None:
 def _row_of(values: npt.ArrayLike) -> FloatArray:
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float64), np.nan)
-    found = np.asarray(values)
+    try:
+        found = np.asarray(values)
+    except ValueError:
+        raise BadInput("values are rows of several lengths: one row of samples of one axis is expected") from None
     if np.iscomplexobj(found):
         raise BadInput("values are complex numbers: one real number a sample is expected")
     is_other = found.dtype.kind in _NO_NUMBERS or (
@@ -244,15 +248,25 @@ def _row_of(values: npt.ArrayLike) -> FloatArray:
     return row
 
 
-def _interval_ns(rate_hz: float) -> int:
+def _rate_of(rate_hz: object) -> float:
+    """The rate, an array of no dimension as its number."""
+    given = rate_hz.item() if isinstance(rate_hz, np.ndarray) and rate_hz.ndim == 0 else rate_hz
+    if isinstance(given, bool | np.bool) or not isinstance(given, Real):
+        raise BadInput(f"rate_hz is {rate_hz!r}: a number of samples a second is expected")
     try:
-        interval_ns = 1e9 / rate_hz if rate_hz > 0 else 0.0
-    except TypeError:
-        raise BadInput(f"rate_hz is {rate_hz!r}: a number of samples a second is expected") from None
-    if not 1.0 <= interval_ns <= MAX_INTERVAL_NS:
-        least = 1e9 / MAX_INTERVAL_NS
-        raise BadInput(f"rate_hz is {rate_hz:g}: samples a second are expected, from {least:.2g} to 1e9")
-    return round(interval_ns)
+        found = float(given)
+    except OverflowError:  # an integer of more than 308 digits
+        found = math.inf
+    least = 1e9 / MAX_INTERVAL_NS
+    if not least <= found <= 1e9:
+        raise BadInput(f"rate_hz is {found:g}: samples a second are expected, from {least:.2g} to 1e9")
+    return found
+
+
+def check_octave(points_per_octave: object) -> None:
+    """Refuse what is no whole number of averaging times in an octave, such as True; the number itself comes later."""
+    if isinstance(points_per_octave, bool) or not isinstance(points_per_octave, int | np.integer):
+        raise BadInput(f"points_per_octave is {points_per_octave!r}, expected 1, 2, 4 or 8")
 
 
 def deviation_curve(curve: AllanCurve) -> DeviationCurve:

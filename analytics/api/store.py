@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from analytics.api.arrays import DeviationCurve, deviation_curve
+from analytics.api.arrays import DeviationCurve, check_octave, deviation_curve
 from ingest.moment import moment_ns
 from storage.sql.door import QueryLimits
 from storage.sql.opened import Answer, OpenedStore, opened_at
@@ -147,6 +147,7 @@ class FleetStore:
 
         if deviation not in set(Deviation):
             raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}")
+        check_octave(points_per_octave)
         curve = allan_curve(
             self._catalog, unit, signal, run, points_per_octave=points_per_octave, deviation=Deviation(deviation)
         )

@@ -92,6 +92,12 @@ class SignalInput:
         unit, signal, _ = self._signal
         return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
 
+    def _too_small(self) -> NoEstimate:
+        unit, signal, _ = self._signal
+        return NoEstimate(
+            f"unit {unit}, signal {signal}: values differ by too little to be squared; give them in a smaller unit"
+        )
+
     def _begin(self, batch: SampleBatch, what: str) -> None:
         """Take the signal of the first batch; refuse a batch of another one. `what` is computed, for the message."""
         if self.unit_of_measure:

@@ -20,6 +20,7 @@ from stream.estimators.noise.noise_exponent import Identified, identify
 _MOST_SLOTS_PER_SAMPLE = 20
 _SLOTS_FREE = 10**8
 _EDF_STRIDE = 32
+_LEAST_DIFFERENCE = 1e-150  # the squares of smaller numbers lose digits, or are 0
 _QUANTITY = "deviations with full overlap"
 
 
@@ -138,6 +139,8 @@ class FullOverlap(SignalInput, Closing):
         variances = [squares / (FORMS[kind].norm * n) / float(factor) ** 2 for factor, squares, n in found]
         if not all(math.isfinite(variance * self._factor) for variance in variances):
             return self._too_large()
+        if max(variances, default=1.0) < _LEAST_DIFFERENCE**2 and 0.0 < np.abs(record.sums).max() < _LEAST_DIFFERENCE:
+            return self._too_small()
         factors, windows = [factor for factor, _, _ in found], [n for _, _, n in found]
         return self._points(kind, factors, variances, windows) or NoEstimate(self._too_little(kind, wanted))
 

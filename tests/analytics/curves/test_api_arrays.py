@@ -205,3 +205,26 @@ def test_a_curve_says_that_outliers_raise_it() -> None:
     assert gf.allan_deviation(values, 10.0).remark == ""
     values[5000] = 1e6
     assert "1 isolated outliers, up to 1e+06 times" in gf.allan_deviation(values, 10.0).remark
+
+
+def test_arguments_that_are_no_number_are_refused_with_a_sentence() -> None:
+    values = np.random.default_rng(4).normal(size=64)
+    with pytest.raises(BadInput, match="rows of several lengths"):
+        gf.allan_deviation([1.0, [2.0, 3.0]], 1.0)  # type: ignore[arg-type]
+    for rate_hz in (True, np.True_, np.array([100.0]), np.array([1.0, 2.0]), [1.0], "1", None, 1j):
+        with pytest.raises(BadInput, match="a number of samples a second is expected"):
+            gf.allan_deviation(values, rate_hz)  # type: ignore[arg-type]
+    for far in (10**400, 0, -1.0, float("nan")):
+        with pytest.raises(BadInput, match=r"from 3\.5e-09 to 1e9"):
+            gf.allan_deviation(values, far)
+    with pytest.raises(BadInput, match="points_per_octave is True"):
+        gf.allan_deviation(values, 1.0, points_per_octave=True)
+    zero_dimensional = gf.allan_deviation(values, np.array(100.0))  # type: ignore[arg-type]
+    assert zero_dimensional.deviation.tolist() == gf.allan_deviation(values, 100).deviation.tolist()
+
+
+def test_noise_whose_squares_vanish_is_refused() -> None:
+    noise = np.random.default_rng(5).normal(size=1000)
+    for unit_of_measure in ("1", "deg/s"):
+        with pytest.raises(NotEnoughData, match="differ by too little to be squared"):
+            gf.allan_deviation(1e-200 * noise, 100.0, unit_of_measure=unit_of_measure)

@@ -144,3 +144,24 @@ def test_the_file_lies_in_the_folder_named(tmp_path: Path) -> None:
         assert record.file_bytes > 8000
         assert list(tmp_path.iterdir()) == []
     assert record.file_bytes == 0
+
+
+def test_values_whose_squares_vanish_are_refused_and_equal_ones_are_not() -> None:
+    """Their deviation would be 0, with bounds of 0."""
+    noise = np.random.default_rng(15).standard_normal(300)
+    for tiny in (1e-200, 1e-162, 5e-324):
+        found = taken(tiny * noise).evaluate(Deviation.OVERLAPPING_ALLAN)
+        assert isinstance(found, NoEstimate)
+        assert "differ by too little to be squared" in found.reason
+    small = taken(1e-140 * noise).evaluate(Deviation.OVERLAPPING_ALLAN)
+    usual = taken(noise).evaluate(Deviation.OVERLAPPING_ALLAN)
+    assert not isinstance(small, NoEstimate)
+    assert not isinstance(usual, NoEstimate)
+    assert [each.value for each in small] == pytest.approx([1e-140 * each.value for each in usual], rel=1e-9, abs=0.0)
+    for still in (np.zeros(300), np.full(300, 1e-200)):
+        found = taken(still).evaluate(Deviation.OVERLAPPING_ALLAN)
+        assert not isinstance(found, NoEstimate)
+        assert found[0].value == 0.0
+    # whose means over two are alike
+    found = taken(np.tile([0.0, 1.0], 150)).evaluate(Deviation.OVERLAPPING_ALLAN, factors=[2])
+    assert not isinstance(found, NoEstimate)
