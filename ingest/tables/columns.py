@@ -9,7 +9,7 @@ import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -104,11 +104,20 @@ class Columns:
         return [signal.title for signal in self.signals] + times
 
 
-def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps: Collection[str] = ()) -> Columns:
-    """Find the meaning of columns, `stamps` those of time stamps; raises BadInput if titles break the contract."""
+def read_header(
+    path: Path,
+    titles: Sequence[str],
+    options: TableOptions,
+    stamps: Collection[str] = (),
+    durations: Mapping[str, str] | None = None,
+) -> Columns:
+    """Find the meaning of columns; raises BadInput if titles break the contract.
+
+    `stamps` are titles of columns of time stamps, `durations` of columns of durations, with the unit of each.
+    """
     try:
         _refuse_repeated("column", titles)
-        reader = _HeaderReader(titles, options, stamps)
+        reader = _HeaderReader(titles, options, stamps, durations or {})
         _add_all(reader, titles)
         columns = reader.columns
         _refuse_repeated_signals(columns.signals)
@@ -150,9 +159,11 @@ def _refuse_repeated_signals(signals: Sequence[SignalColumn]) -> None:
 
 
 class _HeaderReader:
-    def __init__(self, titles: Sequence[str], options: TableOptions, stamps: Collection[str]) -> None:
+    def __init__(
+        self, titles: Sequence[str], options: TableOptions, stamps: Collection[str], durations: Mapping[str, str]
+    ) -> None:
         self.columns = Columns()
-        self._stamps = stamps
+        self._stamps, self._durations = stamps, durations
         self._renames: dict[str, str] = {}
         for old, new in options.renames:
             found = [title for title in titles if old in {title, _parts(title)[0]}]
@@ -184,8 +195,9 @@ class _HeaderReader:
             unit = None if name in {"unit", "run"} | WORD_NAMES and new_unit is None else unit
         is_time = _is_time_name(name)
         is_stamp = title in self._stamps
+        is_typed = is_stamp or title in self._durations
         if name == "time" or (
-            is_time and (is_stamp or ((is_foreign or title == self._only_time) and _is_of_time(unit)))
+            is_time and (is_typed or ((is_foreign or title == self._only_time) and _is_of_time(unit)))
         ):
             self._add_time(title, unit, is_stamp=is_stamp, is_foreign=is_foreign)
         elif name in {"unit", "run"}:
@@ -193,7 +205,8 @@ class _HeaderReader:
         elif name in WORD_NAMES:
             self.columns.words.append(word_column(title, name, unit))
         elif unit is None or not name:
-            raise BadInput(_how_to_name(title, name, is_stamp=title in self._stamps))
+            held = "time stamps" if is_stamp else "durations" if is_typed else ""
+            raise BadInput(_how_to_name(title, name, held))
         else:
             self._add_signal(title, name, unit, is_foreign=is_foreign)
 
@@ -204,6 +217,11 @@ class _HeaderReader:
             self.columns.time = TimeColumn(title, 1, is_stamp=True)
             if unit is not None and _plain_letters(unit) not in _STAMP_UNITS and not is_foreign:
                 self.columns.remarks.append(f"column {title!r} holds time stamps; its unit [{unit}] is ignored")
+            return
+        if (own := self._durations.get(title)) is not None:
+            self.columns.time = TimeColumn(title, ns_per_unit(own))
+            if unit is not None and time_unit(unit) != own:
+                self.columns.remarks.append(f"column {title!r} holds durations, in {own}; its unit [{unit}] is ignored")
             return
         if unit is None:
             raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")
@@ -286,9 +304,10 @@ def _usable(name: str) -> str:
     return re.sub(r"[^\w]+", "_", name).strip("_") or "signal"
 
 
-def _how_to_name(title: str, name: str, *, is_stamp: bool = False) -> str:
-    if is_stamp:
-        return f"column {title!r} holds time stamps: give --rename '{title}=time', or leave it out: --rename '{title}='"
+def _how_to_name(title: str, name: str, held: str = "") -> str:
+    """What to do with a column without a usable title; `held` are the time stamps or durations in it."""
+    if held:
+        return f"column {title!r} holds {held}: give --rename '{title}=time', or leave it out: --rename '{title}='"
     if not name:
         return f"column {title!r} cannot be read; {_SQUARE}"
     if _is_number(name):

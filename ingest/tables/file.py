@@ -28,6 +28,7 @@ from ingest.tables.time_remarks import (
     repeated_times_advice,
 )
 from ingest.tables.times import RunClock
+from ingest.tables.units import COUNT_UNITS
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted
@@ -35,7 +36,6 @@ from stream.events import StepEnded, StepStarted
 CSV_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 PARQUET_SUFFIXES = frozenset({".parquet", ".pq"})
 _MANY_MISSING = 0.01  # of the samples of its record
-COUNT_UNITS = frozenset({"count", "LSB"})
 
 _INT32 = np.iinfo(np.int32)
 _EXACT = 2.0**53
@@ -62,7 +62,9 @@ class TableFile:
     def __init__(self, path: Path, options: TableOptions) -> None:
         self._path, self._options = path, options
         self._reader = _open(path)
-        self._columns = read_header(path, self._reader.titles, options, self._reader.stamp_titles)
+        self._columns = read_header(
+            path, self._reader.titles, options, self._reader.stamp_titles, self._reader.duration_units
+        )
         self._reader.bind(self._columns, options.time_zone or "UTC")
         self._stamp = FileStamp(path)
         self._summary: TableSummary | None = None

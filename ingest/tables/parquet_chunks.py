@@ -11,6 +11,7 @@ import pyarrow as pa
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers, ns_from_timestamps
+from ingest.tables.units import COUNT_UNITS
 from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
 
@@ -39,8 +40,12 @@ class ParquetTable:
             raise BadInput(f"{path}: no rows; nothing to import")
         self._time_zone = "UTC"
         self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self.titles), 1)))
-        self.integer_titles = frozenset(title for title, kind in self._types.items() if pa.types.is_integer(kind))
+        whole = (title for title, kind in self._types.items() if pa.types.is_integer(kind) or pa.types.is_boolean(kind))
+        self.integer_titles = frozenset(whole)
         self.stamp_titles = frozenset(title for title, kind in self._types.items() if pa.types.is_timestamp(kind))
+        self.duration_units = {
+            title: str(kind.unit) for title, kind in self._types.items() if pa.types.is_duration(kind)
+        }
 
     @property
     def local_zone(self) -> str | None:
@@ -52,15 +57,23 @@ class ParquetTable:
     @property
     def remarks(self) -> list[str]:
         """What was interpreted."""
-        return [f"time stamps without a zone are taken as {zone}"] if (zone := self.local_zone) is not None else []
+        zone = self.local_zone
+        found = [] if zone is None else [f"time stamps without a zone are taken as {zone}"]
+        titles = [signal.title for signal in self._columns.signals]
+        logical = [title for title in titles if pa.types.is_boolean(self._types[title])]
+        return found + [f"column {title!r}: true is taken as 1, false as 0" for title in logical]
 
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
         """Set the meaning of the columns."""
         self._columns, self._time_zone = columns, time_zone
+        time = None if columns.time is None else columns.time.title
+        logical = {each.title for each in columns.signals if each.unit_of_measure in {"1", *COUNT_UNITS}}
         for title in columns.numeric_titles:
             kind = self._types[title]
-            if not (_is_numeric(kind) or pa.types.is_null(kind)):
-                raise BadInput(f"{self._path}: column {title!r} holds {kind}, expected numbers; convert it")
+            is_typed = pa.types.is_duration(kind) if title == time else title in logical and pa.types.is_boolean(kind)
+            if not (_is_numeric(kind) or pa.types.is_null(kind) or is_typed):
+                hint = "" if title == time else f", or leave it out: --rename '{title}='"
+                raise BadInput(f"{self._path}: column {title!r} holds {kind}, expected numbers; convert it{hint}")
         for title in columns.text_titles:
             if not _is_word(self._types[title]):
                 raise BadInput(f"{self._path}: column {title!r} holds {self._types[title]}, expected text; convert it")
@@ -141,7 +154,7 @@ class ParquetTable:
         elif pa.types.is_uint64(kind):
             unsigned = filled.to_numpy()
             times_ns, wrong = ns_from_integers(np.minimum(unsigned, 2**63 - 1).astype(np.int64), ns_per_unit)
-        elif pa.types.is_integer(kind):
+        elif pa.types.is_integer(kind) or pa.types.is_duration(kind):
             times_ns, wrong = ns_from_integers(filled.cast(pa.int64()).to_numpy(), ns_per_unit)
         else:
             times_ns, wrong = ns_from_floats(_float64(filled).to_numpy(), ns_per_unit)

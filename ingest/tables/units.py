@@ -6,6 +6,8 @@ from collections.abc import Callable
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_unit, conversion, is_angular_rate, plain_unit, result_factor
 
+COUNT_UNITS = frozenset({"count", "LSB"})
+
 # What files and databases write, in lower case and without blanks, "°" written as "deg".
 _SPELLINGS = {
     "1": "- none null na n/a unitless bool boolean flag enum hex",

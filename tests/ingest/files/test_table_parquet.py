@@ -57,6 +57,33 @@ def test_integer_nanoseconds_stay_exact(write: Tool, deliver: Tool, samples: Too
     assert [time for time, _ in found] == [1763683200000000001, 1763683200000000002]
 
 
+@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
+@pytest.mark.parametrize(("title", "new"), [("time", ""), ("time[s]", ""), ("Timestamp", ""), ("elapsed", "time")])
+def test_durations_are_times_since_the_start(
+    write: Tool, deliver: Tool, samples: Tool, unit: Any, title: str, new: str
+) -> None:
+    elapsed = pl.Series([0, 500, 1500]).cast(pl.Duration("ms")).cast(pl.Duration(unit))
+    path = write({title: elapsed, "rate[deg/s]": [1.0, 2.0, 3.0]}, "r.parquet")
+    table = TableFile(path, TableOptions(unit="G1", renames=((title, new),) if new else ()))
+    assert samples(deliver(table))["G1", "r", "rate"] == [(0, 1.0), (500_000_000, 2.0), (1_500_000_000, 3.0)]
+
+
+def test_durations_elsewhere_are_refused_with_what_to_do(write: Tool) -> None:
+    lag = pl.Series([1, 2]).cast(pl.Duration("us"))
+    with pytest.raises(BadInput, match="holds durations: give --rename 'elapsed=time'"):
+        TableFile(write({"elapsed": lag, "rate[deg/s]": [1.0, 2.0]}, "a.parquet"), G1)
+    with pytest.raises(BadInput, match=r"or leave it out: --rename 'lag\[s\]='"):
+        TableFile(write({"time[s]": [0.0, 1.0], "lag[s]": lag, "rate[deg/s]": [1.0, 2.0]}, "b.parquet"), G1)
+
+
+def test_true_and_false_without_a_unit_are_one_and_zero(write: Tool, deliver: Tool, samples: Tool) -> None:
+    path = write({"time[s]": [0.0, 1.0, 2.0], "ok[1]": [True, None, False]}, "r.parquet")
+    table = TableFile(path, G1)
+    assert kinds(table) == {"ok": True}
+    assert "column 'ok[1]': true is taken as 1, false as 0" in table.check().remarks
+    assert samples(deliver(table))["G1", "r", "ok"] == [(0, 1.0), (2_000_000_000, 0.0)]
+
+
 def test_counts_are_integers_by_type_or_by_unit_and_value(write: Tool, deliver: Tool) -> None:
     columns = {
         "time[s]": [0.0, 1.0],
@@ -104,7 +131,7 @@ def test_bad_rows_are_named_by_row(write: Tool, said: Tool) -> None:
     ("columns", "message"),
     [
         ({"time[s]": [0.0], "rate[deg/s]": ["1"]}, "column 'rate[deg/s]' holds large_string, expected numbers"),
-        ({"time[s]": [0.0], "rate[deg/s]": [True]}, "holds bool, expected numbers"),
+        ({"time[s]": [0.0], "rate[deg/s]": [True]}, "holds bool, expected numbers; convert it, or leave it out"),
         ({"time[s]": [0.0], "rate[deg/s]": [[1.0]]}, "expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [1.0], "step": [[1]]}, "expected text"),
         ({"time[s]": [], "rate[deg/s]": []}, "no rows"),
