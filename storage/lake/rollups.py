@@ -9,9 +9,10 @@ import pyarrow as pa
 
 from storage.lake.tables import ROLLUP_COLUMNS
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
-from stream.compiled import compiled
+from stream.compiled import compiled, kernel_part
 
 _SECOND_NS = 1_000_000_000
+_LARGE_SUM = 1e150  # from which a sum may overflow, and the rounding error of a mean has squares that do
 Buckets = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -59,16 +60,18 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
 
 def _merged(rollup: Rollup, bucket: IntArray, is_first: BoolArray) -> Rollup:
     """Merge rows into new buckets, of which `is_first` marks the first row of each."""
-    starts = np.flatnonzero(is_first)
+    starts, of = np.flatnonzero(is_first), np.cumsum(is_first) - 1
     n = np.add.reduceat(rollup.n, starts)
-    sums = np.add.reduceat(rollup.n * rollup.mean, starts) / n
-    mean = np.where(np.diff(starts, append=len(bucket)) == 1, rollup.mean[starts], sums)
-    from_mean = rollup.mean - mean[np.cumsum(is_first) - 1]
-    with np.errstate(over="ignore"):  # squares beyond 1e154 are infinite
-        m2 = np.add.reduceat(rollup.m2 + rollup.n * from_mean**2, starts)
-    return Rollup(
-        bucket[starts], n, mean, m2, np.minimum.reduceat(rollup.lo, starts), np.maximum.reduceat(rollup.hi, starts)
-    )
+    lo, hi = np.minimum.reduceat(rollup.lo, starts), np.maximum.reduceat(rollup.hi, starts)
+    with np.errstate(over="ignore", invalid="ignore"):  # squares of more than 1e154 are infinite
+        sums = np.add.reduceat(rollup.n * rollup.mean, starts)
+        mean = np.where(np.diff(starts, append=len(bucket)) == 1, rollup.mean[starts], sums / n)
+        is_large = ~(np.abs(sums) <= _LARGE_SUM)
+        if is_large.any():
+            shares = np.add.reduceat(rollup.mean * (rollup.n / n[of]), starts)
+            mean = np.where(is_large, np.where(lo < hi, shares, lo), mean)
+        m2 = np.add.reduceat(rollup.m2 + rollup.n * (rollup.mean - mean[of]) ** 2, starts)
+    return Rollup(bucket[starts], n, mean, m2, lo, hi)
 
 
 def _each(function: Callable[..., Any], *rollups: Rollup) -> Rollup:
@@ -118,12 +121,28 @@ def _bucket_arrays(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:
     x = data[is_finite].astype(np.float64)
     n = np.bincount(of, minlength=len(starts))
     rows = np.flatnonzero(n)
-    with np.errstate(all="ignore"):  # sums beyond 1e308 are infinite
-        middle = np.bincount(of, x, len(starts)) / n
-        squares = np.bincount(of, (x - middle[of]) ** 2, len(starts))
     begins = np.cumsum(n[rows]) - n[rows]
     lo, hi = np.minimum.reduceat(x, begins), np.maximum.reduceat(x, begins)
+    with np.errstate(all="ignore"):  # squares of more than 1e154 are infinite
+        total = np.bincount(of, x, len(starts))
+        middle = total / n
+        is_large = ~(np.abs(total[rows]) <= _LARGE_SUM)
+        if is_large.any():
+            shares = np.bincount(of, x / n[of], len(starts))[rows]
+            middle[rows] = np.where(is_large, np.where(lo < hi, shares, lo), middle[rows])
+        squares = np.bincount(of, (x - middle[of]) ** 2, len(starts))
     return second[starts[rows]], n[rows], middle[rows], squares[rows].astype(np.float64), lo, hi
+
+
+@kernel_part()
+def _mean_of_shares(data: CountArray | FloatArray, first: int, end: int, n: int) -> float:
+    """Mean of the `n` finite ones of some samples, whose sum may overflow."""
+    middle = 0.0
+    for j in range(first, end):
+        x = float(data[j])
+        if x - x == 0.0:
+            middle += x / n
+    return middle
 
 
 @partial(compiled, instead=_bucket_arrays)
@@ -156,6 +175,8 @@ def _buckets(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:
         if n == 0:
             continue
         middle, squares = total / n, 0.0
+        if not abs(total) <= _LARGE_SUM:
+            middle = least if least == most else _mean_of_shares(data, start, i, n)
         for j in range(start, i):
             x = float(data[j])
             if x - x == 0.0:

@@ -1,11 +1,14 @@
-"""Rollups of many channels made at once are those of each channel alone."""
+"""Rollups of many channels made at once are those of each channel alone; those of very large values."""
+
+from collections.abc import Callable
 
 import numpy as np
 import pyarrow as pa
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from storage.lake.rollups import merge, roll_up, rollup_tables
+from storage.lake.rollups import Rollup, _bucket_arrays, merge, roll_up, rollup_tables
 from storage.lake.tables import ROLLUP_COLUMNS
 
 _SECOND_NS = 1_000_000_000
@@ -38,3 +41,23 @@ def test_channels_together_are_as_each_alone(steps: list[list[int]]) -> None:
             expected = np.concatenate([np.empty(0), *(getattr(each, name) for each in alone)])
             assert np.array_equal(table.column(name).to_numpy(), expected)
     assert pa.concat_tables([rollup_tables([each])[1] for each in channels] or [tens]).equals(tens)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("make", [roll_up, lambda *samples: Rollup(*_bucket_arrays(*samples))])
+def test_means_of_values_whose_sum_overflows_are_right(make: Callable[..., Rollup]) -> None:
+    """Deviations of more than 1e154 are infinite, as their squares are no numbers; nothing is NaN."""
+    t_ns = np.arange(2000) * 10_000_000
+    still = np.full(2000, 1.7e307)
+    steep = np.where(np.arange(2000) < 1000, 1.7e308, -1.7e308)
+    nearly = np.where(np.arange(2000) == 5, 0.0, 1.7e308)
+    for data, mean_of_first in ((still, 1.7e307), (steep, 1.7e308), (nearly, 0.99 * 1.7e308)):
+        seconds = make(t_ns, data)
+        assert seconds.mean[0] == pytest.approx(mean_of_first, rel=1e-12)
+        assert seconds.m2[-1] == 0.0
+        _, tens = rollup_tables([(1, seconds)])
+        means = [data[:1000].mean(dtype=np.longdouble), data[1000:].mean(dtype=np.longdouble)]
+        assert tens["mean"].to_pylist() == pytest.approx([float(each) for each in means], rel=1e-12)
+        assert not np.isnan(tens["m2"].to_numpy()).any()
+    both = merge(make(t_ns, steep), every=20)
+    assert (both.mean.tolist(), both.m2.tolist(), both.lo[0], both.hi[0]) == ([0.0], [np.inf], -1.7e308, 1.7e308)
