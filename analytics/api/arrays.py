@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analytics.curves.allan_curve import AllanCurve, curve_of_points
+from ingest.tables.units import known_unit
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
 from stream.defects.outliers import count_outliers
@@ -92,7 +93,7 @@ def allan_deviation(
     ----------
     values: shape (n,); samples at equal intervals; NaN where one is missing.
     rate_hz: Samples a second.
-    unit_of_measure: Of the values. Angular rates such as deg/s give deviations in deg/h.
+    unit_of_measure: Of the values, as `import` reads it. Angular rates such as deg/s give deviations in deg/h.
     deviation: ``oadev``, ``adev``, ``mdev``, ``ohdev`` or ``hdev``.
     points_per_octave: 1, 2, 4 or 8 averaging times an octave.
 
@@ -120,6 +121,7 @@ def allan_deviation(
     _check_index(values, rate_hz)
     if not isinstance(unit_of_measure, str):
         raise BadInput(f"unit_of_measure is {unit_of_measure!r}, expected a text such as deg/s")
+    unit_of_measure = known_unit(unit_of_measure)
     check_octave(points_per_octave)
     try:
         kind = Deviation(deviation)

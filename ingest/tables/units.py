@@ -145,14 +145,7 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
     if plain in {"c", "f"} and re.match("temp", signal.lower()):
         unit = "degC" if plain == "c" else "degF"
         return unit, f"{written} is taken as {unit}, since {signal!r} is a temperature"
-    if plain in {"deg/s", "deg/h"} and written[-1].isupper():  # to pint siemens and henry
-        written = written.lower()
-    try:
-        unit = check_unit(_GERMAN_DEGREE.sub("deg", written))
-    except UnknownUnit:
-        if plain not in _UNITS:
-            raise
-        unit = _UNITS[plain]
+    unit = known_unit(written)
     if _GERMAN_DEGREE.match(written):
         taken = f"{written} is taken as {unit} (German Grad, a degree); write gon for gradians"
         return unit, "; ".join(filter(None, (_unexpected(unit, signal), taken)))
@@ -162,6 +155,24 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
             "meant, or another unit of angular rate"
         )
     return unit, _unexpected(unit, signal)
+
+
+def known_unit(text: str) -> str:
+    """A unit of measure as it is written, or as gyrofleet writes it if pint does not know that; else UnknownUnit.
+
+    >>> known_unit("deg/s"), known_unit("度/小时"), known_unit("dph"), known_unit("°/S")
+    ('deg/s', 'deg/h', 'deg/h', '°/s')
+    """
+    written = text.strip()
+    plain = _plain(written)
+    if plain in {"deg/s", "deg/h"} and written[-1].isupper():  # to pint siemens and henry
+        written = written.lower()
+    try:
+        return check_unit(_GERMAN_DEGREE.sub("deg", written))
+    except UnknownUnit:
+        if plain not in _UNITS:
+            raise
+        return _UNITS[plain]
 
 
 def time_unit(text: str) -> str:

@@ -228,3 +228,17 @@ def test_noise_whose_squares_vanish_is_refused() -> None:
     for unit_of_measure in ("1", "deg/s"):
         with pytest.raises(NotEnoughData, match="differ by too little to be squared"):
             gf.allan_deviation(1e-200 * noise, 100.0, unit_of_measure=unit_of_measure)
+
+
+def test_units_are_those_that_the_import_knows() -> None:
+    values = np.random.default_rng(6).normal(size=1000)
+    usual = gf.allan_deviation(values, 100.0, unit_of_measure="deg/h")
+    for spelling in ("度/小时", "dph", "°/h", "deg/hr", "deg/H"):
+        found = gf.allan_deviation(values, 100.0, unit_of_measure=spelling)
+        assert found.unit_of_measure == "deg/h"
+        np.testing.assert_allclose(found.deviation, usual.deviation, rtol=1e-12)
+    per_second = gf.allan_deviation(values, 100.0, unit_of_measure="度/秒")
+    np.testing.assert_allclose(per_second.deviation, 3600.0 * usual.deviation, rtol=1e-12)
+    assert gf.allan_deviation(values, 100.0, unit_of_measure="伏").unit_of_measure == "V"
+    with pytest.raises(gf.UnknownUnit, match="flurb"):
+        gf.allan_deviation(values, 100.0, unit_of_measure="flurb")
