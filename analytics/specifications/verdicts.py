@@ -125,4 +125,5 @@ def failures_in(catalog: Catalog, group: Group) -> list[Row]:
 
 def rows_of(catalog: Catalog, sql: str, parameters: object = None) -> list[Row]:
     """Rows of a statement, as dictionaries."""
-    return [row for batch in catalog.batches(sql, parameters) for row in batch.to_pylist()]
+    names, rows = catalog.named_rows(sql, parameters)
+    return [dict(zip(names, row, strict=True)) for row in rows]

@@ -12,14 +12,21 @@ from (
   select unit, signal, metric, coalesce(run, runs[1]) as run, unnest(steps) as step from unit_metrics
   where value is not null and len(runs) = 1 and parameters->>'$.room_temperature_deg_c' is not null
 ) m
-join static_steps t
+join step_means t  -- not static_steps, for which the lines of all scale factors would be planned
   on t.unit = m.unit and t.signal = m.signal and t.run = m.run and t."index" = m.step and t.temperature is not null
 join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null group by unit) p
   on p.unit = m.unit
 group by m.unit, m.metric, p.product;
 
+-- What it asks for more than once is planned once.
 create or replace view unit_warnings as
-with copied as (
+with each_run as materialized (
+  from unit_runs
+), range as materialized (
+  from internal.temperature_ranges
+), last_product as materialized (
+  select unit, arg_max(product, t_start_ns) as product from each_run where product is not null group by unit
+), copied as (
   select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records
   from step_means left join internal.rate_units r using (unit_of_measure)
   where n >= 30 and sd > 0
@@ -35,7 +42,7 @@ with copied as (
   from copy group by own.unit
 ), named as (
   select unit, lower(regexp_replace(unit, '[\s._-]', '', 'g')) as serial
-  from (select unit from unit_runs union select unit from unit_metrics
+  from (select unit from each_run union select unit from unit_metrics
     union select unit from internal.lake_channels union select unit from internal.lake_documents where unit is not null)
 ), alike as (
   select serial, list(unit order by unit) as names from named group by serial having count(*) > 1
@@ -63,8 +70,8 @@ from (
   where is_output_name(c.signal) or (r.deg_per_h is not null and not is_instrument_name(c.signal))
   group by c.unit
 ) l join runs on runs.run = l.run and runs.outcome <> 'open'
-semi join unit_runs judged on judged.unit = l.unit
-anti join unit_runs of_run on of_run.unit = l.unit and of_run.run = l.run
+semi join each_run judged on judged.unit = l.unit
+anti join each_run of_run on of_run.unit = l.unit and of_run.run = l.run
 union all
 select unit, [],
   len(runs) || if(len(runs) = 1, ' run', ' runs') || ' (' || array_to_string(runs[:4], ', ') || if(len(runs) > 4, ', ...', '')
@@ -74,8 +81,7 @@ select unit, [],
     || product || '，该型号没有限值：以上结果均不含这些试验；若型号有误，请用 `gyrofleet import --units` 更正'
 from (
   select r.unit, r.product, list(distinct r.run order by r.run) as runs
-  from unit_runs r join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null
-    group by unit) last on last.unit = r.unit and last.product <> r.product
+  from each_run r join last_product last on last.unit = r.unit and last.product <> r.product
   where not exists (from internal.limit_editions e where e.product is null or e.product = r.product)
     and exists (from internal.limit_editions e where e.product = last.product)
   group by r.unit, r.product
@@ -87,10 +93,10 @@ select r.unit, [],
     || ' degC: it says nothing of the rest',
   n.zh || '的测量温度范围为 ' || printf('%.3g 至 %.3g', r.lowest, r.highest) || ' ℃，' || r.product || ' 型 ' || u.units
     || ' 个产品的中位范围为 ' || printf('%.3g 至 %.3g', u.lowest, u.highest) || ' ℃：结果不涵盖其余温度'
-from internal.temperature_ranges r
+from range r
 join (
   select product, metric, count(*) as units, median(lowest) as lowest, median(highest) as highest
-  from internal.temperature_ranges group by product, metric having count(*) >= 4
+  from range group by product, metric having count(*) >= 4
 ) u using (product, metric)
 join metric_names n using (metric)
 where r.highest <= u.highest - 5 or r.lowest >= u.lowest + 5
