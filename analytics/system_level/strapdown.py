@@ -3,10 +3,10 @@
 import numpy as np
 
 from stream.batch import FloatArray
-from stream.compiled import kernel
+from stream.compiled import kernel, kernel_part
 
 
-@kernel
+@kernel_part()
 def _rotation(x: float, y: float, z: float, out: FloatArray) -> None:
     """Rotation matrix of a rotation vector, rad (Rodrigues)."""
     square = x * x + y * y + z * z
@@ -23,8 +23,9 @@ def _rotation(x: float, y: float, z: float, out: FloatArray) -> None:
         out[j, i] = second * vector[i] * vector[j] + first * vector[k]
 
 
-@kernel
-def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+@kernel_part()
+def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Product of two matrices of 3 rows and columns, in loops: those of arrays take seconds to compile."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -35,19 +36,17 @@ def _navigate(
     rates: FloatArray, forces: FloatArray, dt_s: float, attitude: FloatArray, earth: FloatArray, gravity: float,
     velocity: FloatArray,
 ) -> None:  # fmt: skip
-    work = np.empty((5, 3, 3))
-    half, turned, middle, spin, moved = work[0], work[1], work[2], work[3], work[4]
+    half, turned, middle, spin = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     _rotation(-earth[0] * dt_s, -earth[1] * dt_s, -earth[2] * dt_s, spin)
     for k in range(rates.shape[1]):
         x, y, z = rates[0, k] * dt_s, rates[1, k] * dt_s, rates[2, k] * dt_s
         _rotation(0.5 * x, 0.5 * y, 0.5 * z, half)
-        _product(attitude, half, middle)
+        product(attitude, half, middle)
         for i in range(3):
             force = middle[i, 0] * forces[0, k] + middle[i, 1] * forces[1, k] + middle[i, 2] * forces[2, k]
             velocity[i, k + 1] = velocity[i, k] + (force - (gravity if i == 2 else 0.0)) * dt_s
-        _product(middle, half, turned)
-        _product(spin, turned, moved)
-        attitude[:, :] = moved
+        product(middle, half, turned)
+        product(spin, turned, attitude)
 
 
 def velocity_of(

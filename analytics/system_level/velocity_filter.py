@@ -4,29 +4,47 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analytics.system_level.strapdown import product
 from stream.batch import FloatArray
-from stream.compiled import kernel
+from stream.compiled import kernel, kernel_part
 
 # Variance of the unknown initial state over that of one velocity, in units of the record: no prior knowledge.
 _DIFFUSE = 1e9
 
 
+@kernel_part()
+def _turned(matrix: FloatArray, covariance: FloatArray, left: FloatArray, right: FloatArray) -> None:
+    """Covariance of the states times a matrix, in place of theirs."""
+    for i in range(3):
+        for j in range(3):
+            right[j, i] = matrix[i, j]
+    product(matrix, covariance, left)
+    product(left, right, covariance)
+
+
 @kernel
-def _filtered(velocity: FloatArray, dt: float, diffuse: float) -> FloatArray:
+def _filtered(velocity: FloatArray, dt: float, diffuse: float, state: FloatArray) -> None:
     """Final state with F = [[0,1,0],[0,0,1],[0,0,0]], H = [1,0,0], R = 1; covariances in Joseph's form."""
-    step = np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-    state = np.zeros(3)
-    covariance = diffuse * np.eye(3)
+    step, rest, covariance = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    left, right, gain = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        step[i, i], rest[i, i], covariance[i, i] = 1.0, 1.0, diffuse
+    step[0, 1], step[0, 2], step[1, 2] = dt, 0.5 * dt * dt, dt
     for k in range(velocity.shape[0]):
         if k:
-            state = step @ state
-            covariance = step @ covariance @ step.T
-        gain = covariance[:, 0] / (covariance[0, 0] + 1.0)
-        state = state + gain * (velocity[k] - state[0])
-        rest = np.eye(3)
-        rest[:, 0] -= gain
-        covariance = rest @ covariance @ rest.T + np.outer(gain, gain)
-    return state
+            state[0] += dt * state[1] + 0.5 * dt * dt * state[2]
+            state[1] += dt * state[2]
+            _turned(step, covariance, left, right)
+        for i in range(3):
+            gain[i] = covariance[i, 0] / (covariance[0, 0] + 1.0)
+        innovation = velocity[k] - state[0]
+        for i in range(3):
+            state[i] += gain[i] * innovation
+            rest[i, 0] = (1.0 if i == 0 else 0.0) - gain[i]
+        _turned(rest, covariance, left, right)
+        for i in range(3):
+            for j in range(3):
+                covariance[i, j] += gain[i] * gain[j]
 
 
 def kalman_derivatives(velocity: FloatArray, dt_s: float) -> FloatArray:
@@ -41,7 +59,8 @@ def kalman_derivatives(velocity: FloatArray, dt_s: float) -> FloatArray:
     """
     length_s = dt_s * (len(velocity) - 1)
     scale = float(np.abs(velocity - velocity[0]).max()) or 1.0
-    state = _filtered(np.ascontiguousarray((velocity - velocity[0]) / scale), dt_s / length_s, _DIFFUSE)
+    state = np.zeros(3)
+    _filtered(np.ascontiguousarray((velocity - velocity[0]) / scale), dt_s / length_s, _DIFFUSE, state)
     found = np.asarray(scale * state / length_s ** np.arange(3), np.float64)
     found[0] += velocity[0]
     return found
