@@ -25,6 +25,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from pkgutil import resolve_name
 from types import SimpleNamespace
 from typing import Any, AnyStr, NoReturn
 
@@ -38,33 +39,70 @@ _ABOVE = 200  # numbers of files that nobody asks for
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
 _WANTED = (
     "gyrofleet",
+    "analytics.certificate.issue",
+    "analytics.certificate.kept_files",
+    "analytics.certificate.verification",
+    "analytics.cluster.diagnosis_tasks",
+    "analytics.curves.allan_curve",
+    "analytics.curves.isolated_outliers",
+    "analytics.curves.noise_coefficients",
+    "analytics.curves.normalised_walk",
     "analytics.evaluation.inner_page",
     "analytics.evaluation.layer",
     "analytics.evaluation.selection",
     "analytics.evaluation.table",
+    "analytics.loop.explainable",
+    "analytics.loop.model.model_check",
+    "analytics.loop.next_test.recommendation",
+    "analytics.loop.report.diagnosis_html",
+    "analytics.loop.report.diagnosis_plots",
+    "analytics.loop.station_rival",
     "analytics.loop.tracing.diagnosis",
+    "analytics.loop.tracing.fleet",
+    "analytics.loop.unit_diagnosis",
     "analytics.metric_registry.registry",
+    "analytics.plots.figure_file",
     "analytics.serve.server",
     "ingest.can.bus.interface",
     "ingest.can.plan",
     "ingest.commands.simulate",
     "ingest.importing.importer",
+    "ingest.instruments.power_supply",
+    "ingest.instruments.rate_table",
+    "ingest.instruments.temperature_chamber",
+    "ingest.instruments.vibration_table",
+    "ingest.instruments.voltmeter",
+    "ingest.procedures.procedure",
     "ingest.procedures.run_steps",
     "ingest.simulator.processes",
     "ingest.station.station",
     "ingest.tables.file",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.backends.backend_svg",
     "matplotlib.pyplot",
     "pandas",
     "pint",
     "polars",
     "pyarrow.dataset",
     "pyarrow.pandas_compat",
+    "pyhanko.sign.signers",
+    "pyhanko.sign.validation",
     "rich._emoji_codes",
+    "rich.progress",
     "rich.status",
+    "rich.traceback",
     "scipy.signal",
     "scipy.stats",
+    "storage.attestation.verified_state",
+    "storage.check.verify",
+    "storage.fleet_store",
+    "storage.specifications.copies",
     "storage.sql.door",
+    "storage.sql.fleet.fleet_door",
+    "storage.sql.opened",
     "storage.sql.reading",
+    "structlog",
+    "typst",
 )
 
 
@@ -251,7 +289,9 @@ def _serve(path: str) -> None:
     group = sys.modules["gyrofleet"].main
     for name in group.list_commands(click.Context(group)):
         group.get_command(click.Context(group), name)
-    sys.modules["analytics.metric_registry.registry"].metrics()
+    for metric in sys.modules["analytics.metric_registry.registry"].metrics().values():
+        if metric.header.python:
+            resolve_name(metric.header.python)
     sys.modules["storage.segments.records"].schemas()
     pages = importlib.import_module("analytics.serve.pages.frame.render")
     for template in pages.templates():
