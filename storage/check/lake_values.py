@@ -1,5 +1,6 @@
 """The values of the lake compared with the log: each part is built again from its segments, outside the store."""
 
+import filecmp
 import secrets
 import tempfile
 from collections.abc import Callable, Iterator
@@ -99,6 +100,8 @@ def _other_columns(kept: Path, table: str) -> tuple[list[str], list[str]]:
 
 def _differing(connection: duckdb.DuckDBPyConnection, kept: Path, fresh: list[Path], table: str) -> int:
     """How many rows of a table are in one of both alone, at least; 0 where none is."""
+    if len(fresh) == 1 and filecmp.cmp(kept, fresh[0], shallow=False):  # a statement on each takes much longer
+        return 0
     connection.execute("drop view if exists kept; drop view if exists fresh")
     for name, paths in (("kept", [kept]), ("fresh", fresh)):
         files = ", ".join("'" + str(each).replace("'", "''") + "'" for each in paths)
