@@ -18,6 +18,7 @@ from storage.store import writer_is_active
 from stream.batch import SampleBatch
 from stream.closing import Closing
 from stream.errors import GyrofleetError
+from stream.niceness import be_nicer
 from stream.quantities import read_definitions
 
 _LOOK_S = 0.1
@@ -31,6 +32,7 @@ _NEXT_S = 0.7
 _METRICS_NEXT_S = 20.0  # unless somebody waits for them
 _WANTED_S = 10.0
 _FIRST_PAGES_S = 3.0
+_NICER = 10
 # imported by what answers when it is first needed
 _MODULES = (
     "analytics.certificate.record", "analytics.curves.allan_curve", "analytics.evaluation.selection",
@@ -142,6 +144,7 @@ class Warming(Closing):
             self._ends.wait(max(_LOOK_S if took_s == 0.0 else _NEXT_S - took_s, _PAUSES * took_s))
 
     def _watch_metrics(self) -> None:
+        be_nicer(_NICER)  # planning hundreds of views takes a second of the processor
         self._live.wait()
         until_s = time.monotonic() + _FIRST_PAGES_S
         while self._is_busy() and time.monotonic() < until_s:

@@ -1,25 +1,16 @@
 """Building the lake in the background of a recorder."""
 
-import os
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 
 from storage.lake.builder import LakeBusy, build_missing, builder_lock
 from storage.store import Store
 from stream.errors import StoreError
+from stream.niceness import be_nicer
 
 _RETRY_S = 10.0
 _NICER = 5
-
-
-def _yield_to_others() -> None:
-    """Let this thread alone work when others have nothing to do: samples are acknowledged, pages answered first."""
-    if sys.platform == "linux":  # where a thread has a priority of its own
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), os.getpriority(os.PRIO_PROCESS, 0) + _NICER)
 
 
 class LakeBuilder:
@@ -62,6 +53,7 @@ class LakeBuilder:
             raise self._failure
 
     def _loop(self) -> None:
+        be_nicer(_NICER)  # samples are acknowledged, pages answered first
         reported = ""
         while True:
             with self._state:
