@@ -19,6 +19,7 @@ from analytics.loop.provenance import Provenance, provenance
 from analytics.loop.recovery import Recovery, recovered
 from analytics.loop.regressor_diagnostics import RegressorDiagnostics, regressor_diagnostics
 from analytics.loop.residuals import Residuals, residuals_of
+from analytics.loop.station_levels import with_station_levels
 from analytics.loop.station_rival import StationRival, fleet_with_station, is_of_days, station_rival, with_station
 from analytics.loop.tracing.diagnosis import Asked, diagnosed, diagnosed_or_why_not
 from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
@@ -211,13 +212,20 @@ def trace_units(
     """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises.
 
     Many units are traced by several `processes`, or by what `spread` runs, with the same results. Where the stations
-    that measured them explain a drift over days as well, they are named as an alternative.
+    that measured them explain a drift over days as well, they are named as an alternative; where the biases of a unit
+    without a finding differ by station, that is named.
     """
     found = _traced(read, question, is_pooled, processes, spread, on_progress)
     rival = _station_rival(found, question)
     fleet = None if found.fleet is None else fleet_with_station(found.fleet, rival)
     units = {
-        unit: replace(each, diagnosis=with_station(each.diagnosis, rival, unit)) for unit, each in found.units.items()
+        unit: replace(
+            each,
+            diagnosis=with_station_levels(
+                with_station(each.diagnosis, rival, unit), each.data.runs, each.data.stations, read.models[unit]
+            ),
+        )
+        for unit, each in found.units.items()
     }
     return replace(found, units=units, fleet=fleet)
 

@@ -52,7 +52,9 @@ def open_question(
     if planned is not None:
         return OpenQuestion("again", planned, (planned.name,))
     if unconfirmed:
-        return OpenQuestion("again", unconfirmed[0], (unconfirmed[0].name,), _by_chance(unconfirmed[0]))
+        first = unconfirmed[0]
+        why = _by_station() if first.name == STATION else _by_chance(first)
+        return OpenQuestion("again", first, (first.name,), why)
     if verdict is ModelVerdict.UNEXPLAINED:
         return OpenQuestion("excess")
     return None
@@ -108,11 +110,7 @@ def _unrecorded(found: FoundEffect) -> Bilingual:
     """The others are not recorded, or are not plausible: what to record."""
     absent = [each.name for each in found.confounded if not each.recorded]
     if any(each.name == STATION for each in found.confounded):
-        other = effect(STATION)
-        return Bilingual(
-            f"The station explains these runs as well. What separates them: {other.separating_test}.",
-            f"试验台同样能解释这些试验。区分方法：{other.separating_test_zh}。",
-        )
+        return _by_station()
     if not absent:
         own = effect(found.name)
         return Bilingual(
@@ -124,6 +122,14 @@ def _unrecorded(found: FoundEffect) -> Bilingual:
     return Bilingual(
         f"No run decides while {', '.join(absent)} are not recorded: record {channels} in the same runs.",
         f"{'、'.join(absent)}未被记录，任何试验均不能判别：请在相同试验中记录{channels}。",
+    )
+
+
+def _by_station() -> Bilingual:
+    other = effect(STATION)
+    return Bilingual(
+        f"The station explains these runs as well. What separates them: {other.separating_test}.",
+        f"试验台同样能解释这些试验。区分方法：{other.separating_test_zh}。",
     )
 
 

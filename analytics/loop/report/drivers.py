@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from analytics.loop.effects.base import EffectKind
-from analytics.loop.effects.events import TURN_ON
+from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.effects.registry import effect
 from analytics.loop.report.wording import Wording
 from analytics.loop.residuals import Residuals
@@ -150,7 +150,7 @@ class Drawn:
 def drawn(residuals: Residuals, found: FoundEffect, words: Wording) -> Drawn | None:
     """An effect over its driver, a jump over the time of its run; None if it follows no channel."""
     known = effect(found.name)
-    if known.kind is EffectKind.LINE or known.name == TURN_ON:
+    if known.kind is EffectKind.LINE or known.name in {TURN_ON, STATION}:
         return None
     stack = residuals.record.stack
     columns = stack.column(lambda run: known.regressors(run, found.parameters))

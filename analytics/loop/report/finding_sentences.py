@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from analytics.loop.effects.events import TURN_ON
+from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.effects.registry import effect
 from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import LEAST_SHARE, Wording, number
@@ -97,6 +97,12 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
 def _of_biases(found: FoundEffect, test: BiasTest, words: Wording) -> str:
     """The test of an effect that only the biases of all runs show."""
     size, p_value = words.size(test, found.coefficients[0].unit_of_measure), number(test.p_value)
+    if found.name == STATION:
+        size = words.coefficient(found)
+        return words.of(
+            f"The biases of {test.runs} runs differ by station: {size}, p = {p_value} (F test).",
+            f"{test.runs}次试验的零偏随试验台而异：{size}，p = {p_value}（F检验）。",
+        )
     return words.of(
         f"The biases of all {test.runs} runs follow it: {size}, p = {p_value} (Student's t; {test.tests} causes that "
         "differ between runs were tested).",

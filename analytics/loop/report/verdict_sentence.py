@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from analytics.loop.effects.events import TURN_ON
+from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.report.wording import LEAST_SHARE, Wording, number
 from analytics.loop.tracing.result.diagnosis_result import (
     BiasTest,
@@ -216,6 +216,14 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
 def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, words: Wording) -> str:
     """An effect that the biases of all runs follow, and why nothing confirms it."""
     size, p_value = words.size(test, found.coefficients[0].unit_of_measure), number(test.p_value)
+    if found.name == STATION:
+        size = words.coefficient(found)
+        return words.of(
+            f"the biases of the {test.runs} runs differ by station: {size} (p = {p_value}); whether it is the station "
+            "or the unit, other units measured at both show",
+            f"{test.runs}次试验的零偏随试验台而异：{size}（p = {p_value}）；"
+            "是试验台还是产品所致，须由在两处均测量的其他产品判别",
+        )
     names = words.listed([words.effect(found), *(_alternative(other, words) for other in found.confounded)], _OR)
     text = words.of(
         f"the biases of the {test.runs} runs follow {names}: {size} (p = {p_value})",

@@ -1,14 +1,18 @@
-"""A drift over days is not put on units where the stations that measured them explain it as well."""
+"""A drift over days is not put on units where stations explain it as well; their levels are no turn-on scatter."""
 
 from collections.abc import Callable
 
 import msgspec
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.events import STATION
 from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.report.verdict_sentence import verdict_sentence
+from analytics.loop.report.wording import Wording
+from analytics.loop.station_levels import with_station_levels
 from analytics.loop.station_rival import fleet_with_station, station_rival, with_station
 from analytics.loop.tracing.fleet import FleetDiagnosis
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
@@ -76,3 +80,36 @@ def test_what_is_no_drift_over_days_has_no_station_beside_it() -> None:
     other = msgspec.structs.replace(FOUND, effects=(msgspec.structs.replace(AGEING, name="temperature_squared"),))
     assert with_station(other, rival, "U0") == other
     assert with_station(FOUND, None, "U0") == FOUND
+
+
+NOTHING = Diagnosis(verdict=ModelVerdict.NOTHING_MISSING, units=("U0",), signal="rate")
+MODEL = ErrorModel.parse("bias")
+
+
+def test_biases_that_differ_by_station_are_not_nothing_missing() -> None:
+    runs = records(lambda unit, day: unit + 0.3 * (day % 12 > 0))["U0"]
+    measured_at = {run.run: BOTH[at] for at, run in enumerate(runs)}
+    found = with_station_levels(NOTHING, runs, measured_at, MODEL)
+    assert (found.verdict, [each.name for each in found.unreplicated]) == (ModelVerdict.UNREPLICATED, [STATION])
+    (size,) = found.unreplicated[0].coefficients
+    assert (size.name, size.unit_of_measure) == ("B \N{MINUS SIGN} A", "deg/h")
+    assert size.lo < 0.3 < size.hi
+    assert "the biases of the 8 runs differ by station: B" in verdict_sentence(found, Wording("en"))
+    assert "8次试验的零偏随试验台而异" in verdict_sentence(found, Wording("zh"))
+    for stations in ({}, dict.fromkeys(measured_at, "A")):
+        assert with_station_levels(NOTHING, runs, stations, MODEL) == NOTHING
+    assert with_station_levels(FOUND, runs, measured_at, MODEL) == FOUND
+
+
+def test_stations_are_accused_no_more_often_than_promised() -> None:
+    """Biases that scatter alike at three stations: 1 in 100 by chance."""
+    accused = units = 0
+    rng = np.random.default_rng(7)
+    for _ in range(25):
+        bias = rng.normal(0, 0.2, (UNITS, RUNS))
+        for runs in records(lambda unit, day, bias=bias: float(bias[unit, day // 6])).values():  # type: ignore[misc]
+            measured_at = {run.run: "ABCABCAB"[at] for at, run in enumerate(runs)}
+            found = with_station_levels(NOTHING, runs, measured_at, MODEL)
+            accused += found.verdict is not ModelVerdict.NOTHING_MISSING
+            units += 1
+    assert accused <= binom.ppf(0.999, units, 0.01)
