@@ -120,8 +120,9 @@ class AllanCurve:
         )
 
     def document(self) -> dict[str, Any]:
-        """The curve as JSON, with the same keys for every kind of deviation."""
-        return {"value" if key == "adev" else key: value for key, value in asdict(self).items() if key != "windows"}
+        """The curve as JSON, with the same keys for every kind of deviation; `curve_document` has the outliers."""
+        left_out = ("windows", "outliers")
+        return {"value" if key == "adev" else key: value for key, value in asdict(self).items() if key not in left_out}
 
 
 def allan_curve(
