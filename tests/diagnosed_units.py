@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.reduction_notes import Note
+from analytics.loop.blocks.notes.reduction_notes import Note
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import diagnose

@@ -10,12 +10,12 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
-from analytics.loop.blocks.left_out import GRAVE, LeftOut
+from analytics.loop.blocks.notes.left_out import GRAVE, LeftOut
+from analytics.loop.blocks.notes.reduction_notes import Note, in_runs
+from analytics.loop.blocks.reading.stored_signals import usual_block_s
 from analytics.loop.blocks.record_checks import copied_elsewhere, copied_runs, copies_left_out
-from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.step_channels import position_numbers
-from analytics.loop.blocks.stored_signals import usual_block_s
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
 from analytics.loop.model.error_model import ErrorModel, ModelNoise

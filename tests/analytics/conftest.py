@@ -14,7 +14,7 @@ import pytest
 from analytics.evaluation.evaluation import define_views, evaluate
 from analytics.loop.bilingual import chinese
 from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
-from analytics.loop.blocks.reduction_notes import Note
+from analytics.loop.blocks.notes.reduction_notes import Note
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.verdict.conclusion import conclude
 from analytics.metric_registry.registry import metrics

@@ -9,11 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.loop.blocks import derived
-from analytics.loop.blocks import reduction_notes as notes_on
 from analytics.loop.blocks.join import ChannelJoiner
-from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.notes import reduction_notes as notes_on
+from analytics.loop.blocks.notes.left_out import LeftOut
+from analytics.loop.blocks.notes.reduction_notes import LEAST_SHARE, Note
 from analytics.loop.blocks.outliers import RateSeries
 from analytics.loop.blocks.pieces import Grid, SignalKey
+from analytics.loop.blocks.reading.stored_signals import ChannelSource, RecordedSignal, reach, records_of, sources_of
 from analytics.loop.blocks.record_checks import (
     check_channels,
     check_labels,
@@ -22,12 +24,10 @@ from analytics.loop.blocks.record_checks import (
     copied_runs,
     copies_left_out,
 )
-from analytics.loop.blocks.reduction_notes import LEAST_SHARE, Note
 from analytics.loop.blocks.reference_edges import unresolved
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
 from analytics.loop.blocks.step_channels import position_numbers, read_steps
-from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal, reach, records_of, sources_of
 from analytics.loop.blocks.unit_run import UnitRun, left_out_of, notes_on_samples
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound

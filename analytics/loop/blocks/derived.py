@@ -7,7 +7,7 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.edge_slope import mean_slope_per_s
-from analytics.loop.blocks.reduction_notes import Note, in_runs
+from analytics.loop.blocks.notes.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel, RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks
 from analytics.loop.blocks.step_channels import (

@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.loop.blocks.channels import (
+from analytics.loop.blocks.outliers import RateSeries, is_far_outside, motion, moves
+from analytics.loop.blocks.pieces import Grid, SignalKey
+from analytics.loop.blocks.reading.channels import (
     AngleBlocks,
     Readings,
     interpolated,
@@ -17,13 +19,11 @@ from analytics.loop.blocks.channels import (
     standard_unit,
     without_aliases,
 )
-from analytics.loop.blocks.outliers import RateSeries, is_far_outside, motion, moves
-from analytics.loop.blocks.pieces import Grid, SignalKey
+from analytics.loop.blocks.reading.stored_readings import MOST_READINGS, StoredReadings
+from analytics.loop.blocks.reading.stored_signals import REFERENCE_RATES, ChannelSource
 from analytics.loop.blocks.reference_edges import Motion, bends, held, ranges
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel
 from analytics.loop.blocks.signal_blocks import SignalBlocks, block_means
-from analytics.loop.blocks.stored_readings import MOST_READINGS, StoredReadings
-from analytics.loop.blocks.stored_signals import REFERENCE_RATES, ChannelSource
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
 

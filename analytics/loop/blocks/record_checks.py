@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import LeftOut
-from analytics.loop.blocks.reduction_notes import Note, in_runs
+from analytics.loop.blocks.notes.left_out import LeftOut
+from analytics.loop.blocks.notes.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks, stands_still
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from analytics.curves.isolated_outliers import isolated_outliers
-from analytics.loop.blocks import reduction_notes as notes_on
 from analytics.loop.blocks.derived import AT_REST_DEG_PER_S
 from analytics.loop.blocks.join import Outliers
-from analytics.loop.blocks.left_out import FAR_OUTSIDE, FEW_SAMPLES, NOT_RESOLVED, LeftOut, Loss, left_out
+from analytics.loop.blocks.notes import reduction_notes as notes_on
+from analytics.loop.blocks.notes.left_out import FAR_OUTSIDE, FEW_SAMPLES, NOT_RESOLVED, LeftOut, Loss, left_out
+from analytics.loop.blocks.notes.reduction_notes import Note
+from analytics.loop.blocks.reading.stored_signals import ChannelSource, RecordedSignal
 from analytics.loop.blocks.record_checks import check_clocks
-from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks
 from analytics.loop.blocks.step_channels import Step, step_rows
-from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord
 from stream.batch import BoolArray

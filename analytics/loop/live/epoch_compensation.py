@@ -6,7 +6,7 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from analytics.loop.blocks.channels import standard_unit
+from analytics.loop.blocks.reading.channels import standard_unit
 from analytics.loop.blocks.run_blocks import Channel
 from analytics.loop.model import live_terms
 from analytics.loop.model.model_registry import ModelVersion

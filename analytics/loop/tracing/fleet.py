@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.notes.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for

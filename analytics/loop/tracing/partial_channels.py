@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import REPORTED, LeftOut, Loss, left_out
+from analytics.loop.blocks.notes.left_out import REPORTED, LeftOut, Loss, left_out
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect, effects_for
 from analytics.loop.model.error_model import ErrorModel

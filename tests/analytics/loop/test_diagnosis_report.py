@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from analytics.commands.closed_loop.diagnose_output import print_unit
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.notes.left_out import LeftOut
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.report.diagnosis_html import report_html, write_report
 from analytics.loop.report.diagnosis_plots import figures_of, write_figures

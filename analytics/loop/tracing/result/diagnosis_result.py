@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.notes.left_out import LeftOut
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.methods.distributions import chi_square_sf

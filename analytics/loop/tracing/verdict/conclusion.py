@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.notes.left_out import LeftOut
 from analytics.loop.effects.events import TURN_ON
 from analytics.loop.effects.registry import effects_for, unavailable_effects
 from analytics.loop.model.error_model import ErrorModel, ModelNoise

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.left_out import LeftOut, Loss, left_out
+from analytics.loop.blocks.notes.left_out import LeftOut, Loss, left_out
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.whitening.whitener import NoiseModel, Whitener

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from analytics.loop.blocks.channels import Readings
 from analytics.loop.blocks.pieces import READINGS, Grid, SignalKey, rows_of
+from analytics.loop.blocks.reading.channels import Readings
+from analytics.loop.blocks.reading.stored_signals import FAR_NS, ChannelSource
 from analytics.loop.blocks.run_blocks import SECOND_NS
-from analytics.loop.blocks.stored_signals import FAR_NS, ChannelSource
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers
 from stream.batch import FloatArray, IntArray

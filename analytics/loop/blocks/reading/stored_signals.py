@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.channels import standard_unit
+from analytics.loop.blocks.notes.reduction_notes import Note
 from analytics.loop.blocks.pieces import Grid, SignalKey
-from analytics.loop.blocks.reduction_notes import Note
+from analytics.loop.blocks.reading.channels import standard_unit
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal

@@ -1,0 +1,1 @@
+"""What was left out of the blocks of a run, and why."""
