@@ -1,6 +1,6 @@
 """Approving what somebody else has proposed: the act is checked again, and carried out."""
 
-from storage.recording.proposing import check_approver, open_proposal
+from storage.recording.acts.proposing import check_approver, open_proposal
 from storage.sql.catalog import catalog_anew
 from storage.store import Store, only_one
 from stream.events import ApprovedAct, CertificateIssued, ModelActivated

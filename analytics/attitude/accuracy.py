@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from analytics.attitude.calibration import AttitudeCalibration
 from analytics.attitude.record import AttitudeStep, Rates, attitude_steps, rates_of
-from analytics.methods.attitude_compensation import compensated_angles
-from analytics.methods.attitude_frames import AttitudeAngles, attitude_angles
-from analytics.methods.attitude_positions import placed
+from analytics.methods.attitude.compensation import compensated_angles
+from analytics.methods.attitude.frames import AttitudeAngles, attitude_angles
+from analytics.methods.attitude.positions import placed
 from analytics.system_level.levelling import earth_rate_enu_rad_per_s
 from analytics.system_level.strapdown import velocity_of
 from storage.sql.catalog import Catalog

@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 
 from analytics.evaluation.selection import Row, Selection, selected
-from analytics.methods.attitude_compensation import misalignment_matrix
-from analytics.methods.attitude_cross_axes import element_name
-from analytics.methods.attitude_positions import TRIADS
+from analytics.methods.attitude.compensation import misalignment_matrix
+from analytics.methods.attitude.cross_axes import element_name
+from analytics.methods.attitude.positions import TRIADS
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.errors import BadInput

@@ -35,8 +35,8 @@ from analytics.certificate.statement.standards import Standard
 from analytics.certificate.statement.validity import later
 from analytics.certificate.statement.words import Language, Words
 from analytics.evaluation.inner_page import inner_page
-from storage.recording.proposing import carried_out, check_may_propose, has_to_be_proposed, propose
-from storage.recording.two_persons import Proposal
+from storage.recording.acts.proposing import carried_out, check_may_propose, has_to_be_proposed, propose
+from storage.recording.acts.two_persons import Proposal
 from storage.specifications.chain import read_chain
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one

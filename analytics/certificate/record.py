@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from storage.log.store_documents import is_sealed, sealed
 from storage.log.tail import documents_beyond
+from storage.recording.acts.two_persons import read_proposals
 from storage.recording.client import record_documents
-from storage.recording.two_persons import read_proposals
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.decoding import decode_json

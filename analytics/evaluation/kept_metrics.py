@@ -41,8 +41,8 @@ select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from interna
 _PRINTS = b"gyrofleet.units"
 # Packages whose text the values depend on, besides the numbers.
 _PACKAGES = (
-    "analytics.metrics", "analytics.methods", "analytics.system_level", "analytics.metric_registry",
-    "analytics.evaluation", "analytics.evaluation.views", "analytics.uncertainty",
+    "analytics.metrics", "analytics.methods", "analytics.methods.attitude", "analytics.system_level",
+    "analytics.metric_registry", "analytics.evaluation", "analytics.evaluation.views", "analytics.uncertainty",
 )  # fmt: skip
 
 

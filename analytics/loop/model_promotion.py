@@ -12,7 +12,7 @@ from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdi
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
 from analytics.loop.unit_reduction import Progress, Question, silent
-from storage.recording.proposing import check_may_propose
+from storage.recording.acts.proposing import check_may_propose
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput

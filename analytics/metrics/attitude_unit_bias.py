@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.methods.attitude_cross_axes import EARTH_DEG_PER_H, Elements, seen_across, vertical_part
-from analytics.methods.attitude_positions import (
+from analytics.methods.attitude.cross_axes import EARTH_DEG_PER_H, Elements, seen_across, vertical_part
+from analytics.methods.attitude.positions import (
     EAST,
     NORTH,
     Direction,

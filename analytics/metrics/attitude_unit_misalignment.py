@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.methods.attitude_cross_axes import Element, Elements, element_name
-from analytics.methods.attitude_positions import triad_of
+from analytics.methods.attitude.cross_axes import Element, Elements, element_name
+from analytics.methods.attitude.positions import triad_of
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput
 

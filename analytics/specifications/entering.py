@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from analytics.metric_registry.registry import alike
 from analytics.specifications.checking import checked_specification
-from storage.recording.proposing import carried_out, has_to_be_proposed, propose
-from storage.recording.two_persons import Proposal, changed_since
+from storage.recording.acts.proposing import carried_out, has_to_be_proposed, propose
+from storage.recording.acts.two_persons import Proposal, changed_since
 from storage.specifications import specification
 from storage.specifications.chain import Chain, append_document, read_chain
 from storage.specifications.copies import FOLDER, write_copy

@@ -13,9 +13,9 @@ from uuid import uuid4
 import numpy as np
 
 from storage.log.store_documents import LAKE
+from storage.recording.acts.signed_rules import keep_signed_rules
 from storage.recording.disk_watch import DiskWatch
 from storage.recording.knowledge import KnownRuns, KnownSignal, KnownStep, unpacked
-from storage.recording.signed_rules import keep_signed_rules
 from storage.segments.disk import DISK
 from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint, writer_security
 from stream.batch import FloatArray, IntArray

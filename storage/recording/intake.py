@@ -10,7 +10,7 @@ from storage.log.event_log import EventLog
 from storage.log.run_owners import RunOwners
 from storage.log.sequence import LogPlace
 from storage.log.store_documents import forgery
-from storage.recording.two_persons import reason_against
+from storage.recording.acts.two_persons import reason_against
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS

@@ -14,12 +14,12 @@ from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments
 from storage.log.run_owners import RunOwners
 from storage.manifests.lake import read_manifest
+from storage.recording.acts.signed_rules import keep_signed_rules
 from storage.recording.disk_watch import DiskWatch
 from storage.recording.intake import Intake
 from storage.recording.lake_builder import LakeBuilder
 from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
-from storage.recording.signed_rules import keep_signed_rules
 from storage.recording.status_board import StatusBoard
 from storage.segments.disk import DISK, Disk
 from storage.store import Store

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.methods.attitude_compensation import compensated_angles, misalignment_matrix
-from analytics.methods.attitude_frames import attitude_angles, attitude_matrix
+from analytics.methods.attitude.compensation import compensated_angles, misalignment_matrix
+from analytics.methods.attitude.frames import attitude_angles, attitude_matrix
 from tests.attitude_unit_files import Sheet, four_positions, ramp, turns
 
 ANGLES = {axis: f"angle_{axis.lower()}[deg]" for axis in "XYZ"}

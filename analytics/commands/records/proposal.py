@@ -13,7 +13,7 @@ from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
 
 if TYPE_CHECKING:
-    from storage.recording.two_persons import Proposal
+    from storage.recording.acts.two_persons import Proposal
     from stream.events import ActProposed
 
 _UID = click.argument("uid", metavar="ID")
@@ -34,7 +34,7 @@ def proposal() -> None:
 @reporting
 def list_proposals(folder: Path, *, is_all: bool, as_json: bool) -> None:
     """List what waits for another person."""
-    from storage.recording.two_persons import read_proposals
+    from storage.recording.acts.two_persons import read_proposals
     from storage.store import Store
 
     found = [each for each in read_proposals(Store.open(folder)).values() if is_all or each.state == "open"]
@@ -76,7 +76,7 @@ def approve(uid: str, folder: Path, *, as_json: bool) -> None:
 @secured(Role.APPROVER)
 def reject(uid: str, folder: Path, reason: str, *, as_json: bool) -> None:
     """Reject a proposal, or withdraw your own."""
-    from storage.recording.proposing import reject as write_rejection
+    from storage.recording.acts.proposing import reject as write_rejection
     from storage.store import Store
 
     document = write_rejection(Store.open(folder), uid, by=acting(None), reason=reason)

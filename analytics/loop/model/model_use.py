@@ -12,8 +12,8 @@ from ingest.importing.entered import enter
 from storage.log.store_documents import sealed
 from storage.log.tail import documents_beyond
 from storage.manifests.lake import read_manifest
-from storage.recording.proposing import carried_out, has_to_be_proposed, propose
-from storage.recording.two_persons import Proposal
+from storage.recording.acts.proposing import carried_out, has_to_be_proposed, propose
+from storage.recording.acts.two_persons import Proposal
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.decoding import decode_json

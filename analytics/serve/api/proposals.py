@@ -63,8 +63,8 @@ class Decided(msgspec.Struct, frozen=True, kw_only=True):
 @get("/api/proposals", table="proposals", is_kept=False)
 def list_proposals(call: Call, asked: ProposalsAsked) -> Proposals:
     """Acts that wait for another person; or all that were proposed."""
-    from storage.recording.act_titles import act_title
-    from storage.recording.two_persons import needs_two, read_proposals, reason_against_approver
+    from storage.recording.acts.act_titles import act_title
+    from storage.recording.acts.two_persons import needs_two, read_proposals, reason_against_approver
 
     rows = []
     for each in reversed(read_proposals(call.store).values()):
@@ -102,7 +102,7 @@ def approve_proposal(call: Call, asked: Nothing) -> Decided:
 @post("/api/proposals/{proposal}/reject", role=Role.ENGINEER)
 def reject_proposal(call: Call, asked: RejectionAsked) -> Decided:
     """Reject a proposal, which needs an approver who is no program, or withdraw one's own."""
-    from storage.recording.proposing import open_proposal, reject
+    from storage.recording.acts.proposing import open_proposal, reject
 
     uid, actor = call.path["proposal"], call.person.actor
     is_own = actor.is_authenticated and actor.identity == open_proposal(call.store, uid).document.identity

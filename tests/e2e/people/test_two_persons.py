@@ -21,9 +21,9 @@ from analytics.loop.model.model_use import (
 )
 from storage.log.event_log import EventLog
 from storage.log.store_documents import sealed
-from storage.recording.proposing import reject
+from storage.recording.acts.proposing import reject
+from storage.recording.acts.two_persons import read_proposals, reason_against
 from storage.recording.recorder import Recorder
-from storage.recording.two_persons import read_proposals, reason_against
 from storage.specifications.chain import read_chain
 from storage.store import Store
 from stream.errors import BadInput

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from storage.recording.act_titles import act_title
-from storage.recording.two_persons import SUBJECT_OF
+from storage.recording.acts.act_titles import act_title
+from storage.recording.acts.two_persons import SUBJECT_OF
 from stream.events import CertificateIssued, ModelActivated, SpecificationAction, SpecificationEntered
 
 HEAD: dict[str, Any] = {"run": "", "t_ns": 1, "by": "lead"}

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from storage.log.event_log import EventLog
+from storage.recording.acts.signed_rules import SIGNED_RULES_FILE, keep_signed_rules, read_signed_rules
+from storage.recording.acts.two_persons import needs_two
 from storage.recording.recorder import Recorder
-from storage.recording.signed_rules import SIGNED_RULES_FILE, keep_signed_rules, read_signed_rules
-from storage.recording.two_persons import needs_two
 from storage.specifications.chain import read_chain
 from storage.store import Store
 from stream.errors import BadInput
@@ -149,7 +149,7 @@ def test_rules_that_cannot_be_left_are_reported(tmp_path: Path, store: Store, mo
     def full(*_words: object, **_options: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("storage.recording.signed_rules.write_durably", full)
+    monkeypatch.setattr("storage.recording.acts.signed_rules.write_durably", full)
     (warning,) = kept(store, tmp_path / "site")
     assert "site.signed.toml cannot be written: No space left on device" in warning
     assert read_signed_rules(store.folder).two_persons == ()

@@ -7,9 +7,9 @@ from uuid import uuid4
 import msgspec
 
 from storage.log.store_documents import sealed
-from storage.recording.act_titles import act_title
+from storage.recording.acts.act_titles import act_title
+from storage.recording.acts.two_persons import SUBJECT_OF, Proposal, needs_two, read_proposals, reason_against_approver
 from storage.recording.client import record_documents
-from storage.recording.two_persons import SUBJECT_OF, Proposal, needs_two, read_proposals, reason_against_approver
 from storage.store import Store
 from stream.errors import BadInput, NotFound
 from stream.events import ActProposed, ApprovedAct, ProposalRejected

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from analytics.methods.attitude_positions import UP, Direction, Orientation, placed
+from analytics.methods.attitude.positions import UP, Direction, Orientation, placed
 from stream.errors import BadInput
 
 EARTH_DEG_PER_H = 15.041067

@@ -7,7 +7,7 @@ import msgspec
 
 from storage.log.store_documents import is_sealed
 from storage.log.tail import documents_beyond
-from storage.recording.signed_rules import read_signed_rules
+from storage.recording.acts.signed_rules import read_signed_rules
 from storage.store import Store, writer_security
 from stream.decoding import decode_json
 from stream.errors import BusError

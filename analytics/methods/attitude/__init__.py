@@ -1,0 +1,1 @@
+"""Attitudes of a unit: frames, positions, and what they compensate."""

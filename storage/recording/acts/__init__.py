@@ -1,0 +1,1 @@
+"""Acts that people sign or approve: proposals, two-person rules, signed rules of a site."""
