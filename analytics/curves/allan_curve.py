@@ -246,8 +246,8 @@ def curve_of_points(
 def _remark_on_missing(samples: int, missing: int) -> tuple[str, str] | None:
     """What a reader must know of missing samples, in English and Chinese; None if they are few.
 
-    >>> _remark_on_missing(95, 5)[0]
-    '5.0% of the samples are missing: white noise may be shown up to 2.6% too high, which the lower bounds allow for'
+    >>> _remark_on_missing(95, 5)[0].partition(", which")[0]
+    '5.0% of the samples are missing: white noise may be shown up to 2.6% too high'
     """
     if missing < _MISSING * (samples + missing):
         return None
@@ -255,9 +255,9 @@ def _remark_on_missing(samples: int, missing: int) -> tuple[str, str] | None:
     return (
         (
             f"{share:.1%} of the samples are missing: white noise may be shown up to {excess:.1%} too high, which the "
-            "lower bounds allow for"
+            "lower bounds allow for; angle quantisation looks like white noise then, which they do not"
         ),
-        f"缺失 {share:.1%} 的采样：白噪声可能偏高至多 {excess:.1%}，置信下限已计入",
+        f"缺失 {share:.1%} 的采样：白噪声可能偏高至多 {excess:.1%}，置信下限已计入；角度量化此时形同白噪声，未计入",
     )
 
 

@@ -229,7 +229,13 @@ def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, wo
         f"the biases of the {test.runs} runs follow {names}: {size} (p = {p_value})",
         f"{test.runs}次试验的零偏随{names}变化：{size}（p = {p_value}）",
     )
-    if slope is None:
+    if test.within is not None:
+        inside = f"{number(test.within[0])} ± {number(test.within[1])}"
+        why = words.of(
+            f"within the runs the output does not follow it ({inside}), so that it is not their cause as it stands",
+            f"但各次试验内部的输出不随其变化（{inside}），故其本身不是原因",
+        )
+    elif slope is None:
         why = words.of("no runs were held out to confirm it", "无留出试验可供证实")
     elif slope.may_be_walk:
         why = words.of(

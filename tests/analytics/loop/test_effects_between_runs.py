@@ -69,6 +69,27 @@ def test_ageing_is_found_whose_trend_is_the_scatter_of_the_runs() -> None:
     assert (found.verdict, found.names) == (ModelVerdict.EFFECT_FOUND, ("ageing",))
 
 
+def test_a_level_that_rises_from_run_to_run_and_is_flat_within_them_is_no_ageing() -> None:
+    """Runs of ten minutes eleven minutes apart: ageing by time would rise within each of them nearly as much."""
+    rng = np.random.default_rng(8)
+    runs, white = [], 0.03
+    for number, run in enumerate(runs_at(np.full(8, 25.0), np.zeros(8), rng)):
+        part = run.part(slice(0, 20))
+        value = 0.06 * number + 0.02 * rng.standard_normal() + white * rng.standard_normal(20)
+        day = np.asarray((11.0 * number + np.arange(20) * 0.5) / 1440.0, np.float64)
+        channels = {**part.channels, "day": Channel(day, 0.0 * day, "day")}
+        t0_ns = START_NS + number * 660 * 10**9
+        runs.append(replace(part, value=value, white_variance=0 * value + white**2, channels=channels, t0_ns=t0_ns))
+    found = diagnose(runs, MODEL)
+    assert found.verdict is ModelVerdict.UNREPLICATED
+    test = found.effects[0].of_biases
+    assert test is not None
+    assert test.within is not None
+    inside, error = test.within
+    assert abs(inside) < 3 * error < test.lo
+    assert "within the runs the output does not follow it" in verdict_sentence(found, Wording("en"))
+
+
 @pytest.mark.in_gate("0", "1")
 @pytest.mark.parametrize("seed", range(6))
 def test_a_walk_of_the_bias_at_rising_temperatures_is_no_function_of_temperature(seed: int) -> None:

@@ -66,6 +66,7 @@ class BiasTest(msgspec.Struct, frozen=True):
     degrees, p_value: Degrees of freedom of Student's t, and its two-sided p-value, below 1 % over the number of tests.
     value, lo, hi: The coefficient with its 95 % bounds by Student's t.
     is_in_training: Whether the training runs alone name this cause, at 5 % over the number of tests.
+    within: Coefficient and standard error within the runs, where these contradict it; else None.
     """
 
     runs: int
@@ -76,6 +77,7 @@ class BiasTest(msgspec.Struct, frozen=True):
     lo: float
     hi: float
     is_in_training: bool
+    within: tuple[float, float] | None = None
 
 
 class FoundEffect(msgspec.Struct, frozen=True):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.search.screening import LEAST_LEFT
@@ -48,9 +49,7 @@ class RunBiases:
         number, runs = record.stack.run_number, len(record.stack.runs)
         own = np.asarray(number[:, None] == np.arange(runs), np.float64)
         means = run_means(record.stack, record.design)
-        inside = record.design - means[number]
-        length = np.maximum(np.linalg.norm(record.design, axis=0), 1e-300)
-        varies = np.linalg.norm(inside, axis=0) > _INSIDE * length
+        varies = _varying(record)
         columns = np.column_stack([own, record.design[:, varies]])
         whitened = record.whitener(msgspec.structs.replace(noise, turn_on=0.0))(
             np.column_stack([record.value, columns])
@@ -102,6 +101,27 @@ class RunBiases:
         from scipy.optimize import brentq  # slow to import
 
         return float(brentq(excess, 0.0, most, xtol=1e-6 * most))
+
+
+def slope_within(record: UnitRecord, noise: ModelNoise, column: FloatArray) -> tuple[float, float] | None:
+    """A column's coefficient within the runs, beside a bias of each, and its standard error; None if it is constant."""
+    own = np.asarray(record.stack.run_number[:, None] == np.arange(len(record.stack.runs)), np.float64)
+    inside = column - run_means(record.stack, column[:, None])[record.stack.run_number, 0]
+    if np.linalg.norm(inside) <= _INSIDE * np.linalg.norm(column):
+        return None
+    varies = _varying(record)
+    columns = np.column_stack([own, record.design[:, varies], inside])
+    whitened = record.whitener(msgspec.structs.replace(noise, turn_on=0.0))(np.column_stack([record.value, columns]))
+    found = fit(whitened[:, 1:], whitened[:, 0])
+    return float(found.coefficients[-1]), float(np.sqrt(found.covariance[-1, -1]))
+
+
+def _varying(record: UnitRecord) -> npt.NDArray[np.bool_]:
+    """Which columns of the declared model vary within runs."""
+    inside = record.design - run_means(record.stack, record.design)[record.stack.run_number]
+    length = np.maximum(np.linalg.norm(record.design, axis=0), 1e-300)
+    varies: npt.NDArray[np.bool_] = np.linalg.norm(inside, axis=0) > _INSIDE * length
+    return varies
 
 
 def run_means(stack: Stack, columns: FloatArray) -> FloatArray:

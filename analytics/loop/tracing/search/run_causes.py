@@ -15,7 +15,7 @@ from analytics.loop.tracing.result.diagnosis_result import BiasTest
 from analytics.loop.tracing.search.effect_search import Search, Selected
 from analytics.loop.tracing.search.evidence import leave_one_out
 from analytics.loop.tracing.search.fitted_candidates import ALPHA, FittedCandidate
-from analytics.loop.tracing.search.run_biases import RunBiases, Slope, run_means
+from analytics.loop.tracing.search.run_biases import RunBiases, Slope, run_means, slope_within
 from analytics.loop.tracing.search.screening import Candidate, Candidates, effect_columns
 from analytics.loop.tracing.whitening.joint_fit import fit_jointly, nothing_more
 from analytics.loop.tracing.whitening.stack import Stack, UnitRecord
@@ -23,6 +23,8 @@ from analytics.methods.distributions import chi_square_isf
 from stream.batch import FloatArray
 
 SEEN_IN_TRAINING = 0.05  # p-value times the number of tests; the held-out runs then confirm by 5 % as well
+_FOLLOWS = 0.05  # p-value of a cause that the biases follow as well
+_CONTRADICTED = 3.0  # standard errors between the coefficients between and within runs
 _ALIKE = 1e-9  # spread of a column's means over their size below which it is alike in all runs
 
 
@@ -43,9 +45,9 @@ def run_cause(candidates: Candidates, found: Search, record: UnitRecord) -> RunC
     """The cause that the biases of all runs of a unit follow, where the search found nothing; None if they follow none.
 
     Its p-value times the number of tests is below 1 %, which holds by chance for 1 % of the units whose biases are
-    independent and normal. Alternatives are the other causes beside which it is not as significant: of causes that act
-    alone, the true one is among the names in 99 %. The coefficient is that of the training runs, which the held-out
-    runs then judge; they can confirm only what the training runs name without them, at 5 %.
+    independent and normal. Alternatives are the other causes that the biases follow, at 5 %, and beside which it is not
+    as significant. The coefficient is that of the training runs, which the held-out runs then judge; they can confirm
+    only what the training runs name without them, at 5 %, and what the output within the runs does not contradict.
 
     Parameters
     ----------
@@ -60,7 +62,8 @@ def run_cause(candidates: Candidates, found: Search, record: UnitRecord) -> RunC
     rivals = []
     for each in tried:
         beside = biases.slope(best.column, each.column)
-        if each is not best and (beside is None or beside.p_value * len(tried) >= ALPHA):
+        is_as_good = beside is None or beside.p_value * len(tried) >= ALPHA
+        if each is not best and is_as_good and each.slope.p_value < _FOLLOWS:
             rivals.append(each)
     fitted, *others = (_fitted(candidates, found, each, len(tried)) for each in (best, *rivals))
     joint = fit_jointly(fitted.joint.records, fitted.joint.hypothesis, found.joint.noises, restricted=True)
@@ -71,9 +74,13 @@ def run_cause(candidates: Candidates, found: Search, record: UnitRecord) -> RunC
     is_in_training = (
         first is not None and first.item is best.item and first.slope.p_value * len(tried) < SEEN_IN_TRAINING
     )
+    within = slope_within(record, noise, effect_columns(record.stack, best.item.effect, best.item.shape)[:, 0])
+    if within is not None and abs(within[0] - value) <= _CONTRADICTED * np.hypot(within[1], best.slope.error):
+        within = None
     test = BiasTest(
         runs=best.column.size, tests=len(tried), degrees=best.slope.degrees, p_value=best.slope.p_value,
-        value=value, lo=value - half, hi=value + half, is_in_training=is_in_training,
+        value=value, lo=value - half, hi=value + half,
+        is_in_training=is_in_training and within is None, within=within,
     )  # fmt: skip
     selected = (Selected(fitted, tuple(others), ()),)
     return RunCause(replace(found, selected=selected, joint=joint, unreplicated=(), first=()), test)
