@@ -187,6 +187,7 @@ class ScpiConnection:
         terminations = options.read_termination, options.write_termination
         try:
             self._line = VisaLine(options.backend, options.resource, options.timeout_s, terminations, options.baud_rate)
+            self._line.discard_greeting()
             self._identify()
             if options.check_errors:
                 self._write("*CLS")

@@ -48,6 +48,7 @@ def _manager(backend: str) -> Any:
 
 
 _LEAST_WAIT_S, _WAIT_TIMES, _FORGETS = 0.05, 1.2, 0.9
+_GREETING_S, _MOST_GREETINGS = 0.1, 20
 
 
 class UnaskedLine(ConnectionResetError):
@@ -78,21 +79,37 @@ class VisaLine:
 
     def _raw_socket(self) -> socket.socket | None:
         """The socket under a raw TCP resource of pyvisa-py; None for every other resource."""
-        sessions = getattr(self._resource.visalib, "sessions", None)
-        session = sessions.get(self._resource.session) if isinstance(sessions, dict) else None
-        found = getattr(session, "interface", None)
+        found = getattr(self._session(), "interface", None)
         return found if isinstance(found, socket.socket) else None
+
+    def _session(self) -> Any:
+        """The session of pyvisa-py; None of another library."""
+        sessions = getattr(self._resource.visalib, "sessions", None)
+        return sessions.get(self._resource.session) if isinstance(sessions, dict) else None
+
+    def _has_read_more(self) -> bool:
+        """Whether pyvisa-py has read more than the answer, but for what ends lines."""
+        return bool(bytes(getattr(self._session(), "_pending_buffer", b"")).strip(b"\r\n \t\0"))
 
     def write(self, text: str) -> None:
         """Send a line, after making sure that no earlier answer waits to be read."""
         if self._socket is not None:
             from pyvisa.constants import BufferOperation
 
+            if self._has_read_more():
+                raise UnaskedLine("the instrument sent a line without a query")
             self._resource.flush(BufferOperation.discard_read_buffer_no_io)
             if self._has_more(0.0):
                 raise UnaskedLine("the instrument sent a line without a query")
         self._resource.write(text, encoding="latin-1")
         self._written_s = time.monotonic()
+
+    def discard_greeting(self) -> None:
+        """Read what it sends by itself within a tenth of a second of the connection, as some terminal servers do."""
+        for _ in range(_MOST_GREETINGS):
+            if not self._has_more(_GREETING_S):
+                return
+            self._resource.read(encoding="latin-1")
 
     def is_in_step(self, most_s: float) -> bool:
         """Whether no further line comes in the time that an answer takes, at most `most_s`.
@@ -104,6 +121,8 @@ class VisaLine:
 
     def _has_more(self, within_s: float) -> bool:
         """Whether anything comes within some time; ConnectionResetError if the instrument has closed the connection."""
+        if self._has_read_more():
+            return True
         if self._socket is None or not select.select([self._socket], [], [], within_s)[0]:
             return False
         if not self._socket.recv(1, socket.MSG_PEEK):

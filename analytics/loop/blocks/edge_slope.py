@@ -13,7 +13,8 @@ def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) 
     """Mean time derivative within each block of a channel that may step, such as a rate; per second.
 
     Where the channel moves without steps it is that of its pieces, see `slopes_of`. Of a block without a reading in the
-    blocks beside it, it is that between the readings before and after it, or NaN if not `across_gaps`.
+    blocks beside it, it is that between the readings before and after it, or NaN if not `across_gaps`; 0 where blocks
+    between these were left out, as between the ramps of a table: what it does in them says nothing of this one.
 
     A step within the third block, of which only the mean is known:
 
@@ -42,6 +43,19 @@ def slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
     first = before if before >= 0 else i
     last = after if after < value.size else i
     return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
+
+
+@kernel
+def _is_cut_off(slot: IntArray, value: FloatArray, i: int) -> bool:
+    """Whether blocks are missing between block i and the readings before and after it."""
+    before = i - 1
+    while before > 0 and math.isnan(value[before]):
+        before -= 1
+    after = i + 1
+    while after < value.size - 1 and math.isnan(value[after]):
+        after += 1
+    first, last = max(before, 0), min(after, value.size - 1)
+    return bool(slot[last] - slot[first] > last - first)
 
 
 @kernel
@@ -81,5 +95,5 @@ def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray, across_ga
         if reach > 0:
             slope[i] = change / reach
         elif across_gaps:
-            slope[i] = slope_to_neighbours(slot, value, i)
+            slope[i] = 0.0 if _is_cut_off(slot, value, i) else slope_to_neighbours(slot, value, i)
     return slope

@@ -21,6 +21,8 @@ class RepeatingSupply:
 
     def __init__(self, repeats: set[int]) -> None:
         self.repeats = repeats  # which of the voltages
+        self.at_once: set[int] = set()  # of the voltages, those that are sent twice in one packet
+        self.greets = False
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.resource = f"TCPIP::127.0.0.1::{self._listening.getsockname()[1]}::SOCKET"
         self._voltages = 0
@@ -39,6 +41,8 @@ class RepeatingSupply:
             with suppress(OSError):
                 connection.sendall(text.encode())
 
+        if self.greets:
+            threading.Timer(0.04, send, ("Welcome\n",)).start()
         with suppress(OSError), connection, connection.makefile("rb") as lines:
             for line in lines:
                 if line == b"*IDN?\n":
@@ -47,7 +51,7 @@ class RepeatingSupply:
                     send('0,"No error"\n')
                 elif line == b"MEAS:VOLT?\n":
                     self._voltages += 1
-                    send("12.0\n")
+                    send("12.0\n" * (2 if self._voltages in self.at_once else 1))
                     if self._voltages in self.repeats:
                         threading.Timer(0.02, send, ("12.0\n",)).start()
                 elif line == b"MEAS:CURR?\n":
@@ -100,4 +104,25 @@ def test_a_surplus_line_that_comes_after_the_turn_is_reported_with_the_next(supp
     with pytest.raises(InstrumentError, match="a value of that turn may be the answer to another query"):
         instrument.sample()
     assert [each.value for each in instrument.sample()] == [12.0, 1.5]
+    instrument.close()
+
+
+def test_a_surplus_line_in_the_packet_of_the_answer_is_seen(supply: RepeatingSupply) -> None:
+    supply.repeats, supply.at_once = set(), {2}
+    instrument = of(supply, 0.5)
+    instrument.open()
+    assert [each.value for each in instrument.sample()] == [12.0, 1.5]
+    with pytest.raises(InstrumentError, match="a line without a query"):
+        instrument.sample()
+    assert [each.value for each in instrument.sample()] == [12.0, 1.5]
+    instrument.close()
+
+
+def test_a_greeting_after_the_connection_is_no_answer(supply: RepeatingSupply) -> None:
+    supply.repeats, supply.greets = set(), True
+    instrument = of(supply, 0.5)
+    assert instrument.open() == "X,Y,1,1"
+    for _ in range(2):
+        assert [each.value for each in instrument.sample()] == [12.0, 1.5]
+    assert instrument.connection.reconnects == 0
     instrument.close()
