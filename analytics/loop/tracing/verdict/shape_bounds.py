@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from analytics.loop.effects.base import Shape, number
+from analytics.loop.effects.base import Effect, Shape, number
 from analytics.loop.tracing.result.diagnosis_result import FoundEffect
 from analytics.loop.tracing.search.effect_search import Search, Selected
 from analytics.loop.tracing.search.fitted_candidates import CONFIDENCE
@@ -17,6 +17,8 @@ from stream.batch import FloatArray
 from stream.errors import BadInput
 
 _STEP = 0.01  # of a parameter, over which its slope is taken
+_TRIED = np.geomspace(0.4, 2.5, 184)  # of a parameter, one in a hundred apart
+_ALIKE = 1e-9  # of a column's square, within which another is the same but for its size
 _FAR = 0.2  # of a parameter: a larger correction or bound is beyond what a slope tells
 
 
@@ -27,6 +29,30 @@ def bounded_findings(candidates: Candidates, found: Search) -> list[FoundEffect]
         with_shape_bounds(candidates, found, selected[each.name, str(each.parameters)], each)
         for each in findings(candidates, found)
     ]
+
+
+def _alike(
+    candidates: Candidates, effect: Effect, shape: Shape, name: str, value: float
+) -> tuple[float, float, float, float] | None:
+    """Range of a parameter over which the effect differs by its size alone, and by which factors; None if it is none.
+
+    As of a limit between two rates, of a table that stands at these only: data of any number do not tell it.
+    """
+    own = np.concatenate([np.ravel(each) for each in candidates.at(effect, shape)])
+    found: dict[float, float] = {value: 1.0}
+    for side in (_TRIED[_TRIED < 1.0][::-1], _TRIED[_TRIED > 1.0]):
+        for factor in side:
+            other = np.concatenate(
+                [np.ravel(each) for each in candidates.at(effect, _moved(shape, name, value * factor))]
+            )
+            square = float(other @ other)
+            size = float(own @ other) / square if square > 0 else 0.0
+            if not size > 0 or float(np.sum((own - size * other) ** 2)) > _ALIKE * float(own @ own):
+                break
+            found[float(value * factor)] = size
+    if len(found) == 1:
+        return None
+    return min(found), max(found), min(found.values()), max(found.values())
 
 
 def with_shape_bounds(candidates: Candidates, found: Search, which: Selected, finding: FoundEffect) -> FoundEffect:
@@ -44,6 +70,16 @@ def with_shape_bounds(candidates: Candidates, found: Search, which: Selected, fi
         value = number(shape, name)
     except BadInput:  # a list, such as knots
         return finding
+    alike = _alike(candidates, effect, shape, name, value)
+    if alike is not None:
+        low, high, least, most = alike
+        coefficients = tuple(
+            msgspec.structs.replace(
+                each, lo=min(each.lo * least, each.lo * most), hi=max(each.hi * least, each.hi * most)
+            )
+            for each in finding.coefficients
+        )
+        return msgspec.structs.replace(finding, coefficients=coefficients, parameter_bounds={name: (low, high)})
     at, joint = found.common_columns(which), found.joint
     theta = joint.common.coefficients[at]
     step = _STEP * abs(value)
