@@ -173,6 +173,7 @@ class StationRun:
                 about=partial(self._bench.settling, what),
             )  # fmt: skip
         if step.power in {"cycle", "on"}:
+            _stop(active)  # sources of units that are off would number their first samples, and those made below anew
             self._until(step, "switching on", partial(self._bench.switch, 1.0, self._idle()), self._settle_timeout_s)
             self._log.power_on()
             restart()
