@@ -23,7 +23,6 @@ def add_own(path: MutableSequence[str], room: str) -> None:
     >>> path
     ['analytics/metrics']
     """
-    own = Path(path[0])
     for text in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
         folder = Path(text).absolute()
         if not any((folder / each).is_dir() for each in ROOMS):
@@ -32,9 +31,11 @@ def add_own(path: MutableSequence[str], room: str) -> None:
             )
         if not (folder / room).is_dir():
             continue
-        taken = {each.name for each in own.iterdir()} - {"__init__.py", "__pycache__"}
-        if twice := sorted(taken & {each.name for each in (folder / room).iterdir()}):
-            raise BadInput(f"{folder / room / twice[0]} has the name of a file of gyrofleet: give it another one")
+        own = {each.name for each in (folder / room).iterdir()} - {"__init__.py", "__pycache__"}
+        for number, other in enumerate(path):
+            if twice := sorted(own & {each.name for each in Path(other).iterdir()}):
+                whose = f"a file in {other}" if number else "a file of gyrofleet"
+                raise BadInput(f"{folder / room / twice[0]} has the name of {whose}: give it another one")
         path.append(str(folder / room))
 
 

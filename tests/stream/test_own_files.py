@@ -77,6 +77,14 @@ def test_a_file_with_the_name_of_one_of_the_program_is_refused(own: Path, monkey
         add_own([str(files_of("analytics.metrics")[0].parent)], "metrics")
 
 
+def test_two_folders_with_one_name_are_refused(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "other" / "metrics").mkdir(parents=True)
+    (tmp_path / "other" / "metrics" / "own_ratio.sql").write_text(_METRIC)
+    monkeypatch.setenv(VARIABLE, f"{own}{os.pathsep}{tmp_path / 'other'}")
+    with pytest.raises(BadInput, match=r"own_ratio\.sql has the name of a file in "):
+        add_own([str(files_of("analytics.metrics")[0].parent)], "metrics")
+
+
 def test_a_variable_that_names_no_such_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for wrong in (tmp_path / "nowhere", tmp_path):
         monkeypatch.setenv(VARIABLE, str(wrong))
