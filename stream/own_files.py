@@ -8,8 +8,9 @@ import importlib
 import os
 from collections.abc import MutableSequence
 from pathlib import Path
+from types import ModuleType
 
-from stream.errors import BadInput
+from stream.errors import BadInput, GyrofleetError
 
 VARIABLE = "GYROFLEET_OWN"
 ROOMS = ("metrics", "instruments", "effects", "conditions")
@@ -44,3 +45,20 @@ def files_of(package: str) -> list[Path]:
     folders = importlib.import_module(package).__path__
     found = [each for folder in folders for each in Path(folder).iterdir() if each.is_file()]
     return sorted(found, key=lambda each: each.name)
+
+
+def imported(package: str, module: str) -> ModuleType:
+    """A module of a package; BadInput names a file of the site's own that cannot be imported.
+
+    >>> imported("stream", "own_files").VARIABLE
+    'GYROFLEET_OWN'
+    """
+    try:
+        return importlib.import_module(f"{package}.{module}")
+    except GyrofleetError:
+        raise
+    except Exception as error:
+        own = [Path(folder) / f"{module}.py" for folder in list(importlib.import_module(package).__path__)[1:]]
+        if path := next((each for each in own if each.exists()), None):
+            raise BadInput(f"{path} cannot be imported: {type(error).__name__}: {error}") from error
+        raise

@@ -2,7 +2,6 @@
 
 import datetime as dt
 from fnmatch import fnmatchcase
-from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import Annotated, Any
@@ -17,6 +16,7 @@ from analytics.alerts.targets import Target
 from analytics.alerts.webhook_target import WebhookTarget
 from stream.decoding import converted
 from stream.errors import BadInput
+from stream.own_files import imported
 from stream.toml_text import decode_toml
 
 ALARM = "alarm"
@@ -80,7 +80,7 @@ def condition_kinds() -> dict[str, type[Condition]]:
     ['certificate', 'control_chart', 'damaged_segment']
     """
     for module in iter_modules(analytics.alerts.conditions.__path__):
-        import_module(f"{analytics.alerts.conditions.__name__}.{module.name}")
+        imported(analytics.alerts.conditions.__name__, module.name)
     return {str(kind.__struct_config__.tag): kind for kind in Condition.__subclasses__()}
 
 

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 from ingest.measurement_standards import Standard
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
+from stream.own_files import imported
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -94,7 +95,7 @@ def instrument_kinds() -> dict[str, type[Instrument]]:
     """Every instrument class in this package by its kind; simulated instruments use the same classes."""
     package = "ingest.instruments"
     files = pkgutil.iter_modules(importlib.import_module(package).__path__)
-    modules = [importlib.import_module(f"{package}.{each.name}") for each in files]
+    modules = [imported(package, each.name) for each in files]
     return {
         each.kind: each
         for module in modules

@@ -15,6 +15,7 @@ from analytics.loop.effects.events import StationChange, TurnOnScatter
 from analytics.loop.effects.monomial import PREFIX, Monomial, channel_linear, is_linear
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
+from stream.own_files import imported
 
 _PACKAGE = __name__.rpartition(".")[0]
 _NOT_SEARCHED = (TurnOnScatter, StationChange)  # noise, and what is of no unit
@@ -39,7 +40,7 @@ def effects() -> Mapping[str, Effect]:
 
 def _effects_in(module: str) -> Iterator[Effect]:
     """Effects of a file: the instances in its ``EFFECTS``, and each of its own classes that has a name."""
-    found = importlib.import_module(f"{_PACKAGE}.{module}")
+    found = imported(_PACKAGE, module)
     yield from getattr(found, "EFFECTS", ())
     for _, cls in inspect.getmembers(found, inspect.isclass):
         if cls.__module__ != found.__name__ or cls in _NOT_SEARCHED:
