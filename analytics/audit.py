@@ -11,9 +11,9 @@ import msgspec
 from analytics.event_words import kind_name, summary
 from storage.manifests.part import with_sources
 from storage.sql.catalog import Catalog
-from stream.atomic_file import replacement
 from stream.decoding import decode_json
 from stream.errors import BadInput, NotFound
+from stream.files.atomic_file import replacement
 from stream.terminal.console import csv_text
 
 # documents of a unit, and of its runs as a whole; without the figures of the worker, of which a run has hundreds

@@ -7,12 +7,12 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 from msgspec.structs import replace
 
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
 from stream.errors import StoreError
 from stream.events import AnyDocument, StreamTotal
+from stream.files.atomic_file import write_durably
 from stream.identity import Place, SampleKey, event_key, parse_key
 
 State = TypeVar("State", bound=msgspec.Struct)

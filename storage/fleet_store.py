@@ -24,9 +24,9 @@ from storage.store_marker import (
     identity_of_segments,
     write_markers,
 )
-from stream.atomic_file import sync_folder, write_durably
 from stream.decoding import decode_json
 from stream.errors import StoreError
+from stream.files.atomic_file import sync_folder, write_durably
 
 _FORMAT = 1
 PLANTS = "plants"

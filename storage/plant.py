@@ -12,9 +12,9 @@ import msgspec
 
 from storage.segments.disk import DISK
 from storage.store_marker import is_replica
-from stream.atomic_file import write_durably
 from stream.decoding import converted
 from stream.errors import BadInput, StoreError
+from stream.files.atomic_file import write_durably
 
 FILE = "plant.json"
 _NAME = re.compile(r"\w[\w.-]{0,63}")

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from storage.segments.disk import DISK
-from stream.atomic_file import write_durably
 from stream.errors import BadInput, StoreError
+from stream.files.atomic_file import write_durably
 
 STORE_FORMAT = 1
 MARKER = "store.json"

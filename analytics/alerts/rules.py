@@ -16,7 +16,7 @@ from analytics.alerts.targets import Target
 from analytics.alerts.webhook_target import WebhookTarget
 from stream.decoding import converted
 from stream.errors import BadInput
-from stream.own_files import imported
+from stream.files.own_files import imported
 from stream.toml_text import decode_toml
 
 ALARM = "alarm"

@@ -10,8 +10,8 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
 from analytics.attitude.accuracy import CompensatedStep
-from stream.atomic_file import replacement
 from stream.errors import BadInput
+from stream.files.atomic_file import replacement
 
 
 def write_compensated(steps: Sequence[CompensatedStep], axes: Sequence[str], path: Path) -> int:

@@ -40,9 +40,9 @@ from storage.recording.acts.two_persons import Proposal
 from storage.specifications.chain import read_chain
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one
-from stream.atomic_file import write_durably
 from stream.errors import BadInput, StoreError
 from stream.events import CertificateIssued, new_uid
+from stream.files.atomic_file import write_durably
 from stream.security.actor import Actor
 
 _WHO = "gyrofleet certificate"

@@ -23,7 +23,7 @@ from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, open_kept, step_records, write_kept_content
 from storage.sql.catalog import Catalog, NotKept
 from storage.sql.parquet_content import ROW_GROUP, ParquetContent
-from stream.own_files import files_of
+from stream.files.own_files import files_of
 
 FILE = "unit_metrics.parquet"
 _RECORDS = """

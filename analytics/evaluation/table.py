@@ -14,8 +14,8 @@ from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.selection import Row, clauses_of
 from analytics.metric_registry.registry import metrics
 from storage.specifications.specification import format_parameter
-from stream.atomic_file import replacement
 from stream.errors import BadInput
+from stream.files.atomic_file import replacement
 from stream.quantities import format_unit
 from stream.terminal.console import csv_text, shown_text, styled
 from stream.terminal.result_table import ResultTable

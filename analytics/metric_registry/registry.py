@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from ingest.measurement_standards import QUANTITIES
 from stream.errors import BadInput, GyrofleetError
-from stream.own_files import files_of
+from stream.files.own_files import files_of
 
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
 _SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{4})?\s+(?P<clause>.+?)\s*")

@@ -18,8 +18,8 @@ from storage.store import writer_is_active
 from stream.batch import SampleBatch
 from stream.closing import Closing
 from stream.errors import GyrofleetError
-from stream.niceness import be_nicer
 from stream.quantities import read_definitions
+from stream.roles.niceness import be_nicer
 
 _LOOK_S = 0.1
 _METRICS_LOOK_S = 1.0

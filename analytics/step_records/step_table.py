@@ -14,7 +14,7 @@ from analytics.step_records.reduction import COLUMNS, reduce_runs
 from storage.sql.catalog import Catalog, NotKept
 from storage.sql.columns import distinct_pairs
 from storage.sql.parquet_content import ParquetContent
-from stream.atomic_file import replacement
+from stream.files.atomic_file import replacement
 
 FILE = "steps.parquet"
 # Increased when the reduction gives other records than before.

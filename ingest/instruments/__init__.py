@@ -1,5 +1,5 @@
 """One file an instrument."""
 
-from stream.own_files import add_own
+from stream.files.own_files import add_own
 
 add_own(__path__, "instruments")

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 from ingest.measurement_standards import Standard
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
-from stream.own_files import imported
+from stream.files.own_files import imported
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 

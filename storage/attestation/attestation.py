@@ -24,9 +24,9 @@ from storage.segments.disk import sha256_of
 from storage.specifications.copies import FOLDER as SPECIFICATIONS
 from storage.store import Store, only_one
 from storage.store_marker import is_replica
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import StoreError
+from stream.files.atomic_file import write_durably
 
 FOLDER = "attestations"
 _FORMAT = 1

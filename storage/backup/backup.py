@@ -19,9 +19,9 @@ from storage.recording.disk_watch import format_bytes
 from storage.segments.disk import DISK, sha256_of
 from storage.store import Store, only_one
 from storage.store_marker import BACKUP, check_folder
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import BadInput, StoreError
+from stream.files.atomic_file import write_durably
 
 LOG, OPEN, FILES = "log", "open", "files"
 _FORMAT = 1

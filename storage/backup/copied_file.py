@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from storage.segments.disk import sha256_of
-from stream.atomic_file import sync_folder
+from stream.files.atomic_file import sync_folder
 
 _PIECE_BYTES = 8 << 20
 

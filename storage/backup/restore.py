@@ -11,8 +11,8 @@ from storage.backup.copied_file import CopiedFile, copy_file
 from storage.check.recover import Action, recover
 from storage.store import Store
 from storage.store_marker import BACKUP, check_folder, write_markers
-from stream.atomic_file import write_durably
 from stream.errors import BadInput, StoreError
+from stream.files.atomic_file import write_durably
 
 _RESTORING, _MARK = "restoring", "of.txt"
 

@@ -9,8 +9,8 @@ from storage.attestation.signing_key import SigningKey, fingerprint
 from storage.attestation.verified_state import newest_verified_state
 from storage.findings import Severity
 from storage.store import Store
-from stream.atomic_file import write_durably
 from stream.errors import GyrofleetError, StoreError
+from stream.files.atomic_file import write_durably
 from stream.status.role_status import Role, RoleStatus, new_status
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from storage.sql.printable import csv_cells, printable_batches
-from stream.atomic_file import replacement
 from stream.errors import BadInput, GyrofleetError, QueryError
+from stream.files.atomic_file import replacement
 from stream.terminal.console import csv_text, json_text, notes, results, styled
 from stream.terminal.result_table import ResultTable
 

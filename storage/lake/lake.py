@@ -21,8 +21,8 @@ from storage.manifests import lake as manifests
 from storage.manifests import part as descriptions
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.store import Store
-from stream.atomic_file import sync_folder
 from stream.errors import StoreError
+from stream.files.atomic_file import sync_folder
 
 GRACE_S = 3600.0
 _TOGETHER_S = 0.5

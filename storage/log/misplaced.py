@@ -8,7 +8,7 @@ from storage.log.files import sealed_segments
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.store import Store
-from stream.atomic_file import sync_folder
+from stream.files.atomic_file import sync_folder
 
 _FOUND = "found"  # listed since it lay there, without a line of its own
 

@@ -27,9 +27,9 @@ from storage.manifests.part import (
     write_sealed,
 )
 from storage.store import Store
-from stream.atomic_file import sync_folder, write_durably
 from stream.decoding import decode_json
 from stream.errors import StoreError
+from stream.files.atomic_file import sync_folder, write_durably
 
 LAKE_FORMAT = 2
 MANIFEST = "manifest.json"

@@ -19,8 +19,8 @@ import msgspec
 from storage.manifests.entries import SPAN, EntriesState, SegmentEntries, SegmentEntry
 from storage.segments.disk import DISK, Disk
 from storage.store import Store
-from stream.atomic_file import write_durably
 from stream.decoding import decode_msgpack, json_decoder
+from stream.files.atomic_file import write_durably
 
 FIRST = "0" * 64
 LOST = "lost"

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import msgspec
 
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import StoreError
+from stream.files.atomic_file import write_durably
 
 PART = "part.json"
 REMEDY = "`gyrofleet recover` rebuilds it from the parts and the log; no sample is lost"

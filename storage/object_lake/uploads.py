@@ -17,9 +17,9 @@ from storage.manifests.part import PART, Part, sealed
 from storage.object_lake.bucket import Bucket, file_digests
 from storage.object_lake.published import PARTS
 from storage.store import Store
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import StoreError
+from stream.files.atomic_file import write_durably
 
 FOLDER = "published"
 """Folder of the store with what is known of uploads that are not in force yet."""

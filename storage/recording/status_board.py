@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 
 from storage.store import Store
-from stream.atomic_file import replacement
 from stream.errors import WireError
+from stream.files.atomic_file import replacement
 from stream.status.role_status import RoleStatus, boot, decode_status, encode_status, uptime_ns
 
 FOLDER = "status"

@@ -9,8 +9,8 @@ import msgspec
 from storage.fleet_store import Replica
 from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
+from stream.files.atomic_file import write_durably
 
 _FILE = "identities.json"
 _STATED = ("product", "lot", "device")

@@ -13,9 +13,9 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, LOST
 from storage.replication.sources.source import MAX_LINE_BYTES, MAX_SEGMENT_BYTES, is_segment
 from storage.segments.disk import DISK, Disk
-from stream.atomic_file import write_durably
 from stream.decoding import json_decoder
 from stream.errors import StoreError
+from stream.files.atomic_file import write_durably
 
 SALVAGED = "salvaged"
 _SHA256 = re.compile(r"[0-9a-f]{64}")

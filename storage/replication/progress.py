@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 
 from storage.fleet_store import Replica
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
+from stream.files.atomic_file import write_durably
 
 _FILE = "progress.json"
 

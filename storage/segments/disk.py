@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from stream.atomic_file import sync_folder
+from stream.files.atomic_file import sync_folder
 
 _AT_FDCWD = -100
 _NOREPLACE = 1

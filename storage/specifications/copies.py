@@ -9,9 +9,9 @@ from pathlib import Path
 from storage.findings import Finding, Severity
 from storage.specifications.chain import Chain, read_chain
 from storage.store import Store
-from stream.atomic_file import write_durably
 from stream.errors import StoreError
 from stream.events import SpecificationEntered
+from stream.files.atomic_file import write_durably
 
 FOLDER = "products"
 _PLAIN = re.compile(r"\w[^/\x00]{0,199}")

@@ -9,8 +9,8 @@ import duckdb
 
 from storage.sql.catalog import Catalog, known_tables, layers
 from storage.store import Store
-from stream.atomic_file import replacement
 from stream.errors import BadInput, GyrofleetError, NotFound
+from stream.files.atomic_file import replacement
 from stream.toml_text import decode_toml
 
 ColumnTexts = Mapping[str, Mapping[str, str]]

@@ -12,9 +12,9 @@ import msgspec
 
 from storage.manifests.lake import Manifest
 from storage.store import Store
-from stream.atomic_file import replacement
 from stream.decoding import decode_json
 from stream.errors import StoreError
+from stream.files.atomic_file import replacement
 
 _NAME = "retention-clock.json"
 _BOOT = Path("/proc/sys/kernel/random/boot_id")

@@ -13,7 +13,6 @@ from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
 
-from stream.atomic_file import sync_folder
 from stream.closing import Closing
 from stream.delivery.spool_frames import FIRST_STREAM, encode_frame
 from stream.delivery.spool_streams import (
@@ -27,6 +26,7 @@ from stream.delivery.spool_streams import (
     held_messages,
     scan,
 )
+from stream.files.atomic_file import sync_folder
 from stream.wire.acknowledgement import StreamId
 
 __all__ = ["Spool", "SpoolError", "SpoolFull", "SpooledMessage", "held_messages"]

@@ -19,9 +19,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from stream.atomic_file import write_durably
 from stream.decoding import decode_json
 from stream.errors import BadInput
+from stream.files.atomic_file import write_durably
 from stream.security.access import ACCESS_FILE, AccessList
 from stream.security.credentials import CERTIFICATE, KEY, SITE_CERTIFICATE
 from stream.security.file_modes import fault_of_secret

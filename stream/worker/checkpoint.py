@@ -10,10 +10,10 @@ from pathlib import Path
 
 import msgspec
 
-from stream.atomic_file import write_durably
 from stream.decoding import msgpack_decoder
 from stream.errors import CheckpointDamaged, EstimatorError
 from stream.events import CompensationStarted, LimitsApplied, UnitReleased
+from stream.files.atomic_file import write_durably
 from stream.worker.signal_analysis import SignalState
 
 CHECKPOINT_VERSION = 2

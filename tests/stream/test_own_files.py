@@ -10,7 +10,7 @@ import pytest
 
 from ingest.instruments import voltmeter
 from stream.errors import BadInput
-from stream.own_files import VARIABLE, add_own, files_of
+from stream.files.own_files import VARIABLE, add_own, files_of
 
 _METRIC = """-- id:        own_ratio
 -- en:        Own ratio

@@ -1,5 +1,5 @@
 """Conditions that a rule can have, one a file."""
 
-from stream.own_files import add_own
+from stream.files.own_files import add_own
 
 add_own(__path__, "conditions")

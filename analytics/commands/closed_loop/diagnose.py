@@ -10,8 +10,8 @@ import click
 from analytics.commands.evaluation.engine_option import engine_option, opened_tracing
 from analytics.commands.evaluation.metrics import language_option, opened_catalog
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
-from stream.atomic_file import write_durably
 from stream.errors import BadInput, GyrofleetError
+from stream.files.atomic_file import write_durably
 from stream.security.actor import acting
 from stream.terminal.console import notes, print_json, reporting, status_line, store_option
 

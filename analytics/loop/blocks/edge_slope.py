@@ -32,30 +32,22 @@ def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) 
 
 
 @kernel
-def slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
-    """Slope per slot from the last reading before block i to the first after it."""
+def _read_beside(value: FloatArray, i: int) -> tuple[int, int]:
+    """The last block before i and the first after it that have a reading; i itself where there is none."""
     before = i - 1
     while before >= 0 and math.isnan(value[before]):
         before -= 1
     after = i + 1
     while after < value.size and math.isnan(value[after]):
         after += 1
-    first = before if before >= 0 else i
-    last = after if after < value.size else i
-    return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
+    return before if before >= 0 else i, after if after < value.size else i
 
 
 @kernel
-def _is_cut_off(slot: IntArray, value: FloatArray, i: int) -> bool:
-    """Whether blocks are missing between block i and the readings before and after it."""
-    before = i - 1
-    while before > 0 and math.isnan(value[before]):
-        before -= 1
-    after = i + 1
-    while after < value.size - 1 and math.isnan(value[after]):
-        after += 1
-    first, last = max(before, 0), min(after, value.size - 1)
-    return bool(slot[last] - slot[first] > last - first)
+def slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
+    """Slope per slot from the last reading before block i to the first after it."""
+    first, last = _read_beside(value, i)
+    return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
 
 
 @kernel
@@ -95,5 +87,7 @@ def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray, across_ga
         if reach > 0:
             slope[i] = change / reach
         elif across_gaps:
-            slope[i] = 0.0 if _is_cut_off(slot, value, i) else slope_to_neighbours(slot, value, i)
+            first, last = _read_beside(value, i)
+            is_cut_off = slot[last] - slot[first] > last - first  # by blocks that were left out
+            slope[i] = 0.0 if is_cut_off else slope_to_neighbours(slot, value, i)
     return slope

@@ -1,5 +1,5 @@
 """Effects that a gyro's error model may lack, one file for each family."""
 
-from stream.own_files import add_own
+from stream.files.own_files import add_own
 
 add_own(__path__, "effects")

@@ -15,7 +15,7 @@ from analytics.loop.effects.events import StationChange, TurnOnScatter
 from analytics.loop.effects.monomial import PREFIX, Monomial, channel_linear, is_linear
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
-from stream.own_files import imported
+from stream.files.own_files import imported
 
 _PACKAGE = __name__.rpartition(".")[0]
 _NOT_SEARCHED = (TurnOnScatter, StationChange)  # noise, and what is of no unit

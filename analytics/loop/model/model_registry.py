@@ -12,9 +12,9 @@ import msgspec
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one
-from stream.atomic_file import sync_folder, write_durably
 from stream.decoding import decode_json
 from stream.errors import BadInput, NotFound, StoreError
+from stream.files.atomic_file import sync_folder, write_durably
 from stream.identity import check_name
 
 FOLDER = "models"

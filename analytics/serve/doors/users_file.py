@@ -23,9 +23,9 @@ import tomli_w
 
 from analytics.serve.doors.passwords import hashed, is_hash, matches
 from analytics.serve.doors.roles import Person, Role
-from stream.atomic_file import write_durably
 from stream.decoding import converted
 from stream.errors import BadInput
+from stream.files.atomic_file import write_durably
 from stream.security.file_modes import fault_of_rules
 from stream.toml_text import decode_toml
 

@@ -11,8 +11,8 @@ from ingest.simulator.physics.draws import SampleRange
 from ingest.simulator.physics.gyro import SimulatedGyro
 from ingest.simulator.physics.imu import AXES, SimulatedImu
 from ingest.simulator.physics.plan import Plan
-from stream.atomic_file import replacement
 from stream.errors import BadInput
+from stream.files.atomic_file import replacement
 
 
 def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:

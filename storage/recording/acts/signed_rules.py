@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 
 from storage.store import Store
-from stream.atomic_file import write_durably
 from stream.errors import BadInput
+from stream.files.atomic_file import write_durably
 from stream.security.credentials import Credentials
 from stream.security.site_rules import RULES_FILE, Subject, read_site_rules
 from stream.toml_text import decode_toml

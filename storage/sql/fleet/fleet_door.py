@@ -24,8 +24,8 @@ from storage.sql.catalog import Catalog, Layer, layers
 from storage.sql.door import QueryLimits, Result, SqlDoor
 from storage.sql.fleet.fleet_catalog import FleetCatalog, PlantFile
 from storage.store import Store
-from stream.atomic_file import replacement
 from stream.errors import GyrofleetError, StoreError
+from stream.files.atomic_file import replacement
 
 _FOLDER = "catalogue"
 _UNFINISHED_S = 86_400.0

@@ -209,17 +209,20 @@ def test_a_curve_says_that_outliers_raise_it() -> None:
 
 def test_arguments_that_are_no_number_are_refused_with_a_sentence() -> None:
     values = np.random.default_rng(4).normal(size=64)
+    ragged: Any = [1.0, [2.0, 3.0]]
     with pytest.raises(BadInput, match="rows of several lengths"):
-        gf.allan_deviation([1.0, [2.0, 3.0]], 1.0)  # type: ignore[arg-type]
-    for rate_hz in (True, np.True_, np.array([100.0]), np.array([1.0, 2.0]), [1.0], "1", None, 1j):
+        gf.allan_deviation(ragged, 1.0)
+    wrong: list[Any] = [True, np.True_, np.array([100.0]), np.array([1.0, 2.0]), [1.0], "1", None, 1j]
+    for rate_hz in wrong:
         with pytest.raises(BadInput, match="a number of samples a second is expected"):
-            gf.allan_deviation(values, rate_hz)  # type: ignore[arg-type]
+            gf.allan_deviation(values, rate_hz)
     for far in (10**400, 0, -1.0, float("nan")):
         with pytest.raises(BadInput, match=r"from 3\.5e-09 to 1e9"):
             gf.allan_deviation(values, far)
     with pytest.raises(BadInput, match="points_per_octave is True"):
         gf.allan_deviation(values, 1.0, points_per_octave=True)
-    zero_dimensional = gf.allan_deviation(values, np.array(100.0))  # type: ignore[arg-type]
+    of_no_dimension: Any = np.array(100.0)
+    zero_dimensional = gf.allan_deviation(values, of_no_dimension)
     assert zero_dimensional.deviation.tolist() == gf.allan_deviation(values, 100).deviation.tolist()
 
 

@@ -11,7 +11,7 @@ from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.result.holdout import HeldOutAnswer
 from analytics.loop.tracing.search.between_runs import calibrated_ratio
 from analytics.loop.tracing.search.fitted_candidates import beside
@@ -202,12 +202,16 @@ def with_gravity(runs: list[RunBlocks], gravity: FloatArray) -> list[RunBlocks]:
     ]
 
 
+def ageing(per_day: float, rng: np.random.Generator) -> Diagnosis:
+    """The diagnosis of nine runs, a day apart, whose bias grows."""
+    biases = SCATTER * rng.standard_normal(9) + per_day * np.arange(9)
+    runs = runs_at(np.full(9, 25.0), biases, rng)
+    return diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_ageing_that_six_training_runs_take_for_scatter_is_found_by_the_biases_of_all_runs(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    biases = SCATTER * rng.standard_normal(9) + 0.06 * np.arange(9)
-    runs = runs_at(np.full(9, 25.0), biases, rng)
-    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    found = ageing(0.06, np.random.default_rng(seed))
     assert (found.verdict, found.names) == (ModelVerdict.EFFECT_FOUND, ("ageing",))
     test = found.effects[0].of_biases
     assert test is not None
@@ -227,10 +231,7 @@ def test_an_attitude_that_differs_from_run_to_run_is_found_and_the_others_are_no
 
 
 def test_a_drift_that_only_all_runs_show_is_named_and_not_called_found() -> None:
-    rng = np.random.default_rng(4)
-    biases = SCATTER * rng.standard_normal(9) + 0.045 * np.arange(9)
-    runs = runs_at(np.full(9, 25.0), biases, rng)
-    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    found = ageing(0.045, np.random.default_rng(4))
     assert (found.verdict, found.names) == (ModelVerdict.UNREPLICATED, ("ageing",))
     test = found.effects[0].of_biases
     assert test is not None

@@ -16,6 +16,7 @@ from analytics.loop.station_levels import with_station_levels
 from analytics.loop.station_rival import fleet_with_station, station_rival, with_station
 from analytics.loop.tracing.fleet import FleetDiagnosis
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
+from stream.batch import FloatArray
 
 DAY_NS = 86_400 * 10**9
 START_NS = 1_763_683_200 * 10**9
@@ -107,7 +108,11 @@ def test_stations_are_accused_no_more_often_than_promised() -> None:
     rng = np.random.default_rng(7)
     for _ in range(25):
         bias = rng.normal(0, 0.2, (UNITS, RUNS))
-        for runs in records(lambda unit, day, bias=bias: float(bias[unit, day // 6])).values():  # type: ignore[misc]
+
+        def of_day(unit: int, day: int, bias: FloatArray = bias) -> float:
+            return float(bias[unit, day // 6])
+
+        for runs in records(of_day).values():
             measured_at = {run.run: "ABCABCAB"[at] for at, run in enumerate(runs)}
             found = with_station_levels(NOTHING, runs, measured_at, MODEL)
             accused += found.verdict is not ModelVerdict.NOTHING_MISSING

@@ -130,7 +130,7 @@ def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: floa
 
 
 def untold_delay_s(reference_s: float, signal_s: float) -> float:
-    """Delay up to which one cannot be told from the distance of the readings of two rates; 0 of one rate.
+    """The longest delay that joining readings of two rates may leave, in seconds; 0 where both have one rate.
 
     >>> untold_delay_s(1.0, 0.01), untold_delay_s(0.01, 0.01)
     (0.001, 0.0)

@@ -92,7 +92,7 @@ def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
 
 
 def with_untold_delay(found: FoundEffect, declared: ErrorModel, runs: Sequence[RunBlocks]) -> FoundEffect:
-    """A finding that acts as a delay beside the rate reference, with bounds that contain what cannot be told of one.
+    """A finding that acts as a delay of the rate reference, with bounds that allow for what joining two rates leaves.
 
     It is not confirmed where these bounds contain zero.
     """
@@ -110,7 +110,7 @@ def with_untold_delay(found: FoundEffect, declared: ErrorModel, runs: Sequence[R
 
 
 def is_untold(found: FoundEffect, runs: Sequence[RunBlocks]) -> bool:
-    """Whether a finding may be a delay that cannot be told, see `with_untold_delay`."""
+    """Whether a finding may be what joining two rates leaves, see `with_untold_delay`."""
     acts = {"input_rate", "table_acceleration"}.intersection(found.roles) and any(run.untold_delay_s for run in runs)
     own = effect(found.name)
     is_delay = own.needs == ("table_acceleration",) or own.clock_bound is not None

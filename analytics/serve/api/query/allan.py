@@ -110,9 +110,8 @@ def known_allan(call: Call) -> Allan | None:
     newest = call.service.live.tail.curve(name)
     if newest is not None and not newest.final:
         return _newest(newest, of)
-    if recorded_signal(call, of["unit"], of["signal"], of["run"]).about is None and call.service.live.tail.version(
-        name
-    ):
+    recorded = recorded_signal(call, of["unit"], of["signal"], of["run"])
+    if recorded.about is None and call.service.live.tail.version(name):
         return _not_yet(of)
     rows = dictionaries(call.views, _LIVE, of) if of["run"] in _runs(call, "allan_deviation", _RUNS_ESTIMATED) else []
     return _stored(rows, of, _noise(call, of)) if rows else None

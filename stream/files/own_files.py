@@ -50,7 +50,7 @@ def files_of(package: str) -> list[Path]:
 def imported(package: str, module: str) -> ModuleType:
     """A module of a package; BadInput names a file of the site's own that cannot be imported.
 
-    >>> imported("stream", "own_files").VARIABLE
+    >>> imported("stream.files", "own_files").VARIABLE
     'GYROFLEET_OWN'
     """
     try:

@@ -1,0 +1,1 @@
+"""Files: written at once, and those that a site adds to the program."""
