@@ -121,10 +121,13 @@ class _Asked:
 
     def door(self, limits: "QueryLimits") -> "SqlDoor":
         """The process that answers statements."""
-        from storage.sql.door import SqlDoor
+        if self._fleet is None:
+            from storage.sql.door import SqlDoor
+
+            return SqlDoor(self.store, limits)
         from storage.sql.fleet.fleet_door import FleetDoor
 
-        return SqlDoor(self.store, limits) if self._fleet is None else FleetDoor(self._fleet, limits)
+        return FleetDoor(self._fleet, limits)
 
     def export(self, path: Path) -> None:
         """Write a DuckDB database of one store."""

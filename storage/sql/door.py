@@ -1,5 +1,6 @@
 """Users' statements, run in a separate process that can only read the store."""
 
+import importlib
 import json
 import os
 import pickle
@@ -114,7 +115,7 @@ class SqlDoor(Closing):
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()
             process.send(FrameKind.REQUEST, pickle.dumps({"statement": statement, "parameters": parameters}))
-            import pyarrow as pa  # while that one starts
+            import pyarrow as pa
 
             kind, content = self._received(process)
             if kind is FrameKind.NOTES:
@@ -183,6 +184,7 @@ class SqlDoor(Closing):
             "landlock": self._landlock, "ranges": process.inherited,
         }  # fmt: skip
         process.send(FrameKind.REQUEST, json.dumps(setup).encode())
+        importlib.import_module("pyarrow")  # for the answers, while the process starts
         try:
             _, content = self._received(process)
         except GyrofleetError:

@@ -7,19 +7,17 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Protocol, cast
 
-import duckdb
-import pyarrow as pa
-
 from storage.manifests.lake import read_manifest
 from storage.manifests.part import Part
-from storage.sql.footers import Footer, Footers, open_local_table
 from storage.store import Store
 from stream.errors import StoreError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what asks a process for rows starts it before it loads libraries
+    import duckdb
     import pyarrow.parquet as pq
 
     from storage.object_lake.published_store import PublishedStore
+    from storage.sql.footers import Footer, Footers
 
 _SCHEME = "gyrolake"
 _FIRST_NS = datetime.fromtimestamp(0, UTC)  # files of a published lake never change
@@ -39,7 +37,7 @@ class LakeSource(Protocol):
     def path(self, part: str, file: str) -> str:
         """Path of a file, for DuckDB."""
 
-    def attach(self, connection: duckdb.DuckDBPyConnection) -> None:
+    def attach(self, connection: "duckdb.DuckDBPyConnection") -> None:
         """Let a connection read its paths."""
 
     def bring(self, paths: Iterable[str]) -> None:
@@ -65,7 +63,7 @@ class LocalLake:
         """Path of a file."""
         return str(self._folder / part / file)
 
-    def attach(self, connection: duckdb.DuckDBPyConnection) -> None:
+    def attach(self, connection: "duckdb.DuckDBPyConnection") -> None:
         """Nothing to do."""
 
     def bring(self, paths: Iterable[str]) -> None:
@@ -73,6 +71,8 @@ class LocalLake:
 
     def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
         """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
+        from storage.sql.footers import open_local_table
+
         whole = Path(path)
         return open_local_table(whole, self._digests.get(f"{whole.parent.name}/{whole.name}", ""))
 
@@ -88,8 +88,13 @@ class RangeLake:
     ) -> None:  # fmt: skip
         self.parts = tuple(parts)
         self._read, self._bring = read, bring
-        self._footers = Footers()
         self._bytes = {f"{part.name}/{name}": file.bytes for part in parts for name, file in part.files.items()}
+
+    @cached_property
+    def _footers(self) -> "Footers":
+        from storage.sql.footers import Footers
+
+        return Footers()
 
     @cached_property
     def _digests(self) -> dict[str, str]:
@@ -99,7 +104,7 @@ class RangeLake:
         """Path of a file."""
         return f"{self.root}{part}/{file}"
 
-    def attach(self, connection: duckdb.DuckDBPyConnection) -> None:
+    def attach(self, connection: "duckdb.DuckDBPyConnection") -> None:
         """Register the file system of the lake."""
         from fsspec import AbstractFileSystem
 
@@ -134,6 +139,8 @@ class RangeLake:
 
     def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
         """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
+        import pyarrow as pa
+
         name = self.name(path)
         binary = partial(self.open, path)
         return self._footers.open_table(

@@ -54,7 +54,8 @@ def _printable(name: str, column: "pa.Array") -> "pa.Array":
     try:
         if pa.types.is_interval(column.type):
             return pa.array([None if each is None else _interval(each) for each in column.to_pylist()], pa.string())
-        return column.cast(_printable_type(column.type))
+        kind = _printable_type(column.type)
+        return column if kind == column.type else column.cast(kind)
     except pa.ArrowException as error:
         raise QueryError(
             f"column {name} of type {column.type} cannot be printed; cast it with {name}::varchar in the statement"

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -50,6 +50,7 @@ STATEMENTS = {
     "rollups": "select count(*), avg(mean) from rollup_1s",
 }
 SEEN = "select unit, count(*) as n, count(distinct seq) as numbers, max(seq) as last from samples group by unit"
+SEEN_OF_UNIT = SEEN.replace("group by", "where unit = 'U0' group by")
 
 
 def program(*arguments: object) -> list[str]:
@@ -132,13 +133,16 @@ def latency(folder: Path, seconds: float, units: int, rate_hz: int) -> dict[str,
                     Acknowledged(source) as acknowledged,
                 ):
                     ways: dict[str, Callable[[], list[dict[str, Any]]]] = {
-                        "gyrofleet sql": lambda: by_command(store),
-                        "a new door": lambda: by_door(store),
-                        "SQL of the page": lambda: by_page(client),
+                        "gyrofleet sql, all samples": lambda: by_command(store, SEEN),
+                        "gyrofleet sql, one unit": lambda: by_command(store, SEEN_OF_UNIT),
+                        "a new door, all samples": lambda: by_door(store, SEEN),
+                        "SQL of the page, all samples": lambda: by_page(client, SEEN),
+                        "SQL of the page, one unit": lambda: by_page(client, SEEN_OF_UNIT),
                         "signal of the page": lambda: by_signal(client),
                     }
                     for how, ask in ways.items():
-                        found[how] = acknowledged.seen_by(ask, seconds, is_exact=not how.endswith("of the page"))
+                        asked_of = source.units[:1] if "one unit" in how else source.units
+                        found[how] = acknowledged.seen_by(ask, seconds, () if "of the page" in how else asked_of)
                 source.stop()
         finally:
             recorder.terminate()
@@ -166,8 +170,10 @@ class Acknowledged(Closing):
             if not self.moments or next_seq > self.moments[-1][1]:
                 self.moments.append((time.monotonic(), next_seq))
 
-    def seen_by(self, ask: Callable[[], list[dict[str, Any]]], seconds: float, *, is_exact: bool) -> dict[str, float]:
-        """Ask for so long; each sample is there once, and if `is_exact` all that were acknowledged before are.
+    def seen_by(
+        self, ask: Callable[[], list[dict[str, Any]]], seconds: float, exact: Sequence[str]
+    ) -> dict[str, float]:
+        """Ask for so long; each sample is there once, and all of the units `exact` that were acknowledged before are.
 
         A server may answer from what it had a second before.
         """
@@ -178,7 +184,7 @@ class Acknowledged(Closing):
             rows = ask()
             answers.append((time.monotonic(), next(row["last"] + 1 for row in rows if row["unit"] == unit)))
             took.append(answers[-1][0] - began_s)
-            check(rows, before if is_exact else {})
+            check(rows, {each: before[each] for each in exact})
         late = [
             next(at_s for at_s, shown in answers if shown >= next_seq) - acknowledged_s
             for acknowledged_s, next_seq in self.moments
@@ -190,8 +196,8 @@ class Acknowledged(Closing):
         }  # fmt: skip
 
 
-def by_page(client: httpx.Client) -> list[dict[str, Any]]:
-    answer = client.post("/api/sql", json={"sql": SEEN})
+def by_page(client: httpx.Client, statement: str) -> list[dict[str, Any]]:
+    answer = client.post("/api/sql", json={"sql": statement})
     assert answer.status_code == 200, answer.text
     return list(answer.json()["rows"])
 
@@ -205,14 +211,16 @@ def by_signal(client: httpx.Client) -> list[dict[str, Any]]:
     return [{"unit": "U0", "n": found["samples"], "numbers": numbers, "last": numbers - 1}]
 
 
-def by_command(store: Path) -> list[dict[str, Any]]:
-    done = subprocess.run(program("sql", SEEN, "--store", store, "--json"), check=True, capture_output=True, text=True)
+def by_command(store: Path, statement: str) -> list[dict[str, Any]]:
+    done = subprocess.run(
+        program("sql", statement, "--store", store, "--json"), check=True, capture_output=True, text=True
+    )
     return list(json.loads(done.stdout))
 
 
-def by_door(store: Path) -> list[dict[str, Any]]:
+def by_door(store: Path, statement: str) -> list[dict[str, Any]]:
     with SqlDoor(Store.open(store)) as door:
-        return list(door.ask(SEEN).read_all().to_pylist())
+        return list(door.ask(statement).read_all().to_pylist())
 
 
 def check(rows: list[dict[str, Any]], acknowledged: dict[str, int]) -> None:
