@@ -158,7 +158,7 @@ def _copy(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
 
 def _fetch(asked: _Asked, *, recalls: bool, no_lake: bool) -> None:
     """Bring what plants have into a fleet store, once or until stopped."""
-    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.arriving.bandwidth import Bandwidth
     from storage.replication.fleet_target import fleet_target
     from storage.replication.opened import opened_sources
     from storage.replication.service import Replication
@@ -222,7 +222,7 @@ def _serve(folder: Path, listen: str | None, connect: str | None, plant: str | N
 def _upload(asked: _Asked) -> None:
     """Upload one plant's segments into a bucket, once or until stopped."""
     from storage.object_lake.bucket import Bucket
-    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.arriving.bandwidth import Bandwidth
     from storage.replication.bucket_upload import BucketUpload
     from storage.replication.opened import opened_sources
     from storage.replication.sources.folder_source import FolderSource
@@ -261,7 +261,7 @@ def _upload(asked: _Asked) -> None:
 
 
 def _recall(asked: _Asked) -> None:
-    from storage.replication.bandwidth import Bandwidth
+    from storage.replication.arriving.bandwidth import Bandwidth
     from storage.replication.opened import recalled_from
     from storage.replication.recall import recall
 

@@ -11,7 +11,7 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, LOST
 from storage.object_lake.bucket import Bucket, FileDigests, Outdated, file_digests
 from storage.replication.addresses import recall_command
-from storage.replication.bandwidth import Bandwidth
+from storage.replication.arriving.bandwidth import Bandwidth
 from storage.replication.plant_list import SALVAGED, ListRefused, checked_line
 from storage.replication.progress import Refusal
 from storage.replication.sources.folder_source import FolderSource

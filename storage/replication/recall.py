@@ -16,12 +16,12 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import FIRST, LogManifest, ManifestWriter
 from storage.manifests.part import with_sources
 from storage.plant import Plant, checked, read_plant, write_plant
-from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
-from storage.replication.bandwidth import Bandwidth
-from storage.replication.carried_files import CarriedFiles, Stopped
+from storage.replication.arriving.arrival import ArrivalRefused, Arrivals, Wanted
+from storage.replication.arriving.bandwidth import Bandwidth
+from storage.replication.arriving.carried_files import CarriedFiles, Stopped
+from storage.replication.arriving.segment_check import check_segment, is_intact, set_aside
 from storage.replication.plant_list import SALVAGED, ListRefused, checked_line
 from storage.replication.progress import Refusal
-from storage.replication.segment_check import check_segment, is_intact, set_aside
 from storage.replication.sources.source import SegmentMissing, SegmentSource, SourceGone
 from storage.segments.disk import DISK
 from storage.store import Store, WriterLock

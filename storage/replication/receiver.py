@@ -11,15 +11,15 @@ from storage.manifests.entries import SegmentEntry
 from storage.manifests.log import LOST, ManifestWriter, manifest_path, rewrite_manifest
 from storage.plant import checked
 from storage.replication.addresses import recall_command
-from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
-from storage.replication.attestation_check import KIND as DISAGREES
-from storage.replication.attestation_check import AttestationCheck
-from storage.replication.bandwidth import Bandwidth
-from storage.replication.carried_files import CarriedFiles, Stopped
+from storage.replication.arriving.arrival import ArrivalRefused, Arrivals, Wanted
+from storage.replication.arriving.attestation_check import KIND as DISAGREES
+from storage.replication.arriving.attestation_check import AttestationCheck
+from storage.replication.arriving.bandwidth import Bandwidth
+from storage.replication.arriving.carried_files import CarriedFiles, Stopped
+from storage.replication.arriving.segment_check import check_segment, is_intact, set_aside
 from storage.replication.lines_ahead import LinesAhead
 from storage.replication.plant_list import ListRefused, PlantList, segment_named
 from storage.replication.progress import Progress, Refusal, read_progress, write_progress
-from storage.replication.segment_check import check_segment, is_intact, set_aside
 from storage.replication.sources.source import SegmentMissing, SegmentSource, SourceGone
 from storage.segments.disk import DISK, Disk
 from storage.store import REPLICATION, WriterLock

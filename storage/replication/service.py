@@ -10,7 +10,7 @@ from storage.fleet_store import FleetStore, Replica
 from storage.lake.builder import build_missing, builder_lock
 from storage.log.files import sealed_segments
 from storage.manifests.lake import read_manifest
-from storage.replication.bandwidth import Bandwidth
+from storage.replication.arriving.bandwidth import Bandwidth
 from storage.replication.identities import Conflict, conflicts
 from storage.replication.progress import Progress
 from storage.replication.receiver import Receiver, Report

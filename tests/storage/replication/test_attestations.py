@@ -11,7 +11,7 @@ from storage.attestation.signing_key import SigningKey, create_key
 from storage.check.verify_fleet import verify_fleet
 from storage.fleet_store import FleetStore
 from storage.manifests.log import read_log_manifest, rewrite_manifest
-from storage.replication.attestation_check import KIND
+from storage.replication.arriving.attestation_check import KIND
 from storage.replication.sources.folder_source import FolderSource
 from storage.store import Store
 from stream.errors import StoreError

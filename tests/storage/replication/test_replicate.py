@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from storage.fleet_store import FleetStore
-from storage.replication.bandwidth import Bandwidth
+from storage.replication.arriving.bandwidth import Bandwidth
 from storage.replication.fleet_status import fleet_status
 from storage.replication.receiver import Receiver
 from storage.replication.sources.folder_source import FolderSource

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from storage.carried_names import is_carried
-from storage.replication.arrival import ArrivalRefused, Arrivals, Wanted
+from storage.replication.arriving.arrival import ArrivalRefused, Arrivals, Wanted
 from storage.replication.sources.folder_source import kept_sha256
 from storage.replication.sources.source import MAX_FILE_BYTES, MAX_FILES, CarriedFile, SegmentMissing, SegmentSource
 

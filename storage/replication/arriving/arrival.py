@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from storage.replication.bandwidth import Bandwidth
+from storage.replication.arriving.bandwidth import Bandwidth
 from storage.replication.sources.source import CHUNK_BYTES, SegmentSource
 from storage.segments.disk import DISK, Disk, OpenFile
 from stream.errors import StoreError

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 from storage.manifests.entries import SegmentEntry
-from storage.replication.arrival import ArrivalRefused
+from storage.replication.arriving.arrival import ArrivalRefused
 from storage.segments.disk import DISK, sha256_of
 from storage.segments.reader import read_marks, read_origin
 from storage.store import Store
