@@ -31,6 +31,7 @@ _PIECE_SAMPLES = 1_000_000
 _EXACT = 2.0**53  # all integers below are floats
 _OFF_GRID = 0.5  # of an interval
 _OFF_RATE = 1e-3  # of the samples, over a whole index
+_TOO_LARGE = "values are integers from 2**53 on, which floats round: give them less an offset, as x - x[0]"
 _NO_NUMBERS = {"M": "times", "m": "durations", "b": "true and false", "U": "texts", "S": "texts"}
 
 
@@ -238,16 +239,22 @@ def _row_of(values: npt.ArrayLike) -> FloatArray:
         raise BadInput(f"values are {what}: one number a sample is expected")
     try:
         row = np.ascontiguousarray(found, np.float64)
+    except OverflowError:  # an integer of more than 308 digits
+        raise BadInput(_TOO_LARGE) from None
     except (TypeError, ValueError) as error:
         raise BadInput(f"values are not numbers: {error}") from None
-    if found.dtype.kind in "iu" and found.size and (np.abs(row) >= _EXACT).any():
-        raise BadInput("values are integers from 2**53 on, which floats round: give them less an offset, as x - x[0]")
+    if _holds_integers(found) and (np.abs(row) >= _EXACT).any():
+        raise BadInput(_TOO_LARGE)
     if row.ndim != 1:
         raise BadInput(f"values have the shape {row.shape}: one row of samples of one axis is expected")
     infinite = np.flatnonzero(np.isinf(row))
     if infinite.size:
         raise BadInput(f"value {infinite[0]} is infinite ({infinite.size} in all): give NaN where a sample is missing")
     return row
+
+
+def _holds_integers(found: npt.NDArray[Any]) -> bool:
+    return found.dtype.kind in "iu" or (found.dtype.kind == "O" and any(isinstance(each, int) for each in found.flat))
 
 
 def _rate_of(rate_hz: object) -> float:

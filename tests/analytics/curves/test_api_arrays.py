@@ -88,6 +88,8 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([1.0, 2.0, 3.0], {"rate_hz": float("nan")}, BadInput, "rate_hz is nan"),
     ([1.0, 2.0, 3.0], {"deviation": "tdev"}, BadInput, "choose one of"),
     ([1.0, 2.0, 3.0], {"unit_of_measure": "parsnips"}, BadInput, "parsnips"),
+    ([10**400, 1, 2], {}, BadInput, "give them less an offset"),
+    ([2**70, 2**70 + 1, 2**70], {}, BadInput, "give them less an offset"),
 ]
 
 
