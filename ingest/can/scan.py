@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _COUNTER_SHARE = 0.9
 _COUNTER_FRAMES = 20
 _COUNTER_BITS = 16
+_OF_COUNTERS = frozenset({"1", "count", "LSB"})
+_AS_A_COUNTER = "it rises by one from frame to frame and starts again, as a counter of frames does"
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class SignalScan:
     least: float | None  # range of its values; None if it never came
     most: float | None
     varies: bool
-    looks_like_counter: bool  # whether it increases by one from frame to frame
+    looks_like_counter: bool  # whether it is a plain number that increases by one from frame to frame
     selects_page: bool = False  # whether it says which signals a frame has: pages in turn look like a counter
 
 
@@ -52,6 +54,25 @@ class IdScan:
     message: str | None  # name in the database; None if it is not there
     signals: tuple[SignalScan, ...]
     source: int | None = None  # J1939 source address; None for other messages
+
+    @property
+    def wanted(self) -> list[SignalScan]:
+        """Signals that a mapping takes: those that vary, without counters of frames and selectors of pages."""
+        return [each for each in self.signals if each.varies and not (each.looks_like_counter or each.selects_page)]
+
+    @property
+    def counter(self) -> SignalScan | None:
+        """The signal that is taken as the counter of the frames."""
+        counters = [each for each in self.signals if each.looks_like_counter]
+        return min(counters, key=lambda each: each.most or 0.0, default=None)
+
+    def why_left_out(self, signal: SignalScan) -> str:
+        """Why a mapping leaves a signal out; empty for one that it takes."""
+        if signal.selects_page:
+            return "it says which signals a frame has"
+        if signal.looks_like_counter:
+            return _AS_A_COUNTER
+        return "" if signal.varies else "it never changes here" if signal.least is not None else "it never comes here"
 
 
 @dataclass(frozen=True)
@@ -71,6 +92,18 @@ class LogScan:
     def unknown(self) -> tuple[IdScan, ...]:
         """Ids that are not in the database."""
         return tuple(each for each in self.ids if each.message is None)
+
+    @property
+    def by_message(self) -> dict[str, tuple[IdScan, list[IdScan]]]:
+        """Of each message of the database the id with most frames, and its other ids and channels."""
+        found: dict[str, list[IdScan]] = {}
+        for each in self.ids:
+            if each.message is not None:
+                found.setdefault(each.message, []).append(each)
+        busiest = {message: max(ids, key=lambda each: each.frames) for message, ids in found.items()}
+        return {
+            message: (most, [each for each in found[message] if each is not most]) for message, most in busiest.items()
+        }
 
 
 @dataclass
@@ -129,37 +162,51 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
 def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> str:
     """A mapping file (TOML) of the signals that vary in the log, for the user to edit."""
     names = own_names([message for path in databases for message in load_database(path)])
-    by_message: dict[str, list[IdScan]] = {}
-    for each in scan.ids:
-        if each.message is not None:
-            by_message.setdefault(each.message, []).append(each)
     lines = [f"# proposed from {Path(scan.file).name}: rename signals, strike out what is not wanted"]
-    for message, found in by_message.items():
-        busiest = max(found, key=lambda each: each.frames)
-        wanted = [
-            each for each in busiest.signals if each.varies and not (each.looks_like_counter or each.selects_page)
-        ]
-        if not wanted:
+    for message, (busiest, others) in scan.by_message.items():
+        if not busiest.wanted:
+            lines += [
+                "",
+                f"# message {_quoted(message)} is left out: no signal of it varies, but counters and selectors",
+            ]
             continue
         lines += ["", "[[message]]", f"message = {_quoted(message)}"]
         lines += [f"unit = {_quoted(unit)}"] if unit else []
-        others = [each for each in found if each is not busiest]
         if channels := sorted({each.channel for each in others} - {busiest.channel}):
             lines.append(f"channel = {busiest.channel}  # it comes on {', '.join(map(str, channels))} as well")
         if sources := sorted({each.source for each in others if each.source is not None} - {busiest.source}):
             listed = ", ".join(f"0x{source:02x}" for source in sources)
             lines.append(f"source = 0x{busiest.source:02x}  # it comes from {listed} as well")
-        counters = [each for each in busiest.signals if each.looks_like_counter]
-        counter = min(counters, key=lambda each: each.most or 0.0, default=None)
+        counter = busiest.counter
         if counter is not None and counter.most is not None:
             lines.append(f"counter = {{ signal = {_quoted(counter.name)}, modulus = {int(counter.most) + 1} }}")
         if busiest.rate_hz is not None and counter is not None:
             lines.append(f"# interval_s = {1 / busiest.rate_hz:.6g}  # median; with the counter it makes an exact grid")
         lines.append("[message.signals]")
-        for signal in wanted:
+        for signal in busiest.wanted:
             remark = "" if signal.is_known else f"  # unit of measure {signal.unit_of_measure!r} is not known"
             lines.append(f"{_quoted(signal.name)} = {_quoted(names[message, signal.name])}{remark}")
+        for signal in busiest.signals:
+            if why := busiest.why_left_out(signal):
+                lines.append(f"# {_quoted(signal.name)} = {_quoted(names[message, signal.name])}  # left out: {why}")
     return "\n".join(lines) + "\n"
+
+
+def counter_remarks(scan: LogScan) -> list[str]:
+    """What a reader must know of signals that a mapping leaves out because they look like counters of frames."""
+    remarks = []
+    for message, (busiest, _) in scan.by_message.items():
+        for signal in busiest.signals:
+            if not signal.looks_like_counter:
+                continue
+            is_taken = signal is busiest.counter and busiest.wanted
+            what = "is taken as the counter of the frames and is no signal" if is_taken else "is left out"
+            how = "remove the # before its line in the mapping" if busiest.wanted else "write a mapping that names it"
+            also = ", and the line counter = ... if it counts no frames" if is_taken else ""
+            remarks.append(
+                f"message {message}, signal {signal.name}: {what}, as {_AS_A_COUNTER}; to import it, {how}{also}"
+            )
+    return remarks
 
 
 def _add_block(
@@ -200,7 +247,8 @@ def _id_scan(key: tuple[int, int], seen: _IdFrames, message: "Message | None") -
         least, most = sorted(end * scale + offset for end in (found.least, found.most)) if came else (None, None)
         varies = came and found.least < found.most
         is_selector = bool(signal.is_multiplexer)
-        is_counter = not is_selector and found.is_counter()
+        is_number = measure in _OF_COUNTERS or not is_known
+        is_counter = is_number and scale == 1.0 and offset == 0.0 and not is_selector and found.is_counter()
         signals.append(SignalScan(signal.name, measure, is_known, least, most, varies, is_counter, is_selector))
     return IdScan(
         key[0] & ~EXTENDED, bool(key[0] & EXTENDED), key[1], len(times_ns), 1e9 / median_ns if median_ns > 0 else None,

@@ -29,10 +29,11 @@ def can() -> None:
 def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str | None, *, as_json: bool) -> None:
     """Show the content of a CAN log: ids, rates, messages of the database, varying signals, frame counters.
 
-    With --write it proposes a mapping of all signals that vary, for `gyrofleet import --mapping`. Of a damaged log the
-    good part is shown; the exit code is 1 then.
+    With --write it proposes a mapping of all signals that vary, for `gyrofleet import --mapping`. What it leaves out,
+    as counters, stands there as a comment with the reason. Of a damaged log the good part is shown; the exit code is 1
+    then.
     """
-    from ingest.can.scan import mapping_text, scan_log
+    from ingest.can.scan import counter_remarks, mapping_text, scan_log
     from stream.identity import check_name
 
     if unit is not None:
@@ -48,10 +49,14 @@ def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str 
         except OSError as error:
             raise BadInput(f"{target}: cannot be written ({error.strerror or error})") from error
     if as_json:
-        print_json({"scan": found, "unknown": len(found.unknown), "mapping": None if target is None else str(target)})
+        remarks = counter_remarks(found)
+        mapping = None if target is None else str(target)
+        print_json({"scan": found, "unknown": len(found.unknown), "remarks": remarks, "mapping": mapping})
     else:
         _report(found)
         if target is not None:
+            for remark in counter_remarks(found):
+                notes().print(remark, soft_wrap=True)
             command = " ".join([f"gyrofleet import {log}", *(f"--dbc {path}" for path in databases)])
             own = "" if unit else " --unit UNIT"
             notes().print(f"Wrote {target}. Check it, then: {command}{own} --mapping {target}", soft_wrap=True)

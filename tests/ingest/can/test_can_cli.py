@@ -1,6 +1,7 @@
 """`gyrofleet import` of CAN logs keeps the promises that it makes for tables; `gyrofleet can scan` leads there."""
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -133,8 +134,9 @@ def test_pages_in_turn_are_no_counter_and_units_of_a_database_are_those_of_gyros
         (page,) = [signal for signal in slow["signals"] if signal["name"] == "Page"]
         assert (page["looks_like_counter"], page["selects_page"]) == (False, True)
     run("can", "scan", turns, "--dbc", dbc, "--write", mapping, "--unit", "P1")
-    assert "counter" not in mapping.read_text()
-    assert "Page" not in mapping.read_text()
+    (message,) = tomllib.loads(mapping.read_text())["message"]
+    assert "counter" not in message
+    assert "Page" not in message["signals"]
     words = ("import", log, "--dbc", dbc, "--mapping", mapping, "--run", "r1", "--store", store)
     (found,) = run(*words)["files"]
     assert {each["signal"]: each["in_lake"] for each in found["signals"]} == {
@@ -146,3 +148,38 @@ def test_pages_in_turn_are_no_counter_and_units_of_a_database_are_those_of_gyros
     assert "'rate' is expected to be an angular rate" in remarks
     query = "select distinct unit_of_measure as of from signals where signal = 'accx'"
     assert run("sql", query, "--store", store) == [{"of": "mg_0"}]
+
+
+_SAWTEETH = """VERSION ""
+BU_: GYRO
+BO_ 257 IMU: 8 GYRO
+ SG_ Rate : 0|16@1- (0.01,0) [-300|300] "deg/s" GYRO
+ SG_ TableAngle : 16|16@1+ (1,0) [0|720] "deg" GYRO
+ SG_ Counter : 32|8@1+ (1,0) [0|255] "" GYRO
+ SG_ Saw : 40|8@1+ (1,0) [0|255] "" GYRO
+ SG_ Idle : 48|8@1+ (1,0) [0|255] "" GYRO
+"""
+
+
+def test_what_a_proposed_mapping_leaves_out_is_named_and_can_be_taken(tmp_path: Path) -> None:
+    """An angle is no counter; what may be one stands in the mapping as a comment that can be taken."""
+    dbc, log, mapping = (tmp_path / name for name in ("own.dbc", "own.log", "map.toml"))
+    dbc.write_text(_SAWTEETH)
+    bodies = [(i * i % 997).to_bytes(2, "little") + (i % 360).to_bytes(2, "little") for i in range(800)]
+    log.write_text(
+        "".join(
+            f"({1_700_000_000 + i * 0.01:.6f}) can0 101#{body.hex()}{i % 16:02x}{i % 100:02x}0000\n"
+            for i, body in enumerate(bodies)
+        )
+    )
+    remarks = run("can", "scan", log, "--dbc", dbc, "--write", mapping, "--unit", "P1")["remarks"]
+    assert ["signal Counter: is taken as the counter" in remarks[0], "signal Saw: is left out" in remarks[1]] == [
+        True
+    ] * 2
+    assert all("it rises by one from frame to frame" in each and "remove the #" in each for each in remarks)
+    lines = mapping.read_text().splitlines()
+    assert '# "Idle" = "idle"  # left out: it never changes here' in lines
+    mapping.write_text("\n".join(each.removeprefix("# ") if "Saw" in each else each for each in lines))
+    (message,) = tomllib.loads(mapping.read_text())["message"]
+    assert message["signals"] == {"Rate": "rate", "TableAngle": "tableangle", "Saw": "saw"}
+    assert message["counter"] == {"signal": "Counter", "modulus": 16}
