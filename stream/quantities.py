@@ -164,16 +164,21 @@ def is_noise_density(text: str) -> bool:
 
 @cache
 def is_angular_rate(text: str) -> bool:
-    """Whether `text` measures an angle per time.
+    """Whether `text` measures an angle per time; False for an unknown unit, as CAN databases may have.
 
     To pint angles are dimensionless, so that deg/s and Hz have one dimension: angles are recognised by name.
 
     >>> is_angular_rate("rad/s"), is_angular_rate("Hz"), is_angular_rate("rpm"), is_angular_rate("mdps")
     (True, False, True, True)
+    >>> is_angular_rate("smoots")
+    False
     """
     if (known := _KNOWN.get(text)) is not None:
         return known.quantity == "angular rate"
-    unit = _unit(text)
+    try:
+        unit = _unit(text)
+    except UnknownUnit:
+        return False
     powers = _powers(text)
     angles = [power for name, power in powers.items() if name in _ANGLES]
     is_rotation = any(name in _ROTATIONS for name in powers)
@@ -184,7 +189,7 @@ def is_angular_rate(text: str) -> bool:
 def report_unit(text: str) -> tuple[str, float]:
     """Unit in which results on a signal in `text` are reported, and the factor to it, without offset.
 
-    Angular rates are reported in deg/h, everything else in its own unit.
+    Angular rates are reported in deg/h, everything else in its own unit, also where that is unknown.
 
     >>> report_unit("deg/s"), report_unit("degC")
     (('deg/h', 3600.0), ('degC', 1.0))

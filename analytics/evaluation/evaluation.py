@@ -3,7 +3,7 @@
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
@@ -21,7 +21,7 @@ from storage.sql.catalog import Catalog, NotKept
 from storage.sql.deferred import words_of
 from storage.sql.parquet_content import ParquetContent
 from stream.decoding import decode_json
-from stream.errors import GyrofleetError, QueryError, UnknownUnit
+from stream.errors import GyrofleetError, QueryError
 from stream.quantities import conversion, is_angular_rate
 
 _TOO_LITTLE = "the steps hold too little to compute it"
@@ -277,9 +277,8 @@ def of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
 def _rate_units(catalog: Catalog) -> pa.Table:
     found = {}
     for (unit,) in catalog.rows("select distinct unit_of_measure from internal.step_records order by all"):
-        with suppress(UnknownUnit):
-            if is_angular_rate(unit):
-                found[unit] = conversion(unit, "deg/h")[0]
+        if is_angular_rate(unit):
+            found[unit] = conversion(unit, "deg/h")[0]
     units, factors = pa.array(found.keys(), pa.string()), pa.array(found.values(), pa.float64())
     return pa.table({"unit_of_measure": units, "deg_per_h": factors})
 

@@ -2,13 +2,11 @@
 
 import math
 import re
-from contextlib import suppress
 
 import numpy as np
 
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
 from stream.batch import FloatArray, IntArray
-from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 # as `is_integrated_output` in analytics/evaluation/views/06_body_axes.sql
@@ -49,9 +47,7 @@ def unwrapped(angles: FloatArray, unit_of_measure: str) -> FloatArray:
 
 
 def _is_angle(unit_of_measure: str) -> bool:
-    with suppress(UnknownUnit):
-        return is_angular_rate(f"{unit_of_measure}/s")
-    return False
+    return is_angular_rate(f"{unit_of_measure}/s")
 
 
 def rate_statistics(

@@ -174,7 +174,10 @@ class CanMapping:
         text = entry.unit_of_measure if entry.unit_of_measure is not None else found.unit_of_measure
         measure, is_known = database_unit(text, name)
         if not is_known:
-            self._remarks.append(f"message {layout.name}, signal {name}: unit of measure {text!r} is not known")
+            self._remarks.append(
+                f"message {layout.name}, signal {name}: unit of measure {text!r} is not known; it is kept as it is and "
+                "converted to no other (unit_of_measure in a mapping gives a known one)"
+            )
         elif remark := database_remark(text, measure, entry.signal):
             self._remarks.append(f"message {layout.name}, signal {name}: {remark}")
         return SignalPlan(found, _named(where, "signal", entry.signal), measure)

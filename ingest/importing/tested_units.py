@@ -2,10 +2,8 @@
 
 import re
 from collections.abc import Iterable
-from contextlib import suppress
 
 from ingest.tables.sample_file import SignalSummary
-from stream.errors import UnknownUnit
 from stream.quantities import is_angular_rate
 
 # as the SQL macro `is_instrument_name` has it
@@ -37,6 +35,4 @@ def _may_be_output(signal: SignalSummary) -> bool:
         return False
     if _OUTPUT.search(signal.signal.lower()) is not None or signal.unit_of_measure in _COUNTS:
         return True
-    with suppress(UnknownUnit):  # of a CAN database
-        return is_angular_rate(signal.unit_of_measure)
-    return False
+    return is_angular_rate(signal.unit_of_measure)

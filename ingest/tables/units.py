@@ -82,8 +82,17 @@ def database_remark(text: str | None, unit: str, signal: str) -> str:
     "'rate' is expected to be an angular rate, in deg/s, deg/h or rad/s; furlong is another quantity"
     >>> database_remark("g", "g", "load")
     "'g' is taken as a mass; give it unit_of_measure = 'g_0' in a mapping if it is standard gravity"
+    >>> database_remark("grad/s", "deg/s", "rate")
+    "'grad/s' is taken as deg/s (German Grad, a degree); give it unit_of_measure = 'gon/s' in a mapping for gradians"
     """
     written = (text or "").strip()
+    if _GERMAN_DEGREE.match(written) and not is_temperature(unit):
+        gradian = _GERMAN_DEGREE.sub("gon", written)
+        taken = (
+            f"{written!r} is taken as {unit} (German Grad, a degree); give it unit_of_measure = {gradian!r} in a "
+            "mapping for gradians"
+        )
+        return "; ".join(filter(None, (_unexpected(unit, signal).removeprefix("warning: "), taken)))
     if unit == written and written in _MASSES and not _is_mass(signal):
         return (
             f"{written!r} is taken as a mass; give it unit_of_measure = {_GRAVITY[written]!r} in a mapping if it is "
@@ -146,7 +155,7 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
         unit = "degC" if plain == "c" else "degF"
         return unit, f"{written} is taken as {unit}, since {signal!r} is a temperature"
     unit = known_unit(written)
-    if _GERMAN_DEGREE.match(written):
+    if _GERMAN_DEGREE.match(written) and not is_temperature(unit):
         taken = f"{written} is taken as {unit} (German Grad, a degree); write gon for gradians"
         return unit, "; ".join(filter(None, (_unexpected(unit, signal), taken)))
     if is_angular_rate(unit) and (of_unit := result_factor(unit, "deg/s")) > _MOST_RATE_DEG_PER_S:
@@ -160,13 +169,15 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
 def known_unit(text: str) -> str:
     """A unit of measure as it is written, or as gyrofleet writes it if pint does not know that; else UnknownUnit.
 
-    >>> known_unit("deg/s"), known_unit("度/小时"), known_unit("dph"), known_unit("°/S")
-    ('deg/s', 'deg/h', 'deg/h', '°/s')
+    >>> known_unit("deg/s"), known_unit("度/小时"), known_unit("dph"), known_unit("°/S"), known_unit("Grad C")
+    ('deg/s', 'deg/h', 'deg/h', '°/s', 'degC')
     """
     written = text.strip()
     plain = _plain(written)
     if plain in {"deg/s", "deg/h"} and written[-1].isupper():  # to pint siemens and henry
         written = written.lower()
+    if _GERMAN_DEGREE.match(written) and plain in _UNITS:  # Grad C, where pint reads a degree by coulomb
+        return _UNITS[plain]
     try:
         return check_unit(_GERMAN_DEGREE.sub("deg", written))
     except UnknownUnit:

@@ -10,7 +10,7 @@ from storage.specifications.validity import Period, in_force, ordered_periods
 from storage.store import Store
 from stream.errors import NotFound, UnknownUnit
 from stream.events import Limit
-from stream.quantities import is_angular_rate, result_factor
+from stream.quantities import check_unit, is_angular_rate, result_factor
 
 # metric -> characteristic of a live limit, and the parameter that is its averaging time
 _LIVE = {metric: (characteristic, parameter) for characteristic, (metric, parameter) in METRICS.items()}
@@ -99,7 +99,7 @@ def live_limits(limit: SpecificationLimit, signals: Sequence[str]) -> Iterator[L
     try:
         if characteristic == WALK:
             unit, factor = WALK_UNIT, result_factor(unit, WALK_UNIT)
-        elif not is_angular_rate(unit) and limit.signal in {None, *signals}:
+        elif not is_angular_rate(check_unit(unit)) and limit.signal in {None, *signals}:
             return
     except UnknownUnit:
         return

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from stream.errors import BadInput, UnknownUnit
-from stream.quantities import is_angular_rate
+from stream.quantities import check_unit, is_angular_rate
 from stream.toml_text import decode_toml
 
 WALK = "angle_random_walk"
@@ -68,7 +68,7 @@ def _check(entry: _Entry, where: str) -> None:
     if entry.tau_s is None:
         raise BadInput(f"{where}: tau_s is missing")
     try:
-        is_rate = is_angular_rate(entry.unit_of_measure)
+        is_rate = is_angular_rate(check_unit(entry.unit_of_measure))
     except UnknownUnit as error:
         raise BadInput(f"{where}: {error}") from error
     if entry.signal == "rate" and not is_rate:

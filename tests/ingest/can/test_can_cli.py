@@ -111,6 +111,8 @@ BO_ 274 Slow: 8 GYRO
  SG_ AccX m1 : 8|16@1- (0.5,0) [-16000|16000] "mg" GYRO
  SG_ Load m2 : 8|16@1+ (1,0) [0|9000] "g" GYRO
  SG_ Rate m2 : 24|16@1+ (1,0) [0|9000] "furlong" GYRO
+ SG_ Turn m2 : 40|8@1+ (1,0) [0|200] "grad/s" GYRO
+ SG_ Wide m2 : 48|8@1+ (1,0) [0|200] "smoots" GYRO
 """
 
 
@@ -146,8 +148,15 @@ def test_pages_in_turn_are_no_counter_and_units_of_a_database_are_those_of_gyros
     remarks = " ".join(every["files"][0]["remarks"])
     assert "'g' is taken as a mass" in remarks
     assert "'rate' is expected to be an angular rate" in remarks
-    query = "select distinct unit_of_measure as of from signals where signal = 'accx'"
-    assert run("sql", query, "--store", store) == [{"of": "mg_0"}]
+    assert "signal Turn: 'grad/s' is taken as deg/s (German Grad, a degree)" in remarks
+    assert "signal Wide: unit of measure 'smoots' is not known; it is kept as it is" in remarks
+    query = "select distinct unit_of_measure as of from signals where signal in ('accx', 'turn', 'wide') order by of"
+    assert run("sql", query, "--store", store) == [{"of": "deg/s"}, {"of": "mg_0"}, {"of": "smoots"}]
+    plain = CliRunner().invoke(
+        main, ["import", str(log), "--dbc", str(dbc), "--unit", "P2", "--run", "r2", "--store", str(store)]
+    )
+    assert plain.exit_code == 0, plain.output  # with a unit that nobody knows
+    assert run("allan", "--unit", "P2", "--run", "r2", "--signal", "wide", "--store", store)
 
 
 _SAWTEETH = """VERSION ""
