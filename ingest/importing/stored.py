@@ -64,7 +64,7 @@ class StoredSamples:
     def _check_alike(self, name: _Name, summary: SignalSummary) -> None:
         unit, run, signal = name
         if self.runs.get(run, self._summary.date_known) != self._summary.date_known:
-            has, remedy = ("a", "give --start") if self.runs[run] else ("no", "leave --start out")
+            has, remedy = ("a", "give --start") if self.runs[run] else ("no", "give times from 0 without --start")
             raise BadInput(
                 f"{self._path}: run {run} is stored with {has} date, and this file comes the other way; {remedy}, or "
                 f"import it as another run with --run"

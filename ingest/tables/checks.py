@@ -54,7 +54,7 @@ class RowFilter:
         self._run = None if columns.run else _run_name(path, options.run)
         self._last_ns: dict[Owner, int] = {}
         self._seen: dict[Owner, int] = {}
-        self.clock = RunClock(options.start_ns)
+        self.clock = RunClock(options.start_ns, is_stamps=columns.time is not None and columns.time.is_stamp)
         self.rows = self.bad_rows = self.repeated_times = 0  # rows with the time of the row before
         self.bad: list[BadRow] = []  # the first of them
 
@@ -143,7 +143,7 @@ class RowFilter:
                 self.clock.settle(int(written_ns[good[0]]))
             except BadInput as error:
                 raise BadInput(f"{self._path}: {error}") from error
-        expected = "UTC, as the first time of the file" if self.clock.is_utc else "below 1e8 s, as the first time"
+        expected = self.clock.expected
         rows = np.flatnonzero(self.clock.misplaced(written_ns))
         block.sieve.refuse(rows, lambda row: self._bad_time(block, row, int(written_ns[row]), expected))
 

@@ -57,8 +57,9 @@ class TableOptions:
         if self.sample_rate_hz is not None and not 1e-9 <= self.sample_rate_hz <= 1e9:
             raise BadInput(f"sample rate {self.sample_rate_hz!r} Hz: give a number from 1e-9 to 1e9")
         if self.start_ns is not None and not -MAX_NS <= self.start_ns <= MAX_NS:
-            latest = datetime.fromtimestamp(math.floor(MAX_NS / 1e9), UTC)
-            raise BadInput(f"start {self.start_ns} ns: give a moment before {latest:%Y-%m-%d} UTC")
+            first, last = (datetime.fromtimestamp(math.floor(end / 1e9), UTC) for end in (-MAX_NS, MAX_NS))
+            sound = f"give a moment from {first:%Y-%m-%d} to {last:%Y-%m-%d}"
+            raise BadInput(f"start {self.start_ns / 1e9:.0f} s from 1970: {sound}")
         if self.batch_samples is not None and self.batch_samples < 1:
             raise BadInput(f"batches of {self.batch_samples} samples: give at least 1")
 

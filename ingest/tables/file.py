@@ -26,6 +26,7 @@ from ingest.tables.time_remarks import (
     rate_change_remarks,
     repeated_hour_remark,
     repeated_times_advice,
+    unset_clock_remark,
 )
 from ingest.tables.times import RunClock
 from ingest.tables.units import COUNT_UNITS
@@ -131,6 +132,7 @@ class TableFile:
         first_ns = min(each.sampling.t_first_ns for each in signals)
         last_ns = max(each.sampling.t_last_ns for each in signals)
         found = [future_remark(last_ns) if clock.date_known else None]
+        found += [unset_clock_remark(first_ns) if clock.is_utc else None]
         if (zone := self._reader.local_zone) is not None:
             found.append(repeated_hour_remark(first_ns, last_ns, zone))
         yield from filter(None, found)

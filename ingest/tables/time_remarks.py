@@ -9,9 +9,11 @@ from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 from ingest.tables.sample_file import SignalSummary
+from ingest.tables.times import stamp_text
 from stream.defects.rate_changes import RateChange, remark_on_rate_changes
 
 _DAY_NS = 86_400 * 10**9
+_YEAR_NS = 365 * _DAY_NS
 _MOST_DAYS = 4000
 _MANY_REPEATED = 0.1  # of the rows
 
@@ -28,6 +30,20 @@ def future_remark(last_ns: int) -> str | None:
     return (
         f"warning: its times reach {date}, in the future: they are taken to count from 1970-01-01, but days of Excel "
         "count from 1899-12-30 and seconds of LabVIEW from 1904-01-01; convert them, or give --start with times from 0"
+    )
+
+
+def unset_clock_remark(first_ns: int) -> str | None:
+    """A warning if dated times begin in 1970, as those of a clock that was never set do.
+
+    >>> unset_clock_remark(1_795_255_200 * 10**9) is None, unset_clock_remark(83 * 10**9)[:53]
+    (True, 'warning: its times begin at 1970-01-01T00:01:23Z, in ')
+    """
+    if not 0 <= first_ns < _YEAR_NS:
+        return None
+    return (
+        f"warning: its times begin at {stamp_text(first_ns)}, in 1970, where a clock that was never set begins: days "
+        "and trends are of that date; if it is wrong, import the times as numbers from 0 with the true --start"
     )
 
 

@@ -243,10 +243,14 @@ def stamp_text(ns: int) -> str:
 
 
 class RunClock:
-    """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides."""
+    """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides.
 
-    def __init__(self, start_ns: int | None) -> None:
-        self._start_ns = start_ns
+    Time stamps (`is_stamps`) are UTC whatever their year; numbers are from 1973-03-03 on, 1e8 s after 1970.
+    """
+
+    def __init__(self, start_ns: int | None, *, is_stamps: bool = False) -> None:
+        self._start_ns, self._is_stamps = start_ns, is_stamps
+        self._first_ns = 0
         self.is_utc: bool | None = None
 
     @property
@@ -256,14 +260,25 @@ class RunClock:
 
     def settle(self, first_ns: int) -> None:
         """Decide by the time `first_ns`, as written; raises BadInput if it is UTC and a start is given as well."""
-        self.is_utc = first_ns >= UTC_FROM_NS
+        self.is_utc, self._first_ns = self._is_stamps or first_ns >= UTC_FROM_NS, first_ns
         if self.is_utc and self._start_ns is not None:
-            first = seconds_text(first_ns)
-            raise BadInput(f"the times are UTC already (the first is {first} from 1970): leave out --start")
+            first = stamp_text(first_ns) if self._is_stamps else f"{seconds_text(first_ns)} from 1970"
+            raise BadInput(f"the times are UTC already (the first is {first}): leave out --start")
 
     def misplaced(self, times_ns: IntArray) -> BoolArray:
-        """Which of the times, as written, are of the other kind than the first."""
+        """Which of the times, as written, are of the other kind than the first; of stamps, years away from it."""
+        if self._is_stamps:
+            return np.abs(times_ns - self._first_ns) >= UTC_FROM_NS
         return (times_ns < UTC_FROM_NS) if self.is_utc else (times_ns >= UTC_FROM_NS)
+
+    @property
+    def expected(self) -> str:
+        """What the times are expected to be, by the first one."""
+        if self._is_stamps:
+            return f"a time within 3 years of the first one, {stamp_text(self._first_ns)}"
+        if self.is_utc:
+            return "UTC, as the first time of the file: 1e8 s or more after 1970"
+        return "below 1e8 s, as the first time: it counts from the start of the run"
 
     def as_written(self, time_ns: int) -> int:
         """A time on the run's clock as the file has it."""

@@ -1,8 +1,11 @@
 """Times to nanoseconds, exactly rounded."""
 
-from datetime import datetime
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from fractions import Fraction
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -10,6 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
 from ingest.tables.times import (
     MAX_NS,
     UTC_FROM_NS,
@@ -94,6 +99,30 @@ def test_the_first_time_decides_for_the_file() -> None:
         RunClock(0).settle(10**17)
 
 
+def test_stamps_are_dates_in_any_year(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    """They had counted from an unknown start where they lay before 1973-03-03, 1e8 s after 1970."""
+    moments = [datetime(1973, 3, 3, 9, 46, 35, tzinfo=UTC) + timedelta(seconds=second) for second in range(10)]
+    first = write(tmp_path / "a.csv", moments)
+    (found,) = gyrofleet("import", first, "--unit", "U", "--run", "r", "--json").json["files"]
+    assert (found["date_known"], found["signals"][0]["in_lake"]) == (True, 10)
+    later = write(tmp_path / "b.csv", [each + timedelta(days=1) for each in moments])
+    (found,) = gyrofleet("import", later, "--unit", "U", "--run", "r", "--json").json["files"]
+    assert found["signals"][0]["in_lake"] == 20
+    dated = TableOptions(unit="U", start_ns=10**18)
+    with pytest.raises(BadInput, match=r"UTC already \(the first is 1973-03-03T09:46:35Z\): leave out --start"):
+        TableFile(first, dated).check()
+    unset = [each.replace(year=1970, month=1, day=1) for each in moments]
+    assert "where a clock that was never set begins" in TableFile(write(first, unset), WHOSE).check().remarks[0]
+    with pytest.raises(BadInput, match="expected a time within 3 years of the first one, 1970-01-01T09:46:35Z"):
+        TableFile(write(first, [*unset, *(each + timedelta(days=1) for each in moments)]), WHOSE).check()
+
+
+def write(path: Path, moments: list[datetime]) -> Path:
+    path.write_text("time,rate[deg/s]\n" + "".join(f"{each.isoformat()},{each.second}\n" for each in moments))
+    return path
+
+
+WHOSE = TableOptions(unit="U")
 STAMPS = st.datetimes(datetime(1971, 1, 1), datetime(2100, 1, 1))
 FRACTIONS = st.text("0123456789", min_size=1, max_size=12).map(".{}".format) | st.just("")
 
