@@ -111,14 +111,16 @@ def read_header(
     options: TableOptions,
     stamps: Collection[str] = (),
     durations: Mapping[str, str] | None = None,
+    unsuited: Mapping[str, str] | None = None,
 ) -> Columns:
     """Find the meaning of columns; raises BadInput if titles break the contract.
 
-    `stamps` are titles of columns of time stamps, `durations` of columns of durations, with the unit of each.
+    `stamps` are titles of columns of time stamps, `durations` of columns of durations, with the unit of each;
+    `unsuited` of columns that are neither times nor numbers, with what they hold.
     """
     try:
         _refuse_repeated("column", titles)
-        reader = _HeaderReader(titles, options, stamps, durations or {})
+        reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {})
         _add_all(reader, titles)
         columns = reader.columns
         _refuse_repeated_signals(columns.signals)
@@ -161,10 +163,11 @@ def _refuse_repeated_signals(signals: Sequence[SignalColumn]) -> None:
 
 class _HeaderReader:
     def __init__(
-        self, titles: Sequence[str], options: TableOptions, stamps: Collection[str], durations: Mapping[str, str]
-    ) -> None:
+        self, titles: Sequence[str], options: TableOptions, stamps: Collection[str], durations: Mapping[str, str],
+        unsuited: Mapping[str, str],
+    ) -> None:  # fmt: skip
         self.columns = Columns()
-        self._stamps, self._durations = stamps, durations
+        self._stamps, self._durations, self._unsuited = stamps, durations, unsuited
         self._renames: dict[str, str] = {}
         for old, new in options.renames:
             found = [title for title in titles if old in {title, _parts(title)[0]}]
@@ -205,6 +208,8 @@ class _HeaderReader:
             self._add_owner(title, name, unit)
         elif name in WORD_NAMES:
             self.columns.words.append(word_column(title, name, unit))
+        elif title in self._unsuited:
+            raise BadInput(self._not_suited(title, is_time=is_time))
         elif unit is None or not name:
             held = "time stamps" if is_stamp else "durations" if is_typed else ""
             raise BadInput(_how_to_name(title, name, held))
@@ -214,6 +219,8 @@ class _HeaderReader:
     def _add_time(self, title: str, unit: str | None, *, is_stamp: bool, is_foreign: bool) -> None:
         if self.columns.time is not None:
             raise BadInput(f"columns {self.columns.time.title!r} and {title!r} are both times; keep one")
+        if title in self._unsuited:
+            raise BadInput(self._not_suited(title, is_time=True))
         if is_stamp:
             self.columns.time = TimeColumn(title, 1, is_stamp=True)
             if unit is not None and _plain_letters(unit) not in _STAMP_UNITS and not is_foreign:
@@ -234,6 +241,13 @@ class _HeaderReader:
             self.columns.time = TimeColumn(title, ns_per_unit(time_unit(unit)))
         except BadInput as error:
             raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
+
+    def _not_suited(self, title: str, *, is_time: bool) -> str:
+        holds, leave_out = f"column {title!r} holds {self._unsuited[title]}", f"leave it out: --rename '{title}='"
+        if is_time:
+            dated = "time stamps with a date, as durations since the start, or as numbers, 'time[s]'"
+            return f"{holds}; write times as {dated}, or {leave_out} (without times give --sample-rate)"
+        return f"{holds}, expected numbers; convert it, or {leave_out}"
 
     def _add_owner(self, title: str, name: str, unit: str | None) -> None:
         if unit is not None:

@@ -42,6 +42,7 @@ class CsvTable:
         self.titles, self.stamp_titles = self._dialect.titles, self._dialect.stamp_titles
         self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
         self.duration_units: dict[str, str] = {}
+        self.unsuited: dict[str, str] = {}
         # Digits after the point that times need beyond whole nanoseconds: none until the first that has them.
         self._spare_digits = 0
         self._comments = self._blank_line = 0

@@ -64,8 +64,9 @@ class TableFile:
         self._path, self._options = path, options
         self._reader = _open(path)
         self._columns = read_header(
-            path, self._reader.titles, options, self._reader.stamp_titles, self._reader.duration_units
-        )
+            path, self._reader.titles, options, self._reader.stamp_titles, self._reader.duration_units,
+            self._reader.unsuited,
+        )  # fmt: skip
         self._reader.bind(self._columns, options.time_zone or "UTC")
         self._stamp = FileStamp(path)
         self._summary: TableSummary | None = None

@@ -46,6 +46,7 @@ class ParquetTable:
         self.duration_units = {
             title: str(kind.unit) for title, kind in self._types.items() if pa.types.is_duration(kind)
         }
+        self.unsuited = {title: held for title, kind in self._types.items() if (held := _unsuited(kind))}
 
     @property
     def local_zone(self) -> str | None:
@@ -190,6 +191,18 @@ def _is_numeric(kind: Any) -> bool:
 def _is_word(kind: Any) -> bool:
     is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
     return bool(is_text or pa.types.is_null(kind) or pa.types.is_boolean(kind) or _is_numeric(kind))
+
+
+def _unsuited(kind: Any) -> str:
+    """What a column holds that is neither a time nor a number; empty for others."""
+    if pa.types.is_time(kind):
+        return f"times of day without a date ({kind}), which begin again at midnight"
+    if pa.types.is_date(kind):
+        return f"dates without a time of day ({kind})"
+    is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
+    if is_text or pa.types.is_nested(kind) or pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
+        return f"text ({kind})" if is_text else f"{kind}"
+    return ""
 
 
 def _decoded(array: pa.Array) -> pa.Array:

@@ -76,6 +76,28 @@ def test_durations_elsewhere_are_refused_with_what_to_do(write: Tool) -> None:
         TableFile(write({"time[s]": [0.0, 1.0], "lag[s]": lag, "rate[deg/s]": [1.0, 2.0]}, "b.parquet"), G1)
 
 
+@pytest.mark.parametrize(
+    ("title", "values", "held"),
+    [
+        ("time", pa.array([1, 2], pa.time64("us")), "times of day without a date (time64[us]), which begin again at"),
+        ("time[s]", pa.array([1, 2], pa.time32("ms")).dictionary_encode(), "times of day without a date (time32[ms])"),
+        ("clock", pa.array([1, 2], pa.date32()), "dates without a time of day (date32[day])"),
+        ("Timestamp", pa.array(["2026-11-21T18:00:00Z"] * 2).dictionary_encode(), "text (string)"),
+    ],
+)
+def test_times_of_a_type_that_gives_none_are_named_with_it(
+    tmp_path: Path, title: str, values: pa.Array, held: str
+) -> None:
+    """They had been columns without a unit."""
+    pq.write_table(pa.table({title: values, "rate[deg/s]": [1.0, 2.0]}), tmp_path / "r.parquet")
+    with pytest.raises(BadInput) as caught:
+        TableFile(tmp_path / "r.parquet", G1)
+    assert f"column '{title}' holds {held}" in str(caught.value)
+    assert "write times as time stamps with a date, as durations" in str(caught.value)
+    left_out = TableOptions(unit="G1", sample_rate_hz=1.0, renames=((title, ""),))
+    assert TableFile(tmp_path / "r.parquet", left_out).check().rows == 2
+
+
 def test_true_and_false_without_a_unit_are_one_and_zero(write: Tool, deliver: Tool, samples: Tool) -> None:
     path = write({"time[s]": [0.0, 1.0, 2.0], "ok[1]": [True, None, False]}, "r.parquet")
     table = TableFile(path, G1)
@@ -130,7 +152,7 @@ def test_bad_rows_are_named_by_row(write: Tool, said: Tool) -> None:
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ({"time[s]": [0.0], "rate[deg/s]": ["1"]}, "column 'rate[deg/s]' holds large_string, expected numbers"),
+        ({"time[s]": [0.0], "rate[deg/s]": ["1"]}, "column 'rate[deg/s]' holds text (large_string), expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [True]}, "holds bool, expected numbers; convert it, or leave it out"),
         ({"time[s]": [0.0], "rate[deg/s]": [[1.0]]}, "expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [1.0], "step": [[1]]}, "expected text"),
