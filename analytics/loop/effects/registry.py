@@ -74,6 +74,16 @@ def effect(name: str) -> Effect:
     raise BadInput(f"effect {name!r} is not known; {hint}")
 
 
+def effect_name(name: str) -> Bilingual:
+    """The name of an effect in words.
+
+    >>> effect_name("ageing"), effect_name("ageing").zh
+    ('ageing over days', '长期老化')
+    """
+    known = effect(name)
+    return Bilingual(known.en, known.zh)
+
+
 def effects_for(runs: Sequence[RunBlocks]) -> Mapping[str, Effect]:
     """The effects that these runs allow to search for, with the linear effect of each channel of another name."""
     candidates = _candidates(runs)

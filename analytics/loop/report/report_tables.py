@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.report.drivers import ErrorOverDriver
-from analytics.loop.report.wording import LEAST_SHARE, Wording, measured, number
+from analytics.loop.report.wording import LEAST_SHARE, Wording, measured, number, percent
 from analytics.loop.residuals import DeviationAt
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.result.holdout import ErrorGain, ErrorTable
@@ -176,4 +176,4 @@ def _gain(gain: ErrorGain | None) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{share:.0%}" if abs(share) >= 0.1 else f"{100 * share:.2g}%"
+    return f"{percent(share)}%"

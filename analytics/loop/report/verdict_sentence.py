@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from analytics.loop.effects.events import STATION, TURN_ON
-from analytics.loop.report.wording import LEAST_SHARE, Wording, number
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number, percent
 from analytics.loop.tracing.result.diagnosis_result import (
     BiasTest,
     ConfoundedEffect,
@@ -332,7 +332,7 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     shifts = abs(expected.fraction) < LEAST_SHARE or all(each.of_biases for each in diagnosis.effects)
     if shifts:  # whole runs
         return text
-    falls, lo, hi = (f"{100 * each:.2g} %" for each in (expected.fraction, expected.lo, expected.hi))
+    falls, lo, hi = (f"{percent(each)} %" for each in (expected.fraction, expected.lo, expected.hi))
     its = ("its square", "其平方")
     if expected.averaging_s != row.averaging_s:
         over = f"{expected.averaging_s:g} s"

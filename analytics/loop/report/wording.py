@@ -14,6 +14,7 @@ from stream.quantities import format_unit
 Language = Literal["en", "zh"]
 
 _MOST_COLUMNS = 3
+_LEAST_PERCENT = 1e-4  # of an error, below which a share is nothing
 LEAST_SHARE = 1e-3  # of an error, below which a change is not worth a sentence
 _USUAL_DIGITS, _MOST_DIGITS, _SMALL = 3, 15, 1e-3
 _RUN = {"en": "run", "zh": "试验"}
@@ -32,6 +33,17 @@ def number(value: float | None) -> str:
     if abs(value) >= 1000:
         return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.3g}"
     return f"{value:.3g}"
+
+
+def percent(share: float) -> str:
+    """A share of an error in percent, without its sign of percent; what is below 0.01 % is 0.
+
+    >>> percent(0.856), percent(0.996), percent(0.0588), percent(-0.0031), percent(6.6e-18)
+    ('86', '100', '5.9', '-0.31', '0')
+    """
+    if abs(share) < _LEAST_PERCENT:
+        return "0"
+    return f"{100 * share:.0f}" if abs(share) >= 0.1 else f"{100 * share:.2g}"
 
 
 def measured(value: float, error: float) -> str:

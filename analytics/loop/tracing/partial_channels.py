@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from analytics.loop.bilingual import Bilingual
+from analytics.loop.bilingual import Bilingual, listed
 from analytics.loop.blocks.notes.left_out import REPORTED, LeftOut, Loss, left_out
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.registry import effect, effects_for
+from analytics.loop.effects.registry import effect, effect_name, effects_for
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.verdict.conclusion import denied
@@ -221,10 +221,10 @@ def with_rest(found: Diagnosis, again: Diagnosis, some: PartialChannels | Gapped
                 again, left_out=(*again.left_out, some.left_out()), limits=(some.limit(), *again.limits)
             )
         channels = ", ".join(some.channels)
-        beside = ", ".join(each.name for each in again.effects if each.name not in found.names)
+        beside = listed(effect_name(each.name) for each in again.effects if each.name not in found.names)
         text = Bilingual(
             f"in the blocks in which channel {channels} has a value, {beside} is significant as well",
-            f"在通道{channels}有值处，{beside}亦显著",
+            f"在通道{channels}有值处，{beside.zh}亦显著",
         )
         found = msgspec.structs.replace(found, limits=(*found.limits, text))
     if isinstance(some, GappedChannels):

@@ -11,6 +11,8 @@ from analytics.loop.report.finding_sentences import alternative
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.result.holdout import ErrorGain, ExpectedGain, HeldOutAnswer, Holdout, HoldoutSlope
+from analytics.loop.tracing.verdict.caveats import holdout_caveats, untold_caveat
 from tests.diagnosed_units import NOISE, SHUPE, a_finding, diagnosed
 
 
@@ -123,3 +125,31 @@ def test_of_several_effects_the_one_that_explains_most_comes_first() -> None:
         assert "62% of the squared error; and temperature rate" in text
         assert text.index("temperature rate") < text.index("also, a bias jump")
         assert "按大小排列" in verdict_sentence(found, Wording("zh"))
+
+
+def test_caveats_name_effects_in_the_words_of_the_field() -> None:
+    found = a_finding(name="function_of_input_rate")
+    held_out = [
+        HoldoutSlope(found.name, 0.4, 0.1, 0.1, accepted=False, answer=HeldOutAnswer.NO_POWER),
+        HoldoutSlope(found.name, 0.4, 0.1, 0.1, accepted=True, answer=HeldOutAnswer.CONFIRMED),
+        HoldoutSlope(found.name, 1.0, 0.1, 0.1, accepted=False, walk_log_odds=0.0),
+        HoldoutSlope(found.name, 1.0, 0.1, 0.1, accepted=False, is_independent=False),
+    ]
+    texts = [each for one in held_out for each in holdout_caveats(Holdout(("r",), one, (one,)), [found])]
+    assert len(texts) == len(held_out)
+    for each in (*texts, untold_caveat(found)):
+        assert each.startswith("function of input rate")
+        assert each.zh.startswith("输入角速率的未知函数")
+        assert found.name not in each + each.zh
+
+
+def test_shares_are_without_the_noise_of_rounding() -> None:
+    diagnosis = diagnosed().diagnosis
+    error = diagnosis.error
+    assert error is not None
+    rows = tuple(msgspec.structs.replace(each, gain_within=ErrorGain(0.9, -0.1, 1.0, 3)) for each in error.rows)
+    gain = ExpectedGain(0.998, 6.6e-18, 1.0, 3, averaging_s=1800.0)
+    text = verdict_sentence(
+        msgspec.structs.replace(diagnosis, error=msgspec.structs.replace(error, rows=rows, gain=gain)), Wording("en")
+    )
+    assert "is expected to fall by 100 % (0 % to 100 %)" in text

@@ -74,19 +74,21 @@ def _shape_caveats(effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
     every = [(found, registry.effect(found.name).parameters) for found in effects if found.name not in {JUMP, LINE}]
     shaped = [(found, parameters) for found, parameters in every if parameters]
     for found, (parameter, *_) in shaped:
+        name = registry.effect_name(found.name)
         for low, high in found.parameter_bounds.values():
             yield Bilingual(
-                f"{found.name}: {parameter.en} {low:.4g} to {high:.4g}; the bounds of the coefficient contain that",
-                f"{found.name}：{parameter.zh}为{low:.4g}至{high:.4g}，系数的区间已含其不确定度",
+                f"{name}: {parameter.en} {low:.4g} to {high:.4g}; the bounds of the coefficient contain that",
+                f"{name.zh}：{parameter.zh}为{low:.4g}至{high:.4g}，系数的区间已含其不确定度",
             )
     shaped = [(found, parameters) for found, parameters in shaped if not found.parameter_bounds]
     if not shaped:
         return
-    names = ", ".join(f"{found.name} ({', '.join(each.en for each in parameters)})" for found, parameters in shaped)
-    names_zh = "、".join(f"{found.name}（{'、'.join(each.zh for each in parameters)}）" for found, parameters in shaped)
+    names = [(registry.effect_name(found.name), parameters) for found, parameters in shaped]
+    listing = ", ".join(f"{name} ({', '.join(each.en for each in parameters)})" for name, parameters in names)
+    listing_zh = "、".join(f"{name.zh}（{'、'.join(each.zh for each in parameters)}）" for name, parameters in names)
     yield Bilingual(
-        f"bounds of coefficients hold for the parameters as given, whose own uncertainty is not in them: {names}",
-        f"系数的区间以所给参数为前提，不含参数本身的不确定度：{names_zh}",
+        f"bounds of coefficients hold for the parameters as given, whose own uncertainty is not in them: {listing}",
+        f"系数的区间以所给参数为前提，不含参数本身的不确定度：{listing_zh}",
     )
 
 
@@ -112,10 +114,11 @@ def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Biling
 
 def untold_caveat(found: FoundEffect) -> Bilingual:
     """An effect that may be what is left of joining a gyro and a rate reference of two sample rates."""
+    name = registry.effect_name(found.name)
     return Bilingual(
-        f"{found.name} is not confirmed: its bounds contain what the sample rates of gyro and rate reference cannot "
+        f"{name} is not confirmed: its bounds contain what the sample rates of gyro and rate reference cannot "
         "tell of a delay, and zero; record both at one rate",
-        f"{found.name}未获证实：其区间含陀螺与速率基准两种采样率所不能分辨的延时，且含零；请以同一采样率记录两者",
+        f"{name.zh}未获证实：其区间含陀螺与速率基准两种采样率所不能分辨的延时，且含零；请以同一采样率记录两者",
     )
 
 
@@ -300,35 +303,35 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
         slope = None if holdout is None else holdout.slope(effect.name)
         if slope is None:
             continue
-        size = f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
+        name, size = registry.effect_name(effect.name), f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
         if slope.may_be_walk:
             yield _walk_caveat(slope)
         elif not slope.is_independent:
             yield Bilingual(
-                f"{effect.name}: only all runs together show it, so that the held-out runs, which are among them, do "
+                f"{name}: only all runs together show it, so that the held-out runs, which are among them, do "
                 f"not confirm it (slope {size}): measure more runs",
-                f"{effect.name}：须合并全部试验才能见到，留出试验亦在其中，因此不能予以证实（斜率{size}）：请测量更多试验",
+                f"{name.zh}：须合并全部试验才能见到，留出试验亦在其中，因此不能予以证实（斜率{size}）：请测量更多试验",
             )
         elif slope.answer is HeldOutAnswer.NO_POWER:
             advice = _better_holdout(effect)
             yield Bilingual(
-                f"{effect.name}: the held-out runs excite it too little and can neither confirm nor refuse it (slope "
+                f"{name}: the held-out runs excite it too little and can neither confirm nor refuse it (slope "
                 f"{size}); {advice}",
-                f"{effect.name}：留出试验对该效应激励不足，既不能证实也不能否定（斜率{size}）；{advice.zh}",
+                f"{name.zh}：留出试验对该效应激励不足，既不能证实也不能否定（斜率{size}）；{advice.zh}",
             )
         elif effect.name != LINE and (why := _wrong_size(slope)) is not None:
             yield Bilingual(
-                f"{effect.name}: the held-out runs show {size} times the prediction{why}",
-                f"{effect.name}：留出试验所示为预测值的{size}倍{why.zh}",
+                f"{name}: the held-out runs show {size} times the prediction{why}",
+                f"{name.zh}：留出试验所示为预测值的{size}倍{why.zh}",
             )
 
 
 def _walk_caveat(slope: HoldoutSlope) -> Bilingual:
-    name, odds = slope.effect, f"{math.exp(slope.walk_log_odds or 0.0):.2g}"
+    name, odds = registry.effect_name(slope.effect), f"{math.exp(slope.walk_log_odds or 0.0):.2g}"
     return Bilingual(
         f"{name}: it shifts whole runs, and a bias that walks from run to run explains them about as well or better "
         f"(likelihood ratio {odds}; 20 is needed): measure more runs, in random order if the effect can be set",
-        f"{name}：该效应只使各次试验整体偏移，而零偏在各次试验之间随机游走的解释同样好或更好（似然比{odds}，需要20）："
+        f"{name.zh}：该效应只使各次试验整体偏移，而零偏在各次试验之间随机游走的解释同样好或更好（似然比{odds}，需要20）："
         "请测量更多试验，若该效应可设定则随机安排次序",
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.notes.left_out import LeftOut
 from analytics.loop.effects.events import TURN_ON
-from analytics.loop.effects.registry import effects_for, unavailable_effects
+from analytics.loop.effects.registry import effect_name, effects_for, unavailable_effects
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
@@ -231,12 +231,13 @@ def _answered(case: Case, found: Search) -> _Answered:
             return _Answered(holdout, kept, box, error, tuple(worse))
         worst = min(shares, key=lambda name: shares[name])
         holdout = holdout.refusing(worst)
+        name = effect_name(worst)
         sizes = f"{row.before:.3g}", f"{row.after:.3g} {error.unit_of_measure}", f"{row.averaging_s:g} s"
         worse.append(
             Bilingual(
-                f"{worst} is refused whatever its slope: with it the RMS error of the held-out runs over {sizes[2]} "
+                f"{name} is refused whatever its slope: with it the RMS error of the held-out runs over {sizes[2]} "
                 f"rises from {sizes[0]} to {sizes[1]}",
-                f"{worst}不论斜率如何均予否定：加入后留出试验在{sizes[2]}平均时间上的均方根误差由{sizes[0]}升至{sizes[1]}",
+                f"{name.zh}不论斜率如何均予否定：加入后留出试验在{sizes[2]}平均时间上的均方根误差由{sizes[0]}升至{sizes[1]}",
             )
         )
 

@@ -11,7 +11,7 @@ from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.events import TURN_ON
-from analytics.loop.effects.registry import effects
+from analytics.loop.effects.registry import effect_name, effects
 from analytics.loop.model.error_model import ModelNoise
 from analytics.loop.tracing.result.diagnosis_result import ConfoundedEffect, EffectCoefficient, FoundEffect
 from analytics.loop.tracing.search.evidence import PRICE, one_degree
@@ -169,11 +169,12 @@ def scatter_caveat(finding: FoundEffect | None, scatter: RunScatter, runs: Seque
             "only between runs",
             f"{zh}已视为逐次启动散布（未声明），仅在试验之间变化的效应可能隐藏其中",
         )
-    names = [f"{each.name}{'' if each.recorded else ' (not recorded)'}" for each in finding.confounded]
-    causes = ", ".join([*names, TURN_ON])
+    names = [(effect_name(each.name), each.recorded) for each in finding.confounded] + [(effect_name(TURN_ON), True)]
+    causes = ", ".join(f"{name}{'' if recorded else ' (not recorded)'}" for name, recorded in names)
+    causes_zh = "、".join(f"{name.zh}{'' if recorded else '（未记录）'}" for name, recorded in names)
     return Bilingual(
         f"{en}{causes} differ between them, and {len(runs)} runs cannot separate these causes",
-        f"{zh}其间{causes}均不同，{len(runs)}次试验无法区分",
+        f"{zh}其间{causes_zh}均不同，{len(runs)}次试验无法区分",
     )
 
 
