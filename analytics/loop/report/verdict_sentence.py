@@ -226,8 +226,8 @@ def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, wo
         )
     names = words.listed([words.effect(found), *(_alternative(other, words) for other in found.confounded)], _OR)
     text = words.of(
-        f"the biases of the {test.runs} runs follow {names}: {size} (p = {p_value})",
-        f"{test.runs}次试验的零偏随{names}变化：{size}（p = {p_value}）",
+        f"the biases of the {test.runs} runs follow {names}: {size} over all of them (p = {p_value})",
+        f"{test.runs}次试验的零偏随{names}变化：全部试验的系数为{size}（p = {p_value}）",
     )
     if test.within is not None:
         inside = f"{number(test.within[0])} ± {number(test.within[1])}"

@@ -124,11 +124,15 @@ class Wording:
         return ", ".join(parts)
 
     def coefficient(self, found: FoundEffect) -> str:
-        """Coefficients with their confidence bounds, or their number."""
+        """Coefficients with their confidence bounds, or their number; from which runs, if others give another."""
         if len(found.coefficients) > _MOST_COLUMNS:
             count = len(found.coefficients)
             return self.of(f"{count} coefficients", f"{count}个系数")
-        return self.of("; ", "；").join(self._one(each) for each in found.coefficients)
+        text = self.of("; ", "；").join(self._one(each) for each in found.coefficients)
+        test = found.of_biases
+        if test is None or test.value == found.coefficients[0].value:
+            return text
+        return text + self.of(" in the training runs", "（训练试验）")
 
     def _one(self, found: EffectCoefficient) -> str:
         head = f"{found.name} " if found.name else ""

@@ -204,3 +204,24 @@ def test_limits_of_a_gain_hold_the_truth_in_95_of_100() -> None:
         inside += gain.lo <= 0.51 <= gain.hi
     # binomial, 400 tries of 0.95: 4 standard deviations are 17; the ratio is a little off normal
     assert 340 <= inside <= 397
+
+
+def test_an_effect_beside_a_refused_one_has_the_size_of_the_model_found() -> None:
+    """Of the training runs the temperature drives the gyro as well, in the held-out runs it does not."""
+    rng = np.random.default_rng(0)
+    runs = []
+    for number in range(9):
+        run = gyro_run(number, rng, rate=40.0, supply=0.5)
+        temperature = 25.0 + 10.0 * np.sin(run.slot / 25.0 + number) + 4.0 * (run.mean("supply_voltage") - 12.0)
+        channels = {**run.channels, "temperature": Channel(temperature, np.full(BLOCKS, 0.01), "degC")}
+        value = run.value + (0.02 * (temperature - 25.0) if number < 6 else 0.0)
+        runs.append(replace(run, value=value, channels=channels))
+    noise = ModelNoise(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
+    found = diagnose(runs, ErrorModel.parse("rate = bias + scale_factor*input_rate"), declared_noise=noise)
+    assert (found.names, [each.name for each in found.unreplicated]) == (("supply_voltage",), ["temperature"])
+    assert found.model is not None
+    size = found.model.coefficients[found.model.labels().index("supply_voltage")]
+    assert found.effects[0].coefficients[0].value == size
+    (caveat,) = [each for each in found.limits if "they judged the latter" in each]
+    assert caveat.startswith(f"supply voltage is {size:.3g} deg/h/V without temperature, which")
+    assert "供电电压在去掉被留出试验否定的温度（一次项）后为" in caveat.zh

@@ -64,7 +64,7 @@ class BiasTest(msgspec.Struct, frozen=True):
     ----------
     runs, tests: Number of biases, and of causes that were tested on them.
     degrees, p_value: Degrees of freedom of Student's t, and its two-sided p-value, below 1 % over the number of tests.
-    value, lo, hi: The coefficient with its 95 % bounds by Student's t.
+    value, lo, hi: The coefficient over all runs with its 95 % bounds by Student's t.
     is_in_training: Whether the training runs alone name this cause, at 5 % over the number of tests.
     within: Coefficient and standard error within the runs, where these contradict it; else None.
     """

@@ -7,7 +7,7 @@ from operator import methodcaller
 
 import numpy as np
 
-from analytics.loop.bilingual import Bilingual
+from analytics.loop.bilingual import Bilingual, listed
 from analytics.loop.effects import registry
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_text import BIAS
@@ -324,6 +324,24 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
                 f"{name}: the held-out runs show {size} times the prediction{why}",
                 f"{name.zh}：留出试验所示为预测值的{size}倍{why.zh}",
             )
+
+
+def refit_caveats(
+    judged: Sequence[FoundEffect], refitted: Sequence[FoundEffect], refused: Sequence[FoundEffect]
+) -> Iterator[Bilingual]:
+    """Effects whose size is another one without those that the held-out runs refused."""
+    without = listed(registry.effect_name(each.name) for each in refused)
+    for before, after in zip(judged, refitted, strict=True):
+        name = registry.effect_name(after.name)
+        for old, new in zip(before.coefficients, after.coefficients, strict=True):
+            if not old.lo <= new.value <= old.hi:
+                label, unit = f" ({new.name})" if new.name else "", new.unit_of_measure
+                yield Bilingual(
+                    f"{name}{label} is {new.value:.3g} {unit} without {without}, which the held-out runs refuse, and "
+                    f"was {old.value:.3g} {unit} beside it: they judged the latter",
+                    f"{name.zh}{label}在去掉被留出试验否定的{without.zh}后为{new.value:.3g} {unit}，"
+                    f"与其一并拟合时为{old.value:.3g} {unit}：留出试验所判别的是后者",
+                )
 
 
 def _walk_caveat(slope: HoldoutSlope) -> Bilingual:

@@ -25,6 +25,7 @@ from analytics.loop.tracing.verdict.adequacy import detection_limits
 from analytics.loop.tracing.verdict.caveats import (
     caveats,
     differing_caveats,
+    refit_caveats,
     undetermined_terms,
     unexplained_error,
     untold_caveat,
@@ -75,6 +76,9 @@ def conclude(
     if holdout is not None:
         every = [msgspec.structs.replace(each, confirmed=holdout.confirms(each.name)) for each in every]
     refused = [each for each in every if each.confirmed is False]
+    judged = every
+    if kept is not found:
+        every = _refitted(every, bounded_findings(candidates, kept))
     noises, designs = kept.joint.noises, kept.joint.hypothesis.designs
     excess = agreement.noise_excess(training, kept.joint)
     noise = agreement.measured_noise(training, noises[0])
@@ -91,7 +95,7 @@ def conclude(
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     undetermined = undetermined_terms(case, model.labels())
     scatter = agreement.run_scatter(box.record, noises[0])
-    remarks, hiding = list(answered.worse), None
+    remarks, hiding = [*answered.worse, *refit_caveats(judged, every, refused)], None
     if declared is not None:
         remarks += agreement.disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
     if (
@@ -240,6 +244,23 @@ def _answered(case: Case, found: Search) -> _Answered:
                 f"{name.zh}不论斜率如何均予否定：加入后留出试验在{sizes[2]}平均时间上的均方根误差由{sizes[0]}升至{sizes[1]}",
             )
         )
+
+
+def _refitted(every: Sequence[FoundEffect], kept: Sequence[FoundEffect]) -> list[FoundEffect]:
+    """The findings, those kept with what the fit without the refused ones gives: the model found has the same."""
+    again = {each.name: each for each in kept}
+    return [
+        msgspec.structs.replace(
+            each,
+            coefficients=fresh.coefficients,
+            parameter_bounds=fresh.parameter_bounds,
+            by_run=fresh.by_run,
+            heterogeneity_p_value=fresh.heterogeneity_p_value,
+        )
+        if (fresh := again.get(each.name)) is not None
+        else each
+        for each in every
+    ]
 
 
 def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:

@@ -59,13 +59,19 @@ def with_ageing(found: FoundEffect) -> FoundEffect:
 
 
 def of_biases(found: FoundEffect, test: BiasTest, training: UnitRecord) -> FoundEffect:
-    """A finding of the biases of all runs; its bounds are those of as few values as the training has runs."""
+    """A finding of the biases of all runs; its bounds are those of as few values as the training has runs.
+
+    Where no runs are held out the test has its coefficient as well, which is that of the model.
+    """
     degrees = max(1, test.degrees - test.runs + len(training.stack.runs))
     wider = float(student_quantile(0.975, degrees)) / CONFIDENCE
     coefficients = []
     for each in found.coefficients:
         low, high = (each.value + wider * (bound - each.value) for bound in (each.lo, each.hi))
         coefficients.append(msgspec.structs.replace(each, lo=low, hi=high))
+    if len(training.stack.runs) == test.runs:
+        (own,) = coefficients
+        test = msgspec.structs.replace(test, value=own.value, lo=own.lo, hi=own.hi)
     return msgspec.structs.replace(found, coefficients=tuple(coefficients), of_biases=test)
 
 

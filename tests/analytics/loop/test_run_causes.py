@@ -1,0 +1,55 @@
+"""Causes that the biases of all runs follow: their size in each sentence, and when they are not tested."""
+
+import numpy as np
+import pytest
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.report.finding_sentences import evidence
+from analytics.loop.report.verdict_sentence import verdict_sentence
+from analytics.loop.report.wording import Wording
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from stream.batch import FloatArray
+from tests.analytics.loop.test_effects_between_runs import MODEL, SCATTER, noise_of, runs_at
+
+
+def drifting(seed: int, per_day: float, count: int = 9) -> tuple[list[RunBlocks], FloatArray]:
+    """Runs a day apart whose bias grows, and their biases."""
+    rng = np.random.default_rng(seed)
+    biases = SCATTER * rng.standard_normal(count) + per_day * np.arange(count)
+    return runs_at(np.full(count, 25.0), biases, rng), biases
+
+
+def said(found: Diagnosis, words: Wording) -> str:
+    """All that is said of the first effect."""
+    effect = found.effects[0]
+    return " ".join([verdict_sentence(found, words), words.coefficient(effect), *evidence(effect, found, words)])
+
+
+@pytest.mark.parametrize("per_day", [0.06, 0.045])
+def test_two_sizes_of_one_cause_are_named_by_the_runs_that_give_them(per_day: float) -> None:
+    runs, biases = drifting(4, per_day)
+    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    (effect,) = found.effects
+    test, own = effect.of_biases, effect.coefficients[0]
+    assert test is not None
+    assert test.value != own.value
+    for words, of_training, of_all in (
+        (Wording("en"), "{} deg/h/day in the training runs", "{} deg/h/day over all of them"),
+        (Wording("zh"), "{} deg/h/day（训练试验）", "全部试验的系数为{} deg/h/day"),
+    ):
+        text = said(found, words)
+        for size, wanted in ((own, of_training), (test, of_all)):
+            bounds = words.size(size, "deg/h/day").removesuffix(" deg/h/day")
+            assert text.count(bounds) == text.count(wanted.format(bounds)) > 0
+
+
+def test_with_no_run_held_out_a_cause_has_one_size() -> None:
+    runs, biases = drifting(3, 0.04)
+    found = diagnose(runs, MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False, holdout=[])
+    test, own = found.effects[0].of_biases, found.effects[0].coefficients[0]
+    assert test is not None
+    assert (test.value, test.lo, test.hi) == (own.value, own.lo, own.hi)
+    assert found.model is not None
+    assert own.value == found.model.coefficients[-1]
+    assert "in the training runs" not in said(found, Wording("en"))
