@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.report.finding_sentences import evidence
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from stream.batch import FloatArray
-from tests.analytics.loop.test_effects_between_runs import MODEL, SCATTER, noise_of, runs_at
+from tests.analytics.loop.test_effects_between_runs import MODEL, SCATTER, WITHIN, noise_of, runs_at, undated
 
 
 def drifting(seed: int, per_day: float, count: int = 9) -> tuple[list[RunBlocks], FloatArray]:
@@ -53,3 +54,23 @@ def test_with_no_run_held_out_a_cause_has_one_size() -> None:
     assert found.model is not None
     assert own.value == found.model.coefficients[-1]
     assert "in the training runs" not in said(found, Wording("en"))
+
+
+@pytest.mark.parametrize(
+    ("count", "is_dated", "why", "zh"),
+    [(4, True, "not enough runs, 4 of the 5 needed", "试验次数不足，有4次，需要5次"),
+     (6, False, "6 of 6 runs have no date", "6次试验中有6次没有日期"), (6, True, None, None)],
+)  # fmt: skip
+def test_runs_that_cannot_be_compared_say_why(count: int, is_dated: bool, why: str | None, zh: str | None) -> None:
+    runs, biases = drifting(6, 0.0, count)
+    if not is_dated:
+        runs = undated(runs, [run.run for run in runs])
+    noise = WITHIN if count < 5 else noise_of(biases)
+    found = diagnose(runs, MODEL, declared_noise=noise, turn_on_is_declared=False)
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
+    caveats = [each for each in found.limits if "not compared with" in each]
+    assert len(caveats) == (why is not None)
+    for each in caveats:
+        assert str(why) in each
+        assert isinstance(each, Bilingual)
+        assert str(zh) in each.zh

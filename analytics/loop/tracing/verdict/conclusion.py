@@ -18,7 +18,6 @@ from analytics.loop.tracing.held_out.run_walk import against_walk, follow_order
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.effect_search import Search, provisional
-from analytics.loop.tracing.search.run_causes import RunCause, run_cause
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
 from analytics.loop.tracing.verdict.adequacy import detection_limits
@@ -42,8 +41,8 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_clock_bounds,
     with_untold_delay,
 )
+from analytics.loop.tracing.verdict.run_level import cause_of_biases, untested_biases
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
-from analytics.loop.tracing.whitening.white_variance import record_of
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
 # standard errors by which the slope must exceed zero where the training runs show an effect in one of them: 1 in 2000
@@ -65,7 +64,7 @@ def conclude(
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
     training = case.training
     found = _replicated_later(case, found)
-    by_runs = _by_runs(case, candidates, found)
+    by_runs = cause_of_biases(case, candidates, found)
     found = found if by_runs is None else by_runs.found
     every = [with_causes(each, case.stack.runs, model.effects) for each in bounded_findings(candidates, found)]
     every = every if by_runs is None else [of_biases(each, by_runs.test, training) for each in every]
@@ -107,6 +106,8 @@ def conclude(
         effects = effects if differing is None else (differing, *effects)
         remarks.append(agreement.scatter_caveat(differing, scatter, case.stack.runs))
         hiding = remarks[-1] if differing is None else None
+    if not (effects or found.unreplicated or refused):
+        remarks += untested_biases(case, model)
     declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
     effects = tuple(
         with_untold_delay(with_clock_bounds(each, declared_model), declared_model, case.stack.runs) for each in effects
@@ -197,16 +198,6 @@ def _replicated_later(case: Case, found: Search) -> Search:
     if slope is None or not slope.accepted or slope.slope < BEYOND_CHANCE * slope.slope_se:
         return found
     return tried
-
-
-def _by_runs(case: Case, candidates: Candidates, found: Search) -> RunCause | None:
-    """The cause that the biases of all runs follow, where nothing was seen; of a few runs see `scatter_finding`."""
-    is_seen = found.selected or found.unreplicated
-    if is_seen or case.replication == "within_run" or len(case.stack.runs) <= agreement.MOST_RUNS:
-        return None
-    prior = case.training.prior
-    every = record_of(case.stack, prior.center, turn_on_is_declared=prior.turn_on_is_declared)
-    return run_cause(candidates, found, every)
 
 
 def _answered(case: Case, found: Search) -> _Answered:
