@@ -246,10 +246,13 @@ def _coefficients(
     spread = best.spread(theta, quantile)
     found = {}
     for which, term in enumerate(terms):
-        allowed = least + spread * best.inflation(theta, which)
+        inflation = best.inflation(theta, which)
+        allowed = least + spread * inflation
         squares = [(theta[which] / best.sizes[which],) * 2]
         squares += [
-            tuple(np.array(likelihood.bounds(minimum, allowed - height, which)) / likelihood.sizes[which])
+            tuple(
+                np.array(likelihood.bounds(minimum, least - height, spread, which, inflation)) / likelihood.sizes[which]
+            )
             for likelihood, (minimum, lowest), height in zip(likelihoods, minima, heights, strict=True)
             if lowest + height < allowed
         ]

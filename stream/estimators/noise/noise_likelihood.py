@@ -11,6 +11,8 @@ from stream.estimators.noise.root_between import root_between
 _ROOT_TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9
 _MOST_EXPONENT = 100.0
+_MOST_ROUNDS = 5
+_SETTLED = 0.01
 
 
 class CurveLikelihood:
@@ -104,14 +106,14 @@ class CurveLikelihood:
         start = weighted_least_squares(self.columns, self.degrees, np.ones(len(self.columns)), nothing, every)
         return descend(self.columns, self.degrees, start, every)
 
-    def minimum_at(self, theta: FloatArray, which: int, at: float) -> float:
-        """Least deviance with one coefficient fixed `at`, searched from theta; never more than that of theta there."""
+    def minimum_at(self, theta: FloatArray, which: int, at: float) -> tuple[FloatArray, float]:
+        """As `minimum`, with one coefficient fixed `at`; searched from theta, the deviance never more than there."""
         start, free = theta.copy(), np.ones(len(theta), np.bool_)
         start[which], free[which] = at, False
         if np.min(self.columns @ start / (self.columns @ theta)) < _NEGLIGIBLE:
             # no other term explains some tau: the others need a positive start value
             start[free] = np.maximum(start[free], _NEGLIGIBLE)
-        return descend(self.columns, self.degrees, start, free)[1]
+        return descend(self.columns, self.degrees, start, free)
 
     def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
         """Columns in units of the scatter of each variance expected by theta, m sqrt(2/edf)."""
@@ -166,19 +168,32 @@ class CurveLikelihood:
         nu = max(1.0, self.freedom(theta)[1] * float(np.mean((share / share.max()) ** 2)))
         return nu * math.expm1(min(quantile / nu, _MOST_EXPONENT))
 
-    def bounds(self, theta: FloatArray, allowed: float, which: int) -> tuple[float, float]:
-        """Where the deviance, the other coefficients free, rises to `allowed` on either side of its minimum theta."""
+    def bounds(
+        self, theta: FloatArray, base: float, spread: float, which: int, inflation: float
+    ) -> tuple[float, float]:
+        """Where the deviance, the other coefficients free, rises to base + spread*inflation on either side of theta.
+
+        A coefficient at its upper bound prevails at taus at which theta has it as nothing, and noises that correlate
+        more prevail with it: where the inflation is larger there, that one counts (a test of the bound judges by the
+        scatter that holds at the bound, as a score test does).
+        """
 
         def excess(at: float) -> float:
-            return self.minimum_at(theta, which, at) - allowed
+            return self.minimum_at(theta, which, at)[1] - base - spread * inflation
 
         lo, best = 0.0, float(theta[which])
         if best > 0.0 and excess(0.0) > 0.0:
             lo = root_between(excess, 0.0, best, absolute=1e-15, relative=_ROOT_TOLERANCE)
         below, above = best, max(1.5 * best, 1e-3)
-        while excess(above) < 0.0:
-            below, above = above, 2.0 * above
-        return lo, root_between(excess, below, above, absolute=1e-15, relative=_ROOT_TOLERANCE)
+        for _ in range(_MOST_ROUNDS):
+            while excess(above) < 0.0:
+                below, above = above, 2.0 * above
+            hi = root_between(excess, below, above, absolute=1e-15, relative=_ROOT_TOLERANCE)
+            there = self.inflation(self.minimum_at(theta, which, hi)[0], which)
+            if there <= inflation * (1.0 + _SETTLED):
+                break
+            inflation, below, above = there, hi, 1.5 * hi
+        return lo, hi
 
 
 def deviance_quantile(confidence: float) -> float:
