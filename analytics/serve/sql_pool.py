@@ -38,11 +38,15 @@ _FRESH_S = 1.0
 
 
 class _Idle(NamedTuple):
-    """A door, the version of the lake that it is of, and when it was first asked; None if it has not been."""
+    """A door, the version of the lake that it is of, and when it was first asked; None if it has not been.
+
+    `log_version` is that of the log beside the lake when it was first asked: the door sees those rows, perhaps more.
+    """
 
     tag: str
     began_s: float | None
     door: SqlDoor
+    log_version: int = 0
 
 
 class SqlPool(Closing):
@@ -65,7 +69,7 @@ class SqlPool(Closing):
         if not self._free.acquire(timeout=_PATIENCE_S):
             raise TooMany("other statements are still being answered", _PATIENCE_S)
         try:
-            door = self._taken(state.tag)
+            door = self._taken(state)
             try:
                 yield door
             finally:
@@ -74,13 +78,14 @@ class SqlPool(Closing):
         finally:
             self._free.release()
 
-    def _taken(self, tag: str) -> SqlDoor:
+    def _taken(self, state: LakeState) -> SqlDoor:
         with self._lock:
-            fresh = [each for each in self._idle if each.tag == tag and not self._is_old(each)]
+            fresh = [each for each in self._idle if each.tag == state.tag and not self._is_old(each, state)]
             stale = [each for each in self._idle if each not in fresh]
             fresh.sort(key=lambda each: each.began_s is not None)  # the one that stands by is taken last
-            found = fresh.pop() if fresh else _Idle(tag, None, self._new())
-            taken = found if found.began_s is not None else found._replace(began_s=time.monotonic())
+            taken = fresh.pop() if fresh else _Idle(state.tag, None, self._new())
+            if taken.began_s is None:
+                taken = taken._replace(began_s=time.monotonic(), log_version=state.log_version)
             self._idle = fresh
             self._busy[taken.door] = taken
         for each in stale:
@@ -90,11 +95,11 @@ class SqlPool(Closing):
     def _new(self) -> SqlDoor:
         return SqlDoor(self._store, self._limits, advice=_ADVICE)
 
-    def _is_old(self, idle: _Idle) -> bool:
-        """Whether a recorder may have written what the door does not see."""
-        if idle.began_s is None:
+    def _is_old(self, idle: _Idle, state: LakeState) -> bool:
+        """Whether a recorder may have written, or one that has ended since did write, what the door does not see."""
+        if idle.began_s is None or time.monotonic() - idle.began_s <= _FRESH_S:
             return False
-        return time.monotonic() - idle.began_s > _FRESH_S and writer_is_active(self._store.folder)
+        return idle.log_version != state.log_version or writer_is_active(self._store.folder)
 
     def _stand_by(self, tag: str) -> None:
         """Start a process for the next statement, beside the answer of this one."""
