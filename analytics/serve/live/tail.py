@@ -30,6 +30,8 @@ class LiveSamples(NamedTuple):
     unit_of_measure: str
     sample_interval_s: float
     irregular: bool
+    first_ns: int  # of all of them, whatever stretch is asked, and those that are no numbers
+    last_ns: int
     t_ns: IntArray  # shape (n,), not ordered where epochs overlap
     values: FloatArray  # shape (n,); without those that are no numbers
 
@@ -129,8 +131,10 @@ class LiveTail:
             is_asked &= t_ns >= first_ns
         if stop_ns is not None:
             is_asked &= t_ns < stop_ns
-        irregular = head.irregular
-        return LiveSamples(head.unit_of_measure, head.dt_ns / 1e9, irregular, t_ns[is_asked], values[is_asked])
+        ends = min(raw.t0_ns for raw in found), max(raw.last_ns for raw in found)
+        return LiveSamples(
+            head.unit_of_measure, head.dt_ns / 1e9, head.irregular, *ends, t_ns[is_asked], values[is_asked]
+        )
 
 
 def _samples_of(batches: Sequence[RawBatch | ContinuedBatch]) -> tuple[IntArray, FloatArray]:

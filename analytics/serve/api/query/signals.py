@@ -21,6 +21,7 @@ from storage.sql.lake_source import LakeSource
 from storage.sql.reading import find_signal, rows_between
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
+from stream.events import RunStarted
 
 _NS = 10**9
 _MOST_RAW = 6_000_000
@@ -156,7 +157,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     recorded = recorded_signal(call, of["unit"], of["signal"], of["run"])
     if recorded.about is None and live is None:
         find_signal(views, of["unit"], of["signal"], of["run"])  # NotFound lists what there is
-    about = _about(recorded.about, live)
+    about = recorded.about or {"date_known": _is_dated(call, of["run"])}
+    about = _with_live(about, live)
     first_ns = moment(asked.from_, "from")
     stop_ns = moment(asked.to, "to")
     first_ns = about["t_first_ns"] if first_ns is None else first_ns
@@ -188,23 +190,25 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
     )  # fmt: skip
 
 
-def _about(found: Mapping[str, Any] | None, live: LiveSamples | None) -> Mapping[str, Any]:
+def _is_dated(call: Call, run: str) -> bool:
+    """Whether the times of a run are dates, by its documents that the lake does not have yet."""
+    heard = call.service.live.course.heard(run, call.state.segments)
+    return all(each.document.date_known for each in heard if isinstance(each.document, RunStarted))
+
+
+def _with_live(about: Mapping[str, Any], live: LiveSamples | None) -> Mapping[str, Any]:
     """What is known of the signal, with the samples that the lake does not have yet."""
     if live is None:
-        assert found is not None
-        return found
-    about = found or {
-        "unit_of_measure": live.unit_of_measure, "irregular": live.irregular, "date_known": True,
-        "sample_interval_s": live.sample_interval_s, "t_first_ns": 2**63 - 1, "t_last_ns": -(2**63),
+        return about
+    of_live = {
+        "unit_of_measure": live.unit_of_measure, "irregular": live.irregular,
+        "sample_interval_s": live.sample_interval_s,
     }  # fmt: skip
-    if live.t_ns.size:
-        first_ns, last_ns = int(live.t_ns.min()), int(live.t_ns.max())
-        about = {
-            **about,
-            "t_first_ns": min(about["t_first_ns"], first_ns),
-            "t_last_ns": max(about["t_last_ns"], last_ns),
-        }
-    return about
+    return of_live | {
+        **about,
+        "t_first_ns": min(about.get("t_first_ns", live.first_ns), live.first_ns),
+        "t_last_ns": max(about.get("t_last_ns", live.last_ns), live.last_ns),
+    }
 
 
 def _buckets(source: LakeSource, of: _Stretch) -> tuple[str, int, Buckets, str | None]:
