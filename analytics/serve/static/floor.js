@@ -14,7 +14,7 @@ export function start(section) {
   const source = new EventSource(section.dataset.live);
   source.addEventListener("floor", event => floor.fill(JSON.parse(event.data)));
   source.addEventListener("change", event => floor.change(JSON.parse(event.data)));
-  source.addEventListener("error", () => floor.tell(say("away"), true));
+  source.addEventListener("error", () => floor.tell(say(source.readyState === EventSource.CLOSED ? "signed_out" : "away"), true));
 }
 
 /** The document at an address, without its scripts; null if it does not come. */

@@ -2,7 +2,7 @@
 import uPlot from "./uplot/uPlot.esm.js";
 import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
-import {asked, element, figure, say} from "./texts.js";
+import {asked, element, figure, say, trouble} from "./texts.js";
 
 const FOLLOW_MS = 3000, LOOK_AGAIN_MS = 15000;
 
@@ -30,7 +30,7 @@ async function refresh(view) {
     found = await asked(view.section.dataset.url);
     document.getElementById("allan-trouble").textContent = "";
   } catch (error) {
-    document.getElementById("allan-trouble").textContent = error instanceof TypeError ? say("away") : error.message;
+    document.getElementById("allan-trouble").textContent = trouble(error);
     setTimeout(() => refresh(view), FOLLOW_MS);
     return;
   }

@@ -1,5 +1,5 @@
 // Commands to the station of a run: the answer is shown beside the buttons, without leaving the page.
-import {asked, say} from "./texts.js";
+import {asked, say, trouble} from "./texts.js";
 
 export function start(section) {
   const form = section.querySelector("form"), line = document.getElementById("command-answer");
@@ -16,7 +16,7 @@ export function start(section) {
       line.textContent = say("answered", {action: button.textContent, text: zh ? answer.text_zh : answer.text});
       reason.value = "";
     } catch (error) {
-      line.textContent = error.message;
+      line.textContent = trouble(error);
     } finally {
       for (const each of buttons) each.disabled = false;
       document.getElementById("run-course").dispatchEvent(new Event("refresh"));

@@ -2,7 +2,7 @@
 import uPlot from "./uplot/uPlot.esm.js";
 import {Plot} from "./plot.js";
 import {faint} from "./colours.js";
-import {asked, duration, element, figure, moment, say} from "./texts.js";
+import {asked, duration, element, figure, moment, say, trouble} from "./texts.js";
 import {words} from "./run_words.js";
 
 const POINTS = 500, FOLLOW_MS = 2000, LOOK_AGAIN_MS = 15000, NS = 1e9;
@@ -34,9 +34,11 @@ class TimeLine {
       course = await asked(this.section.dataset.url);
       await this.#measure(course);
     } catch (error) {
+      document.getElementById("course-trouble").textContent = trouble(error);
       this.#again(true);
       return;
     }
+    document.getElementById("course-trouble").textContent = "";
     for (const panel of PANELS) this.#draw(panel, course);
     this.#tables(course);
     const wasLive = this.section.dataset.live === "yes";

@@ -3,7 +3,7 @@ const TEXTS = {
   en: {
     floor: "{n} units by verdict so far; arrow keys move, Enter opens the unit",
     open: "undecided", PASS: "PASS", FAIL: "FAIL", MARGINAL: "MARGINAL", NO_DATA: "NO DATA", ABORTED: "ABORTED", early: " (early)", silent: "silent", released: "released", left: "{time} left", nearest: "at {ratio} of its limit",
-    live: "live, {time}", away: "the connection is lost; trying again", count: "{n} {word}",
+    live: "live, {time}", away: "the connection is lost; trying again", signed_out: "signed out, or refused by the server: load this page again", count: "{n} {word}",
     signal: "{signal} in {unit}, least and greatest value of each of {n} stretches; arrow keys read values, plus and minus zoom, 0 shows all",
     bucket: "{time}: {lo} to {hi}, mean {mean} {unit}", sample: "{time}: {value} {unit}", none: "no samples in this stretch",
     beside: "beside it", nothing: "nothing", loading: "loading", failed: "{why}",
@@ -24,7 +24,7 @@ const TEXTS = {
   zh: {
     floor: "{n}个产品按当前判定着色；方向键移动，回车打开产品",
     open: "未判定", PASS: "合格", FAIL: "不合格", MARGINAL: "临界", NO_DATA: "无数据", ABORTED: "中止", early: "（提前）", silent: "无信号", released: "已释放", left: "剩余{time}", nearest: "达到限值的{ratio}倍",
-    live: "实时，{time}", away: "连接中断，正在重试", count: "{word} {n}",
+    live: "实时，{time}", away: "连接中断，正在重试", signed_out: "登录已失效或被服务器拒绝：请重新加载本页", count: "{word} {n}",
     signal: "{signal}（{unit}），{n}个区间的最小值与最大值；方向键读数，加减号缩放，0显示全部",
     bucket: "{time}：{lo}至{hi}，均值{mean} {unit}", sample: "{time}：{value} {unit}", none: "该区间无采样",
     beside: "并列显示", nothing: "无", loading: "读取中", failed: "{why}",
@@ -115,6 +115,15 @@ export function element(name, properties = {}, ...children) {
 export async function asked(url, options = {}) {
   const answer = await fetch(url, {headers: {Accept: "application/json", ...options.headers}, ...options});
   const body = await answer.json();
-  if (!answer.ok) throw new Error(body.error?.message ?? body.message ?? body.error ?? answer.statusText);
+  if (!answer.ok) {
+    const message = body.error?.message ?? body.message ?? body.error ?? answer.statusText;
+    throw Object.assign(new Error(message), {status: answer.status});
+  }
   return body;
+}
+
+/** What a person reads when an answer did not come. */
+export function trouble(error) {
+  if (error instanceof TypeError) return say("away");
+  return error.status === 401 ? say("signed_out") : error.message;
 }

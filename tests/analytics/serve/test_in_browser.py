@@ -242,6 +242,22 @@ def test_no_page_is_wider_than_the_window(window: Browser, served: Served, page:
     assert window.ask(BEYOND) == []
 
 
+def test_a_name_of_128_letters_breaks(window: Browser, served: Served) -> None:
+    window.open(f"{served.url}/units/FOG-0001", width=390)
+    window.ask("document.querySelector('h1').textContent = 'N'.repeat(128)")
+    assert window.ask(BEYOND) == []
+
+
+def test_the_page_of_a_run_says_that_the_session_has_ended(window: Browser, served: Served) -> None:
+    window.open(f"{served.url}/runs/run-1")
+    until(lambda: window.ask("!!document.querySelector('#run-course').dataset.drawn"))
+    window.command("Network.clearBrowserCookies")
+    window.ask("document.querySelector('#run-course').dispatchEvent(new Event('refresh'))")
+    until(lambda: "signed out" in window.ask("document.querySelector('#course-trouble').textContent"))
+    window.open(f"{served.url}/login?token={TOKEN}")
+    window.complaints()  # of the answer 401
+
+
 def test_rows_with_parameters_are_no_columns_of_words_on_a_small_screen(window: Browser, served: Served) -> None:
     window.open(served.url + "/units/FOG-0001", width=390)
     rows = "[...document.querySelectorAll('#unit-metrics tbody tr')].map(each => each.offsetHeight)"
