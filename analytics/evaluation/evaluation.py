@@ -8,13 +8,13 @@ from importlib.resources import files
 from pkgutil import resolve_name
 from typing import Any
 
-import duckdb
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from analytics.evaluation.type_b import COVERAGE, UNCERTAINTIES, TypeB
 from analytics.methods.confidence_bounds import chi_square_bounds, deviation_uncertainty, t_bounds
+from analytics.metric_registry.failed_metrics import OF_THE_COMPUTER, failed_rows, failure
 from analytics.metric_registry.registry import BoundsSource, Metric, parameters_text
 from analytics.specifications.sql_tables import SPECIFICATION_TABLES, put_specifications
 from storage.sql.catalog import Catalog, NotKept
@@ -26,7 +26,6 @@ from stream.quantities import conversion, is_angular_rate
 
 _TOO_LITTLE = "the steps hold too little to compute it"
 _WITH_TEXT = "select * replace (to_json(parameters)::varchar as parameters) from ({})"
-_OF_THE_COMPUTER = (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.InterruptException, duckdb.FatalException)
 _CONTRADICTS = "its interval does not contain the value: the definition of the metric is wrong"
 _UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
@@ -105,14 +104,14 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     """Compute metrics from the ``step_means`` that are in the catalogue, several at once; `COLUMNS`."""
     keep_scale_factors(catalog)
     with ThreadPoolExecutor(min(catalog.threads, _MOST_THREADS)) as pool:
-        able = _with_rows(catalog, list(chosen), pool)
+        able, failed = _with_rows(catalog, list(chosen), pool)
         type_b = TypeB(catalog) if able else None
-        tables = list(pool.map(lambda metric: _values(catalog, metric, type_b), able))
-    return pa.concat_tables([COLUMNS.empty_table(), *tables])
+        tables = list(pool.map(lambda metric: _values_or_reasons(catalog, metric, type_b), able))
+    return pa.concat_tables([COLUMNS.empty_table(), *tables, *failed])
 
 
-def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor) -> list[Metric]:
-    """Those with rows in what their header names: planning a statement takes much longer than running it."""
+def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor) -> tuple[list[Metric], list[pa.Table]]:
+    """Those with rows in what their header names, as planning takes longest; and reasons of those that fail there."""
     sources = sorted({metric.header.of for metric in chosen} - {""})
 
     def found_in(some: Collection[str]) -> dict[str, bool]:
@@ -120,15 +119,21 @@ def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor)
         return dict(zip(some, catalog.rows(f"select {sql}")[0], strict=True)) if some else {}
 
     found: dict[str, bool] = {}
+    failed: dict[str, pa.Table] = {}
     try:
         for each in pool.map(found_in, [sources[at::_MOST_THREADS] for at in range(_MOST_THREADS)]):
             found |= each
     except QueryError:
         for metric in chosen:  # whose it is
-            with _naming(metric):
-                found_in({metric.header.of} - {""})
-        raise
-    return [metric for metric in chosen if found.get(metric.header.of, True)]
+            try:
+                with _naming(metric):
+                    found |= found_in({metric.header.of} - {""})
+            except QueryError as error:
+                failed[metric.header.id] = failed_rows(catalog, metric, error, COLUMNS)
+        if not failed:
+            raise
+    able = [each for each in chosen if each.header.id not in failed and found.get(each.header.of, True)]
+    return able, list(failed.values())
 
 
 def keep_scale_factors(catalog: Catalog) -> None:
@@ -142,6 +147,13 @@ def keep_scale_factors(catalog: Catalog) -> None:
             catalog.create(name, folder.joinpath(f"{name}.sql").read_text(encoding="utf-8"))
     define_scripts(catalog, "views", scripts)
     catalog.fill((*_WITHOUT_RATES, "still_steps"))
+
+
+def _values_or_reasons(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:
+    try:
+        return _values(catalog, metric, type_b)
+    except QueryError as error:
+        return failed_rows(catalog, metric, error, COLUMNS)
 
 
 def _values(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:
@@ -176,10 +188,12 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
     try:
         with _naming(metric):
             return _computed(catalog, metric)
-    except (GyrofleetError, NotKept, MemoryError, OSError, *_OF_THE_COMPUTER):
+    except (QueryError, NotKept, MemoryError, OSError, *OF_THE_COMPUTER):
         raise
     except Exception as error:
-        raise _own_error(metric, f"{type(error).__name__}: {error}") from error
+        if isinstance(error, GyrofleetError) and not metric.own_file:
+            raise
+        raise failure(metric, f"{type(error).__name__}: {error}") from error
 
 
 @contextmanager
@@ -188,13 +202,7 @@ def _naming(metric: Metric) -> Iterator[None]:
     try:
         yield
     except QueryError as error:
-        raise _own_error(metric, str(error).partition(" (views: ")[0]) from error
-
-
-def _own_error(metric: Metric, what: str) -> QueryError:
-    place = f"analytics/metrics/{metric.header.id}.sql"
-    function = f" ({metric.header.python})" if metric.header.python else ""
-    return QueryError(f"metric {metric.header.id} cannot be computed: {what}; its definition is {place}{function}")
+        raise failure(metric, str(error).partition(" (views: ")[0]) from error
 
 
 def _computed(catalog: Catalog, metric: Metric) -> pa.Table:

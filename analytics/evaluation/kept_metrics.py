@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from analytics.evaluation.evaluation import COLUMNS, define_views
 from analytics.evaluation.ranges import Update, in_order, ranges_of, updated
+from analytics.metric_registry.failed_metrics import lacking_modules
 from analytics.metric_registry.registry import metrics
 from analytics.step_records import FOLDER
 from analytics.step_records.step_table import Progress, open_kept, step_records, write_kept_content
@@ -141,6 +142,7 @@ def _unit_fingerprints(catalog: Catalog) -> dict[str, str]:
     for package in _PACKAGES:
         for each in files_of(package):
             text.update(each.read_bytes())
+    text.update(json.dumps(lacking_modules()).encode())  # computed again once they can be imported
     return {
         unit: hashlib.sha256("/".join([text.hexdigest(), *sorted(own)]).encode()).hexdigest()[:32]
         for unit, own in marks.items()

@@ -6,12 +6,14 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from enum import StrEnum
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ingest.measurement_standards import QUANTITIES
 from stream.errors import BadInput, GyrofleetError
-from stream.files.own_files import files_of
+from stream.files.own_files import files_of, is_own
 
+_PACKAGE = "analytics.metrics"
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
 _SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{4})?\s+(?P<clause>.+?)\s*")
 
@@ -147,24 +149,62 @@ class Metric(NamedTuple):
 
     header: MetricHeader
     sql: str
+    own_file: str = ""  # of a metric of the site's own; see `GYROFLEET_OWN`
+
+    @property
+    def place(self) -> str:
+        """The file of its definition, for messages."""
+        return self.own_file or f"analytics/metrics/{self.header.id}.sql"
 
 
 @cache
 def metrics() -> Mapping[str, Metric]:
-    """All metrics by id, in alphabetical order. Raises MetricError if a file is malformed.
+    """All metrics by id, in alphabetical order.
+
+    Raises MetricError if a file of the program is malformed; such files of the site's own are in `unreadable_metrics`.
 
     >>> metrics()["bias"].header.unit
     'deg/h'
     """
-    found = {}
-    for file in files_of("analytics.metrics"):
-        if file.suffix == ".sql":
-            text = file.read_text(encoding="utf-8")
-            header = parse_header(text, file.name)
-            if file.name != f"{header.id}.sql":
-                raise MetricError(f"metric {file.name}: its header calls it {header.id}")
-            found[header.id] = Metric(header, text)
-    return dict(sorted(found.items()))
+    found, _ = _registered()
+    return found
+
+
+def unreadable_metrics() -> Mapping[str, str]:
+    """What is wrong with files of the site's own metrics whose header is malformed, by file.
+
+    >>> unreadable_metrics()  # without GYROFLEET_OWN
+    {}
+    """
+    _, wrong = _registered()
+    return wrong
+
+
+@cache
+def _registered() -> tuple[Mapping[str, Metric], Mapping[str, str]]:
+    found: dict[str, Metric] = {}
+    wrong: dict[str, str] = {}
+    for file in files_of(_PACKAGE):
+        if file.suffix != ".sql":
+            continue
+        own_file = str(file) if is_own(_PACKAGE, file) else ""
+        try:
+            metric = _read(file, own_file)
+        except (MetricError, UnicodeDecodeError, OSError) as error:
+            if not own_file:
+                raise
+            wrong[own_file] = str(error)
+        else:
+            found[metric.header.id] = metric
+    return dict(sorted(found.items())), wrong
+
+
+def _read(file: Path, own_file: str) -> Metric:
+    text = file.read_text(encoding="utf-8")
+    header = parse_header(text, own_file or file.name)
+    if file.name != f"{header.id}.sql":
+        raise MetricError(f"metric {own_file or file.name}: its header calls it {header.id}")
+    return Metric(header, text, own_file)
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
@@ -188,6 +228,9 @@ def check_metrics(names: Iterable[str], where: str = "") -> None:
     for name in names:
         if name not in metrics():
             place = f"{where}: " if where else ""
+            for file, error in unreadable_metrics().items():
+                if Path(file).stem == name:
+                    raise BadInput(f"{place}metric {name!r} cannot be read: {error}")
             raise BadInput(f"{place}there is no metric {name!r}; {alike(name, metrics(), 'metrics are')}")
 
 

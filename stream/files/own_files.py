@@ -47,6 +47,15 @@ def files_of(package: str) -> list[Path]:
     return sorted(found, key=lambda each: each.name)
 
 
+def is_own(package: str, file: Path) -> bool:
+    """Whether a file of a package is the site's own.
+
+    >>> is_own("stream.files", Path(__file__))
+    False
+    """
+    return str(file.parent) in list(importlib.import_module(package).__path__)[1:]
+
+
 def imported(package: str, module: str) -> ModuleType:
     """A module of a package; BadInput names a file of the site's own that cannot be imported.
 

@@ -10,10 +10,13 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation import evaluation
+from analytics.evaluation.reasons import in_chinese
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects import registry
 from analytics.loop.effects.base import Effect, Shape
 from analytics.loop.effects.monomial import channel_linear
+from analytics.metric_registry import registry as metric_registry
+from analytics.metric_registry.failed_metrics import remarks_on_failed
 from analytics.metric_registry.registry import (
     BoundsSource,
     Clause,
@@ -27,6 +30,7 @@ from analytics.step_records.step_table import step_means
 from storage.sql.catalog import Catalog, NotKept
 from storage.store import Store
 from stream.errors import BadInput, QueryError
+from stream.files.own_files import files_of
 
 
 @pytest.mark.parametrize(("lo", "hi"), [(2.9, 3.1), (7.0, 5.0), (6.1, None), (None, 5.9)])
@@ -78,6 +82,33 @@ def test_a_mistake_in_the_header_of_a_metric_names_it(tmp_path: Path, where: str
         assert evaluation.evaluate(catalog, [bias]).num_rows
         with pytest.raises(QueryError, match=r"metric bias cannot be computed: .*(bias_stepss|per_ppmm)"):
             evaluation.evaluate(catalog, [Metric(wrong, bias.sql)])
+        # one of the site's own costs no other metric its values, and is named by its file
+        own = wrong._replace(id="own_bias", python="analytics.metrics.own_bias:compute" if where == "influence" else "")
+        found = evaluation.evaluate(catalog, [bias, Metric(own, bias.sql, "/srv/own/metrics/own_bias.sql")]).to_pylist()
+        values = {row["metric"]: (row["unit"], row["run"], row["value"], row["reason"]) for row in found[::-1]}
+        assert values["bias"][2:] == (1.0, None)
+        assert values["own_bias"][:3] == ("U1", "r1", None)
+        assert values["own_bias"][3].startswith("metric own_bias cannot be computed: ")
+        assert "/srv/own/metrics/own_bias.sql" in values["own_bias"][3]
+        assert in_chinese(values["own_bias"][3]).startswith("指标 own_bias 无法计算：")
+        assert next(remarks_on_failed(catalog, found), "") == ""  # of no registered metric
+
+
+def test_a_malformed_file_of_the_sites_own_is_named_and_leaves_all_metrics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = tmp_path / "own_bias.sql"
+    wrong.write_text("-- id: own_bias\nselect 1")
+    monkeypatch.setattr(metric_registry, "files_of", lambda package: [*files_of(package), wrong])
+    with pytest.raises(MetricError, match="its header lacks en, zh"):  # of the program's
+        metric_registry._registered.__wrapped__()
+    monkeypatch.setattr(metric_registry, "is_own", lambda _, file: file == wrong)
+    known, unreadable = metric_registry._registered.__wrapped__()
+    assert known.keys() == metrics().keys()
+    assert unreadable[str(wrong)].startswith(f"metric {wrong}: its header lacks en, zh")
+    monkeypatch.setattr(metric_registry, "_registered", lambda: (known, unreadable))
+    with pytest.raises(BadInput, match=r"'own_bias' cannot be read: metric .*own_bias\.sql: its header lacks"):
+        metric_registry.check_metrics(["own_bias"])
 
 
 @pytest.mark.parametrize(

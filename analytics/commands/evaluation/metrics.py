@@ -92,8 +92,10 @@ def metrics(
     def ask(catalog: "Catalog") -> "tuple[list[Row], int, list[tuple[str, int, str]]]":
         compute_by_engine(catalog, engine, ids)
         undated = undated_runs(catalog, asked) if since else 0
+        found = selected(catalog, asked)
+        warn_of_failed(catalog, found)
         # a step is unused where no metric at all uses it
-        return selected(catalog, asked), undated, [] if ids else unused_steps(catalog, asked)
+        return found, undated, [] if ids else unused_steps(catalog, asked)
 
     answers = of_plants(at, ask, quiet=as_json)
     rows = [row for plant, (found, _, _) in answers for row in with_plant(plant, found)]
@@ -138,6 +140,14 @@ def opened_catalog(at: "Path | Store", *, quiet: bool, is_anew: bool = False) ->
             if store.is_local:
                 warn_of_copies(store, read_chain(store, catalog))
             yield catalog
+
+
+def warn_of_failed(catalog: "Catalog", rows: "Sequence[Row] | None" = None) -> None:
+    """Note metrics of the site's own that fail, by their file: those of the rows, or all."""
+    from analytics.metric_registry.failed_metrics import remarks_on_failed
+
+    for remark in remarks_on_failed(catalog, rows):
+        notes().print(f"warning: {remark}", soft_wrap=True)
 
 
 def _print_annex(rows: "Sequence[InnerRow]", unit: str, language: str, *, as_json: bool) -> None:

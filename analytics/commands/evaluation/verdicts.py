@@ -11,7 +11,7 @@ import click
 from rich.text import Text
 
 from analytics.commands.evaluation.engine_option import compute_by_engine, engine_option
-from analytics.commands.evaluation.metrics import language_option
+from analytics.commands.evaluation.metrics import language_option, warn_of_failed
 from analytics.commands.evaluation.plants import named, of_plants, with_plant
 from storage.commands.stored_names import UNIT
 from stream.errors import BadInput, NotFound
@@ -98,6 +98,7 @@ def verdicts(
     def ask(catalog: "Catalog") -> "tuple[Verdicts, list[dict[str, Any]], list[dict[str, Any]]]":
         compute_by_engine(catalog, engine)
         of_units = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
+        warn_of_failed(catalog)
         if group != Group():
             of_units = of_units._replace(pareto=failures_in(catalog, group))
         shares = yield_by(catalog, by, group) if by else []
